@@ -1,0 +1,98 @@
+"""pinred: reduction of multibody systems with symmetry, backed by Pinocchio.
+
+    system = pinred.load("falling_cat")
+    red = pinred.Reduction(system)
+    traj = pinred.simulate(system, duration=10.0)
+    print(pinred.compare(traj))
+
+Names are imported when they are first used, so that `import pinred` is light.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from . import equations, lie
+    from .comparison import Report, compare
+    from .errors import (
+        InputError,
+        IntegrationError,
+        LoadError,
+        ModelError,
+        PinredError,
+        ShapeError,
+        SingularInertiaError,
+        SymmetryError,
+    )
+    from .inspection import Inspection, inspect
+    from .loading import load
+    from .reduction import ReducedShape, Reduction
+    from .scene import Scene
+    from .simulation import simulate
+    from .system import Configuration, InitialState, System, Velocity
+    from .trajectory import State, Trajectory
+
+__version__ = "0.1.0"
+
+_HOME = {
+    **dict.fromkeys(("Report", "compare"), "comparison"),
+    **dict.fromkeys(
+        (
+            *("InputError", "IntegrationError", "LoadError", "ModelError", "PinredError"),
+            *("ShapeError", "SingularInertiaError", "SymmetryError"),
+        ),
+        "errors",
+    ),
+    **dict.fromkeys(("Inspection", "inspect"), "inspection"),
+    "load": "loading",
+    **dict.fromkeys(("ReducedShape", "Reduction"), "reduction"),
+    "Scene": "scene",
+    "simulate": "simulation",
+    **dict.fromkeys(("Configuration", "InitialState", "System", "Velocity"), "system"),
+    **dict.fromkeys(("State", "Trajectory"), "trajectory"),
+}
+_MODULES = ("equations", "lie")
+
+__all__ = [
+    "Configuration",
+    "InitialState",
+    "InputError",
+    "Inspection",
+    "IntegrationError",
+    "LoadError",
+    "ModelError",
+    "PinredError",
+    "ReducedShape",
+    "Reduction",
+    "Report",
+    "Scene",
+    "ShapeError",
+    "SingularInertiaError",
+    "State",
+    "SymmetryError",
+    "System",
+    "Trajectory",
+    "Velocity",
+    "compare",
+    "equations",
+    "inspect",
+    "lie",
+    "load",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return import_module(f"{__name__}.{name}")
+    if name in _HOME:
+        value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'pinred' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]
