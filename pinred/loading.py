@@ -1,0 +1,168 @@
+"""load(): from a name, a file or a pin.Model to a System with its symmetry group."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from . import catalogue
+from .arrays import vector
+from .description import read_description
+from .errors import InputError, LoadError, ModelError
+from .joints import motion_group, root_joint
+from .lie import GROUPS, SE3, Group, group_named
+from .system import InitialState, System
+
+
+def load(
+    source: str | Path | pin.Model,
+    *,
+    group: str | Group | None = None,
+    lock: Iterable[str] | Mapping[str, float] = (),
+    gravity: ArrayLike | None = None,
+) -> System:
+    """Load a robot and read it as symmetry group times shape.
+
+    source: the name of a bundled robot or of one in example-robot-data, the path of a
+        URDF or MJCF file, or a pin.Model (which is copied).  Meshes are not read.
+    group: the symmetry, "R", "SO2", "SE2", "SO3" or "SE3".  If None, the file's own root:
+        its free, planar or spherical root joint, or its first moving joint if the link
+        above that has no mass (a mere anchor) and all else hangs on it; else SE3.
+        A root link with mass floats on a new root joint of the group.
+    lock: joints to freeze at zero, or a mapping from joint to its fixed value [rad | m].
+    gravity: (3,) in the world frame [m/s²]; if None, what the robot comes with
+        (Pinocchio's 9.81 along −z for a URDF).
+
+    Raises LoadError if there is nothing to read, ModelError if pinred cannot reduce the
+    model, InputError for an unknown group or joint.
+    """
+    wanted = group_named(group) if isinstance(group, str) else group
+    if wanted is not None and wanted not in GROUPS.values():
+        raise InputError(f"group must be one of {', '.join(GROUPS)}, got {group!r}")
+    if isinstance(lock, str):
+        raise InputError(
+            f"lock must be a list of joint names, got the text {lock!r}; use [{lock!r}]"
+        )
+    locked = (
+        {str(k): float(v) for k, v in lock.items()}
+        if isinstance(lock, Mapping)
+        else {str(name): 0.0 for name in lock}
+    )
+    initial: InitialState | None = None
+    name = str(source)
+    if isinstance(source, pin.Model):
+        raw, name = source.copy(), source.name
+    elif (robot := catalogue.bundled_robots().get(name)) is not None:
+        raw = read_description(robot.path, locked)
+        raw.gravity.linear = np.array(robot.gravity)
+        wanted = wanted or group_named(robot.group)
+        if not locked and wanted.name == robot.group:
+            initial = _initial_state(robot.initial)
+    elif _is_path(name):
+        raw, name = read_description(Path(source), locked), Path(source).stem
+    else:
+        raw = _example(name, locked)
+    raw = _lock(raw, locked)
+    model = _on_root(raw, wanted)
+    if gravity is not None:
+        model.gravity.linear = vector(gravity, 3, "gravity")
+    model.name = name
+    return System(model, name=name, initial=initial)
+
+
+def _initial_state(entry: Mapping[str, Any]) -> InitialState:
+    x, xdot, xi = (np.array(entry[key], dtype=float) for key in ("x", "xdot", "xi"))
+    return InitialState(x=x, xdot=xdot, xi=xi, duration=float(entry["duration"]))
+
+
+def _is_path(name: str) -> bool:
+    return "/" in name or Path(name).suffix != "" or Path(name).is_file()
+
+
+def _example(name: str, locked: Mapping[str, float]) -> pin.Model:
+    """Return the model of a robot in example-robot-data, armature from its rotors."""
+    names = catalogue.example_robots()
+    if name not in names:
+        near = difflib.get_close_matches(name, [*catalogue.bundled_robots(), *names], n=3)
+        hint = f"did you mean {' or '.join(near)}? " if near else ""
+        more = "" if names else f"; for solo12, talos, ur5 and others: {catalogue.INSTALL_ROBOTS}"
+        raise LoadError(
+            f"unknown robot '{name}'; {hint}`pinred robots` lists what can be loaded{more}"
+        )
+    found = catalogue.example_model(name)
+    model = read_description(found, locked) if isinstance(found, Path) else found
+    if (srdf := catalogue.example_rotors(name)) is not None:
+        pin.loadRotorParameters(model, str(srdf), False)
+        model.armature = model.rotorInertia * model.rotorGearRatio**2
+    return model
+
+
+def _lock(raw: pin.Model, locked: Mapping[str, float]) -> pin.Model:
+    """Return the model with the locked joints removed and their bodies merged."""
+    if not locked:
+        return raw
+    q = pin.neutral(raw)
+    for name, value in locked.items():
+        if not raw.existJointName(name) or name == "universe":
+            known = ", ".join(list(raw.names)[1:])
+            raise InputError(f"lock: no joint '{name}'; the joints are {known}")
+        joint = raw.joints[raw.getJointId(name)]
+        if joint.nv != 1:
+            raise InputError(f"lock: joint '{name}' has {joint.nv} degrees of freedom, not one")
+        if not np.isfinite(value):
+            raise InputError(f"lock: the value for joint '{name}' must be finite, got {value}")
+        q[joint.idx_q : joint.idx_q + joint.nq] = (
+            [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
+        )
+    return pin.buildReducedModel(raw, [raw.getJointId(name) for name in locked], q)
+
+
+def _on_root(raw: pin.Model, wanted: Group | None) -> pin.Model:
+    """Return the model with the symmetry's root joint first: its own, or a new one."""
+    own = _own_root(raw)
+    if own is None:
+        return _add_root(raw, wanted or SE3)
+    if wanted in (None, own):
+        return raw
+    raise ModelError(
+        f"group {wanted} was asked for, but the root joint '{raw.names[1]}' of the model has "
+        f"group {own} and hangs on a link without mass; load it with group='{own}', "
+        f"lock '{raw.names[1]}', or give the link above it a mass so that it can float"
+    )
+
+
+def _own_root(raw: pin.Model) -> Group | None:
+    if raw.njoints < 2:
+        return None
+    group = motion_group(raw.joints[1])
+    if raw.joints[1].nv > 1:
+        return group
+    anchored = raw.inertias[0].mass == 0.0
+    carries_all = all(raw.parents[i] != 0 for i in range(2, raw.njoints))
+    return group if anchored and carries_all else None
+
+
+def _add_root(raw: pin.Model, group: Group) -> pin.Model:
+    """Return the model floating on a new root joint of the group."""
+    name = "root_joint"
+    while raw.existJointName(name) or raw.existFrame(name):
+        name = f"{name}_"
+    root = pin.Model()
+    joint = root.addJoint(0, root_joint(group), pin.SE3.Identity(), name)
+    frame = root.addJointFrame(joint)
+    model = pin.appendModel(root, raw, frame, pin.SE3.Identity())
+    # appendModel drops gravity and armature.
+    model.gravity = raw.gravity
+    armature = np.zeros(model.nv)
+    for i in range(1, raw.njoints):
+        to = model.joints[model.getJointId(raw.names[i])].idx_v
+        at, size = raw.joints[i].idx_v, raw.joints[i].nv
+        armature[to : to + size] = raw.armature[at : at + size]
+    model.armature = armature
+    return model

@@ -1,0 +1,187 @@
+"""System: a Pinocchio model read as symmetry group (base) times shape (joints)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from .admission import admit
+from .arrays import Array, as_floats
+from .errors import ModelError, ShapeError
+from .lie import SE2, SO2, Group
+
+Indices: TypeAlias = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class InitialState:
+    """A generic state to start from, with the time over which it is interesting.
+
+    x: (m,) shape [rad | m].  xdot: (m,) its rate.  xi: (r,) body twist of the base
+    [linear; angular].  duration: s.
+    """
+
+    x: Array
+    xdot: Array
+    xi: Array
+    duration: float
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A point of Q = G × B: pose (..., size) of the base, shape x (..., m)."""
+
+    pose: Array
+    x: Array
+
+
+@dataclass(frozen=True)
+class Velocity:
+    """A velocity: body twist xi (..., r) of the base, shape rate xdot (..., m)."""
+
+    xi: Array
+    xdot: Array
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A multibody system with symmetry: the root joint is the group, the others the shape.
+
+    name: what the robot is called.  model: the pin.Model, root joint first.
+    initial: a generic initial state, where the robot comes with one.
+    """
+
+    model: pin.Model
+    name: str = ""
+    initial: InitialState | None = None
+    group: Group = field(init=False)
+    shape_names: tuple[str, ...] = field(init=False)
+    # Where the coordinates (pose, x) stand in Pinocchio's q: as they are, or as (cos, sin).
+    _plain: Indices = field(init=False, repr=False)
+    _plain_q: Indices = field(init=False, repr=False)
+    _angle: Indices = field(init=False, repr=False)
+    _angle_q: Indices = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.model.njoints < 2:
+            raise ModelError(f"model '{self.model.name}' has no joint; load it with a group")
+        group = admit(self.model)
+        derived: dict[str, Any] = {
+            "group": group,
+            "shape_names": tuple(self.model.names[i] for i in range(2, self.model.njoints)),
+        }
+        derived |= _coordinate_maps(self.model, group)
+        for key, value in derived.items():
+            object.__setattr__(self, key, value)
+
+    def __repr__(self) -> str:
+        return f"System({self.name!r}, group={self.group.name}, r={self.r}, m={self.m})"
+
+    @property
+    def r(self) -> int:
+        """Dimension of the group."""
+        return self.group.dim
+
+    @property
+    def m(self) -> int:
+        """Dimension of the shape space: the number of joints."""
+        return len(self.shape_names)
+
+    @property
+    def n(self) -> int:
+        """Dimension of the configuration manifold, n = r + m."""
+        return self.r + self.m
+
+    @property
+    def root_name(self) -> str:
+        """Name of the root joint, whose motion is the symmetry."""
+        return str(self.model.names[1])
+
+    @property
+    def mass(self) -> float:
+        """Mass of all moving bodies [kg]."""
+        return float(sum(self.model.inertias[i].mass for i in range(1, self.model.njoints)))
+
+    @property
+    def gravity(self) -> Array:
+        """Gravity in the world frame, (3,) [m/s²], as the model has it."""
+        return np.array(self.model.gravity.linear)
+
+    def q(self, pose: ArrayLike, x: ArrayLike) -> Array:
+        """Return Pinocchio's configuration (..., nq) of pose (..., size) and shape (..., m).
+
+        Raises ShapeError if a length is wrong.
+        """
+        pose = self._last(pose, self.group.size, "pose")
+        x = self._last(x, self.m, "x")
+        lead = np.broadcast_shapes(pose.shape[:-1], x.shape[:-1])
+        y = np.empty((*lead, self.group.size + self.m))
+        y[..., : self.group.size], y[..., self.group.size :] = pose, x
+        q = np.empty((*lead, self.model.nq))
+        q[..., self._plain_q] = y[..., self._plain]
+        q[..., self._angle_q] = np.cos(y[..., self._angle])
+        q[..., self._angle_q + 1] = np.sin(y[..., self._angle])
+        return q
+
+    def v(self, xi: ArrayLike, xdot: ArrayLike) -> Array:
+        """Return Pinocchio's velocity (..., n) of body twist (..., r) and shape rate (..., m).
+
+        Raises ShapeError if a length is wrong.
+        """
+        xi, xdot = self._last(xi, self.r, "xi"), self._last(xdot, self.m, "xdot")
+        lead = np.broadcast_shapes(xi.shape[:-1], xdot.shape[:-1])
+        v = np.empty((*lead, self.n))
+        v[..., : self.r], v[..., self.r :] = xi, xdot
+        return v
+
+    def configuration(self, q: ArrayLike) -> Configuration:
+        """Return pose and shape of Pinocchio's q (..., nq); angles from (cos, sin) in (−π, π].
+
+        Raises ShapeError if the length is wrong.
+        """
+        q = self._last(q, self.model.nq, "q")
+        y = np.empty((*q.shape[:-1], self.group.size + self.m))
+        y[..., self._plain] = q[..., self._plain_q]
+        y[..., self._angle] = np.arctan2(q[..., self._angle_q + 1], q[..., self._angle_q])
+        return Configuration(pose=y[..., : self.group.size], x=y[..., self.group.size :])
+
+    def velocity(self, v: ArrayLike) -> Velocity:
+        """Return body twist and shape rate of Pinocchio's v (..., n).
+
+        Raises ShapeError if the length is wrong.
+        """
+        v = self._last(v, self.n, "v").copy()
+        return Velocity(xi=v[..., : self.r], xdot=v[..., self.r :])
+
+    def _last(self, value: ArrayLike, size: int, what: str) -> Array:
+        array = as_floats(value, what)
+        if array.shape[-1:] != (size,):
+            raise ShapeError(f"{what} of {self.name!r} must end in ({size},), got {array.shape}")
+        return array
+
+
+def _coordinate_maps(model: pin.Model, group: Group) -> dict[str, Indices]:
+    """Where (pose, x) stand in q; a joint whose nq exceeds its nv keeps cos and sin."""
+    plain: list[tuple[int, int]] = []  # (position in (pose, x), position in q)
+    angle: list[tuple[int, int]] = []
+    if group is SE2:
+        plain, angle = [(0, 0), (1, 1)], [(2, 2)]
+    elif group is SO2:
+        (angle if model.joints[1].nq == 2 else plain).append((0, 0))
+    else:
+        plain = [(k, k) for k in range(group.size)]
+    for i in range(2, model.njoints):
+        joint = model.joints[i]
+        (angle if joint.nq == 2 else plain).append((group.size + i - 2, joint.idx_q))
+
+    def column(pairs: list[tuple[int, int]], k: int) -> Indices:
+        return np.array([pair[k] for pair in pairs], dtype=np.intp)
+
+    return {
+        "_plain": column(plain, 0), "_plain_q": column(plain, 1),
+        "_angle": column(angle, 0), "_angle_q": column(angle, 1),
+    }  # fmt: skip

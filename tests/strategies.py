@@ -1,0 +1,57 @@
+"""Hypothesis strategies: random systems and states, from seeds that hypothesis prints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from hypothesis import strategies as st
+from trees import random_model
+
+import pinred
+from pinred.arrays import Array
+from pinred.lie import GROUPS
+
+groups = st.sampled_from(sorted(GROUPS))
+seeds = st.integers(0, 2**32 - 1)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A random system and a random state of it."""
+
+    system: pinred.System
+    pose: Array
+    x: Array
+    xdot: Array
+    xi: Array
+    rng: np.random.Generator
+
+    @property
+    def q(self) -> Array:
+        """Pinocchio's configuration."""
+        return self.system.q(self.pose, self.x)
+
+    @property
+    def v(self) -> Array:
+        """Pinocchio's velocity."""
+        return self.system.v(self.xi, self.xdot)
+
+
+def make_case(group: str, joints: int, seed: int) -> Case:
+    """Build the case of a seed."""
+    system = pinred.load(random_model(group, joints, seed))
+    rng = np.random.default_rng(seed)
+    return Case(
+        system=system,
+        pose=system.group.exp(rng.uniform(-1.5, 1.5, system.r)),
+        x=rng.uniform(-2.0, 2.0, system.m),
+        xdot=rng.normal(size=system.m),
+        xi=rng.normal(size=system.r),
+        rng=rng,
+    )
+
+
+def cases(least: int = 1, most: int = 8) -> st.SearchStrategy[Case]:
+    """Random trees of `least` to `most` joints on any group."""
+    return st.builds(make_case, groups, st.integers(least, most), seeds)

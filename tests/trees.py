@@ -1,0 +1,94 @@
+"""Random multibody trees: any group, branched, every kind of shape joint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+
+from pinred.arrays import Array
+from pinred.lie import GROUPS
+
+Rng = np.random.Generator
+
+
+def unit(rng: Rng) -> Array:
+    """A random direction, (3,)."""
+    axis = rng.normal(size=3)
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def placement(rng: Rng) -> pin.SE3:
+    """A random rigid transform."""
+    return pin.SE3(pin.exp3(rng.uniform(-2.0, 2.0, 3)), rng.uniform(-0.5, 0.5, 3))
+
+
+def inertia(rng: Rng) -> pin.Inertia:
+    """A random physical inertia: that of a slightly blown-up cloud of four points."""
+    points = rng.uniform(-0.3, 0.3, (4, 3))
+    masses = rng.uniform(0.2, 1.0, 4)
+    com = masses @ points / masses.sum()
+    arms = points - com
+    moment = sum(
+        m * (a @ a * np.eye(3) - np.outer(a, a)) for m, a in zip(masses, arms, strict=True)
+    )
+    return pin.Inertia(float(masses.sum()), com, moment + 1e-3 * np.eye(3))
+
+
+def continuous(rng: Rng) -> pin.JointModel:
+    """A slanted continuous joint; only Pinocchio's URDF reader can make one from Python."""
+    x, y, z = unit(rng)
+    return pin.buildModelFromXML(
+        '<robot name="r"><link name="a"/><link name="b"><inertial><mass value="1"/><inertia '
+        'ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        f'<joint name="j" type="continuous"><parent link="a"/><child link="b"/>'
+        f'<axis xyz="{x:.17g} {y:.17g} {z:.17g}"/></joint></robot>'
+    ).joints[1]
+
+
+ROOTS: dict[str, list[Callable[[Rng], pin.JointModel]]] = {
+    "R": [lambda _: pin.JointModelPX(), lambda rng: pin.JointModelPrismaticUnaligned(unit(rng))],
+    "SO2": [
+        lambda _: pin.JointModelRZ(),
+        lambda _: pin.JointModelRUBY(),
+        lambda rng: pin.JointModelRevoluteUnaligned(unit(rng)),
+    ],
+    "SE2": [lambda _: pin.JointModelPlanar()],
+    "SO3": [lambda _: pin.JointModelSpherical()],
+    "SE3": [lambda _: pin.JointModelFreeFlyer()],
+}
+JOINTS: list[Callable[[Rng], pin.JointModel]] = [
+    lambda _: pin.JointModelRX(),
+    lambda _: pin.JointModelRY(),
+    lambda _: pin.JointModelRZ(),
+    lambda _: pin.JointModelRUBX(),
+    lambda _: pin.JointModelRUBZ(),
+    lambda _: pin.JointModelPX(),
+    lambda _: pin.JointModelPY(),
+    lambda rng: pin.JointModelRevoluteUnaligned(unit(rng)),
+    continuous,
+    lambda rng: pin.JointModelPrismaticUnaligned(unit(rng)),
+]
+
+
+def random_model(group: str, joints: int, seed: int, *, armature: bool = True) -> pin.Model:
+    """A branched tree with `joints` shape joints on a root of `group`, without gravity."""
+    assert group in GROUPS
+    rng = np.random.default_rng(seed)
+    model = pin.Model()
+    model.name = f"tree-{group}-{joints}-{seed}"
+    model.gravity.setZero()
+    for k in range(joints + 1):
+        kinds = JOINTS if k else ROOTS[group]
+        kind = kinds[rng.integers(len(kinds))](rng)
+        # Branch off the path to the newest joint only: Pinocchio needs depth-first order.
+        path = list(model.supports[k])[1:] if k else [0]
+        parent = int(path[rng.integers(len(path))])
+        i = model.addJoint(parent, kind, placement(rng), f"joint{k}")
+        model.appendBodyToJoint(i, inertia(rng), pin.SE3.Identity())
+    if armature:
+        values = np.zeros(model.nv)
+        values[model.joints[1].nv :] = rng.uniform(0.0, 0.1, joints)
+        model.armature = values
+    return model
