@@ -1,0 +1,164 @@
+"""The reduced equations against Pinocchio's forward dynamics, on random trees."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from strategies import Case, cases, make_case
+
+import pinred
+from pinred.arrays import Array
+from pinred.canonical import CanonicalForm
+from pinred.equations import euler_poincare, hamilton_poincare, lagrange_poincare
+from pinred.potential import Potential
+
+RELATIVE = 1e-11
+
+
+def aba(case: Case, tau: Array) -> Array:
+    """Pinocchio's accelerations, (ξ̇, ẍ)."""
+    model = case.system.model
+    return np.asarray(pin.aba(model, model.createData(), case.q, case.v, tau))
+
+
+def agree(a: Array, b: Array) -> bool:
+    """Whether a equals b to 1e-11 of the largest entry of b."""
+    return bool(np.abs(a - b).max() <= RELATIVE * np.abs(b).max())
+
+
+def springs_of(case: Case) -> dict[str, tuple[float, float]]:
+    """A spring at every other joint."""
+    return dict.fromkeys(case.system.shape_names[::2], (1.5, 0.4))
+
+
+@settings(max_examples=150)
+@given(cases(0))
+def test_lagrange_poincare(case: Case) -> None:
+    """Accelerations with joint torques, springs and a base wrench are those of ABA."""
+    system, x, xdot = case.system, case.x, case.xdot
+    torque, wrench = case.rng.normal(size=system.m), case.rng.normal(size=system.r)
+    springs = springs_of(case)
+    red = pinred.Reduction(system, springs=springs)
+    tau = np.concatenate([wrench, torque])
+    for name, (stiffness, rest) in springs.items():
+        k = system.shape_names.index(name)
+        tau[system.r + k] -= stiffness * (x[k] - rest)
+    omega = red.locked_velocity(x, xdot, case.xi)
+    terms = lagrange_poincare(red, x, xdot, omega, torque=torque, wrench=wrench)
+    assert agree(np.concatenate([terms.xidot, terms.xddot]), aba(case, tau))
+
+
+@settings(max_examples=60)
+@given(cases())
+def test_hamilton_poincare(case: Case) -> None:
+    """ẋ, ṗ and μ̇ are those that ABA's accelerations give to p = M ẋ and μ = I ξ + I A ẋ."""
+    system, x, xdot = case.system, case.x, case.xdot
+    red = pinred.Reduction(system)
+    torque, wrench = case.rng.normal(size=system.m), case.rng.normal(size=system.r)
+    a = aba(case, np.concatenate([wrench, torque]))
+    at, r = red.at(x), system.r
+    p, mu = at.reduced_metric @ xdot, red.body_momentum(x, xdot, case.xi)
+    terms = hamilton_poincare(red, x, p, mu, torque=torque, wrench=wrench)
+    assert agree(terms.xdot, xdot)
+    assert agree(terms.shape.total, at.reduced_metric @ a[r:] + at.dM @ xdot @ xdot)
+    # μ̇ from the full equations: H v̇ + C v are the base rows of the applied wrench.
+    H, model = red.mass_matrix(x), system.model
+    mudot = H[:r] @ a
+    step = 1e-4  # d/dt of the base rows of H, by differences of order four
+    for k, w in ((1, 2 / 3), (2, -1 / 12)):
+        ahead, behind = (red.mass_matrix(x + s * k * step * xdot)[:r] for s in (1, -1))
+        mudot = mudot + w * (ahead - behind) @ case.v / step
+    np.testing.assert_allclose(terms.momentum.total, mudot, atol=1e-9 * max(1, np.abs(mudot).max()))
+    energy = 0.5 * case.v @ H @ case.v
+    assert terms.energy == pytest.approx(energy, rel=1e-12)
+    assert model.nv == system.n
+
+
+@settings(max_examples=60)
+@given(cases(0))
+def test_canonical_form(case: Case) -> None:
+    """In (x, π, μ): velocities from momenta, and π̇ = d/dt ∂L/∂ẋ from ABA's accelerations."""
+    system, r = case.system, case.system.r
+    springs = springs_of(case)
+    form = CanonicalForm(system, Potential(system, springs))
+    H = pinred.Reduction(system).mass_matrix(case.x)
+    assert agree(form.velocity(case.x, H @ case.v), case.v)
+    tau = np.zeros(system.n)
+    for name, (stiffness, rest) in springs.items():
+        k = system.shape_names.index(name)
+        tau[r + k] -= stiffness * (case.x[k] - rest)
+    # π = H_s v, so π̇ = H_s v̇ + Ḣ_s v, with Ḣ v = (C + Cᵀ) v and H v̇ + C v = τ.
+    a = aba(case, tau)
+    model, data = system.model, system.model.createData()
+    C = pin.computeCoriolisMatrix(model, data, case.q, case.v)
+    expected = (H @ a + C @ case.v + C.T @ case.v)[r:]
+    if system.m:
+        assert agree(form.force(case.x, case.v), expected)
+
+
+@settings(max_examples=40)
+@given(cases(0, 0))
+def test_euler_poincare(case: Case) -> None:
+    """A system without joints obeys Euler–Poincaré, with a wrench on the base."""
+    wrench = case.rng.normal(size=case.system.r)
+    terms = euler_poincare(pinred.Reduction(case.system), [], case.xi, wrench=wrench)
+    assert agree(terms.xidot, aba(case, wrench))
+
+
+@pytest.mark.parametrize("group", ["R", "SE2", "SE3"])
+def test_falling_is_left_out(group: str) -> None:
+    """With gravity, the equations hold in the frame that falls with the translations."""
+    case = make_case(group, 4, 3)
+    model = case.system.model
+    root = model.jointPlacements[1].rotation
+    model.gravity.linear = np.array([1.0, -2.0, 3.0])
+    red = pinred.Reduction(case.system)
+    omega = red.locked_velocity(case.x, case.xdot, case.xi)
+    terms = lagrange_poincare(red, case.x, case.xdot, omega)
+    # In the base's own frame the fall is Rᵀ g, along the directions the group translates.
+    data = model.createData()
+    pin.forwardKinematics(model, data, case.q)
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    S = np.array(data.joints[1].S).reshape(6, -1)[:3, : case.system.group.linear]
+    pin.forwardKinematics(model, data, case.q)
+    turn = (root.T @ data.oMi[1].rotation).T  # root joint's fixed frame to body
+    fall = S.T @ turn @ S @ S.T @ root.T @ model.gravity.linear
+    xidot = terms.xidot.copy()
+    xidot[: len(fall)] += fall
+    assert agree(np.concatenate([xidot, terms.xddot]), aba(case, np.zeros(case.system.n)))
+
+
+def test_every_term_is_needed_and_printed() -> None:
+    """On a generic state no term vanishes, and the table names each one with its numbers."""
+    case = make_case("SE3", 3, 11)
+    red = pinred.Reduction(case.system, springs=springs_of(case))
+    terms = lagrange_poincare(
+        red, case.x, case.xdot, case.xi, torque=[1.0, 2.0, 3.0], wrench=np.arange(6.0)
+    )
+    text = str(terms)
+    for name in ("metric", "centrifugal", "potential", "curvature", "coadjoint", "torque"):
+        values = getattr(terms.shape, name)
+        assert np.abs(values).max() > 1e-6
+        assert name in text
+        assert f"{values[0]:+.9e}" in text
+    parts = [getattr(terms.shape, name) for name in terms.shape.__dataclass_fields__]
+    np.testing.assert_allclose(np.sum(parts, axis=0), terms.shape.total, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("words", "arguments", "options"),
+    [
+        ("xdot must have shape", ([0.0], [0.0, 0.0], [0.0] * 3), {}),
+        ("omega must have shape", ([0.0], [0.0], [0.0] * 2), {}),
+        ("omega must be finite", ([0.0], [0.0], [0.0, 0.0, np.nan]), {}),
+        ("torque must have shape", ([0.0], [0.0], [0.0] * 3), {"torque": [1.0, 2.0]}),
+        ("wrench must have shape", ([0.0], [0.0], [0.0] * 3), {"wrench": [1.0]}),
+    ],
+)
+def test_bad_states(words: str, arguments: tuple[object, ...], options: dict[str, object]) -> None:
+    """Wrong lengths and numbers that are not finite are refused by name."""
+    red = pinred.Reduction(pinred.load("coupled_planar"))
+    with pytest.raises(pinred.ShapeError, match=words):
+        lagrange_poincare(red, *arguments, **options)  # type: ignore[arg-type]
