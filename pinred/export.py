@@ -1,0 +1,101 @@
+"""Trajectories as files that other tools open: NumPy's npz, and csv."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from .errors import InputError
+from .lie import SE2, SE3, SO2, SO3
+from .trajectory import State, Trajectory
+
+_POSE_LABELS = {
+    "R": ("s",),
+    SO2.name: ("theta",),
+    SE2.name: ("x", "y", "theta"),
+    SO3.name: ("qx", "qy", "qz", "qw"),
+    SE3.name: ("x", "y", "z", "qx", "qy", "qz", "qw"),
+}
+
+
+def save(traj: Trajectory, path: str | Path) -> None:
+    """Write the states of `traj` at its report times; the suffix, .npz or .csv, decides.
+
+    npz: one array per field of State, time first, with `robot`, `group` and `joints`.
+    csv: a row per time, columns such as `pose.x`, `x.hinge`, `energy`.
+    Either the whole file is written or none.  Raises InputError for another suffix or a
+    folder that does not exist.
+    """
+    path = check_path(path)
+    write = _write_npz if path.suffix == ".npz" else _write_csv
+    write_atomic(path, lambda file: write(traj, file))
+
+
+def check_path(path: str | Path) -> Path:
+    """Return `path` if a trajectory can be written there.  Raises InputError if not."""
+    path = Path(path)
+    if path.suffix not in (".npz", ".csv"):
+        raise InputError(f"cannot write '{path}': the suffix must be .npz or .csv")
+    if path.is_dir():
+        raise InputError(f"cannot write '{path}': it is a folder")
+    if not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
+        raise InputError(f"cannot write '{path}': no folder '{path.parent}' to write in")
+    return path
+
+
+def write_atomic(path: Path, write: Callable[[BinaryIO], None]) -> None:
+    """Write a file under a temporary name beside `path` and move it there when complete."""
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            write(file)
+        umask = os.umask(0)  # mkstemp makes the file private; give it the usual rights
+        os.umask(umask)
+        os.chmod(name, 0o666 & ~umask)
+        os.replace(name, path)
+    except BaseException:
+        os.unlink(name)
+        raise
+
+
+def _write_npz(traj: Trajectory, file: BinaryIO) -> None:
+    arrays = {field.name: getattr(traj.states, field.name) for field in fields(State)}
+    np.savez_compressed(
+        file,
+        robot=np.array(traj.system.name),
+        group=np.array(traj.system.group.name),
+        joints=np.array(traj.system.shape_names, dtype=str),
+        **arrays,
+    )
+
+
+def _write_csv(traj: Trajectory, file: BinaryIO) -> None:
+    system = traj.system
+    twist = _POSE_LABELS["R"] if system.r == 1 else tuple(str(k + 1) for k in range(system.r))
+    labels = {
+        "x": system.shape_names,
+        "xdot": system.shape_names,
+        "pose": _POSE_LABELS[system.group.name],
+        "xi": twist,
+        "body_momentum": twist,
+        "spatial_momentum": twist,
+    }
+    names, columns = [], []
+    for field in fields(State):
+        values = getattr(traj.states, field.name)
+        if values.ndim == 1:
+            names.append(field.name)
+            columns.append(values)
+            continue
+        for k in range(values.shape[1]):
+            label = labels[field.name][k] if field.name in labels else str(k)
+            names.append(f"{field.name}.{label}")
+            columns.append(values[:, k])
+    table = np.column_stack(columns)
+    np.savetxt(file, table, fmt="%.17g", delimiter=",", header=",".join(names), comments="")

@@ -1,0 +1,173 @@
+"""Scene: what to simulate.  A frozen description, and the initial state it resolves to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .arrays import Array, as_floats, positive, read_only, vector
+from .errors import InputError, ShapeError
+from .joints import is_prismatic
+from .reduction import Reduction
+from .system import InitialState, System
+
+DURATION = 2.0  # s, where neither scene nor robot says
+TIGHTEST = 1e-13  # relative tolerance; below it round-off decides the step
+
+
+@dataclass(frozen=True)
+class Start:
+    """An initial state, complete and checked.
+
+    pose: (size,).  x, xdot: (m,).  xi: (r,) body twist.  mu: (r,) body momentum.
+    """
+
+    pose: Array
+    x: Array
+    xdot: Array
+    xi: Array
+    mu: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """A system, its initial state, and for how long and how accurately to follow it.
+
+    x0, xdot0: (m,) shape and rate; zero if not given.  Either xi0, (r,) body twist of the
+    base, or momentum, (r,) body momentum μ (or just 0), zero twist if neither is given.
+    seed: a generic random state instead.  With none of these, the state the robot comes
+    with.  pose0: pose of the base (identity).  duration: s; else up to the last of
+    `times`, else what the robot comes with, else 2 s.  times: where to report, increasing
+    (201 even ones).  rtol, atol: local error per step, relative and absolute.
+    springs: {joint: (stiffness [N·m/rad | N/m], rest [rad | m])}.
+
+    Raises InputError or ShapeError when built with what cannot be simulated.
+    """
+
+    system: System
+    x0: ArrayLike | None = None
+    xdot0: ArrayLike | None = None
+    xi0: ArrayLike | None = None
+    momentum: ArrayLike | None = None
+    seed: int | None = None
+    pose0: Any = None
+    duration: float | None = None
+    times: ArrayLike | None = None
+    rtol: float = 1e-10
+    atol: float = 1e-12
+    springs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        given = [k for k in ("x0", "xdot0", "xi0", "momentum") if getattr(self, k) is not None]
+        if self.seed is not None and given:
+            raise InputError(
+                f"seed stands for a whole random state; do not give {given[0]} with it"
+            )
+        if self.xi0 is not None and self.momentum is not None:
+            raise InputError("give xi0 or momentum, not both: each fixes the other")
+        if self.seed is None and not given and self.system.initial is None:
+            raise InputError(
+                f"'{self.system.name}' comes with no initial state; "
+                "give x0, xdot0, xi0 or momentum, or seed= for a random one"
+            )
+        positive(self.rtol, "rtol")
+        positive(self.atol, "atol")
+        if self.rtol < TIGHTEST:
+            raise InputError(f"rtol must be at least {TIGHTEST:g}, got {self.rtol:g}")
+        if self.duration is not None:
+            positive(self.duration, "duration")
+        object.__setattr__(self, "_times", read_only(self._checked_times()))
+        object.__setattr__(self, "_start", self._resolve())
+
+    @property
+    def start(self) -> Start:
+        """The initial state."""
+        start: Start = vars(self)["_start"]
+        return start
+
+    @property
+    def report_times(self) -> Array:
+        """The times to report, (T,) [s]."""
+        times: Array = vars(self)["_times"]
+        return times
+
+    @property
+    def end(self) -> float:
+        """The time at which the simulation ends [s]; it starts at 0."""
+        if self.duration is not None:
+            return float(self.duration)
+        return float(self.report_times[-1])
+
+    @property
+    def has_zero_momentum(self) -> bool:
+        """Whether the momentum is exactly zero, so that no term with μ is needed."""
+        return not self.start.mu.any()
+
+    def _checked_times(self) -> Array:
+        if self.times is None:
+            own = self.system.initial.duration if self.system.initial else DURATION
+            return np.linspace(0.0, own if self.duration is None else float(self.duration), 201)
+        times = np.atleast_1d(as_floats(self.times, "times")).copy()
+        end = np.inf if self.duration is None else float(self.duration)
+        if times.ndim != 1 or times.size == 0 or not np.isfinite(times).all():
+            raise ShapeError("times must be a vector of finite times")
+        if (np.diff(times) <= 0.0).any() or times[0] < 0.0 or times[-1] > end:
+            raise InputError(
+                f"times must increase from 0 or later to the duration at most ({end:g} s), "
+                f"got {times[0]:g} … {times[-1]:g}"
+            )
+        if self.duration is None:
+            positive(times[-1], "the last of times, which stands for the duration,")
+        return times
+
+    def _resolve(self) -> Start:
+        system = self.system
+        pose = system.group.identity() if self.pose0 is None else system.group.pose(self.pose0)
+        given = (self.x0, self.xdot0, self.xi0, self.momentum)
+        ready = system.initial if self.seed is None else random_state(system, self.seed)
+        if ready is not None and all(value is None for value in given):
+            x, xdot, xi = ready.x, ready.xdot, ready.xi
+        else:
+            x = _or_zero(self.x0, system.m, "x0", system.shape_names)
+            xdot = _or_zero(self.xdot0, system.m, "xdot0", system.shape_names)
+            xi = _or_zero(self.xi0, system.r, "xi0")
+        red = Reduction(system)
+        if self.momentum is None:
+            mu = red.body_momentum(x, xdot, xi)
+        else:
+            # A plain 0 is short for the zero momentum of any group.
+            zero = np.ndim(self.momentum) == 0 and self.momentum == 0
+            mu = np.zeros(system.r) if zero else vector(self.momentum, system.r, "momentum")
+            xi = np.linalg.solve(red.locked_inertia(x), mu) - red.local_connection(x) @ xdot
+        return Start(*(read_only(np.array(a)) for a in (pose, x, xdot, xi, mu)))
+
+
+def random_state(system: System, seed: int) -> InitialState:
+    """Return a generic state: moderate, within the joints' limits, with no symmetry in it."""
+    rng = np.random.default_rng(seed)
+    joints = [system.model.joints[i] for i in range(2, system.model.njoints)]
+    reach = np.array([0.1 if is_prismatic(joint) else 0.6 for joint in joints])
+    low, high = -reach, reach.copy()
+    for k, joint in enumerate(joints):
+        least, most = (
+            limit[joint.idx_q]
+            for limit in (system.model.lowerPositionLimit, system.model.upperPositionLimit)
+        )
+        if joint.nq == 1 and least < most:
+            middle = max(least, min(0.0, most))
+            low[k], high[k] = max(least, middle - reach[k]), min(most, middle + reach[k])
+    scale = np.where(np.arange(system.r) < system.group.linear, 0.1, 0.6)
+    return InitialState(
+        x=rng.uniform(low, high),
+        xdot=rng.normal(size=system.m) * reach,
+        xi=rng.normal(size=system.r) * scale,
+        duration=DURATION,
+    )
+
+
+def _or_zero(value: ArrayLike | None, size: int, what: str, labels: Any = ()) -> Array:
+    return np.zeros(size) if value is None else vector(value, size, what, labels)
