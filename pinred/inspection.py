@@ -1,0 +1,156 @@
+"""inspect(): what pinred sees in a robot, at one shape, and what it will not compute."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .arrays import Array
+from .errors import SymmetryError
+from .flow import ReducedFlow
+from .joints import is_prismatic
+from .potential import falling
+from .reduction import ReducedShape, Reduction
+from .scene import Scene
+from .system import System
+
+_SAMPLES = 3  # random shapes at which a dependence would show
+_NO_DEPENDENCE = 1e-12  # of the mass matrix
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """A system at one shape.
+
+    at: the reduction there.  curvature_norm: Frobenius norm of B.  cyclic: joints on which
+    neither inertia nor potential depends.  symmetries: what is conserved, in words.
+    skipped: what a simulation does not integrate, in words.
+    full_size, reduced_size: numbers integrated by a full simulation and by pinred.
+    """
+
+    system: System
+    at: ReducedShape
+    curvature_norm: float
+    cyclic: tuple[str, ...]
+    symmetries: tuple[str, ...]
+    skipped: tuple[str, ...]
+    full_size: int
+    reduced_size: int | None
+
+    def __str__(self) -> str:
+        system, at = self.system, self.at
+        kinds = [
+            f"{name} ({'prismatic' if is_prismatic(system.model.joints[i]) else 'revolute'})"
+            for i, name in enumerate(system.shape_names, start=2)
+        ]
+        size = "" if self.reduced_size is None else f" → {self.reduced_size} numbers"
+        lines = [
+            f"{system.name}: group {system.group.name} (r = {system.r}) on joint "
+            f"'{system.root_name}', shape of {system.m} joints, {system.mass:g} kg",
+            *_wrapped("joints", kinds),
+            f"gravity     ({', '.join(f'{g:g}' for g in system.gravity)}) m/s²",
+            *_wrapped("symmetries", self.symmetries),
+            *_wrapped("skipped", self.skipped),
+            f"integrated  {self.full_size}{size}",
+            f"at x =      {_numbers(at.x)}",
+            _matrix("I", "locked inertia", at.locked_inertia),
+            _matrix("A", "local connection", at.local_connection),
+            _matrix("M", "reduced metric", at.reduced_metric),
+            f"|B|         {self.curvature_norm:.6g} (norm of the curvature)",
+        ]
+        return "\n".join(lines)
+
+
+def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
+    """Return what pinred sees in `system` at shape x, (m,), zero if not given.
+
+    Raises ShapeError if x has the wrong length or is not finite.
+    """
+    red = Reduction(system)
+    at = red.at(np.zeros(system.m) if x is None else x)
+    cyclic = _cyclic_joints(red)
+    reduced_size: int | None
+    try:
+        reduced_size = ReducedFlow(Scene(system=system, x0=at.x)).y0.size
+        broken = ""
+    except SymmetryError as error:
+        reduced_size, broken = None, str(error)
+    return Inspection(
+        system=system,
+        at=at,
+        curvature_norm=float(np.linalg.norm(at.curvature)),
+        cyclic=cyclic,
+        symmetries=tuple(_symmetries(system, cyclic, broken)),
+        skipped=tuple(_skipped(system, red, broken)),
+        full_size=system.model.nq + system.n,
+        reduced_size=reduced_size,
+    )
+
+
+def _cyclic_joints(red: Reduction) -> tuple[str, ...]:
+    """Return the joints that leave the mass matrix and the potential unchanged."""
+    rng = np.random.default_rng(0)
+    depends = np.zeros(red.system.m, dtype=bool)
+    for _ in range(_SAMPLES):
+        at = red.at(rng.uniform(-3.0, 3.0, red.system.m))
+        small = _NO_DEPENDENCE * np.linalg.norm(at.mass_matrix)
+        for derivative in (at.dI, at.dM, at.locked_inertia @ at.dA.reshape(red.system.r, -1)):
+            rows = np.abs(derivative).reshape(-1, red.system.m)
+            depends |= (rows > small).any(axis=0)
+        try:
+            depends |= np.abs(red.potential_gradient(at.x)) > small
+        except SymmetryError:
+            depends[:] = True
+    names = red.system.shape_names
+    return tuple(name for name, it_does in zip(names, depends, strict=True) if not it_does)
+
+
+def _symmetries(system: System, cyclic: tuple[str, ...], broken: str) -> list[str]:
+    if broken:
+        return [broken]
+    kept = {
+        "R": "momentum along the root's axis",
+        "SO2": "angular momentum about the root's axis",
+        "SE2": "momentum in the plane and angular momentum about the centre of mass",
+        "SO3": "angular momentum about the pivot",
+        "SE3": "momentum and angular momentum about the centre of mass",
+    }
+    lines = [f"{system.group.name}: conserves {kept[system.group.name]}"]
+    if cyclic:
+        lines.append(f"cyclic joints, whose momentum is constant: {', '.join(cyclic)}")
+    return lines
+
+
+def _skipped(system: System, red: Reduction, broken: str) -> list[str]:
+    if broken:
+        return []
+    lines = []
+    if system.group.linear:
+        lines.append("translation of the base: the centre of mass moves on a known path")
+        if falling(system).any():
+            lines.append("gravity along it: it only makes the centre of mass fall")
+    if system.group.linear < system.r:
+        lines.append("angular momentum: it follows from the attitude, or is constant")
+    if red.checked_potential().is_zero:
+        lines.append("potential: nothing acts on the shape")
+    lines.append("meshes: not read")
+    return lines
+
+
+def _wrapped(title: str, entries: tuple[str, ...] | list[str]) -> list[str]:
+    lines = [*entries] or ["none"]
+    return [f"{title if k == 0 else '':<11} {line}" for k, line in enumerate(lines)]
+
+
+def _numbers(values: Array) -> str:
+    return "(" + ", ".join(f"{value:g}" for value in values) + ")"
+
+
+def _matrix(symbol: str, name: str, matrix: Array) -> str:
+    if not matrix.size:
+        return f"{symbol}           {name}: none, there are no joints"
+    with np.printoptions(precision=6, suppress=True, linewidth=110, threshold=400):
+        rows = str(matrix).splitlines()
+    return f"{symbol}           {name} {matrix.shape}\n" + "\n".join(f"  {row}" for row in rows)

@@ -1,0 +1,80 @@
+"""What the documents say is what the code does."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import pinred
+from pinred.catalogue import bundled_folder, bundled_robots
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_readme_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    """The ten-line example of the README runs as it stands and passes its comparison."""
+    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    assert len(code.strip().splitlines()) <= 12
+    exec(compile(code, "README.md", "exec"), {})
+    assert "verdict: PASSED" in capsys.readouterr().out
+
+
+def test_ci_runs_the_test_command_of_the_readme() -> None:
+    """The second command block of the README is the line that CI runs."""
+    commands = re.findall(r"```console\n\$ (.*?)\n", README)
+    assert (ROOT / ".ci/run").read_text(encoding="utf-8").strip().endswith(commands[1])
+    assert "pinred compare" in commands[0]
+
+
+def test_concept_table_names_code_that_exists() -> None:
+    """Every name in the column `code` of the concept table can be called or read."""
+    system = pinred.load("falling_cat")
+    red = pinred.Reduction(system)
+    traj = pinred.simulate(system, duration=0.1)
+    scope = {"pinred": pinred, "system": system, "red": red, "traj": traj, "at": red.at(traj.x[0])}
+    table = README[README.index("| concept |") :].split("\n\n")[0]
+    names = re.findall(r"`([a-z]+(?:\.[A-Za-z_]+)+)", table)
+    assert len(names) > 12
+    for name in names:
+        first, *rest = name.split(".")
+        value = scope[first]
+        for attribute in rest:
+            value = getattr(value, attribute)
+        assert value is not None
+
+
+def test_robots_readme_is_the_catalogue() -> None:
+    """robots/README.md has one row per robot, with its group and description."""
+    text = (bundled_folder() / "README.md").read_text(encoding="utf-8")
+    rows = {}
+    for line in text.splitlines():
+        cells = [cell.strip().strip("`") for cell in line.strip("|").split("|")]
+        if len(cells) == 4 and cells[0] in bundled_robots():
+            rows[cells[0]] = cells
+    assert set(rows) == set(bundled_robots())
+    for name, robot in bundled_robots().items():
+        assert rows[name][1] == robot.group
+        assert rows[name][2] == robot.description
+        assert robot.closed_form or robot.source
+    files = {path.name for path in bundled_folder().glob("*.urdf")}
+    assert files == {robot.path.name for robot in bundled_robots().values()}
+
+
+def test_errata_name_tests_that_exist() -> None:
+    """Each line of the errata points to a test."""
+    text = (ROOT / "docs/errata.md").read_text(encoding="utf-8")
+    names = re.findall(r"`(?:tests/(\w+\.py)::)?(test_\w+)`", text)
+    assert len(names) >= 10
+    for file, name in names:
+        source = (ROOT / "tests" / (file or "test_closed_forms.py")).read_text(encoding="utf-8")
+        assert f"def {name}(" in source
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.name)
+def test_examples_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every example runs from anywhere."""
+    monkeypatch.chdir(tmp_path)
+    exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), {"__name__": "__main__"})
