@@ -34,8 +34,10 @@ def admit(model: pin.Model) -> Group:
 
 def _root_group(model: pin.Model) -> Group:
     if len(model.mimicking_joints):
-        names = ", ".join(model.names[i] for i in model.mimicking_joints)
-        raise ModelError(f"mimic joints are not supported: {names}; lock them with lock=[…]")
+        names = [model.names[i] for i in model.mimicking_joints]
+        raise ModelError(
+            f"mimic joints are not supported; lock the joints that follow others: lock={names}"
+        )
     group = motion_group(model.joints[1])
     if group is None:
         kind = model.joints[1].shortname().removeprefix("JointModel")

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .errors import LoadError
-
-if TYPE_CHECKING:
-    import pinocchio as pin
 
 INSTALL_ROBOTS = 'pip install "pinred[robots]"'
 
@@ -32,6 +30,19 @@ class BundledRobot:
     initial: dict[str, Any]
     closed_form: str = ""
     source: str = ""
+
+
+@dataclass(frozen=True)
+class ExampleRobot:
+    """A robot of example-robot-data.
+
+    rotors: the SRDF with its rotor inertias, if it has them.  build: the loader that makes
+    the model, where the URDF alone does not; it reads meshes.
+    """
+
+    urdf: Path
+    rotors: Path | None
+    build: Callable[[], Any] | None
 
 
 def bundled_folder() -> Path:
@@ -70,28 +81,24 @@ def example_robots() -> tuple[str, ...]:
     return tuple(sorted(_loaders())) if has_example_robots() else ()
 
 
-def example_model(name: str) -> pin.Model | Path:
-    """Return the URDF of an example robot, or its model where only its loader can make it."""
+def example_robot(name: str) -> ExampleRobot:
+    """Return where a robot of example-robot-data lies.  Raises LoadError if it is no URDF."""
     import example_robot_data.utils as utils
 
     loader = _loaders()[name]
     if not loader.urdf_filename:
         raise LoadError(f"'{name}' comes as {loader.sdf_filename}; pinred reads URDF and MJCF")
-    if loader.__init__ is not utils.RobotLoader.__init__:
-        return loader().robot.model
-    relative = Path(loader.path, loader.urdf_subpath, loader.urdf_filename)
-    return Path(utils.getModelPath(str(relative))) / relative
 
+    def path(folder: str, file: str) -> Path:
+        relative = Path(loader.path, folder, file)
+        return Path(utils.getModelPath(str(relative))) / relative
 
-def example_rotors(name: str) -> Path | None:
-    """Return the SRDF that holds the rotor inertias of an example robot, if it has them."""
-    import example_robot_data.utils as utils
-
-    loader = _loaders()[name]
-    if not (loader.srdf_filename and loader.has_rotor_parameters):
-        return None
-    relative = Path(loader.path, loader.srdf_subpath, loader.srdf_filename)
-    return Path(utils.getModelPath(str(relative))) / relative
+    has_rotors = loader.srdf_filename and loader.has_rotor_parameters
+    return ExampleRobot(
+        urdf=path(loader.urdf_subpath, loader.urdf_filename),
+        rotors=path(loader.srdf_subpath, loader.srdf_filename) if has_rotors else None,
+        build=None if loader.__init__ is utils.RobotLoader.__init__ else loader,
+    )
 
 
 def _loaders() -> dict[str, Any]:

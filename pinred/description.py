@@ -50,14 +50,30 @@ def read_description(path: Path, lock: Collection[str]) -> pin.Model:
     return model
 
 
-def _check_urdf(robot: ElementTree.Element, lock: Collection[str]) -> None:
-    moving = [j for j in robot.findall("joint") if j.get("type") != "fixed"]
-    mimics = [j.get("name", "?") for j in moving if j.find("mimic") is not None]
+def mimic_joints(urdf: Path) -> list[str]:
+    """Return the moving joints of a URDF that follow another joint."""
+    return _mimics(ElementTree.parse(urdf).getroot())
+
+
+def refuse_mimics(mimics: Collection[str], lock: Collection[str]) -> None:
+    """Raise ModelError if a mimic joint is not locked."""
     if free := [name for name in mimics if name not in lock]:
         raise ModelError(
-            f"mimic joints are not supported: {', '.join(free)}; lock them with lock={free}"
+            f"mimic joints are not supported; lock the joints that follow others: lock={free}"
         )
-    for joint in moving:
+
+
+def _moving(robot: ElementTree.Element) -> list[ElementTree.Element]:
+    return [joint for joint in robot.findall("joint") if joint.get("type") != "fixed"]
+
+
+def _mimics(robot: ElementTree.Element) -> list[str]:
+    return [j.get("name", "?") for j in _moving(robot) if j.find("mimic") is not None]
+
+
+def _check_urdf(robot: ElementTree.Element, lock: Collection[str]) -> None:
+    refuse_mimics(_mimics(robot), lock)
+    for joint in _moving(robot):
         axis = joint.find("axis")
         if joint.get("type") == "planar" and axis is not None:
             x, y, z = _floats(axis, "xyz", f"axis of joint '{joint.get('name')}'", 3)

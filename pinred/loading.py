@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from . import catalogue
 from .arrays import vector
-from .description import read_description
+from .description import mimic_joints, read_description, refuse_mimics
 from .errors import InputError, LoadError, ModelError
 from .joints import motion_group, root_joint
 from .lie import GROUPS, SE3, Group, group_named
@@ -95,10 +95,14 @@ def _example(name: str, locked: Mapping[str, float]) -> pin.Model:
         raise LoadError(
             f"unknown robot '{name}'; {hint}`pinred robots` lists what can be loaded{more}"
         )
-    found = catalogue.example_model(name)
-    model = read_description(found, locked) if isinstance(found, Path) else found
-    if (srdf := catalogue.example_rotors(name)) is not None:
-        pin.loadRotorParameters(model, str(srdf), False)
+    robot = catalogue.example_robot(name)
+    if robot.build is None:
+        model = read_description(robot.urdf, locked)
+    else:
+        model = robot.build().robot.model
+        refuse_mimics([m for m in mimic_joints(robot.urdf) if model.existJointName(m)], locked)
+    if robot.rotors is not None:
+        pin.loadRotorParameters(model, str(robot.rotors), False)
         model.armature = model.rotorInertia * model.rotorGearRatio**2
     return model
 
@@ -149,20 +153,30 @@ def _own_root(raw: pin.Model) -> Group | None:
 
 
 def _add_root(raw: pin.Model, group: Group) -> pin.Model:
-    """Return the model floating on a new root joint of the group."""
+    """Return the model floating on a new root joint of the group.
+
+    Built joint by joint: pin.appendModel drops gravity, armature and limits, and fails where
+    a link and a joint share a name.
+    """
     name = "root_joint"
     while raw.existJointName(name) or raw.existFrame(name):
         name = f"{name}_"
-    root = pin.Model()
-    joint = root.addJoint(0, root_joint(group), pin.SE3.Identity(), name)
-    frame = root.addJointFrame(joint)
-    model = pin.appendModel(root, raw, frame, pin.SE3.Identity())
-    # appendModel drops gravity and armature.
-    model.gravity = raw.gravity
-    armature = np.zeros(model.nv)
+    model = pin.Model()
+    root = model.addJoint(0, root_joint(group), pin.SE3.Identity(), name)
+    root_frame = model.addJointFrame(root)
+    model.appendBodyToJoint(root, raw.inertias[0], pin.SE3.Identity())
     for i in range(1, raw.njoints):
-        to = model.joints[model.getJointId(raw.names[i])].idx_v
-        at, size = raw.joints[i].idx_v, raw.joints[i].nv
-        armature[to : to + size] = raw.armature[at : at + size]
-    model.armature = armature
+        placement = raw.jointPlacements[i]
+        k = model.addJoint(raw.parents[i] + 1, raw.joints[i], placement, raw.names[i])
+        model.appendBodyToJoint(k, raw.inertias[i], pin.SE3.Identity())
+    moved = {0: root_frame}  # the fixed world of the raw model is the root link of this one
+    for j in range(1, raw.nframes):
+        f = raw.frames[j]
+        frame = pin.Frame(f.name, f.parentJoint + 1, moved[f.parentFrame], f.placement, f.type)
+        moved[j] = model.addFrame(frame)
+    nq, nv = model.joints[root].nq, model.joints[root].nv
+    model.gravity = raw.gravity
+    model.armature = np.concatenate([np.zeros(nv), raw.armature])
+    for limit, free in (("lowerPositionLimit", -np.inf), ("upperPositionLimit", np.inf)):
+        setattr(model, limit, np.concatenate([np.full(nq, free), getattr(raw, limit)]))
     return model
