@@ -122,3 +122,21 @@ def test_signs_and_factors_of_the_shape_equation() -> None:
         twisted = system.group.bracket(omega, red.local_connection(x)[:, k])
         assert terms.coadjoint[k] == pytest.approx(-mu @ twisted, abs=1e-12)
         assert min(abs(metric), abs(inertia), abs(float(mu @ twisted))) > 1e-6
+
+
+def test_stretched_chain() -> None:
+    """Six unit links in a row: 6 · 0.1 about their middles and Σ (k − 2.5)² between them, 18.1."""
+    red = pinred.Reduction(pinred.load("planar_chain5"))
+    at = red.at(np.zeros(5))
+    bar(at.com[:2], [3.0, 0.0])
+    bar(at.locked_inertia[2, 2] - 6.0 * 3.0**2, 18.1)
+
+
+def test_cartpole() -> None:
+    """A = −m l cos(x)/3, M = I_pole − (m l cos x)²/3, V = −m g l cos(x), with m l = 0.5."""
+    red = pinred.Reduction(pinred.load("cartpole"))
+    for x in (0.0, 0.7, 2.5):
+        bar(red.local_connection([x]), [[-np.cos(x) / 6]])
+        bar(red.reduced_metric([x]), [[0.34 - np.cos(x) ** 2 / 12]])
+        bar(red.potential([x]), -9.81 * 0.5 * np.cos(x))
+        bar(red.potential_gradient([x]), [9.81 * 0.5 * np.sin(x)])
