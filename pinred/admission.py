@@ -14,6 +14,7 @@ from .joints import is_shape_joint, motion_group
 from .lie import SO2, Group
 
 _TRIANGLE_SLACK = 1e-9  # a flat body meets the triangle inequality with equality, up to round-off
+_UNIT = 1e-9  # by how much an axis may miss length one
 _ZERO_MOMENT = 1e-14  # principal moment over the largest, below which it is round-off
 
 
@@ -26,7 +27,10 @@ def admit(model: pin.Model) -> Group:
     _admit_order(model)
     for i in range(2, model.njoints):
         _admit_shape_joint(model, i)
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
     for i in range(1, model.njoints):
+        _admit_geometry(model, data, i)
         _admit_body(model, i)
     _admit_numbers(model, group)
     return group
@@ -74,6 +78,16 @@ def _admit_shape_joint(model: pin.Model, i: int) -> None:
             "are revolute or prismatic: split it into such joints with a small body between, "
             "or lock it"
         )
+
+
+def _admit_geometry(model: pin.Model, data: pin.Data, i: int) -> None:
+    """Refuse a joint without a unit axis, or at a place that is not finite."""
+    name = model.names[i]
+    if not np.isfinite(model.jointPlacements[i].homogeneous).all():
+        raise ModelError(f"the placement of joint '{name}' is not finite")
+    lengths = np.linalg.norm(np.array(data.joints[i].S).reshape(6, -1), axis=0)
+    if not (np.abs(lengths - 1.0) <= _UNIT).all():
+        raise ModelError(f"the axis of joint '{name}' has length {lengths[0]:g}; give it length 1")
 
 
 def _admit_body(model: pin.Model, i: int) -> None:

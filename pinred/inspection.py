@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .arrays import Array
+from .cyclic import cyclic_joints
 from .errors import SymmetryError
 from .flow import ReducedFlow
 from .joints import is_prismatic
@@ -15,9 +16,6 @@ from .potential import falling
 from .reduction import ReducedShape, Reduction
 from .scene import Scene
 from .system import System
-
-_SAMPLES = 3  # random shapes at which a dependence would show
-_NO_DEPENDENCE = 1e-12  # of the mass matrix
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,8 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
     """
     red = Reduction(system)
     at = red.at(np.zeros(system.m) if x is None else x)
-    cyclic = _cyclic_joints(red)
+    names = system.shape_names
+    cyclic = tuple(names[k] for k in cyclic_joints(red))
     reduced_size: int | None
     try:
         reduced_size = ReducedFlow(Scene(system=system, x0=at.x)).y0.size
@@ -87,24 +86,6 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
         full_size=system.model.nq + system.n,
         reduced_size=reduced_size,
     )
-
-
-def _cyclic_joints(red: Reduction) -> tuple[str, ...]:
-    """Return the joints that leave the mass matrix and the potential unchanged."""
-    rng = np.random.default_rng(0)
-    depends = np.zeros(red.system.m, dtype=bool)
-    for _ in range(_SAMPLES):
-        at = red.at(rng.uniform(-3.0, 3.0, red.system.m))
-        small = _NO_DEPENDENCE * np.linalg.norm(at.mass_matrix)
-        for derivative in (at.dI, at.dM, at.locked_inertia @ at.dA.reshape(red.system.r, -1)):
-            rows = np.abs(derivative).reshape(-1, red.system.m)
-            depends |= (rows > small).any(axis=0)
-        try:
-            depends |= np.abs(red.potential_gradient(at.x)) > small
-        except SymmetryError:
-            depends[:] = True
-    names = red.system.shape_names
-    return tuple(name for name, it_does in zip(names, depends, strict=True) if not it_does)
 
 
 def _symmetries(system: System, cyclic: tuple[str, ...], broken: str) -> list[str]:

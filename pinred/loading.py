@@ -12,12 +12,14 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from . import catalogue
-from .arrays import vector
-from .description import mimic_joints, read_description, refuse_mimics
+from .arrays import Array, vector
+from .description import read_description, read_xml
 from .errors import InputError, LoadError, ModelError
 from .joints import motion_group, root_joint
 from .lie import GROUPS, SE3, Group, group_named
+from .rebuild import rebuild
 from .system import InitialState, System
+from .urdf import mimic_joints, refuse_mimics
 
 
 def load(
@@ -45,15 +47,7 @@ def load(
     wanted = group_named(group) if isinstance(group, str) else group
     if wanted is not None and wanted not in GROUPS.values():
         raise InputError(f"group must be one of {', '.join(GROUPS)}, got {group!r}")
-    if isinstance(lock, str):
-        raise InputError(
-            f"lock must be a list of joint names, got the text {lock!r}; use [{lock!r}]"
-        )
-    locked = (
-        {str(k): float(v) for k, v in lock.items()}
-        if isinstance(lock, Mapping)
-        else {str(name): 0.0 for name in lock}
-    )
+    locked = _locked(lock)
     initial: InitialState | None = None
     name = str(source)
     if isinstance(source, pin.Model):
@@ -68,8 +62,7 @@ def load(
         raw, name = read_description(Path(source), locked), Path(source).stem
     else:
         raw = _example(name, locked)
-    raw = _lock(raw, locked)
-    model = _on_root(raw, wanted)
+    model = _on_root(rebuild(raw, _frozen(raw, locked)), wanted)
     if gravity is not None:
         model.gravity.linear = vector(gravity, 3, "gravity")
     model.name = name
@@ -82,7 +75,12 @@ def _initial_state(entry: Mapping[str, Any]) -> InitialState:
 
 
 def _is_path(name: str) -> bool:
-    return "/" in name or Path(name).suffix != "" or Path(name).is_file()
+    if "/" in name or Path(name).suffix != "":
+        return True
+    try:
+        return Path(name).is_file()
+    except OSError:  # no name of a file at all
+        return False
 
 
 def _example(name: str, locked: Mapping[str, float]) -> pin.Model:
@@ -100,38 +98,52 @@ def _example(name: str, locked: Mapping[str, float]) -> pin.Model:
         model = read_description(robot.urdf, locked)
     else:
         model = robot.build().robot.model
-        refuse_mimics([m for m in mimic_joints(robot.urdf) if model.existJointName(m)], locked)
+        mimics = mimic_joints(read_xml(robot.urdf))
+        refuse_mimics([name for name in mimics if model.existJointName(name)], locked)
     if robot.rotors is not None:
         pin.loadRotorParameters(model, str(robot.rotors), False)
         model.armature = model.rotorInertia * model.rotorGearRatio**2
     return model
 
 
-def _lock(raw: pin.Model, locked: Mapping[str, float]) -> pin.Model:
-    """Return the model with the locked joints removed and their bodies merged."""
-    if not locked:
-        return raw
-    q = pin.neutral(raw)
+def _locked(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
+    """Return the joints to freeze with their values.  Raises InputError."""
+    if isinstance(lock, str):
+        raise InputError(f"lock must be a list of joint names, not text; use [{lock!r}]")
+    if not isinstance(lock, Iterable):
+        raise InputError(f"lock must be a list of joint names or a mapping to values, got {lock!r}")
+    values = dict(lock.items()) if isinstance(lock, Mapping) else dict.fromkeys(lock, 0.0)
+    for name, value in values.items():
+        if not (isinstance(value, (int, float, np.number)) and np.isfinite(value)):
+            raise InputError(f"lock: the value for joint '{name}' must be finite, got {value!r}")
+    return {str(name): float(value) for name, value in values.items()}
+
+
+def _frozen(raw: pin.Model, locked: Mapping[str, float]) -> dict[int, Array]:
+    """Return the configurations at which joints are frozen, by joint."""
+    frozen: dict[int, Array] = {}
+    neutral = pin.neutral(raw)
     for name, value in locked.items():
         if not raw.existJointName(name) or name == "universe":
             known = ", ".join(list(raw.names)[1:])
             raise InputError(f"lock: no joint '{name}'; the joints are {known}")
         joint = raw.joints[raw.getJointId(name)]
-        if joint.nv != 1:
-            raise InputError(f"lock: joint '{name}' has {joint.nv} degrees of freedom, not one")
-        if not np.isfinite(value):
-            raise InputError(f"lock: the value for joint '{name}' must be finite, got {value}")
-        q[joint.idx_q : joint.idx_q + joint.nq] = (
-            [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
-        )
-    return pin.buildReducedModel(raw, [raw.getJointId(name) for name in locked], q)
+        if joint.nv > 1 and value != 0.0:
+            raise InputError(
+                f"lock: joint '{name}' has {joint.nv} degrees of freedom and freezes at zero only"
+            )
+        q = neutral[joint.idx_q : joint.idx_q + joint.nq].copy()
+        if joint.nv == 1:
+            q[:] = [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
+        frozen[joint.id] = q
+    return frozen
 
 
 def _on_root(raw: pin.Model, wanted: Group | None) -> pin.Model:
     """Return the model with the symmetry's root joint first: its own, or a new one."""
     own = _own_root(raw)
     if own is None:
-        return _add_root(raw, wanted or SE3)
+        return rebuild(raw, {}, root_joint(wanted or SE3))
     if wanted in (None, own):
         return raw
     raise ModelError(
@@ -150,33 +162,3 @@ def _own_root(raw: pin.Model) -> Group | None:
     anchored = raw.inertias[0].mass == 0.0
     carries_all = all(raw.parents[i] != 0 for i in range(2, raw.njoints))
     return group if anchored and carries_all else None
-
-
-def _add_root(raw: pin.Model, group: Group) -> pin.Model:
-    """Return the model floating on a new root joint of the group.
-
-    Built joint by joint: pin.appendModel drops gravity, armature and limits, and fails where
-    a link and a joint share a name.
-    """
-    name = "root_joint"
-    while raw.existJointName(name) or raw.existFrame(name):
-        name = f"{name}_"
-    model = pin.Model()
-    root = model.addJoint(0, root_joint(group), pin.SE3.Identity(), name)
-    root_frame = model.addJointFrame(root)
-    model.appendBodyToJoint(root, raw.inertias[0], pin.SE3.Identity())
-    for i in range(1, raw.njoints):
-        placement = raw.jointPlacements[i]
-        k = model.addJoint(raw.parents[i] + 1, raw.joints[i], placement, raw.names[i])
-        model.appendBodyToJoint(k, raw.inertias[i], pin.SE3.Identity())
-    moved = {0: root_frame}  # the fixed world of the raw model is the root link of this one
-    for j in range(1, raw.nframes):
-        f = raw.frames[j]
-        frame = pin.Frame(f.name, f.parentJoint + 1, moved[f.parentFrame], f.placement, f.type)
-        moved[j] = model.addFrame(frame)
-    nq, nv = model.joints[root].nq, model.joints[root].nv
-    model.gravity = raw.gravity
-    model.armature = np.concatenate([np.zeros(nv), raw.armature])
-    for limit, free in (("lowerPositionLimit", -np.inf), ("upperPositionLimit", np.inf)):
-        setattr(model, limit, np.concatenate([np.full(nq, free), getattr(raw, limit)]))
-    return model

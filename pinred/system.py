@@ -118,7 +118,7 @@ class System:
         """
         pose = self._last(pose, self.group.size, "pose")
         x = self._last(x, self.m, "x")
-        lead = np.broadcast_shapes(pose.shape[:-1], x.shape[:-1])
+        lead = _leading(pose, x, "pose", "x")
         y = np.empty((*lead, self.group.size + self.m))
         y[..., : self.group.size], y[..., self.group.size :] = pose, x
         q = np.empty((*lead, self.model.nq))
@@ -133,7 +133,7 @@ class System:
         Raises ShapeError if a length is wrong.
         """
         xi, xdot = self._last(xi, self.r, "xi"), self._last(xdot, self.m, "xdot")
-        lead = np.broadcast_shapes(xi.shape[:-1], xdot.shape[:-1])
+        lead = _leading(xi, xdot, "xi", "xdot")
         v = np.empty((*lead, self.n))
         v[..., : self.r], v[..., self.r :] = xi, xdot
         return v
@@ -162,6 +162,15 @@ class System:
         if array.shape[-1:] != (size,):
             raise ShapeError(f"{what} of {self.name!r} must end in ({size},), got {array.shape}")
         return array
+
+
+def _leading(a: Array, b: Array, what: str, other: str) -> tuple[int, ...]:
+    try:
+        return np.broadcast_shapes(a.shape[:-1], b.shape[:-1])
+    except ValueError:
+        raise ShapeError(
+            f"the leading axes of {what} {a.shape} and {other} {b.shape} do not match"
+        ) from None
 
 
 def _coordinate_maps(model: pin.Model, group: Group) -> dict[str, Indices]:
