@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         IntegrationError,
         LoadError,
         ModelError,
+        OutputError,
         PinredError,
         ShapeError,
         SingularInertiaError,
@@ -40,8 +41,8 @@ _HOME = {
     **dict.fromkeys(("Report", "compare"), "comparison"),
     **dict.fromkeys(
         (
-            *("InputError", "IntegrationError", "LoadError", "ModelError", "PinredError"),
-            *("ShapeError", "SingularInertiaError", "SymmetryError"),
+            *("InputError", "IntegrationError", "LoadError", "ModelError", "OutputError"),
+            *("PinredError", "ShapeError", "SingularInertiaError", "SymmetryError"),
         ),
         "errors",
     ),
@@ -63,6 +64,7 @@ __all__ = [
     "IntegrationError",
     "LoadError",
     "ModelError",
+    "OutputError",
     "PinredError",
     "ReducedShape",
     "Reduction",

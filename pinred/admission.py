@@ -40,7 +40,7 @@ def _root_group(model: pin.Model) -> Group:
     if len(model.mimicking_joints):
         names = [model.names[i] for i in model.mimicking_joints]
         raise ModelError(
-            f"mimic joints are not supported; lock the joints that follow others: lock={names}"
+            f"mimic joints are not supported: {', '.join(names)}; build the model without them"
         )
     group = motion_group(model.joints[1])
     if group is None:
@@ -73,18 +73,21 @@ def _admit_shape_joint(model: pin.Model, i: int) -> None:
         )
     if not is_shape_joint(joint):
         kind = joint.shortname().removeprefix("JointModel")
+        split = "split it into such joints with a small body between, " if joint.nv > 1 else ""
         raise ModelError(
             f"joint '{name}' is of kind {kind} with {joint.nv} degrees of freedom; shape joints "
-            "are revolute or prismatic: split it into such joints with a small body between, "
-            "or lock it"
+            f"are revolute or prismatic: {split}or lock it"
         )
 
 
 def _admit_geometry(model: pin.Model, data: pin.Data, i: int) -> None:
     """Refuse a joint without a unit axis, or at a place that is not finite."""
     name = model.names[i]
+    R = model.jointPlacements[i].rotation
     if not np.isfinite(model.jointPlacements[i].homogeneous).all():
         raise ModelError(f"the placement of joint '{name}' is not finite")
+    if np.abs(R.T @ R - np.eye(3)).max() > _UNIT:
+        raise ModelError(f"the placement of joint '{name}' is not a rotation:\n{R}")
     lengths = np.linalg.norm(np.array(data.joints[i].S).reshape(6, -1), axis=0)
     if not (np.abs(lengths - 1.0) <= _UNIT).all():
         raise ModelError(f"the axis of joint '{name}' has length {lengths[0]:g}; give it length 1")
@@ -97,11 +100,12 @@ def _admit_body(model: pin.Model, i: int) -> None:
         who += f" (with {', '.join(links[1:4])}{', …' if len(links) > 4 else ''})"
     who += f" moved by joint '{model.names[i]}'"
     mass, inertia = model.inertias[i].mass, model.inertias[i].inertia
-    if not (np.isfinite(mass) and np.isfinite(inertia).all()):
+    if not all(np.isfinite(a).all() for a in (mass, inertia, model.inertias[i].lever)):
         raise ModelError(f"{who} has an inertia that is not finite")
     if mass <= 0.0:
         what = "no mass" if mass == 0.0 else f"negative mass {mass:g}"
-        raise ModelError(f"{who} has {what}; give it a positive mass, or lock the joint")
+        way_out = "give it a positive mass" + (", or lock the joint" if i > 1 else "")
+        raise ModelError(f"{who} has {what}; {way_out}")
     least, middle, most = np.linalg.eigvalsh(inertia)
     moments = f"principal moments of inertia {least:.6g}, {middle:.6g}, {most:.6g}"
     if least <= _ZERO_MOMENT * most:
@@ -117,6 +121,8 @@ def _admit_numbers(model: pin.Model, group: Group) -> None:
     for name, values in (("gravity", model.gravity.vector), ("armature", model.armature)):
         if not np.isfinite(values).all():
             raise ModelError(f"the model's {name} is not finite: {values}")
+    if model.gravity.angular.any():
+        raise ModelError(f"the model's gravity turns: {model.gravity.vector}; it must be linear")
     if (model.armature < 0.0).any():
         raise ModelError(f"armature must not be negative: {model.armature}")
     if group is not SO2 and model.armature[: group.dim].any():

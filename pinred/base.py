@@ -30,6 +30,7 @@ class CentreLine:
     c0: Array
     v0: Array
     g: Array
+    lift: float  # g · origin of the root joint's fixed frame, for potential energy
 
     def position(self, t: Array) -> Array:
         """Return c(t), (..., k) [m], for t (..., 1) [s]."""
@@ -40,17 +41,26 @@ class CentreLine:
         return self.v0 + self.g * t
 
 
+def _line(system: System, c0: Array, P0: Array) -> CentreLine:
+    """Return the path from the initial place (k,) and linear momentum (k,)."""
+    g, origin = falling(system), system.model.jointPlacements[1]
+    lift = float(origin.translation @ origin.rotation @ translations(system) @ g)
+    return CentreLine(c0=c0, v0=P0 / system.mass, g=g, lift=lift)
+
+
 class Base(ABC):
     """The base of one group, from one initial state.
 
     attitude0: the integrated coordinates of the base at the start.
     relative_twist0: (r,) initial body twist as seen from the centre of mass's frame.
     momentum: from attitude to body momentum (r,) in that frame; a constant where it is one.
+    spin: the constant behind it, angular momentum in the fixed frame, (0,), (1,) or (3,).
     """
 
     attitude0: Array
     relative_twist0: Array
     momentum: Callable[[Array], Array]
+    spin: Array
 
     @abstractmethod
     def __init__(self, system: System, start: Start, com: Array) -> None:
@@ -72,6 +82,23 @@ class Base(ABC):
         """Return −m g · c(t), (T,) [J]: the potential energy of what falls."""
         return np.zeros(len(t))
 
+    def carried_energy(self, mass: float, t: Array) -> Array:  # noqa: ARG002
+        """Return ½ m |ċ|², (T,) [J]: the kinetic energy of the centre of mass's motion."""
+        return np.zeros(len(t))
+
+    def turning_energy(self, attitude: Array, xi: Array) -> Array:
+        """Return half the spin times the turning rate, (T,) [J]; xi: (T, r) body twist."""
+        if self.spin.size == 0:
+            return np.zeros(len(xi))
+        rate = xi[:, -self.spin.size :]
+        if self.spin.size == 3:
+            rate = apply(rotation(SO3.normalize(attitude)), rate)
+        return np.asarray(0.5 * rate @ self.spin)
+
+    def spatial_momentum(self, mass: float, t: Array) -> Array:  # noqa: ARG002
+        """Return J(t), (T, r), about the origin of the root joint's fixed frame."""
+        return np.broadcast_to(self.spin, (len(t), len(self.spin))).copy()
+
 
 class _Carried(Base):
     """A base that goes where the centre of mass does.  line: the path of that."""
@@ -79,7 +106,21 @@ class _Carried(Base):
     line: CentreLine
 
     def falling_energy(self, mass: float, t: Array) -> Array:
-        return np.asarray(-mass * self.line.position(t[:, None]) @ self.line.g)
+        height = self.line.position(t[:, None]) @ self.line.g + self.line.lift
+        return np.asarray(-mass * height)
+
+    def carried_energy(self, mass: float, t: Array) -> Array:
+        return np.asarray(0.5 * mass * np.sum(self.line.velocity(t[:, None]) ** 2, axis=1))
+
+    def spatial_momentum(self, mass: float, t: Array) -> Array:
+        c, P = self.line.position(t[:, None]), mass * self.line.velocity(t[:, None])
+        if not self.spin.size:
+            return P
+        if self.spin.size == 1:
+            about = (c[:, :1] * P[:, 1:] - c[:, 1:] * P[:, :1]) + self.spin
+        else:
+            about = np.cross(c, P) + self.spin
+        return np.concatenate([P, about], axis=1)
 
 
 def constant(value: Array) -> Callable[[Array], Array]:
@@ -92,12 +133,10 @@ class _Line(_Carried):
 
     def __init__(self, system: System, start: Start, com: Array) -> None:
         self._axis = translations(system)
-        mass = system.mass
-        self.line = CentreLine(
-            c0=start.pose + com @ self._axis, v0=start.mu / mass, g=falling(system)
-        )
+        self.line = _line(system, start.pose + com @ self._axis, start.mu)
         self.attitude0 = np.empty(0)
         self.relative_twist0 = start.xi - self.line.v0
+        self.spin = np.empty(0)
         self.momentum = constant(np.zeros(1))
 
     def rate(self, attitude: Array, xi: Array) -> Array:  # noqa: ARG002
@@ -115,6 +154,7 @@ class _Turn(Base):
 
     def __init__(self, system: System, start: Start, com: Array) -> None:  # noqa: ARG002
         self.attitude0, self.relative_twist0 = start.pose, start.xi
+        self.spin = start.mu
         self.momentum = constant(start.mu)
 
     def rate(self, attitude: Array, xi: Array) -> Array:  # noqa: ARG002
@@ -132,13 +172,11 @@ class _Plane(_Carried):
 
     def __init__(self, system: System, start: Start, com: Array) -> None:
         R, c = plane_rotation(start.pose[2]), com[:2]
-        self.line = CentreLine(
-            c0=start.pose[:2] + R @ c, v0=R @ start.mu[:2] / system.mass, g=falling(system)
-        )
+        self.line = _line(system, start.pose[:2] + R @ c, R @ start.mu[:2])
         self.attitude0 = start.pose[2:]
         self.relative_twist0 = start.xi - np.append(R.T @ self.line.v0, 0.0)
-        spin = start.mu[2] - (c[0] * start.mu[1] - c[1] * start.mu[0])
-        self.momentum = constant(np.array([0.0, 0.0, spin]))
+        self.spin = start.mu[2:] - (c[0] * start.mu[1] - c[1] * start.mu[0])
+        self.momentum = constant(np.array([0.0, 0.0, self.spin[0]]))
 
     def rate(self, attitude: Array, xi: Array) -> Array:  # noqa: ARG002
         return xi[2:]
@@ -158,7 +196,7 @@ class _Attitude(Base):
 
     def __init__(self, system: System, start: Start, com: Array) -> None:  # noqa: ARG002
         self.attitude0, self.relative_twist0 = start.pose, start.xi
-        J = rotation(start.pose) @ start.mu
+        J = self.spin = rotation(start.pose) @ start.mu
         self.momentum = (lambda q: into_body(q, J)) if J.any() else constant(J)
 
     def rate(self, attitude: Array, xi: Array) -> Array:
@@ -177,12 +215,10 @@ class _Free(_Carried):
     def __init__(self, system: System, start: Start, com: Array) -> None:
         q = start.pose[3:]
         R = rotation(q)
-        self.line = CentreLine(
-            c0=start.pose[:3] + R @ com, v0=R @ start.mu[:3] / system.mass, g=falling(system)
-        )
+        self.line = _line(system, start.pose[:3] + R @ com, R @ start.mu[:3])
         self.attitude0 = q
         self.relative_twist0 = start.xi - np.append(R.T @ self.line.v0, np.zeros(3))
-        J = R @ (start.mu[3:] - np.cross(com, start.mu[:3]))
+        J = self.spin = R @ (start.mu[3:] - np.cross(com, start.mu[:3]))
         none = np.zeros(3)
         self.momentum = constant(np.zeros(6))
         if J.any():

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -26,19 +27,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command.  Returns 0, or 1 if a comparison does not pass, or 2 on bad input."""
     parser = _parser()
     options = parser.parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
+    # What overflows or is not finite is refused or stopped by name; numpy need not say so too.
+    warnings.simplefilter("ignore", RuntimeWarning)
     try:
         code: int = options.run(options)
-        sys.stdout.flush()
+        print(end="", flush=True)
     except PinredError as error:
-        message = " ".join(str(error).split())
-        print(f"pinred: error: {message}", file=sys.stderr)
-        return 1 if isinstance(error, IntegrationError) else 2
+        return _failed(str(error), 1 if isinstance(error, IntegrationError) else 2)
+    except MemoryError:
+        return _failed("not enough memory for this many numbers", 2)
     except KeyboardInterrupt:
         print("pinred: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:  # the reader of our output has gone, as in `pinred robots | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _failed(f"cannot write the output: {error.strerror}", 2)
+    return code
+
+
+def _failed(message: str, code: int) -> int:
+    """Print a message as one line on standard error and return the exit code."""
+    print(f"pinred: error: {' '.join(message.split())}", file=sys.stderr)
     return code
 
 
@@ -146,7 +158,7 @@ def _scene(options: argparse.Namespace, system: System) -> Scene:
         name: _vector(getattr(options, name), name)
         for name in ("x0", "xdot0", "xi0", "momentum", "pose0")
     }
-    if options.momentum == "0":
+    if given["momentum"] == [0.0]:
         given["momentum"] = [0.0] * system.r
     springs: dict[str, tuple[float, float]] = {}
     for entry in options.spring:
@@ -160,9 +172,7 @@ def _scene(options: argparse.Namespace, system: System) -> Scene:
     seed = options.seed
     if seed is None and system.initial is None and not any(v is not None for v in given.values()):
         seed = 0
-    if seed is not None:
-        print(f"initial state: random, seed {seed}")
-    return Scene(
+    scene = Scene(
         system=system,
         seed=seed,
         duration=options.time,
@@ -171,6 +181,9 @@ def _scene(options: argparse.Namespace, system: System) -> Scene:
         springs=springs,
         **given,
     )
+    if seed is not None:
+        print(f"initial state: random, seed {seed}")
+    return scene
 
 
 def _inspect(options: argparse.Namespace) -> int:

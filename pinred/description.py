@@ -8,16 +8,20 @@ itself here, so that they are honoured or refused, never dropped.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import os
+import sys
+import tempfile
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pinocchio as pin
 
+from .attributes import floats
 from .errors import LoadError
 from .mjcf import check_mjcf
 from .urdf import check_urdf
-from .xml import floats
 
 
 def read_description(path: Path, lock: Collection[str]) -> pin.Model:
@@ -35,15 +39,36 @@ def read_description(path: Path, lock: Collection[str]) -> pin.Model:
         build = pin.buildModelFromMJCF
     else:
         raise LoadError(f"{path} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>")
-    try:
-        model = build(str(path))
-    except Exception as error:  # Pinocchio raises what its parsers raise, of any type
-        reason = (str(error).strip() or type(error).__name__).splitlines()[-1]
-        raise LoadError(f"Pinocchio cannot read {path}: {reason}") from None
+    with _captured_stderr() as said:
+        try:
+            model = build(str(path))
+        except Exception as error:  # Pinocchio raises what its parsers raise, of any type
+            said.append(str(error).strip() or type(error).__name__)
+            model = None
+    if model is None:
+        reason = said[0].splitlines()[0] if said[0] else said[-1].splitlines()[-1]
+        raise LoadError(f"Pinocchio cannot read {path}: {reason.removeprefix('Error:').strip()}")
     option = root.find("option")
     if root.tag == "mujoco" and option is not None and "gravity" in option.attrib:
         model.gravity.linear = floats(option, "gravity", "the MJCF option", 3)
     return model
+
+
+@contextmanager
+def _captured_stderr() -> Iterator[list[str]]:
+    """Keep what a C++ library prints on standard error; it becomes the first entry."""
+    said: list[str] = []
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as file:
+        kept = os.dup(2)
+        os.dup2(file.fileno(), 2)
+        try:
+            yield said
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            file.seek(0)
+            said.insert(0, file.read().decode(errors="replace").strip())
 
 
 def read_xml(path: Path) -> ElementTree.Element:

@@ -3,6 +3,13 @@
 A message says what was given, what was expected, and what to do about it.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .arrays import Array
+
 
 class PinredError(Exception):
     """Base of all errors raised by pinred."""
@@ -32,5 +39,45 @@ class SingularInertiaError(PinredError, ArithmeticError):
     """The mass matrix is not positive definite at a shape."""
 
 
+class OutputError(PinredError):
+    """A file could not be written; what was there before still is."""
+
+
 class IntegrationError(PinredError, ArithmeticError):
     """The integration had to stop before its end time."""
+
+
+class KernelMismatch(PinredError, ArithmeticError):  # noqa: N818
+    """A compiled kernel disagrees with Pinocchio and must not run."""
+
+
+class _Stopped(IntegrationError):  # noqa: N818
+    """An integrator stopped.  time: the last it reached [s].  state: (n,) there."""
+
+    def __init__(self, message: str, time: float, state: Array) -> None:
+        super().__init__(message)
+        self.time = time
+        self.state = state
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.time, self.state)
+
+
+class StepSizeUnderflow(_Stopped):
+    """The steps that the tolerance asks for have become too short for the clock."""
+
+
+class TooManySteps(_Stopped):
+    """An integrator has made all the steps that it was allowed."""
+
+
+class NonFiniteState(_Stopped):
+    """A state or its rate is not finite.  entry: index of the first such number."""
+
+    def __init__(self, message: str, time: float, state: Array, entry: int) -> None:
+        """Take the message, and where the integrator stopped and why."""
+        super().__init__(message, time, state)
+        self.entry = entry
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.time, self.state, self.entry)

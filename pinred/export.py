@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, OutputError
 from .lie import SE2, SE3, SO2, SO3
 from .trajectory import State, Trajectory
 
@@ -30,11 +30,14 @@ def save(traj: Trajectory, path: str | Path) -> None:
     npz: one array per field of State, time first, with `robot`, `group` and `joints`.
     csv: a row per time, columns such as `pose.x`, `x.hinge`, `energy`.
     Either the whole file is written or none.  Raises InputError for another suffix or a
-    folder that does not exist.
+    folder that does not exist, OutputError if writing fails.
     """
     path = check_path(path)
     write = _write_npz if path.suffix == ".npz" else _write_csv
-    write_atomic(path, lambda file: write(traj, file))
+    try:
+        write_atomic(path, lambda file: write(traj, file))
+    except OSError as error:
+        raise OutputError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
 def check_path(path: str | Path) -> Path:
@@ -42,11 +45,16 @@ def check_path(path: str | Path) -> Path:
     path = Path(path)
     if path.suffix not in (".npz", ".csv"):
         raise InputError(f"cannot write '{path}': the suffix must be .npz or .csv")
-    if path.is_dir():
-        raise InputError(f"cannot write '{path}': it is a folder")
-    if not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
-        raise InputError(f"cannot write '{path}': no folder '{path.parent}' to write in")
-    return path
+    try:
+        if path.is_dir():
+            raise InputError(f"cannot write '{path}': it is a folder")
+        if not path.parent.is_dir():
+            raise InputError(f"cannot write '{path}': there is no folder '{path.parent}'")
+        # Try now what the end of a long simulation will need.
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}."):
+            return path
+    except OSError as error:
+        raise OutputError(f"cannot write '{path}': {error.strerror or error}") from None
 
 
 def write_atomic(path: Path, write: Callable[[BinaryIO], None]) -> None:

@@ -15,7 +15,7 @@ from .joints import is_prismatic
 from .potential import falling
 from .reduction import ReducedShape, Reduction
 from .scene import Scene
-from .system import System
+from .system import System, checked_system
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
 
     Raises ShapeError if x has the wrong length or is not finite.
     """
-    red = Reduction(system)
+    red = Reduction(checked_system(system, "inspect"))
     at = red.at(np.zeros(system.m) if x is None else x)
     names = system.shape_names
     cyclic = tuple(names[k] for k in cyclic_joints(red))

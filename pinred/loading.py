@@ -34,9 +34,9 @@ def load(
     source: the name of a bundled robot or of one in example-robot-data, the path of a
         URDF or MJCF file, or a pin.Model (which is copied).  Meshes are not read.
     group: the symmetry, "R", "SO2", "SE2", "SO3" or "SE3".  If None, the file's own root:
-        its free, planar or spherical root joint, or its first moving joint if the link
-        above that has no mass (a mere anchor) and all else hangs on it; else SE3.
-        A root link with mass floats on a new root joint of the group.
+        its free, planar or spherical root joint (the link above that is the ground); or its
+        first moving joint, if the link above has no mass (a mere anchor) and all else
+        hangs on it; else SE3: a root link with mass floats on a new root joint.
     lock: joints to freeze at zero, or a mapping from joint to its fixed value [rad | m].
     gravity: (3,) in the world frame [m/s²]; if None, what the robot comes with
         (Pinocchio's 9.81 along −z for a URDF).
@@ -146,10 +146,12 @@ def _on_root(raw: pin.Model, wanted: Group | None) -> pin.Model:
         return rebuild(raw, {}, root_joint(wanted or SE3))
     if wanted in (None, own):
         return raw
+    way_out = f"load it with group='{own}', or lock '{raw.names[1]}'"
+    if raw.joints[1].nv == 1:
+        way_out += ", or give the link above it, which has none, a mass so that it can float"
     raise ModelError(
         f"group {wanted} was asked for, but the root joint '{raw.names[1]}' of the model has "
-        f"group {own} and hangs on a link without mass; load it with group='{own}', "
-        f"lock '{raw.names[1]}', or give the link above it a mass so that it can float"
+        f"group {own}; {way_out}"
     )
 
 

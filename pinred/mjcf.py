@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Element
 
+from .attributes import axis, floats
 from .errors import ModelError
-from .xml import axis, floats
 
 _NUMBERS = {
     "pos": (3,), "quat": (4,), "euler": (3,), "axisangle": (4,), "mass": (1,),

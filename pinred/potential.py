@@ -70,6 +70,21 @@ class Potential:
         """Whether nothing acts on the shape: no springs, no gravity across the group."""
         return not (self._weighs or self._index.size)
 
+    @property
+    def direction(self) -> tuple[float, float, float] | None:
+        """Gravity that acts on the shape, (3,) in the root joint's fixed frame, if any."""
+        if not self._weighs:
+            return None
+        x, y, z = self._system.model.jointPlacements[1].rotation.T @ self._sideways
+        return float(x), float(y), float(z)
+
+    def values(self, x: Array, com: Array) -> Array:
+        """Return V, (T,) [J], for shapes (T, m) and centres of mass (T, 3) in the root body."""
+        placement = self._system.model.jointPlacements[1]
+        height = com @ placement.rotation.T + placement.translation
+        spring = 0.5 * (x[:, self._index] - self._rest) ** 2 @ self._stiffness
+        return np.asarray(-self._system.mass * height @ self._sideways + spring)
+
     def value(self, x: Array) -> float:
         """Return V(x) [J], zero of height at the world origin."""
         energy = 0.0

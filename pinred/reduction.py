@@ -20,7 +20,7 @@ from .errors import SymmetryError
 from .lie import Group
 from .potential import Potential, Springs
 from .split import InertiaSplit, split_inertia
-from .system import System
+from .system import System, checked_system
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Reduction:
 
         springs: {joint: (stiffness [N·m/rad | N/m], rest [rad | m])}, added to V(x).
         """
-        self.system = system
+        self.system = checked_system(system, "Reduction")
         self._model = system.model.copy()
         self._model.gravity.setZero()
         self._data = self._model.createData()

@@ -13,7 +13,7 @@ from .arrays import Array, as_floats, positive, read_only, vector
 from .errors import InputError, ShapeError
 from .joints import is_prismatic
 from .reduction import Reduction
-from .system import InitialState, System
+from .system import InitialState, System, checked_system
 
 DURATION = 2.0  # s, where neither scene nor robot says
 TIGHTEST = 1e-13  # relative tolerance; below it round-off decides the step
@@ -37,13 +37,14 @@ class Start:
 class Scene:
     """A system, its initial state, and for how long and how accurately to follow it.
 
-    x0, xdot0: (m,) shape and rate; zero if not given.  Either xi0, (r,) body twist of the
-    base, or momentum, (r,) body momentum μ (or just 0), zero twist if neither is given.
-    seed: a generic random state instead.  With none of these, the state the robot comes
-    with.  pose0: pose of the base (identity).  duration: s; else up to the last of
-    `times`, else what the robot comes with, else 2 s.  times: where to report, increasing
-    (201 even ones).  rtol, atol: local error per step, relative and absolute.
-    springs: {joint: (stiffness [N·m/rad | N/m], rest [rad | m])}.
+    x0, xdot0: (m,) shape and rate; if only one is given, the other is zero; if neither, they
+    are those the robot comes with.  Either xi0, (r,) body twist of the base, or momentum,
+    (r,) body momentum μ (or just 0); if neither, the robot's own with its own shape, else
+    zero twist.  seed: a generic random state instead of all these.  pose0: pose of the base
+    (identity).  duration: s; else up to the last of `times`, else what the robot comes with,
+    else 2 s.  times: where to report, increasing (201 even ones).  rtol, atol: local error
+    per step, relative and absolute.  springs: {joint: (stiffness [N·m/rad | N/m], rest
+    [rad | m])}.
 
     Raises InputError or ShapeError when built with what cannot be simulated.
     """
@@ -62,6 +63,7 @@ class Scene:
     springs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        checked_system(self.system, "a scene")
         given = [k for k in ("x0", "xdot0", "xi0", "momentum") if getattr(self, k) is not None]
         if self.seed is not None and given:
             raise InputError(
@@ -74,12 +76,18 @@ class Scene:
                 f"'{self.system.name}' comes with no initial state; "
                 "give x0, xdot0, xi0 or momentum, or seed= for a random one"
             )
-        positive(self.rtol, "rtol")
-        positive(self.atol, "atol")
+        if self.seed is not None and not (
+            isinstance(self.seed, (int, np.integer)) and self.seed >= 0
+        ):
+            raise InputError(f"seed must be a whole number from 0, got {self.seed!r}")
+        if not isinstance(self.springs, Mapping):
+            raise InputError(f"springs must be {{joint: (stiffness, rest)}}, got {self.springs!r}")
+        for name in ("rtol", "atol"):
+            object.__setattr__(self, name, positive(getattr(self, name), name))
         if self.rtol < TIGHTEST:
             raise InputError(f"rtol must be at least {TIGHTEST:g}, got {self.rtol:g}")
         if self.duration is not None:
-            positive(self.duration, "duration")
+            object.__setattr__(self, "duration", positive(self.duration, "duration"))
         object.__setattr__(self, "_times", read_only(self._checked_times()))
         object.__setattr__(self, "_start", self._resolve())
 
@@ -102,11 +110,6 @@ class Scene:
             return float(self.duration)
         return float(self.report_times[-1])
 
-    @property
-    def has_zero_momentum(self) -> bool:
-        """Whether the momentum is exactly zero, so that no term with μ is needed."""
-        return not self.start.mu.any()
-
     def _checked_times(self) -> Array:
         if self.times is None:
             own = self.system.initial.duration if self.system.initial else DURATION
@@ -127,14 +130,13 @@ class Scene:
     def _resolve(self) -> Start:
         system = self.system
         pose = system.group.identity() if self.pose0 is None else system.group.pose(self.pose0)
-        given = (self.x0, self.xdot0, self.xi0, self.momentum)
+        x = _or_zero(self.x0, system.m, "x0", system.shape_names)
+        xdot = _or_zero(self.xdot0, system.m, "xdot0", system.shape_names)
+        xi = _or_zero(self.xi0, system.r, "xi0")
         ready = system.initial if self.seed is None else random_state(system, self.seed)
-        if ready is not None and all(value is None for value in given):
-            x, xdot, xi = ready.x, ready.xdot, ready.xi
-        else:
-            x = _or_zero(self.x0, system.m, "x0", system.shape_names)
-            xdot = _or_zero(self.xdot0, system.m, "xdot0", system.shape_names)
-            xi = _or_zero(self.xi0, system.r, "xi0")
+        if ready is not None and self.x0 is None and self.xdot0 is None:
+            x, xdot = ready.x, ready.xdot
+            xi = ready.xi if self.xi0 is None else xi
         red = Reduction(system)
         if self.momentum is None:
             mu = red.body_momentum(x, xdot, xi)

@@ -8,17 +8,18 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from scipy.integrate import DOP853, OdeSolution
+from scipy.integrate import DOP853, DenseOutput, OdeSolution
 
 from .arrays import Array
 from .errors import InputError, IntegrationError
 from .flow import ReducedFlow
 from .scene import Scene
-from .system import System
+from .system import System, checked_system
 from .trajectory import Run, Trajectory
 
 Progress = Callable[[float], None]
 ENGINES = ("pinocchio",)
+MOST_STEPS = 1_000_000
 
 
 def simulate(
@@ -40,8 +41,8 @@ def simulate(
     """
     if engine not in ENGINES:
         raise InputError(f"unknown engine {engine!r}; the engines are {', '.join(ENGINES)}")
-    if isinstance(scene, System):
-        scene = Scene(system=scene, **_known(options))
+    if not isinstance(scene, Scene):
+        scene = Scene(system=checked_system(scene, "simulate"), **_known(options))
     elif options:
         scene = replace(scene, **_known(options))
     began = time.perf_counter()
@@ -70,8 +71,14 @@ def _integrate(
     if flow.y0.size == 0:  # one body that only translates: all of its motion is known
         return (lambda t: np.empty((len(t), 0))), 0, 0
     solver = DOP853(flow.rate, 0.0, flow.y0, scene.end, rtol=scene.rtol, atol=scene.atol)
-    knots, pieces = [0.0], []
+    knots: list[float] = [0.0]
+    pieces: list[DenseOutput] = []
     while solver.status == "running":
+        if len(pieces) >= MOST_STEPS:
+            raise IntegrationError(
+                f"'{scene.system.name}' took {MOST_STEPS} steps to t = {solver.t:g} s of "
+                f"{scene.end:g} s; shorten the scene or loosen the tolerance"
+            )
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is caught below
             message = solver.step()
             piece = solver.dense_output() if solver.status != "failed" else None

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .admission import admit
 from .arrays import Array, as_floats
-from .errors import ModelError, ShapeError
+from .errors import InputError, ModelError, ShapeError
 from .lie import SE2, SO2, Group
 
 Indices: TypeAlias = NDArray[np.intp]
@@ -162,6 +162,14 @@ class System:
         if array.shape[-1:] != (size,):
             raise ShapeError(f"{what} of {self.name!r} must end in ({size},), got {array.shape}")
         return array
+
+
+def checked_system(value: object, what: str) -> System:
+    """Return `value` if it is a System.  Raises InputError that says how to get one."""
+    if isinstance(value, System):
+        return value
+    shown = repr(value) if isinstance(value, str) else type(value).__name__
+    raise InputError(f"{what} takes a System, got {shown}; pinred.load(…) makes one")
 
 
 def _leading(a: Array, b: Array, what: str, other: str) -> tuple[int, ...]:

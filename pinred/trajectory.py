@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .arrays import Array, as_floats, freeze
-from .errors import InputError
+from .errors import InputError, ShapeError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,7 +27,7 @@ class State:
     pose: (…, size) of the base.  q, v: (…, nq), (…, n), Pinocchio's.
     body_momentum: (…, r) μ in the body's frame.  spatial_momentum: (…, r) J = Ad*_{g⁻¹} μ
     in the root joint's fixed frame, about its origin.
-    energy: (…,) kinetic and potential, of falling too [J].
+    energy: (…,) kinetic and potential, of falling too, zero height at the world's origin [J].
     """
 
     t: Array
@@ -141,10 +141,12 @@ class Trajectory:
     def __call__(self, t: ArrayLike) -> State:
         """Return the state at time t, or states at times (T,), within the duration [s].
 
-        Raises InputError outside it.
+        Raises InputError outside it, ShapeError for anything but a time or a vector of them.
         """
         times = as_floats(t, "t")
         flat = np.atleast_1d(times)
+        if flat.ndim != 1 or flat.size == 0:
+            raise ShapeError(f"t must be a time or a vector of times, got shape {times.shape}")
         if not ((flat >= 0.0) & (flat <= self.scene.end)).all():
             raise InputError(f"t must lie between 0 and {self.scene.end:g} s, got {times}")
         state = self._state(flat)

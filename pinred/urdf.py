@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from xml.etree.ElementTree import Element
 
+from .attributes import axis, floats
 from .errors import ModelError
-from .xml import axis, floats
 
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
@@ -47,7 +47,11 @@ def refuse_mimics(mimics: Collection[str], lock: Collection[str]) -> None:
 
 def _check_axis(joint: Element) -> None:
     name, found = f"joint '{joint.get('name')}'", joint.find("axis")
-    if found is None or joint.get("type") == "floating":
+    if joint.get("type") == "floating":
+        return
+    if found is None:
+        if joint.get("type") == "planar":
+            raise ModelError(f"planar {name} has no <axis>; give it the normal 0 0 1")
         return
     axis(found, "xyz", name)
     x, y, z = floats(found, "xyz", name, 3)

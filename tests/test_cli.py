@@ -120,7 +120,7 @@ def test_no_partial_file_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         raise OSError("disk full")
 
     monkeypatch.setattr(np, "savetxt", broken)
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(pinred.OutputError, match="disk full"):
         traj.save(path)
     assert os.listdir(tmp_path) == ["traj.csv"]
     assert path.read_text() == "old"

@@ -66,7 +66,8 @@ FILES: dict[str, tuple[str, type[PinredError], list[str]]] = {
     "not XML": ("robot: r", LoadError, ["arm.urdf", "not XML"]),
     "entities": ('<!DOCTYPE r SYSTEM "r.dtd"><robot>&e;</robot>', LoadError, ["arm.urdf"]),
     "entity in a mass": (
-        '<!DOCTYPE r [<!ENTITY m "2">]>' + with_merged(inertial("&m;")), LoadError, ["arm.urdf", "document type"],
+        '<!DOCTYPE r [<!ENTITY m "2">]>' + with_merged(inertial("&m;")),
+        LoadError, ["arm.urdf", "document type"],
     ),
     "another format": ("<sdf/>", LoadError, ["arm.urdf", "<sdf>", "URDF"]),
     "encoding unknown": ('<?xml version="1.0" encoding="u-8"?><robot/>', LoadError, ["arm.urdf"]),
