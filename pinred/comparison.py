@@ -22,11 +22,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arrays import Array, freeze
+from .errors import InputError
 from .full_state import FullMotion, FullState
 from .trajectory import Trajectory
 
 TIGHTER = 100.0  # the reference's tolerance is this much below the one asked for
 ALLOWANCE = 100.0  # steps whose local errors add up
+SAMPLES = 101  # times at which a motion is judged, besides those it reports
+CONSISTENT = 1e-9  # relative; pose, twist, momenta and energy are functions of q and v
 JUDGEABLE = 0.1  # rad; a bound above it says nothing
 _TIGHTEST = 2e-14
 _KICK = 1e-6  # relative size of the perturbation whose growth is measured
@@ -36,14 +39,16 @@ _KICK = 1e-6  # relative size of the perturbation whose growth is measured
 class Report:
     """How far a reduced trajectory is from the full simulation, and whether that may be.
 
-    t: (T,) [s].  shape_errors: (T,) largest |Δx| [rad | m].  rotation_errors [rad] and
-    position_errors [m]: (T,) norms of the parts of log(g⁻¹ĝ).  The singular names are the
-    largest over time.  energy_drift: largest |E − E0| over the kinetic energy.
-    momentum_drift: the same of the conserved momentum, angular about the centre of mass,
-    over √(2mT) (times the radius of gyration).  reference_error: how far two references, of
-    order 8 and 5, are apart [relative to the motion's size].  growth: factor by
-    which a small perturbation of the initial state grew.  *_bound: what passes.
-    wall_reduced, wall_full: seconds of integration at the same tolerance.
+    t: (T,) the times judged [s].  shape_errors: (T,) largest |Δx| [rad | m].
+    rotation_errors [rad] and position_errors [m]: (T,) norms of the parts of log(g⁻¹ĝ).
+    The singular names are the largest over time.  energy_drift: largest |E − E0| over the
+    kinetic energy.  momentum_drift: the same of the conserved momentum, angular about the
+    centre of mass, over √(2mT) (times the radius of gyration).  field_error: largest
+    difference of pose, twist, momenta and energy from what Pinocchio makes of q and v.
+    reference_error: how far two references, of order 8 and 5, are apart [relative to the
+    motion's size].  growth: factor by which a small perturbation of the initial state
+    grew.  *_bound: what passes.  wall_reduced, wall_full: seconds of integration at the
+    same tolerance.
     """
 
     robot: str
@@ -58,6 +63,7 @@ class Report:
     position_errors: Array
     energy_drift: float
     momentum_drift: float
+    field_error: float
     reference_error: float
     growth: float
     shape_bound: float
@@ -96,6 +102,7 @@ class Report:
             "reference error [relative]": (self.reference_error, self.rotation_bound),
             "energy drift [relative]": (self.energy_drift, self.drift_bound),
             "momentum drift [relative]": (self.momentum_drift, self.drift_bound),
+            "fields against q, v": (self.field_error, CONSISTENT),
             "growth of perturbations": (self.growth, self.growth_bound),
         }
 
@@ -129,7 +136,14 @@ def compare(traj: Trajectory, *, progress: Callable[[float], None] | None = None
     Raises IntegrationError if the full simulation cannot be followed.
     """
     done = progress or (lambda _: None)
+    if not isinstance(traj, Trajectory):
+        raise InputError(
+            f"compare takes a Trajectory, got {type(traj).__name__}; simulate makes one"
+        )
     scene, start, rtol, atol = traj.scene, traj.scene.start, traj.scene.rtol, traj.scene.atol
+    # Whatever times the scene reports, all of the motion is judged.
+    times = np.union1d(traj.t, np.linspace(0.0, scene.end, SAMPLES))
+    states = traj(times)
     full = FullState(traj.system, scene.springs)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     began = time.perf_counter()
@@ -137,14 +151,14 @@ def compare(traj: Trajectory, *, progress: Callable[[float], None] | None = None
     wall_full = time.perf_counter() - began
     done(0.1)
     tight = max(rtol / TIGHTER, _TIGHTEST), atol / TIGHTER
-    truth = full.run(y0, traj.t, *tight)
+    truth = full.run(y0, times, *tight)
     done(0.3)
-    kicked = full.run(full.kick(y0, scene.end, _KICK), traj.t, *tight)
+    kicked = full.run(full.kick(y0, scene.end, _KICK), times, *tight)
     done(0.5)
-    second = full.run(y0, traj.t, *tight, method="dopri5")
+    second = full.run(y0, times, *tight, method="dopri5")
     done(0.9)
-    found = FullMotion(x=traj.x, q=traj.q)
-    error, drift = full.distance(truth, found), full.drift(traj.t, found, traj.v)
+    error = full.distance(truth, FullMotion(x=states.x, q=states.q))
+    audit = full.audit(states)
     size = full.size(truth)
     growth = max(1.0, full.distance(truth, kicked).worst(size) / _KICK)
     done(1.0)
@@ -156,12 +170,13 @@ def compare(traj: Trajectory, *, progress: Callable[[float], None] | None = None
         duration=scene.end,
         rtol=rtol,
         atol=atol,
-        t=traj.t.copy(),
+        t=times,
         shape_errors=error.shape,
         rotation_errors=error.rotation,
         position_errors=error.position,
-        energy_drift=drift.energy,
-        momentum_drift=drift.momentum,
+        energy_drift=audit.energy,
+        momentum_drift=audit.momentum,
+        field_error=audit.fields,
         reference_error=full.distance(truth, second).worst(size),
         growth=growth,
         shape_bound=allowed * size.shape,

@@ -18,6 +18,7 @@ from scipy.integrate import ode
 from .arrays import Array
 from .errors import IntegrationError
 from .system import System
+from .trajectory import State
 
 _MOST_STEPS = 10_000_000
 
@@ -62,16 +63,18 @@ class Distance:
 
 
 @dataclass(frozen=True)
-class Drift:
-    """Largest relative change over a motion.
+class Audit:
+    """What Pinocchio's own functions say of the states of a trajectory, all relative.
 
-    energy: over the largest kinetic energy T about the centre of mass.  momentum: of each
-    conserved component, angular about the centre of mass if the group translates, over
-    √(2mT), for angular ones times the radius of gyration.
+    energy: largest change over the largest kinetic energy T about the centre of mass.
+    momentum: of each conserved component, angular about the centre of mass if the group
+    translates, over √(2mT), for angular ones times the radius of gyration.  fields: largest
+    difference of pose, twist, momenta and energy from those that q and v have.
     """
 
     energy: float
     momentum: float
+    fields: float
 
 
 class FullState:
@@ -90,6 +93,8 @@ class FullState:
         self._size = {"R": 1, "SO2": 1, "SE2": 3, "SO3": 4, "SE3": 7}[self._kind]
         self._linear = {"R": 1, "SO2": 0, "SE2": 2, "SO3": 0, "SE3": 3}[self._kind]
         # Pinocchio 4.1 leaves the armature of slanted revolute joints out of the kinetic energy.
+        self._weightless = system.model.copy()
+        self._weightless.gravity.setZero()
         self._bare = system.model.copy()
         self._bare.armature = np.zeros(system.n)
         # Axes of the root joint's motion in its fixed frame, (6, r).
@@ -209,47 +214,69 @@ class FullState:
         pin.ccrba(self._model, self._data, q, np.zeros(self._model.nv))
         return float(np.sqrt(np.trace(self._data.Ig.inertia) / self._data.Ig.mass))
 
-    def drift(self, t: Array, motion: FullMotion, v: Array) -> Drift:
-        """Return by how much energy and conserved momentum change along a motion."""
-        model, data = self._model, self._data
-        energy, total, internal, momentum = [], [], [], []
-        for k, q in enumerate(motion.q):
-            kinetic = pin.computeKineticEnergy(self._bare, data, q, v[k])
-            kinetic += 0.5 * float(model.armature @ v[k] ** 2)
+    def audit(self, state: State) -> Audit:
+        """Return what Pinocchio says of the states of a trajectory."""
+        model, data, r = self._model, self._data, self._r
+        energy, total, internal, conserved = [], [], [], []
+        body, spatial = np.empty_like(state.xi), np.empty_like(state.xi)
+        rest = np.zeros(model.nv)
+        for k, (t, q, v) in enumerate(zip(state.t, state.q, state.v, strict=True)):
+            kinetic = pin.computeKineticEnergy(self._bare, data, q, v)
+            kinetic += 0.5 * float(model.armature @ v**2)
             height = pin.computePotentialEnergy(model, data, q)
-            spring = 0.5 * float(self._stiffness @ (motion.x[k] - self._rest) ** 2)
+            spring = 0.5 * float(self._stiffness @ (state.x[k] - self._rest) ** 2)
             energy.append(kinetic + height + spring)
-            momentum.append(self._conserved(float(t[k]), q, v[k]))
+            body[k] = pin.rnea(self._weightless, data, q, rest, v)[:r]
+            spatial[k] = self._momentum(q, v, np.zeros(3), about_pivot=True)
+            fall = data.Ig.mass * model.gravity.linear * t
+            conserved.append(self._momentum(q, v, fall, about_pivot=not self._linear))
             carried = self._axes[:3].T @ model.jointPlacements[1].rotation.T @ data.hg.linear
             total.append(kinetic)
             internal.append(kinetic - 0.5 * float(carried @ carried) / data.Ig.mass)
         # A body that only falls has no internal motion to measure its changes by.
         most = max(internal) if max(internal) > 1e-9 * max(total) else max(total)
-        scale = np.full(self._r, np.sqrt(2.0 * data.Ig.mass * most))
-        scale[self._linear :] *= self.radius(motion.q[0])
-        energy_change = np.abs(np.array(energy) - energy[0]).max()
-        momentum_change = np.abs(np.array(momentum) - momentum[0]).max(axis=0)
-        return Drift(
-            energy=_ratio(float(energy_change), most),
-            momentum=max(map(_ratio, momentum_change.tolist(), scale.tolist())),
+        scale = np.full(r, np.sqrt(2.0 * data.Ig.mass * most))
+        scale[self._linear :] *= self.radius(state.q[0])
+        change = np.abs(np.array(conserved) - conserved[0]).max(axis=0)
+        found = np.array(
+            [self.q(np.concatenate(row)) for row in zip(state.pose, state.x, strict=True)]
+        )
+        mismatch = [
+            _difference(found, state.q, 1.0),
+            _difference(np.hstack([state.xi, state.xdot]), state.v, 0.0),
+            _difference(state.body_momentum, body, float(scale.max())),
+            _difference(state.spatial_momentum, spatial, float(scale.max())),
+            _difference(state.energy, np.array(energy), most),
+        ]
+        return Audit(
+            energy=_ratio(float(np.abs(np.array(energy) - energy[0]).max()), most),
+            momentum=float(np.max([_ratio(c, s) for c, s in zip(change, scale, strict=True)])),
+            fields=float(np.max(mismatch)),
         )
 
-    def _conserved(self, t: float, q: Array, v: Array) -> Array:
-        """Return the momentum that the symmetry conserves, (r,), in the root's fixed frame.
+    def _momentum(self, q: Array, v: Array, fall: Array, *, about_pivot: bool) -> Array:
+        """Return the momentum along the group's axes, (r,), in the root's fixed frame.
 
-        Angular momentum is about the centre of mass if the group translates, else about the
-        pivot.  What gravity adds to linear momentum, m g t, is taken off.
+        Linear momentum is less `fall`; angular momentum is about the frame's origin, or
+        about the centre of mass.
         """
         model, data = self._model, self._data
         pin.ccrba(model, data, q, v)
         placement = model.jointPlacements[1]
         linear, angular = data.hg.linear, data.hg.angular
-        if not self._linear:
+        if about_pivot:
             angular = angular + np.cross(data.com[0] - placement.translation, linear)
-        linear = linear - data.Ig.mass * model.gravity.linear * t
         to_root = placement.rotation.T
         rotor = model.armature[: self._r] * v[: self._r]
-        return np.asarray(self._axes.T @ np.append(to_root @ linear, to_root @ angular) + rotor)
+        parts = np.append(to_root @ (linear - fall), to_root @ angular)
+        return np.asarray(self._axes.T @ parts + rotor)
+
+
+def _difference(a: Array, b: Array, least: float) -> float:
+    """Return the largest difference over the largest entry of b, or over `least`; NaN stays."""
+    if not b.size:
+        return 0.0
+    return _ratio(float(np.abs(a - b).max()), max(least, float(np.abs(b).max())))
 
 
 def _ratio(change: float, scale: float) -> float:

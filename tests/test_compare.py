@@ -92,6 +92,11 @@ def offset(name: str, column: int, size: float) -> object:
         ("v", 6, 1e-4, "energy drift [relative]"),
         ("v", 4, 1e-4, "momentum drift [relative]"),
         ("x", 0, np.nan, "shape error [rad | m]"),
+        ("pose", 1, 1e-6, "fields against q, v"),
+        ("xi", 3, 1e-6, "fields against q, v"),
+        ("xdot", 0, 1e-6, "fields against q, v"),
+        ("body_momentum", 2, 1e-6, "fields against q, v"),
+        ("spatial_momentum", 5, 1e-6, "fields against q, v"),
     ],
 )
 def test_the_judge_sees_a_wrong_trajectory(name: str, column: int, size: float, check: str) -> None:
@@ -116,6 +121,31 @@ def test_the_judge_sees_wrong_physics() -> None:
     )
     assert not report.passed
     assert report.shape_error > report.shape_bound
+
+
+def test_all_of_the_motion_is_judged() -> None:
+    """A scene that reports only its start is judged to its end, and fails where that does."""
+    system = pinred.load("double_spherical_pendulum")
+    traj = pinred.simulate(
+        system, x0=[2.0, 1.0, 2.5], xdot0=[4.0, -5.0, 6.0], xi0=[3.0], duration=15.0, times=[0.0],
+        rtol=1e-6, atol=1e-8,
+    )  # fmt: skip
+    report = pinred.compare(traj)
+    assert report.t[-1] == 15.0
+    assert not report.passed
+
+
+def test_wrong_energy_is_seen() -> None:
+    """The energy is Pinocchio's, not only constant: an offset fails, on a slanted falling root."""
+    model = random_model("SE2", 2, 3)
+    model.gravity.linear = np.array([1.0, -2.0, 3.0])
+    traj = pinred.simulate(pinred.load(model), seed=1, duration=1.0)
+    assert pinred.compare(traj).passed
+
+    def lifted(state: pinred.State) -> pinred.State:
+        return replace(state, energy=state.energy + 1e-6)
+
+    assert not pinred.compare(tampered(traj, lifted)).passed
 
 
 def test_chaos_is_not_passed_by_default() -> None:
@@ -160,8 +190,9 @@ def test_report_is_a_table_with_its_numbers() -> None:
         assert name in text
         assert f"{value:.2e}" in text
         assert f"{bound:.1e}" in text
-    assert report.shape_errors.shape == report.rotation_errors.shape == (3,)
-    assert report.position_errors.shape == report.t.shape == (3,)
+    assert report.shape_errors.shape == report.rotation_errors.shape == report.t.shape
+    assert report.position_errors.shape == report.t.shape
+    assert set(traj.t) <= set(report.t)
     assert report.shape_error == report.shape_errors.max()
     assert report.wall_reduced > 0.0
     assert report.wall_full > 0.0
