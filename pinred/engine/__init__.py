@@ -1,0 +1,1 @@
+"""The compiled engine: a kernel made for one robot and one scene."""

@@ -1,0 +1,264 @@
+"""H(x) [ξ; ẋ] = [μ; π] and π̇, in one sweep over the tree: O(n), no mass matrix.
+
+Inward, each joint is eliminated from the articulated inertia of its subtree, as in
+Featherstone's algorithm but without bias forces, for only momenta are wanted.  At the
+root a system of the group's size is solved.  Outward come the twists; the momentum of a
+subtree is its articulated inertia times the twist it is carried with, so
+
+    π̇_j = (v_j × S_j) · h_j
+
+needs no second inward sweep, and only two or four entries of h_j.  Source: R.
+Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 7.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from .algebra import (
+    INDEX,
+    Mat,
+    Scalar,
+    Sym,
+    Turn,
+    Vec,
+    add,
+    cross,
+    dot,
+    mul,
+    plus,
+    solve_ldl,
+    sub,
+    total,
+)
+from .frames import Body, cosine, sine
+
+
+@dataclass
+class Articulated:
+    """Momentum of a subtree from the twist (v, ω) of its root body.
+
+    It is (M v + Bᵀ ω + lin, B v + I ω + ang).  M: linear from linear.  B: angular from
+    linear.  I: angular from angular.
+    """
+
+    M: Sym
+    B: Mat
+    I: Sym
+    lin: Vec
+    ang: Vec
+
+
+@dataclass
+class Eliminated:
+    """What the outward sweep needs of a joint."""
+
+    inner: Articulated  # of the subtree with the joint's velocity eliminated, body frame
+    gain: Vec  # U/D, linear
+    gain_angular: Vec  # U/D, angular
+    drive: Scalar  # u/D
+    turns: list[Turn]  # from parent's axes to the body's: β, α, θ
+    shift: Vec  # r in the parent's axes
+    slide: Scalar  # along the body's z, of a prismatic joint
+
+
+@dataclass
+class Swept:
+    """Velocities and rates.  root_linear, root_angular: twist of the root body."""
+
+    root_linear: Vec
+    root_angular: Vec
+    xdot: list[Scalar]
+    pidot: list[Scalar]
+
+
+def rigid(body: Body) -> Articulated:
+    """Return the inertia of one body, with no momentum of its own."""
+    x, y, z = (float(c) for c in body.moment)
+    m = float(body.mass)
+    inertia = body.inertia
+    return Articulated(
+        M=[m, 0.0, 0.0, m, 0.0, m],
+        B=[[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]],
+        I=[float(inertia[i][j]) for i in range(3) for j in range(i, 3)],
+        lin=[0.0, 0.0, 0.0],
+        ang=[0.0, 0.0, 0.0],
+    )
+
+
+def sweep(
+    bodies: list[Body],
+    x: list[Scalar],
+    pi: list[Scalar],
+    mu: list[Scalar],
+    axes: list[tuple[bool, int]],
+    root_armature: float,
+) -> Swept:
+    """Solve H v = p and return velocities and π̇ (without forces).
+
+    x, pi: per shape joint.  mu: (r,).  axes: which twist entries the group has, each as
+    (angular, axis).  root_armature: added to the diagonal of SO(2)'s locked inertia.
+    """
+    inertia = [rigid(body) for body in bodies]
+    joints: list[Eliminated | None] = [None] * len(bodies)
+    for i in range(len(bodies) - 1, 0, -1):
+        joint = _eliminate(bodies[i], inertia[i], x[i - 1], pi[i - 1])
+        joints[i] = joint
+        _carry(joint, inertia[bodies[i].parent])
+    linear, angular = _solve_root(inertia[0], mu, axes, root_armature)
+    v, w = [linear], [angular]
+    xdot: list[Scalar] = []
+    pidot: list[Scalar] = []
+    for i in range(1, len(bodies)):
+        body, known = bodies[i], joints[i]
+        assert known is not None
+        vi, wi = _into(known, v[body.parent], w[body.parent])
+        rate = sub(known.drive, add(dot(known.gain, vi), dot(known.gain_angular, wi)))
+        h = known.inner
+        hx, hy = (_linear_row(h, k, vi, wi) for k in (0, 1))
+        if body.prismatic:
+            # v × S = (ω × e_z, 0)
+            force = sub(mul(wi[1], hx), mul(wi[0], hy))
+            vi = [vi[0], vi[1], add(vi[2], rate)]
+        else:
+            # v × S = (v × e_z, ω × e_z)
+            ax, ay = (_angular_row(h, k, vi, wi) for k in (0, 1))
+            force = add(sub(mul(vi[1], hx), mul(vi[0], hy)), sub(mul(wi[1], ax), mul(wi[0], ay)))
+            wi = [wi[0], wi[1], add(wi[2], rate)]
+        v.append(vi)
+        w.append(wi)
+        xdot.append(rate)
+        pidot.append(force)
+    return Swept(linear, angular, xdot, pidot)
+
+
+def _eliminate(body: Body, a: Articulated, x: Scalar, pi: Scalar) -> Eliminated:
+    """Solve the joint's own momentum equation for its velocity and put that into the rest."""
+    if body.prismatic:
+        U = [a.M[INDEX[k][2]] for k in range(3)]
+        Ua = [a.B[k][2] for k in range(3)]
+        D, u = add(a.M[5], body.armature), sub(pi, a.lin[2])
+    else:
+        U = [a.B[2][k] for k in range(3)]
+        Ua = [a.I[INDEX[k][2]] for k in range(3)]
+        D, u = add(a.I[5], body.armature), sub(pi, a.ang[2])
+    inverse = 1.0 / D
+    gain, gain_angular = [mul(c, inverse) for c in U], [mul(c, inverse) for c in Ua]
+    drive = mul(u, inverse)
+    free = body.armature == 0.0  # then what the joint moves along carries no inertia any more
+    pris = body.prismatic
+    M, I = list(a.M), list(a.I)
+    B = [list(row) for row in a.B]
+    for i in range(3):
+        for j in range(i, 3):
+            gone = free and j == 2
+            k = INDEX[i][j]
+            M[k] = 0.0 if gone and pris else sub(a.M[k], mul(U[i], gain[j]))
+            I[k] = 0.0 if gone and not pris else sub(a.I[k], mul(Ua[i], gain_angular[j]))
+        for j in range(3):
+            gone = free and (j == 2 if pris else i == 2)
+            B[i][j] = 0.0 if gone else sub(a.B[i][j], mul(gain_angular[i], U[j]))
+    lin = [add(a.lin[k], mul(U[k], drive)) for k in range(3)]
+    ang = [add(a.ang[k], mul(Ua[k], drive)) for k in range(3)]
+    if free:
+        (lin if pris else ang)[2] = pi
+    angle = body.offset if pris else x + body.offset if body.offset else x
+    fixed = isinstance(angle, float)
+    c, s = (cosine(angle), sine(angle)) if fixed else (ca.cos(angle), ca.sin(angle))
+    turns = [
+        Turn(2, cosine(body.beta), sine(body.beta)),
+        Turn(0, cosine(body.alpha), sine(body.alpha)),
+        Turn(2, c, s),
+    ]
+    return Eliminated(
+        inner=Articulated(M, B, I, lin, ang),
+        gain=gain,
+        gain_angular=gain_angular,
+        drive=drive,
+        turns=turns,
+        shift=[float(c) for c in body.r],
+        slide=x if pris else 0.0,
+    )
+
+
+def _carry(joint: Eliminated, parent: Articulated) -> None:
+    """Add a subtree to its parent: turned into the parent's axes, shifted to its origin."""
+    a = joint.inner
+    M, B, I, lin, ang = a.M, a.B, a.I, a.lin, a.ang
+    if not isinstance(joint.slide, float):
+        B, I, ang = _shifted(M, B, I, lin, ang, [0.0, 0.0, joint.slide])
+    for turn in reversed(joint.turns):
+        if isinstance(turn.s, float) and turn.s == 0.0 and turn.c == 1.0:
+            continue
+        M, B, I = turn.symmetric(M), turn.matrix(B), turn.symmetric(I)
+        lin, ang = turn.vector(lin), turn.vector(ang)
+    B, I, ang = _shifted(M, B, I, lin, ang, joint.shift)
+    parent.M = [add(p, q) for p, q in zip(parent.M, M, strict=True)]
+    parent.I = [add(p, q) for p, q in zip(parent.I, I, strict=True)]
+    parent.B = [plus(p, q) for p, q in zip(parent.B, B, strict=True)]
+    parent.lin, parent.ang = plus(parent.lin, lin), plus(parent.ang, ang)
+
+
+def _shifted(M: Sym, B: Mat, I: Sym, lin: Vec, ang: Vec, r: Vec) -> tuple[Mat, Sym, Vec]:
+    """Return B + r̂M, I − B r̂ + r̂ B′ᵀ and ang + r × lin: taken about a point at −r."""
+    if all(isinstance(c, float) and c == 0.0 for c in r):
+        return B, I, ang
+    columns = [cross(r, [M[INDEX[k][j]] for k in range(3)]) for j in range(3)]
+    moved = [[add(B[i][j], columns[j][i]) for j in range(3)] for i in range(3)]
+    # −B r̂ = rows of B crossed with r on the right: (−B r̂)_i = r × B_i … as rows
+    left = [cross(r, B[i]) for i in range(3)]
+    right = [cross(r, moved[j]) for j in range(3)]  # (r̂ B′ᵀ) column j
+    shifted = list(I)
+    for i in range(3):
+        for j in range(i, 3):
+            shifted[INDEX[i][j]] = add(I[INDEX[i][j]], add(left[i][j], right[j][i]))
+    return moved, shifted, plus(ang, cross(r, lin))
+
+
+def _into(joint: Eliminated, v: Vec, w: Vec) -> tuple[Vec, Vec]:
+    """Return the parent's twist at the body's origin, in the body's axes."""
+    v = plus(v, cross(w, joint.shift))
+    for turn in joint.turns:
+        if isinstance(turn.s, float) and turn.s == 0.0 and turn.c == 1.0:
+            continue
+        v, w = turn.back(v), turn.back(w)
+    if not isinstance(joint.slide, float):
+        v = plus(v, cross(w, [0.0, 0.0, joint.slide]))
+    return v, w
+
+
+def _linear_row(a: Articulated, k: int, v: Vec, w: Vec) -> Scalar:
+    row = [mul(a.M[INDEX[k][j]], v[j]) for j in range(3)] + [mul(a.B[j][k], w[j]) for j in range(3)]
+    return add(a.lin[k], total(row))
+
+
+def _angular_row(a: Articulated, k: int, v: Vec, w: Vec) -> Scalar:
+    row = [mul(a.B[k][j], v[j]) for j in range(3)] + [mul(a.I[INDEX[k][j]], w[j]) for j in range(3)]
+    return add(a.ang[k], total(row))
+
+
+def _solve_root(
+    a: Articulated, mu: list[Scalar], axes: list[tuple[bool, int]], armature: float
+) -> tuple[Vec, Vec]:
+    """Return the root's twist (linear, angular) from its momentum."""
+
+    def entry(p: tuple[bool, int], q: tuple[bool, int]) -> Scalar:
+        (ang_p, i), (ang_q, j) = p, q
+        if ang_p and ang_q:
+            return a.I[INDEX[i][j]]
+        if not ang_p and not ang_q:
+            return a.M[INDEX[i][j]]
+        return a.B[i][j] if ang_p else a.B[j][i]
+
+    A = [[entry(p, q) for q in axes] for p in axes]
+    if armature:
+        A[0][0] = add(A[0][0], armature)
+    b = [sub(m, (a.ang if ang else a.lin)[k]) for m, (ang, k) in zip(mu, axes, strict=True)]
+    solution = solve_ldl(A, b)
+    linear: Vec = [0.0, 0.0, 0.0]
+    angular: Vec = [0.0, 0.0, 0.0]
+    for value, (ang, k) in zip(solution, axes, strict=True):
+        (angular if ang else linear)[k] = value
+    return linear, angular
