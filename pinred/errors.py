@@ -47,6 +47,10 @@ class IntegrationError(PinredError, ArithmeticError):
     """The integration had to stop before its end time."""
 
 
+class UnsupportedOperationError(PinredError, NotImplementedError):
+    """An expression has an operation that cannot be compiled."""
+
+
 class KernelMismatch(PinredError, ArithmeticError):  # noqa: N818
     """A compiled kernel disagrees with Pinocchio and must not run."""
 
@@ -81,3 +85,7 @@ class NonFiniteState(_Stopped):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (str(self), self.time, self.state, self.entry)
+
+
+class CacheWarning(UserWarning):
+    """Something is wrong with the kernels on disk; they are rebuilt."""

@@ -1,0 +1,245 @@
+"""integrate(): one run of a stepper, and its Solution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import ceil
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..arrays import Array, as_floats, positive, read_only
+from ..errors import (
+    InputError,
+    IntegrationError,
+    NonFiniteState,
+    ShapeError,
+    StepSizeUnderflow,
+    TooManySteps,
+)
+from . import dop853, rkmk4
+from .kernel import LANES
+from .method import DOP853, Method
+from .run import (
+    ATOL,
+    BUDGET,
+    COUNTS,
+    DONE,
+    ENTRY,
+    EVALUATIONS,
+    FULL,
+    KEEP,
+    MAX_STEP,
+    MAX_STEPS,
+    NOT_FINITE,
+    QUATERNION,
+    REALS,
+    REJECTED,
+    RTOL,
+    STEPS,
+    T_END,
+    TOTAL,
+    UNDERFLOW,
+    Counts,
+    H,
+    N,
+    T,
+)
+
+Progress = Callable[[float], None]
+
+EVALUATIONS_BETWEEN_PAUSES = 4096  # at most some milliseconds: Ctrl-C and progress come through
+_FIRST_KNOTS = 128
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A run: the states at the times asked for, and what gives those at any other time.
+
+    times: (T,) [s].  y: (T, n).  steps, rejected, evaluations: what it cost.
+    knots: (K,) times of the ends of all steps [s].  states: (K, n) there; a quaternion in
+    them has the length that the step has left, `at` gives it length one.
+    The kernel has to stay in memory as long as `at` is called.
+    """
+
+    method: Method
+    times: Array
+    y: Array
+    steps: int
+    rejected: int
+    evaluations: int
+    knots: Array
+    states: Array
+    _address: int = field(repr=False)
+    _params: Array = field(repr=False)
+    _quaternion: int = field(repr=False)
+
+    def at(self, times: ArrayLike) -> Array:
+        """Return the states (T, n) at times (T,) in any order, as if they had been asked for.
+
+        Only the steps around these times are computed again.  Raises InputError.
+        """
+        asked = checked_times(times, float(self.knots[-1]), ordered=False)
+        order = np.argsort(asked, kind="stable")
+        n = self.states.shape[1]
+        count, out = np.zeros(COUNTS, dtype=np.int64), np.empty((len(asked), n))
+        count[N], count[QUATERNION] = n, self._quaternion
+        stepper = dop853 if isinstance(self.method, DOP853) else rkmk4
+        stepper.recall(
+            self._address,
+            self._params,
+            count,
+            work_rows(self.method, n),
+            read_only(asked[order]),
+            out,
+            self.knots,
+            self.states,
+        )
+        y = np.empty_like(out)
+        y[order] = out
+        return y
+
+
+def integrate(
+    method: Method,
+    address: int,
+    params: ArrayLike,
+    y0: ArrayLike,
+    t_end: float,
+    times: ArrayLike,
+    quaternion: int = -1,
+    progress: Progress | None = None,
+) -> Solution:
+    """Integrate ẏ = f(y, params) from y0 (n,) at time 0 to t_end [s].
+
+    address: of the kernel of f.  params: (p,), all that f needs.
+    times: (T,) sorted, within [0, t_end]: when the state is wanted.
+    quaternion: index of the first of the four numbers in y that are a quaternion
+        (x, y, z, w), −1 for none; its rate is ½ q ω with the body's angular velocity ω.
+    progress: called now and then with the part of the time that is done, 0 to 1.
+
+    Raises InputError, and StepSizeUnderflow, NonFiniteState or TooManySteps with the time
+    and the state at which the run stopped.
+    """
+    end = positive(t_end, "t_end")
+    check_kernel(address)
+    state = as_floats(y0, "y0")
+    check_state(state, quaternion, "y0", 1)
+    n = state.shape[0]
+    asked = checked_times(times, end, ordered=True)
+    frozen = read_only(np.array(as_floats(params, "params")))
+    real, count = registers(method, n, end, quaternion)
+    count[KEEP] = 1
+    work = work_rows(method, n)
+    stepper = dop853 if isinstance(method, DOP853) else rkmk4
+    work[stepper.Y, :n] = state
+    out = np.empty((len(asked), n))
+    knots, states = np.empty(_FIRST_KNOTS), np.empty((_FIRST_KNOTS, n))
+    status = -1
+    while status != DONE:
+        status = stepper.advance(address, frozen, real, count, work, asked, out, knots, states)
+        if status == FULL:
+            knots, states = _doubled(knots), _doubled(states)
+        elif status >= UNDERFLOW:
+            raise failure(status, real, count, work[stepper.Y, :n].copy())
+        if progress is not None:
+            progress(real[T].item() / end)
+    steps = count[STEPS].item()
+    return Solution(
+        method=method,
+        times=asked,
+        y=read_only(out),
+        steps=steps,
+        rejected=count[REJECTED].item(),
+        evaluations=count[EVALUATIONS].item(),
+        knots=read_only(knots[: steps + 1]),
+        states=read_only(states[: steps + 1]),
+        _address=address,
+        _params=frozen,
+        _quaternion=quaternion,
+    )
+
+
+def registers(method: Method, n: int, t_end: float, quaternion: int) -> tuple[Array, Counts]:
+    """Return `real` and `count` of run.py for a run that has not begun."""
+    real, count = np.zeros(REALS), np.zeros(COUNTS, dtype=np.int64)
+    real[T_END] = t_end
+    count[N], count[QUATERNION] = n, quaternion
+    count[ENTRY], count[BUDGET] = -1, EVALUATIONS_BETWEEN_PAUSES
+    if isinstance(method, DOP853):
+        real[RTOL], real[ATOL], real[MAX_STEP] = method.rtol, method.atol, method.max_step
+        count[MAX_STEPS] = method.max_steps
+    else:
+        # The part of a step that round-off adds to the quotient is no step.
+        total = max(1, ceil(t_end / method.step * (1.0 - 1e-12)))
+        count[TOTAL], real[H] = total, t_end / total
+    return real, count
+
+
+def work_rows(method: Method, n: int) -> Array:
+    """Return the rows that a stepper works on, padded to whole vectors."""
+    rows = dop853.ROWS if isinstance(method, DOP853) else rkmk4.ROWS
+    return np.zeros((rows, -(-n // LANES) * LANES))
+
+
+def failure(status: int, real: Array, count: Counts, state: Array) -> IntegrationError:
+    """Return the error for a status of `advance`; state: (n,) at the last time reached."""
+    time, entry = real[T].item(), count[ENTRY].item()
+    where = f"t = {time:g} s of {real[T_END]:g} s"
+    if status == NOT_FINITE:
+        return NonFiniteState(f"number {entry} is not finite after {where}", time, state, entry)
+    if status == UNDERFLOW:
+        return StepSizeUnderflow(
+            f"the tolerance (rtol = {real[RTOL]:g}) asks for steps below {real[H]:.1e} s at "
+            f"{where}: the motion is singular there, or the tolerance too tight",
+            time,
+            state,
+        )
+    return TooManySteps(
+        f"{count[MAX_STEPS]} steps have led to {where}; allow more (max_steps), or a larger "
+        f"tolerance than rtol = {real[RTOL]:g}",
+        time,
+        state,
+    )
+
+
+def check_kernel(address: int) -> None:
+    """Check what can be checked of a kernel's address.  Raises InputError."""
+    if isinstance(address, bool) or not isinstance(address, int) or address <= 0:
+        raise InputError(f"address must be the address of a kernel, got {address!r}")
+
+
+def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
+    """Check initial states (…, n) with n > 0, and where the quaternion is.  Raises InputError."""
+    if y0.ndim != ndim or y0.shape[-1] == 0:
+        shape = "(n,)" if ndim == 1 else "(N, n)"
+        raise ShapeError(f"{what} must have shape {shape} with n > 0, got {y0.shape}")
+    if not np.isfinite(y0).all():
+        raise ShapeError(f"{what} must be finite, got {y0}")
+    n = y0.shape[-1]
+    if quaternion != -1 and not 0 <= quaternion <= n - 4:
+        raise InputError(
+            f"quaternion must be −1 or the index of four of the {n} numbers, got {quaternion}"
+        )
+    if quaternion >= 0 and not y0[..., quaternion : quaternion + 4].any(axis=-1).all():
+        raise InputError(f"the quaternion in {what} is zero")
+
+
+def checked_times(times: ArrayLike, t_end: float, *, ordered: bool) -> Array:
+    """Return times as a read-only array (T,) within [0, t_end].  Raises InputError."""
+    asked = np.array(as_floats(times, "times"))
+    if asked.ndim != 1:
+        raise ShapeError(f"times must have shape (T,), got {asked.shape}")
+    if asked.size:
+        if not (asked.min() >= 0.0 and asked.max() <= t_end):  # NaN is outside too
+            raise InputError(f"times must lie between 0 and {t_end:g} s, got {asked}")
+        if ordered and (asked[1:] < asked[:-1]).any():
+            raise InputError(f"times must be sorted, got {asked}")
+    return read_only(asked)
+
+
+def _doubled(array: Array) -> Array:
+    larger = np.empty((2 * len(array), *array.shape[1:]))
+    larger[: len(array)] = array
+    return larger

@@ -1,0 +1,86 @@
+"""The state of a run, held in arrays so that it can stop and go on, and its small helpers.
+
+real (6,) and count (13,) are indexed by the names below; a stepper's `advance` works on
+them and returns one of the codes.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import Array
+from .kernel import compiled
+
+Counts: TypeAlias = NDArray[np.int64]
+
+# Entries of `real`: time, next step, end time, longest step, tolerances.
+T, H, T_END, MAX_STEP, RTOL, ATOL = range(6)
+REALS = 6
+
+# Entries of `count`: numbers in the state; first of the quaternion's four or −1; accepted
+# and rejected steps; evaluations; next time to report; whether the run has begun; whether
+# the last trial was rejected; limit on trials; entry that was not finite or −1; whether
+# knots are kept; evaluations before a pause; number of steps if it is known beforehand.
+(
+    N, QUATERNION, STEPS, REJECTED, EVALUATIONS, NEXT, BEGUN, AGAIN, MAX_STEPS, ENTRY, KEEP,
+    BUDGET, TOTAL,
+) = range(13)  # fmt: skip
+COUNTS = 13
+
+# What `advance` returns.
+DONE, PAUSED, FULL, UNDERFLOW, NOT_FINITE, TOO_MANY = range(6)
+
+
+@compiled
+def unit_alone(y: Array, quaternion: int) -> float:
+    """Bring the quaternion of y to length one and return the factor; −1 for none."""
+    if quaternion < 0:
+        return 1.0
+    square = 0.0
+    for i in range(quaternion, quaternion + 4):
+        square += y[i] * y[i]
+    factor = 1.0 / sqrt(square)
+    for i in range(quaternion, quaternion + 4):
+        y[i] *= factor
+    return factor
+
+
+@compiled
+def unit(y: Array, rate: Array, quaternion: int) -> None:
+    """Bring the quaternion of y to length one, and its rate with it; −1 for none.
+
+    A kernel takes the direction of the quaternion, so that the rate of the quaternion has
+    its length as a factor and the other rates do not change.
+    """
+    if quaternion >= 0:
+        factor = unit_alone(y, quaternion)
+        for i in range(quaternion, quaternion + 4):
+            rate[i] *= factor
+
+
+@compiled
+def first_not_finite(row: Array, n: int) -> int:
+    """Return the index of the first of n entries that is not finite, −1 if all are."""
+    total = 0.0
+    for i in range(n):
+        total += row[i] - row[i]  # NaN for infinities and NaN, else zero
+    if total == 0.0:
+        return -1
+    for i in range(n):
+        if row[i] - row[i] != 0.0:
+            return i
+    return -1
+
+
+@compiled
+def keep(count: Counts, row: Array, t: float, knots_t: Array, knots_y: Array) -> None:
+    """Write down a knot: time t and state row, after count[STEPS] steps."""
+    if count[KEEP]:
+        k = count[STEPS]
+        knots_t[k] = t
+        for i in range(count[N]):
+            knots_y[k, i] = row[i]
