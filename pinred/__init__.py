@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .errors import (
         InputError,
         IntegrationError,
+        KernelMismatch,
         LoadError,
         ModelError,
         OutputError,
@@ -41,7 +42,14 @@ _HOME = {
     **dict.fromkeys(("Report", "compare"), "comparison"),
     **dict.fromkeys(
         (
-            *("InputError", "IntegrationError", "LoadError", "ModelError", "OutputError"),
+            *(
+                "InputError",
+                "IntegrationError",
+                "KernelMismatch",
+                "LoadError",
+                "ModelError",
+                "OutputError",
+            ),
             *("PinredError", "ShapeError", "SingularInertiaError", "SymmetryError"),
         ),
         "errors",
@@ -62,6 +70,7 @@ __all__ = [
     "InputError",
     "Inspection",
     "IntegrationError",
+    "KernelMismatch",
     "LoadError",
     "ModelError",
     "OutputError",

@@ -36,12 +36,17 @@ def admit(model: pin.Model) -> Group:
     return group
 
 
-def _root_group(model: pin.Model) -> Group:
+def refuse_mimicking(model: pin.Model) -> None:
+    """Raise ModelError if joints of the model follow others."""
     if len(model.mimicking_joints):
         names = [model.names[i] for i in model.mimicking_joints]
         raise ModelError(
             f"mimic joints are not supported: {', '.join(names)}; build the model without them"
         )
+
+
+def _root_group(model: pin.Model) -> Group:
+    refuse_mimicking(model)
     group = motion_group(model.joints[1])
     if group is None:
         kind = model.joints[1].shortname().removeprefix("JointModel")

@@ -17,6 +17,8 @@ Array: TypeAlias = NDArray[np.float64]
 def as_floats(value: ArrayLike, what: str) -> Array:
     """Return `value` as an array of floats.  Raises ShapeError naming `what`."""
     try:
+        if np.iscomplexobj(value):
+            raise TypeError
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise ShapeError(f"{what} must be numbers, got {value!r}") from None

@@ -52,6 +52,7 @@ class Report:
     """
 
     robot: str
+    engine: str
     group: str
     joints: int
     duration: float
@@ -123,8 +124,8 @@ class Report:
             for name, (value, bound) in self.checks.items()
         ]
         rows.append(
-            f"  {'wall time [s]':<27} {self.wall_reduced:10.3f} reduced, "
-            f"{self.wall_full:.3f} full, both called from Python"
+            f"  {'wall time [s]':<27} {self.wall_reduced:10.5f} reduced ({self.engine}), "
+            f"{self.wall_full:.3f} full (ABA called from Python)"
         )
         return head + "\n".join(rows) + f"\n  verdict: {'PASSED' if self.passed else 'FAILED'}"
 
@@ -165,6 +166,7 @@ def compare(traj: Trajectory, *, progress: Callable[[float], None] | None = None
     allowed = ALLOWANCE * growth * (rtol + atol)
     return Report(
         robot=traj.system.name,
+        engine=traj.run.engine,
         group=traj.system.group.name,
         joints=traj.system.m,
         duration=scene.end,

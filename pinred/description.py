@@ -18,10 +18,9 @@ from xml.etree import ElementTree
 
 import pinocchio as pin
 
-from .attributes import floats
-from .errors import LoadError
-from .mjcf import check_mjcf
-from .urdf import check_urdf
+from .errors import LoadError, ModelError
+from .mjcf import check_mjcf, gravity_of
+from .urdf import check_urdf, total_mass
 
 
 def read_description(path: Path, lock: Collection[str]) -> pin.Model:
@@ -48,10 +47,21 @@ def read_description(path: Path, lock: Collection[str]) -> pin.Model:
     if model is None:
         reason = said[0].splitlines()[0] if said[0] else said[-1].splitlines()[-1]
         raise LoadError(f"Pinocchio cannot read {path}: {reason.removeprefix('Error:').strip()}")
-    option = root.find("option")
-    if root.tag == "mujoco" and option is not None and "gravity" in option.attrib:
-        model.gravity.linear = floats(option, "gravity", "the MJCF option", 3)
+    if root.tag == "robot":
+        _check_mass(path, model, total_mass(root))
+    elif (gravity := gravity_of(root)) is not None:
+        model.gravity.linear = gravity
     return model
+
+
+def _check_mass(path: Path, model: pin.Model, written: float) -> None:
+    """Refuse a model that has lost a link's inertia on the way."""
+    read = sum(inertia.mass for inertia in model.inertias)
+    if abs(read - written) > 1e-9 * max(read, written):
+        raise ModelError(
+            f"{path} gives its links {written:g} kg in all, but Pinocchio reads {read:g} kg; "
+            "check the inertial elements"
+        )
 
 
 @contextmanager

@@ -32,6 +32,11 @@ class ReducedFlow:
         pi = H[system.r :] @ v
         self.y0 = np.concatenate([start.x, pi, self._base.attitude0])
 
+    @property
+    def has_spin(self) -> bool:
+        """Whether there is angular momentum, so that terms with it are needed."""
+        return bool(self._base.spin.any())
+
     def rate(self, t: float, y: Array) -> Array:  # noqa: ARG002
         """Return dy/dt, (k,)."""
         m, r = self._system.m, self._system.r

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 from .arrays import Array
 from .cyclic import cyclic_joints
 from .errors import SymmetryError
-from .flow import ReducedFlow
+from .explanation import reduced_size, skipped
 from .joints import is_prismatic
-from .potential import falling
 from .reduction import ReducedShape, Reduction
 from .scene import Scene
 from .system import System, checked_system
@@ -70,21 +69,22 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
     at = red.at(np.zeros(system.m) if x is None else x)
     names = system.shape_names
     cyclic = tuple(names[k] for k in cyclic_joints(red))
-    reduced_size: int | None
+    size: int | None
+    # A generic motion: with momentum, and every joint moving.
+    generic = Scene(system=system, x0=at.x, xi0=np.ones(system.r))
     try:
-        reduced_size = ReducedFlow(Scene(system=system, x0=at.x)).y0.size
-        broken = ""
+        size, not_needed, broken = reduced_size(generic), skipped(generic), ""
     except SymmetryError as error:
-        reduced_size, broken = None, str(error)
+        size, not_needed, broken = None, [], str(error)
     return Inspection(
         system=system,
         at=at,
         curvature_norm=float(np.linalg.norm(at.curvature)),
         cyclic=cyclic,
         symmetries=tuple(_symmetries(system, cyclic, broken)),
-        skipped=tuple(_skipped(system, red, broken)),
+        skipped=(*not_needed, "meshes: not read"),
         full_size=system.model.nq + system.n,
-        reduced_size=reduced_size,
+        reduced_size=size,
     )
 
 
@@ -101,22 +101,6 @@ def _symmetries(system: System, cyclic: tuple[str, ...], broken: str) -> list[st
     lines = [f"{system.group.name}: conserves {kept[system.group.name]}"]
     if cyclic:
         lines.append(f"cyclic joints, whose momentum is constant: {', '.join(cyclic)}")
-    return lines
-
-
-def _skipped(system: System, red: Reduction, broken: str) -> list[str]:
-    if broken:
-        return []
-    lines = []
-    if system.group.linear:
-        lines.append("translation of the base: the centre of mass moves on a known path")
-        if falling(system).any():
-            lines.append("gravity along it: it only makes the centre of mass fall")
-    if system.group.linear < system.r:
-        lines.append("angular momentum: it follows from the attitude, or is constant")
-    if red.checked_potential().is_zero:
-        lines.append("potential: nothing acts on the shape")
-    lines.append("meshes: not read")
     return lines
 
 

@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from . import catalogue
+from .admission import refuse_mimicking
 from .arrays import Array, vector
 from .description import read_description, read_xml
 from .errors import InputError, LoadError, ModelError
@@ -45,12 +46,15 @@ def load(
     model, InputError for an unknown group or joint.
     """
     wanted = group_named(group) if isinstance(group, str) else group
-    if wanted is not None and wanted not in GROUPS.values():
+    if wanted is not None and not isinstance(wanted, Group):
         raise InputError(f"group must be one of {', '.join(GROUPS)}, got {group!r}")
+    if not isinstance(source, (str, Path, pin.Model)):
+        raise InputError(f"load takes a name, a path or a pin.Model, got {type(source).__name__}")
     locked = _locked(lock)
     initial: InitialState | None = None
     name = str(source)
     if isinstance(source, pin.Model):
+        refuse_mimicking(source)
         raw, name = source.copy(), source.name
     elif (robot := catalogue.bundled_robots().get(name)) is not None:
         raw = read_description(robot.path, locked)
@@ -112,6 +116,8 @@ def _locked(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
         raise InputError(f"lock must be a list of joint names, not text; use [{lock!r}]")
     if not isinstance(lock, Iterable):
         raise InputError(f"lock must be a list of joint names or a mapping to values, got {lock!r}")
+    if not all(isinstance(name, str) for name in lock):
+        raise InputError(f"lock must hold names of joints, got {list(lock)!r}")
     values = dict(lock.items()) if isinstance(lock, Mapping) else dict.fromkeys(lock, 0.0)
     for name, value in values.items():
         if not (isinstance(value, (int, float, np.number)) and np.isfinite(value)):

@@ -112,6 +112,11 @@ class Potential:
         return float(0.5 * self._stiffness @ (x[self._index] - self._rest) ** 2)
 
 
+def potential_of(system: System, springs: Springs) -> Potential:
+    """Return the potential of a system with springs, set up once for each thread."""
+    return system.workspace((Potential, repr(dict(springs))), lambda: Potential(system, springs))
+
+
 def _spring_arrays(system: System, springs: Springs) -> tuple[Indices, Array, Array]:
     unknown = [name for name in springs if name not in system.shape_names]
     if unknown:

@@ -137,7 +137,7 @@ class Scene:
         if ready is not None and self.x0 is None and self.xdot0 is None:
             x, xdot = ready.x, ready.xdot
             xi = ready.xi if self.xi0 is None else xi
-        red = Reduction(system)
+        red = system.workspace(Reduction, lambda: Reduction(system))
         if self.momentum is None:
             mu = red.body_momentum(x, xdot, xi)
         else:

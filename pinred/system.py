@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from threading import get_ident
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 import pinocchio as pin
@@ -14,6 +16,10 @@ from .arrays import Array, as_floats
 from .errors import InputError, ModelError, ShapeError
 from .lie import SE2, SO2, Group
 
+if TYPE_CHECKING:
+    from .engine.functions import CasadiFunctions
+
+T = TypeVar("T")
 Indices: TypeAlias = NDArray[np.intp]
 
 
@@ -156,6 +162,24 @@ class System:
         """
         v = self._last(v, self.n, "v").copy()
         return Velocity(xi=v[..., : self.r], xdot=v[..., self.r :])
+
+    def workspace(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return what `make` makes, made once for this system, thread and key.
+
+        For what is costly to set up and owns Pinocchio work space; it takes the model as it
+        is, which is not changed after loading.
+        """
+        spaces: dict[Hashable, Any] = vars(self).setdefault("_workspaces", {})
+        full = (get_ident(), key)
+        if full not in spaces:
+            spaces[full] = make()
+        return cast(T, spaces[full])
+
+    def casadi(self) -> CasadiFunctions:
+        """Return I, A, M, B and the reduced vector field with its Jacobian as CasADi Functions."""
+        from .engine.functions import casadi_functions  # heavy to import
+
+        return casadi_functions(self)
 
     def _last(self, value: ArrayLike, size: int, what: str) -> Array:
         array = as_floats(value, what)

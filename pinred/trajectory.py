@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,10 +50,11 @@ class State:
 class Run:
     """What an integration cost.
 
-    method: name of the integrator.  steps: accepted.  evaluations: of the vector field.
-    wall: seconds.
+    engine: "compiled" or "pinocchio".  method: name of the integrator.  steps: accepted.
+    evaluations: of the vector field.  wall: seconds.
     """
 
+    engine: str
     method: str
     steps: int
     evaluations: int
@@ -67,67 +69,66 @@ class Trajectory:
         self.scene = scene
         self.run = run
         self._state = state
-        self._reported = state(scene.report_times)
 
     @property
     def system(self) -> System:
         """The system that was simulated."""
         return self.scene.system
 
-    @property
+    @cached_property
     def states(self) -> State:
-        """The states at the report times, time first."""
-        return self._reported
+        """The states at the report times, time first; made when first looked at."""
+        return self._state(self.scene.report_times)
 
     @property
     def t(self) -> Array:
         """Report times, (T,) [s]."""
-        return self._reported.t
+        return self.scene.report_times
 
     @property
     def x(self) -> Array:
         """Shape, (T, m) [rad | m]."""
-        return self._reported.x
+        return self.states.x
 
     @property
     def xdot(self) -> Array:
         """Shape rate, (T, m)."""
-        return self._reported.xdot
+        return self.states.xdot
 
     @property
     def xi(self) -> Array:
         """Body twist of the base, (T, r) [linear; angular]."""
-        return self._reported.xi
+        return self.states.xi
 
     @property
     def pose(self) -> Array:
         """Pose of the base, (T, size)."""
-        return self._reported.pose
+        return self.states.pose
 
     @property
     def q(self) -> Array:
         """Pinocchio's configuration, (T, nq)."""
-        return self._reported.q
+        return self.states.q
 
     @property
     def v(self) -> Array:
         """Pinocchio's velocity, (T, n)."""
-        return self._reported.v
+        return self.states.v
 
     @property
     def body_momentum(self) -> Array:
         """Body momentum μ, (T, r)."""
-        return self._reported.body_momentum
+        return self.states.body_momentum
 
     @property
     def spatial_momentum(self) -> Array:
         """Spatial momentum J = Ad*_{g⁻¹} μ, (T, r)."""
-        return self._reported.spatial_momentum
+        return self.states.spatial_momentum
 
     @property
     def energy(self) -> Array:
         """Total energy, (T,) [J]."""
-        return self._reported.energy
+        return self.states.energy
 
     def __len__(self) -> int:
         return len(self.t)
@@ -135,7 +136,7 @@ class Trajectory:
     def __repr__(self) -> str:
         return (
             f"Trajectory({self.system.name!r}, {len(self)} times to {self.scene.end:g} s, "
-            f"{self.run.steps} steps of {self.run.method})"
+            f"{self.run.steps} steps of {self.run.method}, {self.run.engine})"
         )
 
     def __call__(self, t: ArrayLike) -> State:

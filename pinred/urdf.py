@@ -26,6 +26,11 @@ def check_urdf(robot: Element, lock: Collection[str]) -> None:
     _check_tree(robot)
 
 
+def total_mass(robot: Element) -> float:
+    """Return the mass of all links [kg], after `check_urdf`."""
+    return sum(float(mass.get("value", "0")) for mass in robot.iterfind("link/inertial/mass"))
+
+
 def moving_joints(robot: Element) -> list[Element]:
     """Return the joints that are not fixed."""
     return [joint for joint in robot.findall("joint") if joint.get("type") != "fixed"]
@@ -72,8 +77,9 @@ def _check_inertial(inertial: Element, who: str) -> None:
         raise ModelError(f"{who} has negative mass {value:g}")
     for key in _MOMENTS:
         floats(inertia, key, f"the inertia of {who}", 1)
-    if origin is not None and "xyz" in origin.attrib:
-        floats(origin, "xyz", f"the centre of mass of {who}", 3)
+    for key in ("xyz", "rpy"):
+        if origin is not None and key in origin.attrib:
+            floats(origin, key, f"the inertial origin of {who}", 3)
 
 
 def _check_tree(robot: Element) -> None:

@@ -67,7 +67,8 @@ def test_inspect(capsys: pytest.CaptureFixture[str]) -> None:
     assert f"cyclic joints, whose momentum is constant: {', '.join(seen.cyclic)}" in out
     # Full: pose 7, twist 6, and an angle (cos and sin if continuous) and a rate a joint.
     assert seen.full_size == system.model.nq + system.model.nv
-    assert seen.reduced_size == 4 + 2 * system.m
+    # Reduced: quaternion, (x, π) of the hinge, angles of the three cyclic wheels.
+    assert seen.reduced_size == 4 + 2 + 3
 
 
 def test_inspect_where_gravity_breaks_the_symmetry(capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,7 @@ from trees import random_model
 
 import pinred
 from pinred import InputError, LoadError, ModelError, PinredError, ShapeError
+from pinred.arrays import Array
 
 FREE = "<freejoint/>"
 Z = '<axis xyz="0 0 1"/>'
@@ -112,6 +113,9 @@ FILES: dict[str, tuple[str, type[PinredError], list[str]]] = {
     "moments negative": (with_b(inertial(ixx="-1")), ModelError, [BEE, "positive"]),
     "triangle": (with_b(inertial(izz="3.1")), ModelError, [BEE, "a-bee", "triangle inequality"]),
     "centre of mass": (with_merged(inertial(xyz="nan 0 0")), PinredError, [SEA]),
+    "frame of inertia": (
+        with_merged(inertial().replace('xyz="0', 'rpy="x')), PinredError, [SEA],
+    ),
     "two joints on the anchor": (
         robot(link("w", 0), link("a"), link("b"), joint("w", "a"), joint("w", "b")),
         ModelError, ["'w'", "no mass"],
@@ -127,6 +131,24 @@ FILES: dict[str, tuple[str, type[PinredError], list[str]]] = {
         on_arm("", MASS.replace('"2"', '"-2"')), ModelError, ["'arm'", "negative mass"],
     ),
     "MJCF mass in a mesh": (on_arm(HINGE, '<geom type="mesh" mesh="m"/>'), ModelError, ["'arm'"]),
+    "MJCF mass in a mesh by default": (
+        on_arm(HINGE, "<geom/>", '<default><geom type="mesh" mesh="m"/></default>'),
+        PinredError, ["'arm'"],
+    ),
+    "MJCF mass in a plane": (
+        on_arm(HINGE, '<geom type="plane" size="1 1 1"/>'), PinredError, ["'arm'"],
+    ),
+    "MJCF mass negative in a geom": (
+        on_arm(HINGE, '<geom size="1"/><geom size="1" mass="-1"/>'), PinredError, ["'arm'"],
+    ),
+    "MJCF geom too short": (
+        on_arm(HINGE, '<geom type="capsule" size="0.1" fromto="0 0 0 1 1"/>'),
+        PinredError, ["'arm'"],
+    ),
+    "MJCF armature bad by default": (
+        on_arm('<joint name="h"/>', head='<default><joint armature="nan"/></default>'),
+        PinredError, ["armature"],
+    ),
     "MJCF moments missing": (
         on_arm(HINGE, '<inertial pos="0 0 0" mass="1"/>'), PinredError, ["'arm'"],
     ),
@@ -165,6 +187,54 @@ def test_file(tmp_path: Path, row: tuple[str, type[PinredError], list[str]]) -> 
     """The file is refused and the message names the joint, the link or the file."""
     text, error, words = row
     refused(lambda: pinred.load(write(tmp_path, text)), error, words)
+
+
+# text of the file; the mass that is in it
+WHOLE = {
+    "mass, space": (with_merged(inertial("2 ")), 13.0),
+    "centre of mass, tab": (with_merged(inertial(xyz="0\t0\t0")), 13.0),
+    "MJCF frame": (mjcf(body(f"{FREE}<frame>{body('', 'lid')}</frame>")), 4.0),
+    "MJCF replicate": (
+        mjcf(body(f"{FREE}<replicate count='2'>{body('', 'lid')}</replicate>")),
+        6.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("row", WHOLE.values(), ids=WHOLE.keys())
+def test_read_whole_or_refused(tmp_path: Path, row: tuple[str, float]) -> None:
+    """No body and no inertia is dropped without a word."""
+    text, mass = row
+    try:
+        system = pinred.load(write(tmp_path, text))
+    except PinredError:
+        return
+    assert system.mass == pytest.approx(mass)
+
+
+TURN = 'euler="0 0 1.5707963267948966"'
+QUARTER = pin.exp3(np.array([0.0, 0.0, np.pi / 2]))
+# the head of an MJCF file; the gravity and the placement of a joint with TURN that follow
+HEADS = {
+    "compiler twice": ('<compiler/><compiler angle="radian"/>', -9.81, QUARTER),
+    "option twice": ('<option timestep="1"/><option gravity="0 0 -1"/>', -1.0, None),
+    "flag": ('<option><flag gravity="disable"/></option>', 0.0, None),
+}
+
+
+@pytest.mark.parametrize("row", HEADS.values(), ids=HEADS.keys())
+def test_mjcf_settings_are_honoured_or_refused(
+    tmp_path: Path, row: tuple[str, float, Array | None]
+) -> None:
+    """A setting that Pinocchio passes over does not silently keep its default."""
+    head, gravity, turned = row
+    try:
+        system = pinred.load(write(tmp_path, on_arm(HINGE, head=head, more=TURN)))
+    except PinredError:
+        return
+    assert system.gravity == pytest.approx([0.0, 0.0, gravity])
+    if turned is not None:
+        assert system.model.jointPlacements[2].rotation == pytest.approx(turned, abs=1e-9)
 
 
 def test_group_mismatch(tmp_path: Path) -> None:
@@ -321,6 +391,12 @@ def test_model(row: tuple[Callable[[], pin.Model], list[str]]) -> None:
     """A model made in Python is held to the same rules."""
     build, words = row
     refused(lambda: pinred.load(build()), ModelError, words)
+
+
+def test_a_joint_that_another_follows_cannot_be_locked_alone() -> None:
+    """Locking the leader leaves a mimic joint without one."""
+    model = pin.transformJointIntoMimic(grown(RX, parent=2), 2, 3, 1.0, 0.0)
+    refused(lambda: pinred.load(model, lock=["joint1"]), PinredError, ["odd"])
 
 
 def test_system_needs_a_root() -> None:

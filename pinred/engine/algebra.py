@@ -85,6 +85,11 @@ class Turn:
         self.z = axis
         self.x, self.y = (axis + 1) % 3, (axis + 2) % 3
 
+    @property
+    def is_none(self) -> bool:
+        """Whether the angle is known to be zero."""
+        return isinstance(self.s, float) and self.s == 0.0 and bool(self.c == 1.0)
+
     def vector(self, v: Vec) -> Vec:
         """Return R v: from the turned frame to the frame it was turned in."""
         out = list(v)

@@ -52,6 +52,34 @@ class Articulated:
 
 
 @dataclass
+class Step:
+    """The way from a parent's frame to a body's, at a joint value."""
+
+    turns: list[Turn]  # from the parent's axes to the body's: β, α, θ
+    shift: Vec  # r in the parent's axes
+    slide: Scalar  # along the body's z, of a prismatic joint
+
+    def inward(self, lin: Vec, ang: Vec) -> tuple[Vec, Vec]:
+        """Return a momentum at the body's origin, taken at the parent's, in its axes."""
+        if not isinstance(self.slide, float):
+            ang = plus(ang, cross([0.0, 0.0, self.slide], lin))
+        for turn in reversed(self.turns):
+            if not turn.is_none:
+                lin, ang = turn.vector(lin), turn.vector(ang)
+        return lin, plus(ang, cross(self.shift, lin))
+
+    def outward(self, v: Vec, w: Vec) -> tuple[Vec, Vec]:
+        """Return the parent's twist at the body's origin, in the body's axes."""
+        v = plus(v, cross(w, self.shift))
+        for turn in self.turns:
+            if not turn.is_none:
+                v, w = turn.back(v), turn.back(w)
+        if not isinstance(self.slide, float):
+            v = plus(v, cross(w, [0.0, 0.0, self.slide]))
+        return v, w
+
+
+@dataclass
 class Eliminated:
     """What the outward sweep needs of a joint."""
 
@@ -59,9 +87,7 @@ class Eliminated:
     gain: Vec  # U/D, linear
     gain_angular: Vec  # U/D, angular
     drive: Scalar  # u/D
-    turns: list[Turn]  # from parent's axes to the body's: β, α, θ
-    shift: Vec  # r in the parent's axes
-    slide: Scalar  # along the body's z, of a prismatic joint
+    step: Step
 
 
 @dataclass
@@ -114,7 +140,7 @@ def sweep(
     for i in range(1, len(bodies)):
         body, known = bodies[i], joints[i]
         assert known is not None
-        vi, wi = _into(known, v[body.parent], w[body.parent])
+        vi, wi = known.step.outward(v[body.parent], w[body.parent])
         rate = sub(known.drive, add(dot(known.gain, vi), dot(known.gain_angular, wi)))
         h = known.inner
         hx, hy = (_linear_row(h, k, vi, wi) for k in (0, 1))
@@ -164,69 +190,55 @@ def _eliminate(body: Body, a: Articulated, x: Scalar, pi: Scalar) -> Eliminated:
     ang = [add(a.ang[k], mul(Ua[k], drive)) for k in range(3)]
     if free:
         (lin if pris else ang)[2] = pi
-    angle = body.offset if pris else x + body.offset if body.offset else x
+    return Eliminated(Articulated(M, B, I, lin, ang), gain, gain_angular, drive, step_of(body, x))
+
+
+def step_of(body: Body, x: Scalar) -> Step:
+    """Return the way to a body from its parent at joint value x."""
+    angle = body.offset if body.prismatic else x + body.offset if body.offset else x
     fixed = isinstance(angle, float)
     c, s = (cosine(angle), sine(angle)) if fixed else (ca.cos(angle), ca.sin(angle))
-    turns = [
-        Turn(2, cosine(body.beta), sine(body.beta)),
-        Turn(0, cosine(body.alpha), sine(body.alpha)),
-        Turn(2, c, s),
-    ]
-    return Eliminated(
-        inner=Articulated(M, B, I, lin, ang),
-        gain=gain,
-        gain_angular=gain_angular,
-        drive=drive,
-        turns=turns,
+    return Step(
+        turns=[
+            Turn(2, cosine(body.beta), sine(body.beta)),
+            Turn(0, cosine(body.alpha), sine(body.alpha)),
+            Turn(2, c, s),
+        ],
         shift=[float(c) for c in body.r],
-        slide=x if pris else 0.0,
+        slide=x if body.prismatic else 0.0,
     )
 
 
 def _carry(joint: Eliminated, parent: Articulated) -> None:
     """Add a subtree to its parent: turned into the parent's axes, shifted to its origin."""
-    a = joint.inner
-    M, B, I, lin, ang = a.M, a.B, a.I, a.lin, a.ang
-    if not isinstance(joint.slide, float):
-        B, I, ang = _shifted(M, B, I, lin, ang, [0.0, 0.0, joint.slide])
-    for turn in reversed(joint.turns):
-        if isinstance(turn.s, float) and turn.s == 0.0 and turn.c == 1.0:
-            continue
-        M, B, I = turn.symmetric(M), turn.matrix(B), turn.symmetric(I)
-        lin, ang = turn.vector(lin), turn.vector(ang)
-    B, I, ang = _shifted(M, B, I, lin, ang, joint.shift)
+    a, step = joint.inner, joint.step
+    M, B, I = a.M, a.B, a.I
+    if not isinstance(step.slide, float):
+        B, I = _shifted(M, B, I, [0.0, 0.0, step.slide])
+    for turn in reversed(step.turns):
+        if not turn.is_none:
+            M, B, I = turn.symmetric(M), turn.matrix(B), turn.symmetric(I)
+    B, I = _shifted(M, B, I, step.shift)
+    lin, ang = step.inward(a.lin, a.ang)
     parent.M = [add(p, q) for p, q in zip(parent.M, M, strict=True)]
     parent.I = [add(p, q) for p, q in zip(parent.I, I, strict=True)]
     parent.B = [plus(p, q) for p, q in zip(parent.B, B, strict=True)]
     parent.lin, parent.ang = plus(parent.lin, lin), plus(parent.ang, ang)
 
 
-def _shifted(M: Sym, B: Mat, I: Sym, lin: Vec, ang: Vec, r: Vec) -> tuple[Mat, Sym, Vec]:
-    """Return B + r̂M, I − B r̂ + r̂ B′ᵀ and ang + r × lin: taken about a point at −r."""
+def _shifted(M: Sym, B: Mat, I: Sym, r: Vec) -> tuple[Mat, Sym]:
+    """Return B′ = B + r̂M and I − B r̂ + r̂ B′ᵀ: taken about a point at −r."""
     if all(isinstance(c, float) and c == 0.0 for c in r):
-        return B, I, ang
+        return B, I
     columns = [cross(r, [M[INDEX[k][j]] for k in range(3)]) for j in range(3)]
     moved = [[add(B[i][j], columns[j][i]) for j in range(3)] for i in range(3)]
-    # −B r̂ = rows of B crossed with r on the right: (−B r̂)_i = r × B_i … as rows
-    left = [cross(r, B[i]) for i in range(3)]
-    right = [cross(r, moved[j]) for j in range(3)]  # (r̂ B′ᵀ) column j
+    left = [cross(r, B[i]) for i in range(3)]  # row i of −B r̂
+    right = [cross(r, moved[j]) for j in range(3)]  # column j of r̂ B′ᵀ
     shifted = list(I)
     for i in range(3):
         for j in range(i, 3):
             shifted[INDEX[i][j]] = add(I[INDEX[i][j]], add(left[i][j], right[j][i]))
-    return moved, shifted, plus(ang, cross(r, lin))
-
-
-def _into(joint: Eliminated, v: Vec, w: Vec) -> tuple[Vec, Vec]:
-    """Return the parent's twist at the body's origin, in the body's axes."""
-    v = plus(v, cross(w, joint.shift))
-    for turn in joint.turns:
-        if isinstance(turn.s, float) and turn.s == 0.0 and turn.c == 1.0:
-            continue
-        v, w = turn.back(v), turn.back(w)
-    if not isinstance(joint.slide, float):
-        v = plus(v, cross(w, [0.0, 0.0, joint.slide]))
-    return v, w
+    return moved, shifted
 
 
 def _linear_row(a: Articulated, k: int, v: Vec, w: Vec) -> Scalar:

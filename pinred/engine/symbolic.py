@@ -18,9 +18,9 @@ import casadi as ca
 
 from ..lie import SE2, SE3, SO2
 from ..system import System
-from .algebra import Scalar, Turn, Vec, add, cross, mul, plus
-from .frames import Body, bodies_of, cosine, sine
-from .sweep import sweep
+from .algebra import Scalar, Vec, add, cross, mul, plus
+from .frames import Body, bodies_of
+from .sweep import step_of, sweep
 
 AXES: dict[str, list[tuple[bool, int]]] = {
     "R": [(False, 2)],
@@ -184,16 +184,11 @@ def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
     mass: list[float] = [body.mass for body in bodies]
     moment: list[Vec] = [[float(c) for c in body.moment] for body in bodies]
     for i in range(len(bodies) - 1, 0, -1):
-        body, p = bodies[i], bodies[i].parent
-        moved = moment[i]
-        if body.prismatic:
-            moved = plus(moved, [0.0, 0.0, mul(mass[i], x[i - 1])])
-        else:
-            angle = x[i - 1] + body.offset if body.offset else x[i - 1]
-            moved = Turn(2, ca.cos(angle), ca.sin(angle)).vector(moved)
-        moved = Turn(0, cosine(body.alpha), sine(body.alpha)).vector(moved)
-        moved = Turn(2, cosine(body.beta), sine(body.beta)).vector(moved)
-        moved = plus(moved, [mul(mass[i], float(c)) for c in body.r])
+        p, step = bodies[i].parent, step_of(bodies[i], x[i - 1])
+        moved = plus(moment[i], [0.0, 0.0, mul(mass[i], step.slide)])
+        for turn in reversed(step.turns):
+            moved = turn.vector(moved)
+        moved = plus(moved, [mul(mass[i], c) for c in step.shift])
         moment[p] = plus(moment[p], moved)
         mass[p] += mass[i]
     own = bodies[0].frame.rotation

@@ -1,0 +1,21 @@
+"""Evaluate a kernel at many states."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..arrays import Array
+from ..integrators.kernel import call, compiled
+
+
+def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
+    """Return what a kernel gives, (T, size), at states y (T, k) and parameters (p,)."""
+    out = np.empty((len(y), size))
+    _rows(address, np.ascontiguousarray(parameters), np.ascontiguousarray(y), out)
+    return out
+
+
+@compiled
+def _rows(address: int, parameters: Array, y: Array, out: Array) -> None:
+    for k in range(len(y)):
+        call(address, y[k], parameters, out[k])

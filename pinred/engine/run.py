@@ -1,0 +1,48 @@
+"""Integrate a compiled flow, with failures told in terms of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..errors import NonFiniteState, StepSizeUnderflow, TooManySteps
+from ..integrators.drive import Solution
+from ..integrators.drive import integrate as _integrate
+from ..integrators.method import DOP853
+from ..scene import Scene
+from .flow import CompiledFlow
+
+
+def integrate(
+    flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | None
+) -> Solution:
+    """Integrate a flow to the end of its scene.
+
+    Raises NonFiniteState, StepSizeUnderflow or TooManySteps with the time and shape.
+    """
+    y0, quaternion, times = flow.y0, flow.kernel.layout.quaternion, scene.report_times
+    if y0.size == 0:  # one body that only translates: carry a zero, which costs nothing
+        y0 = np.zeros(1)
+    method = DOP853(rtol=scene.rtol, atol=scene.atol)
+    name = scene.system.name
+    try:
+        return _integrate(
+            method, flow.address, flow.parameters, y0, scene.end, times, quaternion, progress
+        )
+    except NonFiniteState as stop:
+        x = flow.shape(stop.state)
+        raise NonFiniteState(
+            f"{flow.entry_name(stop.entry)} of '{name}' is not finite after t = {stop.time:g} s, "
+            f"at shape x = {x}",
+            stop.time,
+            stop.state,
+            stop.entry,
+        ) from None
+    except (StepSizeUnderflow, TooManySteps) as stop:
+        raise type(stop)(
+            f"'{name}' cannot be followed beyond t = {stop.time:g} s of {scene.end:g} s at "
+            f"rtol = {scene.rtol:g}, shape x = {flow.shape(stop.state)}: {stop}",
+            stop.time,
+            stop.state,
+        ) from None
