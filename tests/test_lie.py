@@ -1,0 +1,238 @@
+"""One set of axioms for all five groups, also near the identity and near half turns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from pinred import InputError, ShapeError
+from pinred.arrays import Array
+from pinred.lie import GROUPS, SE2, SE3, SO2, SO3, Group, R, group_named
+from pinred.rotations import hat
+
+ALL = list(GROUPS.values())
+SIZES = [0.0, 1e-300, 1e-16, 1e-12, 1e-8, 1e-5, 1e-4, 1e-3, 0.0999, 0.1001, 1.0, 3.0]
+NEAR_HALF_TURN = [np.pi - gap for gap in (1e-3, 1e-8, 1e-12, 0.0)]
+
+groups = st.sampled_from(ALL)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def algebra(group: Group, xi: Array) -> Array:
+    """ξ as a matrix: the derivative of the homogeneous matrix at the identity."""
+    v, w = xi[: group.linear], xi[group.linear :]
+    k = {"R": 1, "SO2": 2, "SE2": 2, "SO3": 3, "SE3": 3}[group.name]
+    turning = np.zeros((k, k))
+    if w.size == 1:
+        turning = w[0] * np.array([[0.0, -1.0], [1.0, 0.0]])
+    elif w.size == 3:
+        turning = hat(w)
+    if not group.linear:
+        return turning
+    out = np.zeros((k + 1, k + 1))
+    out[:k, :k], out[:k, k] = turning, v
+    return out
+
+
+def twist(group: Group, rng: np.random.Generator, turn: float = 1.5) -> Array:
+    """A random twist whose rotation has norm `turn` at most."""
+    xi = rng.uniform(-1.0, 1.0, group.dim)
+    w = xi[group.linear :]
+    if w.size:
+        w *= turn / max(1.0, float(np.linalg.norm(w)))
+    return xi
+
+
+def same(group: Group, g: Array, h: Array, tolerance: float = 1e-13) -> bool:
+    """Whether two poses are one element of the group."""
+    return bool(np.abs(group.matrix(g) - group.matrix(h)).max() <= tolerance)
+
+
+@given(groups, seeds)
+def test_group_axioms(group: Group, seed: int) -> None:
+    """Identity, inverse, associativity; the matrix is a homomorphism."""
+    rng = np.random.default_rng(seed)
+    a, b, c = (group.exp(twist(group, rng, 3.0)) for _ in range(3))
+    e = group.identity()
+    assert same(group, group.compose(a, e), a)
+    assert same(group, group.compose(e, a), a)
+    assert same(group, group.compose(a, group.inverse(a)), e)
+    left = group.compose(group.compose(a, b), c)
+    assert same(group, left, group.compose(a, group.compose(b, c)))
+    product = group.matrix(a) @ group.matrix(b)
+    np.testing.assert_allclose(group.matrix(group.compose(a, b)), product, atol=1e-14)
+    assert same(group, group.from_matrix(group.matrix(a)), a)
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("group", ALL, ids=repr)
+def test_log_undoes_exp(group: Group, size: float) -> None:
+    """Every digit of a twist comes back, however small it is."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        xi = rng.normal(size=group.dim)
+        xi *= size / np.linalg.norm(xi)
+        back = group.log(group.exp(xi))
+        np.testing.assert_allclose(back, xi, rtol=0.0, atol=4e-15 * size)
+
+
+@pytest.mark.parametrize("turn", NEAR_HALF_TURN)
+@pytest.mark.parametrize("group", [SO2, SE2, SO3, SE3], ids=repr)
+def test_half_turns(group: Group, turn: float) -> None:
+    """Near and at a half turn, log gives back the turn, of at most π."""
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        xi = rng.normal(size=group.dim)
+        w = xi[group.linear :]
+        w *= turn / np.linalg.norm(w)
+        back = group.log(group.exp(xi))
+        found = np.linalg.norm(back[group.linear :])
+        assert found == pytest.approx(turn, abs=1e-14)
+        assert found <= np.pi + 1e-15
+        assert same(group, group.exp(back), group.exp(xi), 1e-14)
+
+
+@given(groups, seeds, st.sampled_from([1e-9, 1e-4, 0.05, 0.15, 1.0, 3.1]))
+def test_exp_is_the_matrix_exponential(group: Group, seed: int, turn: float) -> None:
+    """Exp ξ, Ad and ad against SciPy's expm and products of matrices."""
+    rng = np.random.default_rng(seed)
+    xi, eta = twist(group, rng, turn), twist(group, rng)
+    g = group.exp(xi)
+    M, X, Y = group.matrix(g), algebra(group, xi), algebra(group, eta)
+    np.testing.assert_allclose(M, expm(X), atol=2e-14)
+    moved = algebra(group, group.Ad(g) @ eta)
+    np.testing.assert_allclose(moved, M @ Y @ np.linalg.inv(M), atol=1e-13)
+    bracket = algebra(group, group.bracket(xi, eta))
+    np.testing.assert_allclose(bracket, X @ Y - Y @ X, atol=1e-14)
+    np.testing.assert_allclose(group.ad(xi) @ eta, group.bracket(xi, eta), atol=1e-15)
+    np.testing.assert_allclose(group.Ad(g), expm(group.ad(xi)), atol=1e-13)
+
+
+@given(groups, seeds)
+def test_momenta_pair_with_twists(group: Group, seed: int) -> None:
+    """⟨J, Ad_g ξ⟩ = ⟨μ, ξ⟩, ⟨ad*_ξ μ, η⟩ = ⟨μ, [ξ, η]⟩, and Jacobi's identity."""
+    rng = np.random.default_rng(seed)
+    g, mu = group.exp(twist(group, rng, 3.0)), rng.normal(size=group.dim)
+    x, y, z = (twist(group, rng) for _ in range(3))
+    J = group.spatial_momentum(g, mu)
+    assert J @ group.Ad(g) @ x == pytest.approx(mu @ x, abs=1e-13)
+    assert group.coadjoint(x, mu) @ y == pytest.approx(mu @ group.bracket(x, y), abs=1e-14)
+    b = group.bracket
+    cyclic = b(x, b(y, z)) + b(y, b(z, x)) + b(z, b(x, y))
+    np.testing.assert_allclose(cyclic, np.zeros(group.dim), atol=1e-14)
+
+
+@given(groups, seeds)
+def test_rate_is_the_derivative_of_the_pose(group: Group, seed: int) -> None:
+    """ġ = g ξ, by differences of order six of g exp(ξ t)."""
+    rng = np.random.default_rng(seed)
+    g, xi, h = group.exp(twist(group, rng)), twist(group, rng), 1e-3
+    weights = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
+    slope = np.zeros(group.size)
+    for k, w in weights.items():
+        ahead, behind = (group.compose(g, group.exp(s * k * h * xi)) for s in (1, -1))
+        slope += w * (ahead - behind) / h
+    np.testing.assert_allclose(group.rate(g, xi), slope, atol=1e-11)
+
+
+@given(seeds)
+def test_against_pinocchio(seed: int) -> None:
+    """exp, log and products of Pinocchio, which has its own formulas."""
+    rng = np.random.default_rng(seed)
+    xi, eta = twist(SE3, rng, 2.5), twist(SE3, rng, 2.5)
+    g, h = SE3.exp(xi), SE3.exp(eta)
+    M, N = pin.exp6(pin.Motion(xi)), pin.exp6(pin.Motion(eta))
+    np.testing.assert_allclose(SE3.matrix(g), M.homogeneous, atol=1e-13)
+    np.testing.assert_allclose(SE3.log(g), pin.log6(M).vector, atol=1e-11)
+    np.testing.assert_allclose(SE3.Ad(g), M.action, atol=1e-13)
+    both = SE3.matrix(SE3.compose(g, h))
+    np.testing.assert_allclose(both, (M * N).homogeneous, atol=1e-13)
+    np.testing.assert_allclose(SE3.ad(xi) @ eta, pin.Motion(xi).cross(pin.Motion(eta)).vector)
+    np.testing.assert_allclose(SO3.matrix(SO3.exp(xi[3:])), pin.exp3(xi[3:]), atol=1e-13)
+    planar = np.array([xi[0], xi[1], xi[5]])
+    x, y, c, s = pin.liegroups.SE2().integrate(np.array([0.0, 0.0, 1.0, 0.0]), planar)
+    np.testing.assert_allclose(SE2.exp(planar), [x, y, np.arctan2(s, c)], atol=1e-13)
+
+
+@pytest.mark.parametrize("group", ALL, ids=repr)
+def test_stacks_are_loops(group: Group) -> None:
+    """Every operation on a stack is that operation on each element."""
+    rng = np.random.default_rng(3)
+    xi, eta = rng.uniform(-1, 1, (2, 4, 3, group.dim))
+    g, h = group.exp(xi), group.exp(eta)
+    stacked = {
+        "compose": group.compose(g, h), "inverse": group.inverse(g), "exp": g,
+        "log": group.log(g), "Ad": group.Ad(g), "ad": group.ad(xi), "matrix": group.matrix(g),
+        "rate": group.rate(g, xi), "bracket": group.bracket(xi, eta),
+        "coadjoint": group.coadjoint(xi, eta), "spatial_momentum": group.spatial_momentum(g, xi),
+        "normalize": group.normalize(g), "from_matrix": group.from_matrix(group.matrix(g)),
+    }  # fmt: skip
+    taken = {
+        "compose": (g, h), "rate": (g, xi), "bracket": (xi, eta), "coadjoint": (xi, eta),
+        "spatial_momentum": (g, xi), "exp": (xi,), "ad": (xi,), "from_matrix": (group.matrix(g),),
+    }  # fmt: skip
+    for name, whole in stacked.items():
+        for i in np.ndindex(4, 3):
+            one = getattr(group, name)(*(argument[i] for argument in taken.get(name, (g,))))
+            np.testing.assert_allclose(whole[i], one, atol=1e-15, err_msg=name)
+
+
+def test_whole_turns() -> None:
+    """A planar pose counts its turns; log, being of the group, does not."""
+    g = SE2.compose(SE2.exp(np.array([0.0, 0.0, 3.0])), np.array([1.0, 0.0, 3.0 + 4 * np.pi]))
+    assert g[2] == pytest.approx(6.0 + 4 * np.pi)
+    assert SE2.log(g)[2] == pytest.approx(6.0 - 2 * np.pi)
+    assert SO2.log(np.array([2 * np.pi + 1e-3]))[0] == pytest.approx(1e-3, abs=1e-15)
+    assert R.log(np.array([50.0]))[0] == 50.0
+
+
+def test_error_keeps_rotation_and_translation_apart() -> None:
+    """A quarter turn about z and a shift of (3, 4, 0) along x′: by hand."""
+    g = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0])
+    shifted = SE3.error(g, np.array([4.0, 6.0, 3.0, 0.0, 0.0, 0.0, 1.0]))
+    assert (float(shifted.rotation), float(shifted.translation)) == (0.0, 5.0)
+    half = np.sqrt(0.5)
+    turned = SE3.error(g, np.array([1.0, 2.0, 3.0, 0.0, 0.0, half, half]))
+    assert float(turned.rotation) == pytest.approx(np.pi / 2, abs=1e-15)
+    assert float(turned.translation) == pytest.approx(0.0, abs=1e-15)
+
+
+@pytest.mark.parametrize("group", ALL, ids=repr)
+def test_poses_are_taken_in_every_form(group: Group) -> None:
+    """Coordinates, Pinocchio's coordinates, homogeneous matrices and pin.SE3."""
+    g = group.exp(np.linspace(0.2, 0.7, group.dim))
+    assert same(group, group.pose(g.tolist()), g)
+    assert same(group, group.pose(group.matrix(g)), g)
+    if group in (SO2, SE2):
+        assert same(group, group.pose([*g[:-1], np.cos(g[-1]), np.sin(g[-1])]), g)
+    if group is SE3:
+        assert same(group, group.pose(pin.SE3(group.matrix(g))), g)
+
+
+@pytest.mark.parametrize(
+    ("group", "value", "error", "words"),
+    [
+        (SE3, np.zeros(6), ShapeError, r"shape \(7,\).*got shape \(6,\)"),
+        (SE3, [0, 0, 0, 0, 0, 0, 2], InputError, "norm 1, got 2"),
+        (SO3, [0, 0, 0, np.nan], ShapeError, "finite"),
+        (SO3, 2 * np.eye(3), InputError, "not in SO3"),
+        (SE3, np.diag([1.0, 1.0, 1.0, 2.0]), InputError, "not in SE3"),
+        (SE2, [0, 0, 0.5, 0.5], InputError, "norm 1"),
+        (SO2, "east", ShapeError, "numbers"),
+        (R, [[1.0]], ShapeError, "shape"),
+    ],
+)
+def test_bad_poses(group: Group, value: object, error: type[Exception], words: str) -> None:
+    """What is no pose is refused."""
+    with pytest.raises(error, match=words):
+        group.pose(value)
+
+
+def test_unknown_group() -> None:
+    """The error lists the groups there are."""
+    with pytest.raises(InputError, match="'SE4'; the groups are R, SO2, SE2, SO3, SE3"):
+        group_named("SE4")
