@@ -101,6 +101,13 @@ def _parser() -> _Parser:
 
     sub = command("robots", _robots, "list the robots that can be loaded by name")
     sub.add_argument("--check", action="store_true", help="load each and say what is refused")
+
+    sub = command("cache", _cache, "show the compiled kernels kept on disk")
+    sub.add_argument("--clear", action="store_true", help="remove them")
+
+    sub = command("bench", _bench, "measure: `pinred bench kernels`, evaluations against pin.aba")
+    sub.add_argument("what", choices=("kernels",), metavar="kernels", help="what to measure")
+    sub.add_argument("robots", nargs="*", metavar="ROBOT", help="robots; a few if none is named")
     return parser
 
 
@@ -116,6 +123,9 @@ def _add_robot(sub: argparse.ArgumentParser) -> None:
 def _add_scene(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--time", metavar="T", type=float, help="duration [s]")
     sub.add_argument("--seed", metavar="S", type=int, help="a random initial state")
+    sub.add_argument(
+        "--engine", metavar="E", default="compiled", help="compiled (default), pinocchio"
+    )
     sub.add_argument("--rtol", metavar="TOL", type=float, default=1e-10, help="(1e-10)")
     sub.add_argument("--atol", metavar="TOL", type=float, default=1e-12, help="(1e-12)")
     for name, text in (
@@ -200,7 +210,7 @@ def _compare(options: argparse.Namespace) -> int:
 
     scene = _scene(options, _load(options))
     with ProgressBar("reduced") as bar:
-        traj = simulate(scene, progress=bar)
+        traj = simulate(scene, engine=options.engine, progress=bar)
     with ProgressBar("full   ") as bar:
         report = compare(traj, progress=bar)
     print(report)
@@ -223,7 +233,7 @@ def _simulate(options: argparse.Namespace) -> int:
         raise InputError(f"--samples must be at least 2, got {options.samples}")
     scene = replace(scene, times=np.linspace(0.0, scene.end, options.samples))
     with ProgressBar("reduced") as bar:
-        traj = simulate(scene, progress=bar)
+        traj = simulate(scene, engine=options.engine, progress=bar)
     traj.save(path)
     print(f"{traj}\nwritten to {Path(path)} ({path.stat().st_size / 1e3:.0f} kB)")
     return 0
@@ -256,6 +266,35 @@ def _robots(options: argparse.Namespace) -> int:
             )
         except PinredError as error:
             print(f"  {name:<{width}}  refused: {error}")
+    return 0
+
+
+def _cache(options: argparse.Namespace) -> int:
+    from .engine.cache import ObjectCache
+
+    cache = ObjectCache()
+    if options.clear:
+        print(f"{cache.clear()} kernels removed from {cache.folder}")
+        return 0
+    entries = cache.entries()
+    size = sum(entry.size for entry in entries)
+    print(
+        f"{len(entries)} kernels, {size / 1e6:.2f} MB of {cache.limit / 1e6:.0f}, in {cache.folder}"
+    )
+    for entry in entries:
+        print(f"  {entry.key[:16]}  {entry.size / 1e3:8.1f} kB")
+    return 0
+
+
+def _bench(options: argparse.Namespace) -> int:
+    from .bench import KernelTiming, bench_kernels
+    from .progress import ProgressBar
+
+    with ProgressBar("kernels") as bar:
+        timings = bench_kernels(options.robots, progress=bar)
+    print(KernelTiming.header())
+    for timing in timings:
+        print(timing)
     return 0
 
 

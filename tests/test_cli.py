@@ -136,6 +136,41 @@ def test_robots(capsys: pytest.CaptureFixture[str]) -> None:
         assert robot.description in out
 
 
+def test_engines(capsys: pytest.CaptureFixture[str]) -> None:
+    """Both engines pass the comparison, and the table says which it was."""
+    for engine in ("compiled", "pinocchio"):
+        code, out, _ = run(capsys, "compare", "cartpole", "--time", "1", "--engine", engine)
+        assert code == 0
+        assert f"reduced ({engine})" in out
+    code, _, err = run(capsys, "compare", "cartpole", "--engine", "steam")
+    assert code == 2
+    assert "the engines are compiled, pinocchio" in err
+
+
+def test_cache(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kernels on disk are shown and cleared."""
+    monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path / "kernels"))
+    assert run(capsys, "compare", "cartpole", "--time", "0.1")[0] == 0
+    code, out, _ = run(capsys, "cache")
+    assert code == 0
+    assert out.startswith("1 kernels, ")
+    code, out, _ = run(capsys, "cache", "--clear")
+    assert out.startswith("1 kernels removed")
+    assert run(capsys, "cache")[1].startswith("0 kernels")
+
+
+def test_bench_kernels(capsys: pytest.CaptureFixture[str]) -> None:
+    """The table has a row a robot, with a kernel far faster than ABA from Python."""
+    code, out, _ = run(capsys, "bench", "kernels", "coupled_planar", "falling_cat")
+    assert code == 0
+    rows = {line.split()[0]: line.split() for line in out.splitlines()[1:]}
+    assert set(rows) == {"coupled_planar", "falling_cat"}
+    assert float(rows["coupled_planar"][-1]) > 25.0
+    assert float(rows["falling_cat"][-1]) > 2.0
+
+
 URDF = """<robot name="r"><link name="base"><inertial><mass value="{mass}"/>
 <inertia ixx="{ixx}" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
 <link name="tip"><inertial><origin xyz="1 0 0"/><mass value="1"/>

@@ -15,6 +15,17 @@ def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
     return out
 
 
+def repeat(address: int, parameters: Array, y: Array, count: int) -> None:
+    """Evaluate a kernel `count` times at one state y (k,), for its time."""
+    _again(address, parameters, y, np.empty(len(y)), count)
+
+
+@compiled
+def _again(address: int, parameters: Array, y: Array, out: Array, count: int) -> None:
+    for _ in range(count):
+        call(address, y, parameters, out)
+
+
 @compiled
 def _rows(address: int, parameters: Array, y: Array, out: Array) -> None:
     for k in range(len(y)):

@@ -9,7 +9,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -25,6 +25,16 @@ from .symbolic import Layout, ReducedGraph, Structure
 
 _POINTER = ctypes.POINTER(ctypes.c_double)
 _SIGNATURE = ctypes.CFUNCTYPE(None, _POINTER, _POINTER, _POINTER)
+
+
+class KernelStore(Protocol):
+    """Where kernels are kept: an ObjectCache, or something like it."""
+
+    def get(self, key: str) -> bytes | None:
+        """Return the code of `key`, if it is there."""
+
+    def put(self, key: str, code: bytes) -> None:
+        """Keep the code of `key`."""
 
 
 @dataclass(frozen=True)
@@ -94,12 +104,12 @@ def structure_of(
     )
 
 
-def build_kernel(system: System, structure: Structure, cache: ObjectCache | None = None) -> Kernel:
+def build_kernel(system: System, structure: Structure, cache: KernelStore | None = None) -> Kernel:
     """Return the kernel of a system and structure: from the cache, or compiled and cached.
 
     Raises KernelMismatch if it disagrees with Pinocchio; then nothing runs.
     """
-    cache = cache or ObjectCache()
+    cache = ObjectCache() if cache is None else cache
     key = cache_key(_model_bytes(system), json.dumps(asdict(structure)))
     stored = cache.get(key)
     if stored is None:

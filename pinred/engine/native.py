@@ -177,7 +177,7 @@ def _machine() -> llvm.TargetMachine:
 @cache
 def _identity() -> bytes:
     """Return how every object file of this machine begins; LLVM dies of anything else."""
-    begin: bytes = _machine().emit_object(llvm.parse_assembly("", llvm.create_context()))
+    begin: bytes = _machine().emit_object(llvm.parse_assembly(""))
     return begin[:_IDENTITY]
 
 
@@ -326,7 +326,7 @@ def _lower(function: ca.Function, name: str) -> str:
     signature = ", ".join([*pointers, "ptr noalias %out"])
     return "\n".join(
         [
-            *(_declaration(op) for op in sorted(used & _CALLS.keys())),
+            *(_declaration(*call) for call in sorted({_CALLS[op] for op in used & _CALLS.keys()})),
             *(_helper(op) for op in sorted(used & _BODIES.keys())),
             *(sincos_ir(width, fma=_has_fma()) for width in sorted(widths)),
             *_LIBM_SINCOS,
@@ -350,13 +350,8 @@ def _templates() -> dict[int, str]:
     }
 
 
-def _declaration(op: int) -> str:
-    name, count = _CALLS[op]
-    if op == ca.OP_CONSTPOW:
-        return ""
-    return (
-        f"declare double @{name}({', '.join(['double'] * count)}) nounwind willreturn memory(none)"
-    )
+def _declaration(name: str, count: int) -> str:
+    return f"declare double @{name}({', '.join(['double'] * count)}) {_PURE}"
 
 
 def _helper(op: int) -> str:

@@ -1,0 +1,134 @@
+"""Measurements that anyone can repeat: ratios within one run, medians of several."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from .arrays import Array
+from .catalogue import has_example_robots
+from .cyclic import cyclic_joints
+from .engine.evaluate import repeat
+from .engine.kernel import build_kernel
+from .engine.symbolic import Structure
+from .loading import load
+from .reduction import Reduction
+
+BUNDLED = ("coupled_planar", "planar_chain5", "falling_cat", "satellite_two_arms")
+EXAMPLES = ("ur5", "solo12", "talos")
+ROUNDS = 15  # of which the median counts
+SPAN = 0.01  # s, at least, of one round
+
+
+@dataclass(frozen=True)
+class KernelTiming:
+    """What a kernel costs.  kernel, aba: µs an evaluation.  build: s from model to address."""
+
+    robot: str
+    joints: int
+    instructions: int
+    build: float
+    kernel: float
+    aba: float
+
+    @property
+    def ratio(self) -> float:
+        """How many times faster the kernel is than `pin.aba` called from Python."""
+        return self.aba / self.kernel
+
+    @staticmethod
+    def header() -> str:
+        """Return the head of the table of timings."""
+        return (
+            f"{'robot':<20} {'joints':>6} {'instructions':>12} {'build [s]':>10} "
+            f"{'kernel [µs]':>12} {'pin.aba [µs]':>13} {'ratio':>7}"
+        )
+
+    def __str__(self) -> str:
+        return (
+            f"{self.robot:<20} {self.joints:>6} {self.instructions:>12} {self.build:>10.3f} "
+            f"{self.kernel:>12.4f} {self.aba:>13.2f} {self.ratio:>7.1f}"
+        )
+
+
+class _NoCache:
+    """A cache that keeps nothing, so that building is measured."""
+
+    def get(self, key: str) -> None:
+        """Find nothing."""
+
+    def put(self, key: str, code: bytes) -> None:
+        """Keep nothing."""
+
+
+def bench_kernels(
+    robots: Sequence[str] = (), *, progress: Callable[[float], None] | None = None
+) -> list[KernelTiming]:
+    """Return what the kernel of each robot costs, with momentum and without forces.
+
+    robots: names or files; the bundled ones and, if there, ur5, solo12 and talos by default.
+    """
+    names = list(robots) or [*BUNDLED, *(EXAMPLES if has_example_robots() else ())]
+    found = []
+    for k, name in enumerate(names):
+        if progress is not None:
+            progress(k / len(names))
+        found.append(_bench_kernel(name))
+    return found
+
+
+def _bench_kernel(name: str) -> KernelTiming:
+    system = load(name, group="SE3" if name == "ur5" else None, gravity=(0.0, 0.0, 0.0))
+    structure = Structure(zero_momentum=False, cyclic=cyclic_joints(Reduction(system)))
+    began = time.perf_counter()
+    kernel = build_kernel(system, structure, _NoCache())
+    build = time.perf_counter() - began
+    rng = np.random.default_rng(0)
+    y = rng.normal(size=kernel.layout.size)
+    parameters = rng.normal(size=kernel.layout.parameters)
+    model, data = system.model, system.model.createData()
+    q, v = system.q(system.group.identity(), rng.normal(size=system.m)), rng.normal(size=system.n)
+    tau = np.zeros(system.n)
+
+    def native(count: int) -> None:
+        repeat(kernel.rate.address, parameters, y, count)
+
+    def full(count: int) -> None:
+        for _ in range(count):
+            pin.aba(model, data, q, v, tau)
+
+    times = _alternating(native, full)
+    return KernelTiming(
+        robot=name,
+        joints=system.m,
+        instructions=kernel.instructions,
+        build=build,
+        kernel=float(np.median(times[:, 0])) * 1e6,
+        aba=float(np.median(times[:, 1])) * 1e6,
+    )
+
+
+def _alternating(*actions: Callable[[int], None]) -> Array:
+    """Return seconds per call, (ROUNDS, actions), the actions taking turns."""
+    counts = []
+    for action in actions:
+        action(1)
+        count = 1
+        while True:
+            began = time.perf_counter()
+            action(count)
+            if time.perf_counter() - began > SPAN:
+                break
+            count *= 2
+        counts.append(count)
+    out = np.empty((ROUNDS, len(actions)))
+    for k in range(ROUNDS):
+        for j, (action, count) in enumerate(zip(actions, counts, strict=True)):
+            began = time.perf_counter()
+            action(count)
+            out[k, j] = (time.perf_counter() - began) / count
+    return out
