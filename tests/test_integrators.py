@@ -471,20 +471,25 @@ def test_interruption() -> None:
 
     with pytest.raises(KeyboardInterrupt):
         integrate(RKMK4(1e-3), oscillator, [1.0], [1.0, 0.0], 1e4, [], progress=stop)
-    long = DOP853(max_steps=10**12)
+    long = DOP853(max_steps=10**7)  # ends by itself where the signal does not come through
     main = threading.main_thread().ident
     runs: list[Callable[[], object]] = [
         lambda: integrate(long, oscillator, [1.0], [1.0, 0.0], 1e9, []),
         lambda: integrate_many(long, oscillator, np.ones((9, 1)), np.ones((9, 2)), 1e9, []),
     ]
-    for run in runs:
-        timer = threading.Timer(0.1, signal.pthread_kill, (main, signal.SIGINT))
-        began = time.perf_counter()
-        timer.start()
-        with pytest.raises(KeyboardInterrupt):
-            run()
-        assert time.perf_counter() - began < 2.0
-        timer.join()
+    # A process that was started in the background ignores the signal unless told otherwise.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        for run in runs:
+            timer = threading.Timer(0.1, signal.pthread_kill, (main, signal.SIGINT))
+            began = time.perf_counter()
+            timer.start()
+            with pytest.raises(KeyboardInterrupt):
+                run()
+            assert time.perf_counter() - began < 5.0
+            timer.join()
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.parametrize(
