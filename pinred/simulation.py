@@ -81,9 +81,10 @@ def _pinocchio(scene: Scene, progress: Progress | None) -> Trajectory:
 
 def _compiled(scene: Scene, progress: Progress | None) -> Trajectory:
     from .engine.flow import CompiledFlow
-    from .engine.run import integrate
+    from .engine.run import integrate, prepare
 
     flow = CompiledFlow(scene)
+    prepare(flow, scene)
     began = time.perf_counter()
     solution = integrate(flow, scene, progress)
     run = Run(

@@ -3,15 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
-from ..errors import NonFiniteState, StepSizeUnderflow, TooManySteps
+from ..errors import IntegrationError, NonFiniteState, StepSizeUnderflow, TooManySteps
 from ..integrators.drive import Solution
 from ..integrators.drive import integrate as _integrate
 from ..integrators.method import DOP853
 from ..scene import Scene
 from .flow import CompiledFlow
+
+
+_prepared = False
+
+
+def prepare(flow: CompiledFlow, scene: Scene) -> None:
+    """Load the integrators' machine code, once for a process: a run's time is then its own."""
+    global _prepared
+    if _prepared:
+        return
+    _prepared = True
+    with suppress(IntegrationError):  # the run itself will say so
+        integrate(flow, replace(scene, duration=1e-9 * scene.end, times=None), None)
 
 
 def integrate(
