@@ -15,7 +15,6 @@ from ..integrators.method import DOP853
 from ..scene import Scene
 from .flow import CompiledFlow
 
-
 _prepared = False
 
 
