@@ -34,7 +34,8 @@ def integrate(
     """
     if flow.y0.size == 0:  # one body that only translates: all of its motion is known
         return DenseSolution(lambda t: np.empty((len(t), 0)), 0, 0)
-    solver = DOP853(flow.rate, 0.0, flow.y0, scene.end, rtol=scene.rtol, atol=scene.atol)
+    rtol, atol = scene.tolerance
+    solver = DOP853(flow.rate, 0.0, flow.y0, scene.end, rtol=rtol, atol=atol)
     knots: list[float] = [0.0]
     pieces: list[DenseOutput] = []
     while solver.status == "running":

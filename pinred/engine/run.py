@@ -38,7 +38,8 @@ def integrate(
     y0, quaternion, times = flow.y0, flow.kernel.layout.quaternion, scene.report_times
     if y0.size == 0:  # one body that only translates: carry a zero, which costs nothing
         y0 = np.zeros(1)
-    method = DOP853(rtol=scene.rtol, atol=scene.atol)
+    rtol, atol = scene.tolerance
+    method = DOP853(rtol=rtol, atol=atol)
     name = scene.system.name
     try:
         return _integrate(
