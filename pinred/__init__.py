@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     )
     from .inspection import Inspection, inspect
     from .loading import load
+    from .many import Failure, Trajectories, simulate_many
     from .reduction import ReducedShape, Reduction
     from .scene import Scene
     from .simulation import simulate
@@ -56,6 +57,7 @@ _HOME = {
     ),
     **dict.fromkeys(("Inspection", "inspect"), "inspection"),
     "load": "loading",
+    **dict.fromkeys(("Failure", "Trajectories", "simulate_many"), "many"),
     **dict.fromkeys(("ReducedShape", "Reduction"), "reduction"),
     "Scene": "scene",
     "simulate": "simulation",
@@ -66,6 +68,7 @@ _MODULES = ("equations", "lie")
 
 __all__ = [
     "Configuration",
+    "Failure",
     "InitialState",
     "InputError",
     "Inspection",
@@ -84,6 +87,7 @@ __all__ = [
     "State",
     "SymmetryError",
     "System",
+    "Trajectories",
     "Trajectory",
     "Velocity",
     "compare",
@@ -92,6 +96,7 @@ __all__ = [
     "lie",
     "load",
     "simulate",
+    "simulate_many",
 ]
 
 
