@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from . import equations, lie
+    from . import equations, lie, signals
     from .comparison import Report, compare
     from .errors import (
         InputError,
@@ -64,7 +64,7 @@ _HOME = {
     **dict.fromkeys(("Configuration", "InitialState", "System", "Velocity"), "system"),
     **dict.fromkeys(("State", "Trajectory"), "trajectory"),
 }
-_MODULES = ("equations", "lie")
+_MODULES = ("equations", "lie", "signals")
 
 __all__ = [
     "Configuration",
@@ -95,6 +95,7 @@ __all__ = [
     "inspect",
     "lie",
     "load",
+    "signals",
     "simulate",
     "simulate_many",
 ]
