@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         SingularInertiaError,
         SymmetryError,
     )
+    from .grid import ShapeField
     from .inspection import Inspection, inspect
     from .loading import load
     from .many import Failure, Trajectories, simulate_many
@@ -55,6 +56,7 @@ _HOME = {
         ),
         "errors",
     ),
+    "ShapeField": "grid",
     **dict.fromkeys(("Inspection", "inspect"), "inspection"),
     "load": "loading",
     **dict.fromkeys(("Failure", "Trajectories", "simulate_many"), "many"),
@@ -83,6 +85,7 @@ __all__ = [
     "Report",
     "Scene",
     "ShapeError",
+    "ShapeField",
     "SingularInertiaError",
     "State",
     "SymmetryError",

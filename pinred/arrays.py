@@ -32,12 +32,30 @@ def vector(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -
     """
     array = as_floats(value, what)
     if array.shape != (size,):
-        hint = f" ({', '.join(labels)})" if 0 < len(labels) <= 12 else ""
-        raise ShapeError(f"{what} must have shape ({size},){hint}, got {array.shape}")
-    if not np.isfinite(array).all():
-        i = int(np.argmin(np.isfinite(array)))
-        label = f" ({labels[i]})" if labels else ""
-        raise ShapeError(f"{what} must be finite, but entry {i}{label} is {array[i]}")
+        raise ShapeError(f"{what} must have shape ({size},){_hint(labels)}, got {array.shape}")
+    return _finite(array, what, labels)
+
+
+def vectors(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -> Array:
+    """Return `value` as finite vectors of length `size`, (..., size); errors as of `vector`."""
+    array = as_floats(value, what)
+    if array.shape[-1:] != (size,):
+        raise ShapeError(f"{what} must have shape (..., {size}){_hint(labels)}, got {array.shape}")
+    return _finite(array, what, labels)
+
+
+def _hint(labels: Sequence[str]) -> str:
+    return f" ({', '.join(labels)})" if 0 < len(labels) <= 12 else ""
+
+
+def _finite(array: Array, what: str, labels: Sequence[str]) -> Array:
+    """Return an array whose last axis has labels.  Raises ShapeError unless it is finite."""
+    finite = np.isfinite(array)
+    if not finite.all():
+        index = tuple(int(i) for i in np.argwhere(~finite)[0])
+        label = f" ({labels[index[-1]]})" if labels else ""
+        entry = index[0] if len(index) == 1 else index
+        raise ShapeError(f"{what} must be finite, but entry {entry}{label} is {array[index]}")
     return array
 
 

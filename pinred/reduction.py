@@ -10,17 +10,21 @@ by stages", 2001.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from .arrays import Array, vector
+from .arrays import Array, vector, vectors
 from .errors import SymmetryError
 from .lie import Group
 from .potential import Potential, Springs
 from .split import InertiaSplit, split_inertia
 from .system import System, checked_system
+
+if TYPE_CHECKING:
+    from .grid import ShapeField
 
 
 @dataclass(frozen=True)
@@ -166,6 +170,23 @@ class Reduction:
                 known if isinstance(known, SymmetryError) else known.value_at(x, split.com)
             ),
         )
+
+    def grid(self, shapes: ArrayLike) -> ShapeField:
+        """The same quantities at many shapes (..., m), as a field over the leading axes.
+
+            a = np.linspace(-1.0, 1.0, 41)
+            field = red.grid(np.stack(np.meshgrid(a, a, indexing="ij"), axis=-1))
+            field.curvature[:, :, 2, 0, 1]  # (41, 41): the rotation part of B_01 on SE(2)
+
+        Each is computed when it is first looked at, by composite bodies and not by
+        Pinocchio.  Raises ShapeError, with the index, for a wrong length or a number that
+        is not finite.
+        """
+        from .grid import ShapeField
+
+        what, names = f"shapes of {self.system.name!r}", self.system.shape_names
+        x = vectors(shapes, self.system.m, what, names).copy()
+        return ShapeField(self.system, x, self._potential)
 
     def checked_potential(self) -> Potential:
         """Return the potential.  Raises SymmetryError if gravity breaks the symmetry."""

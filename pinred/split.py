@@ -69,7 +69,7 @@ def split_inertia(system: System, x: Array, H: Array, com: Array) -> InertiaSpli
     Raises SingularInertiaError, naming the direction without inertia, if H is not
     positive definite to working precision.
     """
-    r, L = system.r, _cholesky(H, system, x)
+    r, L = system.r, cholesky(H, system, x)
     return InertiaSplit(
         x=x,
         mass_matrix=H,
@@ -81,7 +81,8 @@ def split_inertia(system: System, x: Array, H: Array, com: Array) -> InertiaSpli
     )
 
 
-def _cholesky(H: Array, system: System, x: Array) -> Array:
+def cholesky(H: Array, system: System, x: Array) -> Array:
+    """Return L with H = L Lᵀ.  Raises SingularInertiaError as `split_inertia` does."""
     try:
         L = np.linalg.cholesky(H)
     except np.linalg.LinAlgError:
