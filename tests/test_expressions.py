@@ -229,7 +229,6 @@ def test_derivative_of_the_branch_that_holds() -> None:
         assert np.array(function(np.array([1.0]))).item() == 1.0
 
 
-@pytest.mark.xfail(strict=True, raises=RuntimeError, reason="llvm.fabs.f64 is declared twice")
 def test_absolute_value_beside_one_sine() -> None:
     """The modulus of a lone sine or cosine has machine code."""
     for function in build(parse("abs(sin(t))", {"t": T}), inputs=[T]):

@@ -324,9 +324,12 @@ def _lower(function: ca.Function, name: str) -> str:
     lines, widths = writer.body()
     pointers = [f"ptr noalias readonly %in{k}" for k in range(function.n_in())]
     signature = ", ".join([*pointers, "ptr noalias %out"])
+    calls = {_CALLS[op] for op in used & _CALLS.keys()}
+    if 1 in widths:  # one angle by itself: its code declares these two
+        calls -= {_CALLS[ca.OP_FABS], _CALLS[ca.OP_COPYSIGN]}
     return "\n".join(
         [
-            *(_declaration(*call) for call in sorted({_CALLS[op] for op in used & _CALLS.keys()})),
+            *(_declaration(*call) for call in sorted(calls)),
             *(_helper(op) for op in sorted(used & _BODIES.keys())),
             *(sincos_ir(width, fma=_has_fma()) for width in sorted(widths)),
             *_LIBM_SINCOS,
