@@ -14,7 +14,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from . import equations, lie, signals
+    from . import equations, forces, lie, signals
+    from .balance import EnergyBalance, MomentumBalance
     from .comparison import Report, compare
     from .errors import (
         InputError,
@@ -30,13 +31,15 @@ if TYPE_CHECKING:
     )
     from .grid import ShapeField
     from .inspection import Inspection, inspect
+    from .integrators.method import DOP853, RKMK4
     from .loading import load
     from .many import Failure, Trajectories, simulate_many
     from .reduction import ReducedShape, Reduction
     from .scene import Scene
     from .simulation import simulate
+    from .state import ShapeState, State
     from .system import Configuration, InitialState, System, Velocity
-    from .trajectory import State, Trajectory
+    from .trajectory import Trajectory
 
 __version__ = "0.1.0"
 
@@ -64,12 +67,18 @@ _HOME = {
     "Scene": "scene",
     "simulate": "simulation",
     **dict.fromkeys(("Configuration", "InitialState", "System", "Velocity"), "system"),
-    **dict.fromkeys(("State", "Trajectory"), "trajectory"),
+    **dict.fromkeys(("ShapeState", "State"), "state"),
+    "Trajectory": "trajectory",
+    **dict.fromkeys(("EnergyBalance", "MomentumBalance"), "balance"),
+    **dict.fromkeys(("DOP853", "RKMK4"), "integrators.method"),
 }
-_MODULES = ("equations", "lie", "signals")
+_MODULES = ("equations", "forces", "lie", "signals")
 
 __all__ = [
+    "DOP853",
+    "RKMK4",
     "Configuration",
+    "EnergyBalance",
     "Failure",
     "InitialState",
     "InputError",
@@ -78,6 +87,7 @@ __all__ = [
     "KernelMismatch",
     "LoadError",
     "ModelError",
+    "MomentumBalance",
     "OutputError",
     "PinredError",
     "ReducedShape",
@@ -86,6 +96,7 @@ __all__ = [
     "Scene",
     "ShapeError",
     "ShapeField",
+    "ShapeState",
     "SingularInertiaError",
     "State",
     "SymmetryError",
@@ -95,6 +106,7 @@ __all__ = [
     "Velocity",
     "compare",
     "equations",
+    "forces",
     "inspect",
     "lie",
     "load",

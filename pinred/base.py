@@ -1,22 +1,30 @@
 """How the base follows the shape: what of it is integrated, what is known in closed form.
 
-Translations are never integrated.  In the frame of the centre of mass the linear
-momentum is zero; the centre of mass itself moves on c0 + v0 t + ½ g t², and the base is
-where that puts it, p = c − R c_b(x).  Of the rotation, the attitude is integrated and
-the angular momentum is not: it is a constant of SO(2) and SE(2), and turns with the
-body, Rᵀ J, in SO(3) and SE(3).
+Translations are not integrated.  In the frame of the centre of mass the linear momentum is
+zero; the centre of mass itself moves on c0 + v0 t + ½ g t², and the base is where that puts
+it, p = c − R c_b(x).  Of the rotation, the attitude is integrated, if anybody wants it, and
+the angular momentum is not: it is a constant of SO(2) and SE(2), and turns with the body,
+Rᵀ J, in SO(3) and SE(3).
+
+What acts on the base makes more of it move.  A wrench (F, N) at the base's origin, in its
+frame, or the weight of a pivoted body, changes the angular momentum μ about the centre of
+mass (about the pivot, in SO(3)), which then is integrated,
+
+    μ̇ = μ × ω + N − c × F + m|g| c × Γ
+
+and a wrench pushes the centre of mass off its path: δċ = δP/m, δṖ = R F.  Where the base is
+not wanted, the 3 numbers μ stand for the 4 of the attitude, and the direction of gravity in
+the body, Γ̇ = Γ × ω, for the attitude under the weight.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from .arrays import Array
-from .lie import SE2, SE3, SO2, SO3, R
+from .lie import SE2, SO3, Group
 from .potential import falling, translations
 from .rotations import apply, plane_rotation, rotation
 from .scene import Start
@@ -24,219 +32,249 @@ from .system import System
 
 
 @dataclass(frozen=True)
-class CentreLine:
-    """The path of the centre of mass in the root joint's fixed frame, c0 + v0 t + ½ g t²."""
+class BaseParts:
+    """How many numbers of the base are integrated, in this order, and which are constants.
 
-    c0: Array
-    v0: Array
-    g: Array
-    lift: float  # g · origin of the root joint's fixed frame, for potential energy
-
-    def position(self, t: Array) -> Array:
-        """Return c(t), (..., k) [m], for t (..., 1) [s]."""
-        return self.c0 + self.v0 * t + 0.5 * self.g * t**2
-
-    def velocity(self, t: Array) -> Array:
-        """Return ċ(t), (..., k) [m/s], for t (..., 1) [s]."""
-        return self.v0 + self.g * t
-
-
-def _line(system: System, c0: Array, P0: Array) -> CentreLine:
-    """Return the path from the initial place (k,) and linear momentum (k,)."""
-    g, origin = falling(system), system.model.jointPlacements[1]
-    lift = float(origin.translation @ origin.rotation @ translations(system) @ g)
-    return CentreLine(c0=c0, v0=P0 / system.mass, g=g, lift=lift)
-
-
-class Base(ABC):
-    """The base of one group, from one initial state.
-
-    attitude0: the integrated coordinates of the base at the start.
-    relative_twist0: (r,) initial body twist as seen from the centre of mass's frame.
-    momentum: from attitude to body momentum (r,) in that frame; a constant where it is one.
-    spin: the constant behind it, angular momentum in the fixed frame, (0,), (1,) or (3,).
+    attitude: its angle or quaternion.  down: the direction Γ of gravity in the body's frame.
+    momentum: angular momentum in the body's frame, about the centre of mass.  push: how far
+    a wrench has driven the centre of mass off its path, and the momentum it has given it.
+    spin: the angular momentum where it is a constant, in the fixed frame; not integrated.
     """
 
-    attitude0: Array
-    relative_twist0: Array
-    momentum: Callable[[Array], Array]
-    spin: Array
+    attitude: int = 0
+    down: int = 0
+    momentum: int = 0
+    push: int = 0
+    spin: int = 0
 
-    @abstractmethod
-    def __init__(self, system: System, start: Start, com: Array) -> None:
-        """Take over the initial state; com: (3,) centre of mass in the body's frame."""
+    @property
+    def size(self) -> int:
+        """How many numbers are integrated."""
+        return self.attitude + self.down + self.momentum + self.push
 
-    @abstractmethod
-    def rate(self, attitude: Array, xi: Array) -> Array:
-        """Return the rate of the attitude for body twist ξ."""
-
-    @abstractmethod
-    def pose(self, attitude: Array, com: Array, t: Array) -> Array:
-        """Return the pose (T, size) from attitude (T, …), body-frame com (T, 3), times (T,)."""
-
-    @abstractmethod
-    def twist(self, attitude: Array, xi: Array, t: Array) -> Array:
-        """Return the body twist (T, r) from the one relative to the centre of mass."""
-
-    def falling_energy(self, mass: float, t: Array) -> Array:  # noqa: ARG002
-        """Return −m g · c(t), (T,) [J]: the potential energy of what falls."""
-        return np.zeros(len(t))
-
-    def carried_energy(self, mass: float, t: Array) -> Array:  # noqa: ARG002
-        """Return ½ m |ċ|², (T,) [J]: the kinetic energy of the centre of mass's motion."""
-        return np.zeros(len(t))
-
-    def turning_energy(self, attitude: Array, xi: Array) -> Array:
-        """Return half the spin times the turning rate, (T,) [J]; xi: (T, r) body twist."""
-        if self.spin.size == 0:
-            return np.zeros(len(xi))
-        rate = xi[:, -self.spin.size :]
-        if self.spin.size == 3:
-            rate = apply(rotation(SO3.normalize(attitude)), rate)
-        return np.asarray(0.5 * rate @ self.spin)
-
-    def spatial_momentum(self, mass: float, t: Array) -> Array:  # noqa: ARG002
-        """Return J(t), (T, r), about the origin of the root joint's fixed frame."""
-        return np.broadcast_to(self.spin, (len(t), len(self.spin))).copy()
+    def split(self, b: Array) -> tuple[Array, Array, Array, Array]:
+        """Return attitude, down, momentum and push of b (..., size)."""
+        i = self.attitude
+        j = i + self.down
+        k = j + self.momentum
+        return b[..., :i], b[..., i:j], b[..., j:k], b[..., k:]
 
 
-class _Carried(Base):
-    """A base that goes where the centre of mass does.  line: the path of that."""
+def base_parts(
+    group: Group, *, wanted: bool, heavy: bool, wrench: bool, zero_momentum: bool
+) -> BaseParts:
+    """Return what is integrated of the base of a group.
 
-    line: CentreLine
-
-    def falling_energy(self, mass: float, t: Array) -> Array:
-        height = self.line.position(t[:, None]) @ self.line.g + self.line.lift
-        return np.asarray(-mass * height)
-
-    def carried_energy(self, mass: float, t: Array) -> Array:
-        return np.asarray(0.5 * mass * np.sum(self.line.velocity(t[:, None]) ** 2, axis=1))
-
-    def spatial_momentum(self, mass: float, t: Array) -> Array:
-        c, P = self.line.position(t[:, None]), mass * self.line.velocity(t[:, None])
-        if not self.spin.size:
-            return P
-        if self.spin.size == 1:
-            about = (c[:, :1] * P[:, 1:] - c[:, 1:] * P[:, :1]) + self.spin
-        else:
-            about = np.cross(c, P) + self.spin
-        return np.concatenate([P, about], axis=1)
+    wanted: whether somebody asks for the base.  heavy: whether gravity turns it.  wrench:
+    whether one acts on it.  zero_momentum: whether its angular momentum is exactly zero.
+    """
+    turns = group.dim - group.linear
+    changing = turns > 0 and (heavy or wrench)
+    free = turns == 3 and not wanted and not zero_momentum
+    momentum = turns if changing or free else 0
+    return BaseParts(
+        attitude=group.size - group.linear if wanted else 0,
+        down=3 if heavy and not wanted else 0,
+        momentum=momentum,
+        push=2 * group.linear if wrench and wanted else 0,
+        spin=0 if momentum or zero_momentum else turns,
+    )
 
 
-def constant(value: Array) -> Callable[[Array], Array]:
-    """Return the function that always returns `value`."""
-    return lambda _: value
+class Base:
+    """The base of one scene: what is integrated of it, and how it moves.
 
+    parts: which numbers.  b0: (parts.size,) their values at the start.  axes: (3, k)
+    directions of its translations.  spin: the constant angular momentum in the fixed frame,
+    (parts.spin,).  relative_twist0: (r,) initial body twist as seen from the frame of the
+    centre of mass.  has_momentum: whether there are terms with angular momentum.
+    turns: how many numbers that is.
+    """
 
-class _Line(_Carried):
-    """ℝ: nothing to integrate; the base is where the centre of mass puts it."""
+    def __init__(
+        self, system: System, start: Start, com: Array, weight: Array, *, wanted: bool, wrench: bool
+    ) -> None:
+        """Take over the initial state.
 
-    def __init__(self, system: System, start: Start, com: Array) -> None:
-        self._axis = translations(system)
-        self.line = _line(system, start.pose + com @ self._axis, start.mu)
-        self.attitude0 = np.empty(0)
-        self.relative_twist0 = start.xi - self.line.v0
-        self.spin = np.empty(0)
-        self.momentum = constant(np.zeros(1))
+        com: (3,) centre of mass in the body's frame.  weight: (3,) m g that turns the base,
+        in the root joint's fixed frame, zero if none does.  wanted, wrench: as in base_parts.
+        """
+        group = system.group
+        self._group, self._k, self._mass = group, group.linear, system.mass
+        self.turns = group.dim - group.linear
+        self.axes = translations(system)
+        self._weight = weight
+        attitude, c, P = start.pose[self._k :], com @ self.axes, start.mu[: self._k]
+        P0 = self._turn(attitude, P)
+        self._c0 = start.pose[: self._k] + self._turn(attitude, c)
+        self._v0, self._g = P0 / system.mass, falling(system)
+        about = start.mu[self._k :] - self._moment(c, P)
+        heavy = bool(weight.any())
+        self.parts = base_parts(
+            group, wanted=wanted, heavy=heavy, wrench=wrench, zero_momentum=not about.any()
+        )
+        self.has_momentum = heavy or wrench or bool(about.any())
+        self.spin = self._fixed(attitude, about) if self.parts.spin else np.empty(0)
+        down = weight / np.linalg.norm(weight) if heavy else weight
+        pieces = (attitude, self._body(attitude, down), about, np.zeros(2 * self._k))
+        self.b0 = np.concatenate(
+            [piece[:count] for piece, count in zip(pieces, astuple(self.parts)[:4], strict=True)]
+        )
+        carried = self._turned_back(attitude, self._v0)
+        self.relative_twist0 = start.xi - np.append(carried, np.zeros(system.r - self._k))
+        self._none = np.zeros(system.r)
+        # Energy of falling is −m g · c, of the place in the world.
+        placement = system.model.jointPlacements[1]
+        self._lift = float(placement.translation @ placement.rotation @ self.axes @ self._g)
+        self._pivot = float(weight @ placement.rotation.T @ placement.translation)
 
-    def rate(self, attitude: Array, xi: Array) -> Array:  # noqa: ARG002
-        return attitude
+    def momentum(self, b: Array) -> Array:
+        """Return the body momentum (r,) in the frame of the centre of mass."""
+        if not (self.parts.momentum or self.parts.spin):
+            return self._none
+        attitude, _, momentum, _ = self.parts.split(b)
+        if self.parts.spin:
+            momentum = into_body(attitude, self.spin) if self.parts.spin == 3 else self.spin
+        out = self._none.copy()
+        out[self._k :] = momentum
+        return out
 
-    def pose(self, attitude: Array, com: Array, t: Array) -> Array:  # noqa: ARG002
-        return self.line.position(t[:, None]) - com @ self._axis
+    def body_weight(self, b: Array) -> Array:
+        """Return the weight that turns the base, (3,) in its frame [N]; zero if none does."""
+        if not self._weight.any():
+            return self._weight
+        attitude, down, _, _ = self.parts.split(b)
+        if self.parts.down:
+            return np.asarray(np.linalg.norm(self._weight) * down)
+        return into_body(attitude, self._weight)
 
-    def twist(self, attitude: Array, xi: Array, t: Array) -> Array:  # noqa: ARG002
-        return xi + self.line.velocity(t[:, None])
+    def rate(self, b: Array, xi: Array, moment: Array, force: Array) -> Array:
+        """Return db/dt, for the relative body twist ξ (r,).
 
+        moment: about the centre of mass (of the weight, about the pivot), in the body's
+        frame.  force: (k,) on the centre of mass, in the body's frame.
+        """
+        attitude, down, momentum, push = self.parts.split(b)
+        omega = xi[self._k :]
+        out = []
+        if self.parts.attitude == 1:
+            out.append(omega)
+        elif self.parts.attitude:
+            out.append(quaternion_rate(attitude, omega))
+        if self.parts.down:
+            out.append(np.cross(down, omega))
+        if self.parts.momentum == 3:
+            out.append(np.cross(momentum, omega) + moment)
+        elif self.parts.momentum:
+            out.append(moment)
+        if self.parts.push:
+            out += [push[self._k :] / self._mass, self._turn(self._normal(attitude), force)]
+        return np.concatenate(out) if out else np.empty(0)
 
-class _Turn(Base):
-    """SO(2): the momentum is one constant, the angle a quadrature."""
+    def about_com(self, com: Array, wrench: Array) -> Array:
+        """Return the moment about the centre of mass, N − c × F, of a wrench (r,) at the origin."""
+        return wrench[self._k :] - self._moment(com @ self.axes, wrench[: self._k])
 
-    def __init__(self, system: System, start: Start, com: Array) -> None:  # noqa: ARG002
-        self.attitude0, self.relative_twist0 = start.pose, start.xi
-        self.spin = start.mu
-        self.momentum = constant(start.mu)
-
-    def rate(self, attitude: Array, xi: Array) -> Array:  # noqa: ARG002
-        return xi
-
-    def pose(self, attitude: Array, com: Array, t: Array) -> Array:  # noqa: ARG002
-        return attitude
-
-    def twist(self, attitude: Array, xi: Array, t: Array) -> Array:  # noqa: ARG002
-        return xi
-
-
-class _Plane(_Carried):
-    """SE(2): centre of mass on its line, angular momentum about it one constant."""
-
-    def __init__(self, system: System, start: Start, com: Array) -> None:
-        R, c = plane_rotation(start.pose[2]), com[:2]
-        self.line = _line(system, start.pose[:2] + R @ c, R @ start.mu[:2])
-        self.attitude0 = start.pose[2:]
-        self.relative_twist0 = start.xi - np.append(R.T @ self.line.v0, 0.0)
-        self.spin = start.mu[2:] - (c[0] * start.mu[1] - c[1] * start.mu[0])
-        self.momentum = constant(np.array([0.0, 0.0, self.spin[0]]))
-
-    def rate(self, attitude: Array, xi: Array) -> Array:  # noqa: ARG002
-        return xi[2:]
-
-    def pose(self, attitude: Array, com: Array, t: Array) -> Array:
-        p = self.line.position(t[:, None]) - apply(plane_rotation(attitude[:, 0]), com[:, :2])
+    def pose(self, b: Array, com: Array, t: Array) -> Array:
+        """Return the pose (T, size) from b (T, …), body-frame com (T, 3), times (T,)."""
+        attitude = self._attitude(b)
+        p = self._centre(b, t) - self._turn(attitude, com @ self.axes)
         return np.concatenate([p, attitude], axis=1)
 
-    def twist(self, attitude: Array, xi: Array, t: Array) -> Array:
+    def twist(self, b: Array, xi: Array, t: Array) -> Array:
+        """Return the body twist (T, r) from the one relative to the centre of mass."""
+        if not self._k:
+            return xi
         out = xi.copy()
-        out[:, :2] += apply(plane_rotation(-attitude[:, 0]), self.line.velocity(t[:, None]))
+        out[:, : self._k] += self._turned_back(self._attitude(b), self._linear(b, t) / self._mass)
         return out
 
+    def angular(self, b: Array) -> Array:
+        """Return the angular momentum about the centre of mass in the body's frame, (T, a)."""
+        attitude, _, momentum, _ = self.parts.split(b)
+        if self.parts.momentum:
+            return momentum
+        if not self.parts.spin:
+            return np.zeros((len(b), self.turns))
+        spin = np.broadcast_to(self.spin, (len(b), self.parts.spin))
+        return self._body(self._normal(attitude), spin)
 
-class _Attitude(Base):
-    """SO(3): the quaternion is integrated; the momentum is J in the body's frame."""
+    def spatial_momentum(self, b: Array, t: Array) -> Array:
+        """Return J(t), (T, r), about the origin of the root joint's fixed frame."""
+        c, P = self._centre(b, t), self._linear(b, t)
+        attitude = self._attitude(b)
+        if self.parts.spin:
+            about = np.broadcast_to(self.spin, (len(t), self.parts.spin))
+        else:
+            about = self._fixed(attitude, self.angular(b))
+        return np.concatenate([P, self._moment(c, P) + about], axis=1)
 
-    def __init__(self, system: System, start: Start, com: Array) -> None:  # noqa: ARG002
-        self.attitude0, self.relative_twist0 = start.pose, start.xi
-        J = self.spin = rotation(start.pose) @ start.mu
-        self.momentum = (lambda q: into_body(q, J)) if J.any() else constant(J)
+    def base_energy(self, b: Array, com: Array, t: Array) -> Array:
+        """Return ½ m |ċ|² − m g · c, and −m g · R c_b of a pivoted body's weight, (T,) [J]."""
+        energy = np.zeros(len(t))
+        if self._k:
+            P, c = self._linear(b, t), self._centre(b, t)
+            energy += 0.5 * np.sum(P * P, axis=1) / self._mass
+            energy -= self._mass * (c @ self._g + self._lift)
+        return energy + self.weight_energy(b, com)
 
-    def rate(self, attitude: Array, xi: Array) -> Array:
-        return quaternion_rate(attitude, xi)
+    def weight_energy(self, b: Array, com: Array) -> Array:
+        """Return −m g · R c_b, the potential energy of a pivoted body's weight, (T,) [J]."""
+        if not self._weight.any():
+            return np.zeros(len(b))
+        attitude, down, _, _ = self.parts.split(b)
+        if self.parts.down:
+            weight = np.linalg.norm(self._weight) * down
+        else:
+            weight = self._body(self._normal(attitude), self._weight)
+        return np.asarray(-np.sum(weight * com, axis=-1) - self._pivot)
 
-    def pose(self, attitude: Array, com: Array, t: Array) -> Array:  # noqa: ARG002
-        return SO3.normalize(attitude)
+    def _attitude(self, b: Array) -> Array:
+        return self._normal(self.parts.split(b)[0])
 
-    def twist(self, attitude: Array, xi: Array, t: Array) -> Array:  # noqa: ARG002
-        return xi
+    def _normal(self, attitude: Array) -> Array:
+        return SO3.normalize(attitude) if self.parts.attitude == 4 else attitude
 
+    def _centre(self, b: Array, t: Array) -> Array:
+        """Return the centre of mass in the root joint's fixed frame, (T, k) [m]."""
+        s = t[:, None]
+        path = self._c0 + self._v0 * s + 0.5 * self._g * s**2
+        return path + self.parts.split(b)[3][:, : self._k] if self.parts.push else path
 
-class _Free(_Carried):
-    """SE(3): centre of mass on its line, the rest as SO(3) about it."""
+    def _linear(self, b: Array, t: Array) -> Array:
+        """Return the linear momentum, (T, k) [N s]."""
+        P = self._mass * (self._v0 + self._g * t[:, None])
+        return P + self.parts.split(b)[3][:, self._k :] if self.parts.push else P
 
-    def __init__(self, system: System, start: Start, com: Array) -> None:
-        q = start.pose[3:]
-        R = rotation(q)
-        self.line = _line(system, start.pose[:3] + R @ com, R @ start.mu[:3])
-        self.attitude0 = q
-        self.relative_twist0 = start.xi - np.append(R.T @ self.line.v0, np.zeros(3))
-        J = self.spin = R @ (start.mu[3:] - np.cross(com, start.mu[:3]))
-        none = np.zeros(3)
-        self.momentum = constant(np.zeros(6))
-        if J.any():
-            self.momentum = lambda q: np.concatenate([none, into_body(q, J)])
+    def _turn(self, attitude: Array, v: Array) -> Array:
+        """Return linear parts (..., k) in the fixed frame from the body's."""
+        if self._k == 2:
+            return np.asarray(apply(plane_rotation(attitude[..., 0]), v))
+        return np.asarray(apply(rotation(attitude), v)) if self._k == 3 else v
 
-    def rate(self, attitude: Array, xi: Array) -> Array:
-        return quaternion_rate(attitude, xi[3:])
+    def _turned_back(self, attitude: Array, v: Array) -> Array:
+        """Return linear parts (..., k) in the body's frame from the fixed one."""
+        if self._k == 2:
+            return np.asarray(apply(plane_rotation(-attitude[..., 0]), v))
+        return self._body(attitude, v) if self._k == 3 else v
 
-    def pose(self, attitude: Array, com: Array, t: Array) -> Array:
-        q = SO3.normalize(attitude)
-        p = self.line.position(t[:, None]) - apply(rotation(q), com)
-        return np.concatenate([p, q], axis=1)
+    def _fixed(self, attitude: Array, v: Array) -> Array:
+        """Return angular parts in the fixed frame from the body's."""
+        return np.asarray(apply(rotation(attitude), v)) if v.shape[-1] == 3 else v
 
-    def twist(self, attitude: Array, xi: Array, t: Array) -> Array:
-        back = np.swapaxes(rotation(SO3.normalize(attitude)), 1, 2)
-        out = xi.copy()
-        out[:, :3] += apply(back, self.line.velocity(t[:, None]))
-        return out
+    def _body(self, attitude: Array, v: Array) -> Array:
+        """Return vectors of space (..., 3) in the body's frame; plane angular parts as they are."""
+        if v.shape[-1] != 3 or attitude.shape[-1] != 4:
+            return v
+        return np.asarray(apply(np.swapaxes(rotation(attitude), -1, -2), v))
+
+    def _moment(self, c: Array, F: Array) -> Array:
+        """Return c × F in the angular part of the group, (..., a)."""
+        if self._k == 3:
+            return np.asarray(np.cross(c, F))
+        if self._group is SE2:
+            return np.asarray(c[..., :1] * F[..., 1:] - c[..., 1:] * F[..., :1])
+        return np.zeros((*F.shape[:-1], self.turns))
 
 
 def into_body(q: Array, J: Array) -> Array:
@@ -267,8 +305,3 @@ def quaternion_rate(q: Array, omega: Array) -> Array:
             -x * a - y * b - z * c,
         ]
     )
-
-
-BASES: dict[str, type[Base]] = {
-    R.name: _Line, SO2.name: _Turn, SE2.name: _Plane, SO3.name: _Attitude, SE3.name: _Free,
-}  # fmt: skip

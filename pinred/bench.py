@@ -85,7 +85,7 @@ def _bench_kernel(name: str) -> KernelTiming:
     system = load(name, group="SE3" if name == "ur5" else None, gravity=(0.0, 0.0, 0.0))
     structure = Structure(zero_momentum=False, cyclic=cyclic_joints(Reduction(system)))
     began = time.perf_counter()
-    kernel = build_kernel(system, structure, _NoCache())
+    kernel = build_kernel(system, structure, cache=_NoCache())
     build = time.perf_counter() - began
     rng = np.random.default_rng(0)
     y = rng.normal(size=kernel.layout.size)

@@ -11,6 +11,8 @@ one CRBA, one solve and one Coriolis matrix an evaluation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pinocchio as pin
 from scipy.linalg.lapack import dposv
@@ -41,14 +43,28 @@ class CanonicalForm:
         """Return the centre of mass in the root body's frame at the last shape, (3,) [m]."""
         return np.array(self._data.Ycrb[1].lever)
 
+    def com_slope(self, x: Array) -> Array:
+        """Return ∂c/∂x of the centre of mass in the root body's frame, (3, m)."""
+        q = self._system.q(self._identity, x)
+        world = pin.jacobianCenterOfMass(self._model, self._data, q)[:, self._r :]
+        return np.asarray(self._model.jointPlacements[1].rotation.T @ world)
+
     def velocity(self, x: Array, momentum: Array) -> Array:
         """Return v = (ξ, ẋ) with H v = (μ, π).  Raises SingularInertiaError."""
-        _, v, info = dposv(self.mass_matrix(x), momentum)
-        if info:
-            raise SingularInertiaError(
-                f"the mass matrix of '{self._system.name}' is not positive definite at x = {x}"
-            )
-        return np.asarray(v)
+        return self._solve(self.mass_matrix(x), momentum, x)
+
+    def driven_velocity(
+        self, x: Array, momentum: Array, driven: Sequence[int], rates: Array
+    ) -> Array:
+        """Return v where the rates of some shape joints are given, and their momenta not read."""
+        H = symmetric(self.mass_matrix(x))
+        fixed = self._r + np.array(driven, dtype=np.intp)
+        free = np.setdiff1d(np.arange(len(momentum)), fixed)
+        v = np.empty(len(momentum))
+        v[fixed] = rates
+        rest = momentum[free] - H[np.ix_(free, fixed)] @ rates
+        v[free] = self._solve(H[np.ix_(free, free)], rest, x)
+        return v
 
     def force(self, x: Array, v: Array) -> Array:
         """Return π̇ = ½ vᵀ ∂H v − ∂V, (m,)."""
@@ -56,3 +72,16 @@ class CanonicalForm:
         C = pin.computeCoriolisMatrix(self._model, self._data, q, v)
         force = np.asarray(v @ C[:, self._r :])
         return force if self._gradient is None else force - self._gradient(x)
+
+    def _solve(self, H: Array, momentum: Array, x: Array) -> Array:
+        _, v, info = dposv(H, momentum)
+        if info:
+            raise SingularInertiaError(
+                f"the mass matrix of '{self._system.name}' is not positive definite at x = {x}"
+            )
+        return np.asarray(v)
+
+
+def symmetric(upper: Array) -> Array:
+    """Return the matrix whose upper triangle CRBA filled."""
+    return np.asarray(np.triu(upper) + np.triu(upper, 1).T)

@@ -164,7 +164,7 @@ def _load(options: argparse.Namespace) -> System:
 def _scene(options: argparse.Namespace, system: System) -> Scene:
     from .scene import Scene
 
-    given = {
+    given: dict[str, Any] = {
         name: _vector(getattr(options, name), name)
         for name in ("x0", "xdot0", "xi0", "momentum", "pose0")
     }

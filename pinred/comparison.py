@@ -22,8 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arrays import Array, freeze
+from .balance import energy_balance, momentum_balance
 from .errors import InputError
 from .full_state import FullMotion, FullState
+from .potential import pivot_weight
 from .trajectory import Trajectory
 
 TIGHTER = 100.0  # the reference's tolerance is this much below the one asked for
@@ -145,7 +147,7 @@ def compare(traj: Trajectory, *, progress: Callable[[float], None] | None = None
     # Whatever times the scene reports, all of the motion is judged.
     times = np.union1d(traj.t, np.linspace(0.0, scene.end, SAMPLES))
     states = traj(times)
-    full = FullState(traj.system, scene.springs)
+    full = FullState(scene)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     began = time.perf_counter()
     full.run(y0, np.array([scene.end]), rtol, atol)
@@ -159,7 +161,12 @@ def compare(traj: Trajectory, *, progress: Callable[[float], None] | None = None
     second = full.run(y0, times, *tight, method="dopri5")
     done(0.9)
     error = full.distance(truth, FullMotion(x=states.x, q=states.q))
-    audit = full.audit(states)
+    forces = scene.force_model
+    work = energy_balance(scene, traj.motion, states).work.sum(axis=1)
+    impulse = None
+    if (forces is not None and forces.has_wrench) or pivot_weight(traj.system).any():
+        impulse = momentum_balance(scene, traj.motion, states).impulse
+    audit = full.audit(states, work, impulse)
     size = full.size(truth)
     growth = max(1.0, full.distance(truth, kicked).worst(size) / _KICK)
     done(1.0)

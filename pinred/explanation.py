@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .cyclic import cyclic_joints
 from .flow import ReducedFlow
-from .potential import Potential, falling
+from .potential import falling, pivot_weight, shape_gravity
 from .reduction import Reduction
 from .scene import Scene
 
@@ -22,29 +22,43 @@ def explain_scene(scene: Scene) -> str:
 
 def reduced_size(scene: Scene) -> int:
     """Return how many numbers the compiled engine integrates."""
-    red = Reduction(scene.system, springs=scene.springs)
-    return ReducedFlow(scene).y0.size - len(cyclic_joints(red))
+    forces = scene.force_model
+    clock = int(forces is not None and forces.needs_time)
+    return ReducedFlow(scene).y0.size - len(_cyclic(scene)) + clock
 
 
 def skipped(scene: Scene) -> list[str]:
     """Return what is not integrated or not computed, a line each."""
-    system, red = scene.system, Reduction(scene.system, springs=scene.springs)
-    potential = Potential(system, scene.springs)
+    system, flow, forces = scene.system, ReducedFlow(scene), scene.force_model
+    names = system.shape_names
     lines = []
+    if scene.outputs == "shape":
+        lines.append("the base: nobody asks for it")
     if system.group.linear:
-        lines.append("translation of the base: the centre of mass moves on a known path")
+        if forces is not None and forces.has_wrench and scene.outputs == "all":
+            lines.append("translation of the base: it follows the centre of mass")
+        else:
+            lines.append("translation of the base: the centre of mass moves on a known path")
         if falling(system).any():
             lines.append("gravity along it: it only makes the centre of mass fall")
-    if system.group.linear < system.r:
-        if ReducedFlow(scene).has_spin:
+    if flow.base.turns and not flow.base.parts.momentum:
+        if flow.base.has_momentum:
             lines.append("angular momentum: it follows from the attitude, or is constant")
         else:
             lines.append("all terms with momentum: it is zero, and the base follows the shape")
-    names = [system.shape_names[k] for k in cyclic_joints(red)]
-    if names:
-        lines.append(f"momenta of the cyclic joints, which are constant: {', '.join(names)}")
-    if potential.is_zero:
-        lines.append("potential: nothing acts on the shape")
-    elif not red.system.m:
+    driven = [names[k] for k in forces.joints] if forces is not None else []
+    if driven:
+        lines.append(f"dynamics of the prescribed joints: {', '.join(driven)}")
+    cyclic = [names[k] for k in _cyclic(scene)]
+    if cyclic:
+        lines.append(f"momenta of the cyclic joints, which are constant: {', '.join(cyclic)}")
+    if not system.m:
         lines.append("shape: there is none")
+    elif shape_gravity(system).is_zero and forces is None and not pivot_weight(system).any():
+        lines.append("potential: nothing acts on the shape")
     return lines
+
+
+def _cyclic(scene: Scene) -> tuple[int, ...]:
+    touched = () if scene.force_model is None else scene.force_model.touched
+    return cyclic_joints(Reduction(scene.system), touched)

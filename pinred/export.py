@@ -13,7 +13,7 @@ import numpy as np
 
 from .errors import InputError, OutputError
 from .lie import SE2, SE3, SO2, SO3
-from .trajectory import State, Trajectory
+from .trajectory import Trajectory
 
 _POSE_LABELS = {
     "R": ("s",),
@@ -73,7 +73,7 @@ def write_atomic(path: Path, write: Callable[[BinaryIO], None]) -> None:
 
 
 def _write_npz(traj: Trajectory, file: BinaryIO) -> None:
-    arrays = {field.name: getattr(traj.states, field.name) for field in fields(State)}
+    arrays = {field.name: getattr(traj.outputs, field.name) for field in fields(traj.outputs)}
     np.savez_compressed(
         file,
         robot=np.array(traj.system.name),
@@ -95,8 +95,8 @@ def _write_csv(traj: Trajectory, file: BinaryIO) -> None:
         "spatial_momentum": twist,
     }
     names, columns = [], []
-    for field in fields(State):
-        values = getattr(traj.states, field.name)
+    for field in fields(traj.outputs):
+        values = getattr(traj.outputs, field.name)
         if values.ndim == 1:
             names.append(field.name)
             columns.append(values)

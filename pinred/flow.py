@@ -1,7 +1,7 @@
 """The reduced flow of a scene: its vector field, and the full state behind a reduced one.
 
-The reduced state is (x, π, attitude): shape, canonical shape momentum in the frame of
-the centre of mass, and as much of the base as has to be integrated.
+The reduced state is (x, π) of the joints that are not prescribed: shape, canonical shape
+momentum in the frame of the centre of mass; and as much of the base as has to be integrated.
 """
 
 from __future__ import annotations
@@ -9,85 +9,137 @@ from __future__ import annotations
 import numpy as np
 
 from .arrays import Array
-from .base import BASES
-from .canonical import CanonicalForm
+from .base import Base
+from .canonical import CanonicalForm, symmetric
 from .errors import IntegrationError
-from .potential import Potential
+from .potential import pivot_weight, shape_gravity
 from .scene import Scene
-from .trajectory import State
+from .state import Sample, ShapeState, State, full_state
+from .system import System
 
 
 class ReducedFlow:
-    """What an integrator needs of a scene, by Pinocchio's numbers.  Not thread-safe."""
+    """What an integrator needs of a scene, by Pinocchio's numbers.  Not thread-safe.
+
+    y0: (k,) reduced state at the start.  numbers: (p,) those in the forces; the torques
+    that controllers hold are set in it as time goes on.
+    """
 
     def __init__(self, scene: Scene) -> None:
         """Set up the flow.  Raises SymmetryError if gravity breaks the symmetry."""
         system, start = scene.system, scene.start
-        self._system = system
-        self._potential = Potential(system, scene.springs)
+        self._system, self._wanted = system, scene.outputs == "all"
+        self._forces = forces = scene.force_model
+        self._driven = list(forces.joints) if forces else []
+        self._free = [k for k in range(system.m) if k not in self._driven]
+        self._potential = shape_gravity(system)
+        self._weight = pivot_weight(system)
         self._form = CanonicalForm(system, self._potential)
+        self.numbers = forces.numbers.copy() if forces else np.empty(0)
         H = symmetric(self._form.mass_matrix(start.x))
-        self._base = BASES[system.group.name](system, start, self._form.com())
-        v = np.concatenate([self._base.relative_twist0, start.xdot])
-        pi = H[system.r :] @ v
-        self.y0 = np.concatenate([start.x, pi, self._base.attitude0])
-
-    @property
-    def has_spin(self) -> bool:
-        """Whether there is angular momentum, so that terms with it are needed."""
-        return bool(self._base.spin.any())
-
-    def rate(self, t: float, y: Array) -> Array:  # noqa: ARG002
-        """Return dy/dt, (k,)."""
-        m, r = self._system.m, self._system.r
-        x, attitude = y[:m], y[2 * m :]
-        momentum = np.concatenate([self._base.momentum(attitude), y[m : 2 * m]])
-        v = self._form.velocity(x, momentum)
-        return np.concatenate([v[r:], self._form.force(x, v), self._base.rate(attitude, v[:r])])
-
-    def states(self, t: Array, y: Array) -> State:
-        """Return the full states at times t (T,) of reduced states y (T, k)."""
-        system, form, base = self._system, self._form, self._base
-        m, r, T = system.m, system.r, len(t)
-        x, attitude = y[:, :m].copy(), y[:, 2 * m :].copy()
-        v, com, potential = np.empty((T, system.n)), np.empty((T, 3)), np.empty(T)
-        H = np.empty((T, system.n, system.n))
-        for k in range(T):
-            momentum = np.concatenate([base.momentum(attitude[k]), y[k, m : 2 * m]])
-            v[k] = form.velocity(x[k], momentum)
-            com[k] = form.com()
-            H[k] = symmetric(form.mass_matrix(x[k]))
-            potential[k] = self._potential.value(x[k])
-        pose = base.pose(attitude, com, t)
-        v[:, :r] = base.twist(attitude, v[:, :r], t)
-        if not (np.isfinite(v).all() and np.isfinite(pose).all()):
-            bad = t[~(np.isfinite(v).all(axis=1) & np.isfinite(pose).all(axis=1))][0]
-            raise IntegrationError(f"the motion of '{system.name}' is not finite at t = {bad:g} s")
-        p = (H @ v[:, :, None])[:, :, 0]
-        mu = p[:, :r].copy()
-        kinetic = 0.5 * np.sum(v * p, axis=1)
-        return State(
-            t=t.copy(),
-            x=x,
-            xdot=v[:, r:].copy(),
-            xi=v[:, :r].copy(),
-            pose=pose,
-            q=system.q(pose, x),
-            v=v,
-            body_momentum=mu,
-            spatial_momentum=system.group.spatial_momentum(pose, mu),
-            energy=kinetic + potential + base.falling_energy(system.mass, t),
+        self.base = Base(
+            system,
+            start,
+            self._form.com(),
+            self._weight,
+            wanted=self._wanted,
+            wrench=forces is not None and forces.has_wrench,
         )
+        v = np.concatenate([self.base.relative_twist0, start.xdot])
+        pi = H[system.r :] @ v
+        self.y0 = np.concatenate([start.x[self._free], pi[self._free], self.base.b0])
+
+    def rate(self, t: float, y: Array) -> Array:
+        """Return dy/dt, (k,)."""
+        system, form, free, r = self._system, self._form, self._free, self._system.r
+        k = system.group.linear
+        b = y[2 * len(free) :]
+        x, v = self._motion(t, y, self.numbers)
+        com = form.com()
+        pidot, moment, push = form.force(x, v), np.zeros(r - k), np.zeros(k)
+        slope = None
+        if self._forces is not None:
+            mu = self.base.momentum(b)
+            acting = self._forces.acting(t, x, v[r:], v[:r], mu, self.numbers)
+            pidot = pidot + acting.torque
+            if self._forces.has_wrench:
+                push = acting.wrench[:k]
+                moment = self.base.about_com(com, acting.wrench)
+                slope = form.com_slope(x)
+                pidot = pidot - push @ (self.base.axes.T @ slope)
+        if self._weight.any():
+            weight = self.base.body_weight(b)
+            moment = moment + np.cross(com, weight)
+            slope = form.com_slope(x) if slope is None else slope
+            pidot = pidot + weight @ slope
+        rate = self.base.rate(b, v[:r], moment, push)
+        return np.concatenate([v[r:][free], pidot[free], rate])
+
+    def sample(self, t: float, y: Array, numbers: Array) -> Sample:
+        """Return what forces see at one time."""
+        x, v = self._motion(t, y, numbers)
+        r, b = self._system.r, y[2 * len(self._free) :]
+        return Sample(x, v[r:], v[:r], self.base.momentum(b), self.base.body_weight(b))
+
+    def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
+        """Return the full states at times t (T,) of reduced states y (T, k).
+
+        numbers: (p,) those in the forces then.
+        """
+        system, form = self._system, self._form
+        r, T = system.r, len(t)
+        b = y[:, 2 * len(self._free) :]
+        x, v, com = np.empty((T, system.m)), np.empty((T, system.n)), np.empty((T, 3))
+        energy = np.empty(T)
+        for k in range(T):
+            x[k], v[k] = self._motion(float(t[k]), y[k], numbers)
+            com[k] = form.com()
+            H = symmetric(form.mass_matrix(x[k]))
+            energy[k] = 0.5 * v[k] @ H @ v[k] + self._potential.value(x[k])
+            if self._forces is not None:
+                energy[k] += self._forces.potential(x[k], numbers)
+        if not np.isfinite(v).all():
+            bad = t[~np.isfinite(v).all(axis=1)][0]
+            raise IntegrationError(f"the motion of '{system.name}' is not finite at t = {bad:g} s")
+        if not self._wanted:
+            return ShapeState(
+                t=t.copy(),
+                x=x,
+                xdot=v[:, r:].copy(),
+                energy=energy + self.base.weight_energy(b, com),
+            )
+        energy += self.base.base_energy(b, com, t)
+        pose, xi = self.base.pose(b, com, t), self.base.twist(b, v[:, :r], t)
+        mu = np.empty((T, r))
+        for k in range(T):
+            mu[k] = symmetric(form.mass_matrix(x[k]))[:r] @ np.concatenate([xi[k], v[k, r:]])
+        J = system.group.spatial_momentum(pose, mu)
+        return full_state(system, t, x, v[:, r:], xi, pose, mu, J, energy)
+
+    def _motion(self, t: float, y: Array, numbers: Array) -> tuple[Array, Array]:
+        """Return the shape (m,) and v = (ξ, ẋ) as seen from the centre of mass."""
+        m, free = self._system.m, self._free
+        x, pi = np.empty(m), np.zeros(m)
+        x[free], pi[free] = y[: len(free)], y[len(free) : 2 * len(free)]
+        momentum = np.concatenate([self.base.momentum(y[2 * len(free) :]), pi])
+        if self._forces is None or not self._driven:
+            return x, self._form.velocity(x, momentum)
+        given = self._forces.prescribed(t, numbers)
+        x[self._driven] = given.x
+        return x, self._form.driven_velocity(x, momentum, self._driven, given.xdot)
 
     def entry_name(self, entry: int) -> str:
         """Return what an entry of the reduced state is, for messages."""
-        m = self._system.m
-        if entry >= 2 * m:
-            return f"the attitude of the root joint '{self._system.root_name}'"
-        what = "the position" if entry < m else "the momentum"
-        return f"{what} of joint '{self._system.shape_names[entry % m]}'"
+        return entry_name(self._system, self._free, [], entry)
 
 
-def symmetric(upper: Array) -> Array:
-    """Return the matrix whose upper triangle CRBA filled."""
-    return np.asarray(np.triu(upper) + np.triu(upper, 1).T)
+def entry_name(system: System, active: list[int], cyclic: list[int], entry: int) -> str:
+    """Return what an entry of y = (x, π of active joints, x of cyclic ones, base) is."""
+    names, k = system.shape_names, len(active)
+    if entry < k:
+        return f"the position of joint '{names[active[entry]]}'"
+    if entry < 2 * k:
+        return f"the momentum of joint '{names[active[entry - k]]}'"
+    if entry < 2 * k + len(cyclic):
+        return f"the position of joint '{names[cyclic[entry - 2 * k]]}'"
+    return f"the motion of the root joint '{system.root_name}'"

@@ -1,14 +1,13 @@
 """The full simulation: Pinocchio's ABA on (q, v), and what Pinocchio says is conserved.
 
 This is the other side of every comparison, so it shares nothing with the reduction: its
-own kinematics of the root, its own spring torques, other integrators (Hairer's, through
-scipy.integrate.ode), momentum and energy by Pinocchio's functions.
+own kinematics of the root, other integrators (Hairer's, through scipy.integrate.ode),
+momentum and energy by Pinocchio's functions; of forces, it evaluates the same expressions.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +16,9 @@ from scipy.integrate import ode
 
 from .arrays import Array
 from .errors import IntegrationError
-from .system import System
-from .trajectory import State
+from .motion import stops_of
+from .scene import Scene
+from .state import State
 
 _MOST_STEPS = 10_000_000
 
@@ -78,14 +78,18 @@ class Audit:
 
 
 class FullState:
-    """Pinocchio's forward dynamics of one system with springs, as an initial value problem.
+    """Pinocchio's forward dynamics of one scene, as an initial value problem.
 
     The state is y = (root, x, v): root coordinates (position; angle or quaternion), joint
-    angles unwrapped, Pinocchio's velocity.
+    angles unwrapped, Pinocchio's velocity.  What forces see is taken from it by Pinocchio;
+    of prescribed joints, the plan is what counts.
     """
 
-    def __init__(self, system: System, springs: Mapping[str, tuple[float, float]]) -> None:
+    def __init__(self, scene: Scene) -> None:
         """Prepare Pinocchio's work space."""
+        system = scene.system
+        self._scene, self._forces = scene, scene.force_model
+        self._numbers = np.empty(0) if self._forces is None else self._forces.numbers.copy()
         self._model, self._data = system.model, system.model.createData()
         self._root = system.model.joints[1]
         self._kind = system.group.name
@@ -100,11 +104,7 @@ class FullState:
         # Axes of the root joint's motion in its fixed frame, (6, r).
         pin.computeJointJacobians(self._model, self._data, pin.neutral(self._model))
         self._axes = np.array(self._data.joints[1].S).reshape(6, self._r)
-        names = list(self._model.names)
-        stiffness, rest = np.zeros(self._m), np.zeros(self._m)
-        for name, (k, x) in springs.items():
-            stiffness[names.index(name) - 2], rest[names.index(name) - 2] = k, x
-        self._stiffness, self._rest = stiffness, rest
+        self._driven = [] if self._forces is None else list(self._forces.joints)
 
     def state(self, pose: Array, x: Array, xi: Array, xdot: Array) -> Array:
         """Return y for a pose, shape, body twist and shape rate."""
@@ -132,34 +132,100 @@ class FullState:
         method: Hairer's "dop853" or "dopri5", of order 8 or 5.
         Raises IntegrationError if it cannot be followed.
         """
-        y = np.empty((len(times), len(y0)))
-        solver = ode(self.rate).set_integrator(method, rtol=rtol, atol=atol, nsteps=_MOST_STEPS)
-        solver.set_initial_value(y0, 0.0)
-        for k, t in enumerate(times):
-            if t == 0.0:
-                y[k] = y0
-                continue
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # its failures are raised below
-                y[k] = solver.integrate(t)
-            if not (solver.successful() and np.isfinite(y[k]).all()):
-                raise IntegrationError(
-                    f"the full simulation of '{self._model.name}' cannot be followed to "
-                    f"t = {t:g} s at rtol = {rtol:g}"
-                )
+        end = float(times[-1])
+        stops = stops_of(self._scene)
+        wanted = np.union1d(times, stops[stops < end])
+        found = {0.0: y0}
+        y = y0
+        solver = self._solver(method, y, 0.0, rtol, atol)
+        for t in wanted:
+            if t - solver.t <= 1e-12 * end:  # there already, but for round-off
+                found[float(t)] = y
+            else:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", UserWarning)  # its failures are raised below
+                    y = solver.integrate(t)
+                if not (solver.successful() and np.isfinite(y).all()):
+                    raise IntegrationError(
+                        f"the full simulation of '{self._model.name}' cannot be followed to "
+                        f"t = {t:g} s at rtol = {rtol:g}"
+                    )
+                found[float(t)] = y
+            if t in stops[:-1]:
+                solver = self._solver(method, y, float(t), rtol, atol)
+        y = np.array([found[float(t)] for t in times])
         return FullMotion(
             x=y[:, self._size : self._size + self._m].copy(),
             q=np.array([self.q(row) for row in y]),
         )
 
-    def rate(self, t: float, y: Array) -> Array:  # noqa: ARG002
+    def _solver(self, method: str, y: Array, t: float, rtol: float, atol: float) -> ode:
+        """Return a solver that begins here, with the torques that controllers give here."""
+        if self._forces is not None:
+            stops = stops_of(self._scene)
+            later = stops[stops > t]
+            self._numbers[self._forces.within] = 0.5 * (t + later[0]) if later.size else t
+        if self._forces is not None and self._forces.held:
+            size, m = self._size, self._m
+            x, v = y[size : size + m], y[size + m :]
+            _, mu = self._relative(self.q(y), v)
+            for controller, where in self._forces.held:
+                if abs(t / controller.period - round(t / controller.period)) < 1e-9:
+                    names = self._scene.system.shape_names
+                    self._numbers[where] = controller.sample(names, t, x, v[self._r :], mu)
+        solver = ode(self.rate).set_integrator(method, rtol=rtol, atol=atol, nsteps=_MOST_STEPS)
+        return solver.set_initial_value(y, t)
+
+    def rate(self, t: float, y: Array) -> Array:
         """Return dy/dt with Pinocchio's ABA."""
-        size, m = self._size, self._m
-        x, v = y[size : size + m], y[size + m :]
-        tau = np.zeros(len(v))
-        tau[self._r :] = -self._stiffness * (x - self._rest)
-        a = pin.aba(self._model, self._data, self.q(y), v, tau)
-        return np.concatenate([self._root_rate(y[:size], v[: self._r]), v[self._r :], a])
+        size, m, r = self._size, self._m, self._r
+        if self._forces is None:
+            v, q = y[size + m :], self.q(y)
+            a = pin.aba(self._model, self._data, q, v, np.zeros(len(v)))
+            return np.concatenate([self._root_rate(y[:size], v[:r]), v[r:], a])
+        y = y.copy()
+        accelerations = np.empty(0)
+        if self._driven:
+            given = self._forces.prescribed(t, self._numbers)
+            accelerations = given.xddot
+            y[[size + k for k in self._driven]] = given.x
+            y[[size + m + r + k for k in self._driven]] = given.xdot
+        x, v, q = y[size : size + m], y[size + m :], self.q(y)
+        xi, mu = self._relative(q, v)
+        acting = self._forces.acting(t, x, v[r:], xi, mu, self._numbers)
+        tau = np.concatenate([acting.wrench, acting.torque])
+        if self._driven:
+            a = self._driven_acceleration(q, v, tau, accelerations)
+        else:
+            a = pin.aba(self._model, self._data, q, v, tau)
+        return np.concatenate([self._root_rate(y[:size], v[:r]), v[r:], a])
+
+    def _driven_acceleration(self, q: Array, v: Array, tau: Array, given: Array) -> Array:
+        """Return the acceleration, (n,), where that of some joints is given."""
+        upper = pin.crba(self._model, self._data, q)
+        H = np.triu(upper) + np.triu(upper, 1).T
+        bias = pin.nonLinearEffects(self._model, self._data, q, v)
+        driven = self._r + np.array(self._driven)
+        free = np.setdiff1d(np.arange(len(v)), driven)
+        a = np.empty(len(v))
+        a[driven] = given
+        rest = (tau - bias)[free] - H[np.ix_(free, driven)] @ given
+        a[free] = np.linalg.solve(H[np.ix_(free, free)], rest)
+        return a
+
+    def _relative(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return body twist and momentum, (r,) each, as seen from the centre of mass."""
+        data, r, k = self._data, self._r, self._linear
+        inside = self._momentum(q, v, np.zeros(3), about_pivot=not k)
+        body = data.oMi[1].rotation.T
+        root = self._model.jointPlacements[1].rotation
+        xi, mu = v[:r].copy(), np.zeros(r)
+        if k:
+            velocity = body @ data.hg.linear / data.Ig.mass
+            xi[:k] -= (self._axes[:3].T @ velocity)[:k]
+        angular = inside[k:]
+        mu[k:] = body @ root @ angular if len(angular) == 3 else angular
+        return xi, mu
 
     def _root_rate(self, root: Array, v: Array) -> Array:
         if self._kind in ("R", "SO2"):
@@ -214,8 +280,12 @@ class FullState:
         pin.ccrba(self._model, self._data, q, np.zeros(self._model.nv))
         return float(np.sqrt(np.trace(self._data.Ig.inertia) / self._data.Ig.mass))
 
-    def audit(self, state: State) -> Audit:
-        """Return what Pinocchio says of the states of a trajectory."""
+    def audit(self, state: State, work: Array, impulse: Array | None) -> Audit:
+        """Return what Pinocchio says of the states of a trajectory.
+
+        work: (T,) [J] that has been done since the start.  impulse: (T, r) given since then
+        in the root's fixed frame, if momentum is not conserved for itself.
+        """
         model, data, r = self._model, self._data, self._r
         energy, total, internal, conserved = [], [], [], []
         body, spatial = np.empty_like(state.xi), np.empty_like(state.xi)
@@ -224,8 +294,9 @@ class FullState:
             kinetic = pin.computeKineticEnergy(self._bare, data, q, v)
             kinetic += 0.5 * float(model.armature @ v**2)
             height = pin.computePotentialEnergy(model, data, q)
-            spring = 0.5 * float(self._stiffness @ (state.x[k] - self._rest) ** 2)
-            energy.append(kinetic + height + spring)
+            if self._forces is not None:
+                height += self._forces.potential(state.x[k], self._numbers)
+            energy.append(kinetic + height)
             body[k] = pin.rnea(self._weightless, data, q, rest, v)[:r]
             spatial[k] = self._momentum(q, v, np.zeros(3), about_pivot=True)
             fall = data.Ig.mass * model.gravity.linear * t
@@ -237,6 +308,11 @@ class FullState:
         most = max(internal) if max(internal) > 1e-9 * max(total) else max(total)
         scale = np.full(r, np.sqrt(2.0 * data.Ig.mass * most))
         scale[self._linear :] *= self.radius(state.q[0])
+        energies = np.array(energy)
+        gained = energies - energies[0] - (work - work[0])
+        if impulse is not None:
+            conserved = list(spatial - impulse)
+            scale = np.maximum(scale, np.abs(spatial).max())
         change = np.abs(np.array(conserved) - conserved[0]).max(axis=0)
         found = np.array(
             [self.q(np.concatenate(row)) for row in zip(state.pose, state.x, strict=True)]
@@ -246,10 +322,10 @@ class FullState:
             _difference(np.hstack([state.xi, state.xdot]), state.v, 0.0),
             _difference(state.body_momentum, body, float(scale.max())),
             _difference(state.spatial_momentum, spatial, float(scale.max())),
-            _difference(state.energy, np.array(energy), most),
+            _difference(state.energy, energies, most),
         ]
         return Audit(
-            energy=_ratio(float(np.abs(np.array(energy) - energy[0]).max()), most),
+            energy=_ratio(float(np.abs(gained).max()), most),
             momentum=float(np.max([_ratio(c, s) for c, s in zip(change, scale, strict=True)])),
             fields=float(np.max(mismatch)),
         )

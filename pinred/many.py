@@ -12,8 +12,8 @@ from .arrays import Array, as_floats
 from .errors import InputError, IntegrationError, ShapeError
 from .scene import Scene
 from .simulation import as_scene
+from .state import ShapeState, State, with_base
 from .system import System, checked_system
-from .trajectory import State
 
 if TYPE_CHECKING:
     from .engine.flow import CompiledFlow
@@ -53,6 +53,14 @@ class Trajectories:
     def __getitem__(self, member: int) -> State:
         """Return the states of one member, over the report times.
 
+        Raises IntegrationError if it did not come to its end, InputError if the base was left
+        out.
+        """
+        return with_base(self.outputs(member), "these members")
+
+    def outputs(self, member: int) -> State | ShapeState:
+        """Return what the scenes ask for of one member, over the report times.
+
         Raises IntegrationError if it did not come to its end.
         """
         for failure in self.failures:
@@ -61,7 +69,8 @@ class Trajectories:
                     f"member {member} stopped at t = {failure.time:g} s: {failure.reason}"
                 )
         flow = self._flows[member]
-        return flow.states(self.t, np.array(self.y[member, :, : flow.y0.size]))
+        y = np.array(self.y[member, :, : flow.y0.size])
+        return flow.states(self.t, y, flow.numbers)
 
 
 def simulate_many(

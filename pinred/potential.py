@@ -13,9 +13,9 @@ from typing import TypeAlias
 import numpy as np
 import pinocchio as pin
 
-from .arrays import Array, as_floats
+from .arrays import Array, as_floats, read_only
 from .errors import InputError, SymmetryError
-from .lie import SO2, R
+from .lie import SO2, SO3, R
 from .system import Indices, System
 
 Springs: TypeAlias = Mapping[str, tuple[float, float]]
@@ -42,10 +42,13 @@ def falling(system: System) -> Array:
 class Potential:
     """V(x) of one system: value and gradient.  Terms that do not act are not computed."""
 
-    def __init__(self, system: System, springs: Springs | None = None) -> None:
+    def __init__(
+        self, system: System, springs: Springs | None = None, *, weight: bool = True
+    ) -> None:
         """Collect what acts on the shape.
 
-        springs: {joint: (stiffness [N·m/rad | N/m], rest [rad | m])}.
+        springs: {joint: (stiffness [N·m/rad | N/m], rest [rad | m])}.  weight: whether
+        gravity counts.
         Raises InputError for an unknown joint or a number that is not finite, and
         SymmetryError if gravity breaks the symmetry.
         """
@@ -53,7 +56,7 @@ class Potential:
         self._index, self._stiffness, self._rest = _spring_arrays(system, springs or {})
         root = system.model.jointPlacements[1].rotation
         sideways = system.gravity - root @ translations(system) @ falling(system)
-        if np.linalg.norm(sideways) <= 1e-14 * np.linalg.norm(system.gravity):
+        if not weight or np.linalg.norm(sideways) <= 1e-14 * np.linalg.norm(system.gravity):
             sideways = np.zeros(3)
         self._sideways = sideways
         # Pinocchio's potential energy and torques with only g⊥ acting.
@@ -112,9 +115,30 @@ class Potential:
         return float(0.5 * self._stiffness @ (x[self._index] - self._rest) ** 2)
 
 
-def potential_of(system: System, springs: Springs) -> Potential:
-    """Return the potential of a system with springs, set up once for each thread."""
-    return system.workspace((Potential, repr(dict(springs))), lambda: Potential(system, springs))
+def pivot_weight(system: System) -> Array:
+    """Return m g in the root joint's fixed frame, (3,), if it turns a pivoted base, else zero."""
+    return system.workspace(pivot_weight, lambda: read_only(_pivot_weight(system)))
+
+
+def _pivot_weight(system: System) -> Array:
+    if system.group is SO3:
+        try:
+            Potential(system)
+        except SymmetryError:
+            return np.asarray(
+                system.mass * system.model.jointPlacements[1].rotation.T @ system.gravity
+            )
+    return np.zeros(3)
+
+
+def shape_gravity(system: System) -> Potential:
+    """Return the potential of gravity on the shape alone, set up once for each thread.
+
+    Raises SymmetryError if gravity breaks the symmetry.
+    """
+    return system.workspace(
+        shape_gravity, lambda: Potential(system, weight=not pivot_weight(system).any())
+    )
 
 
 def _spring_arrays(system: System, springs: Springs) -> tuple[Indices, Array, Array]:

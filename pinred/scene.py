@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .arrays import Array, as_floats, positive, read_only, vector
 from .errors import InputError, ShapeError
+from .integrators.method import Method
 from .joints import is_prismatic
 from .reduction import Reduction
 from .system import InitialState, System, checked_system
 
+if TYPE_CHECKING:
+    from .force import Force
+    from .force_model import ForceModel
+    from .signals import Signal
+
+OUTPUTS = ("all", "shape")
 DURATION = 2.0  # s, where neither scene nor robot says
 TIGHTEST = 1e-13  # relative tolerance; below it round-off decides the step
 # Momenta are integrated, and rates are wanted: where a light joint sits beside heavy ones, a
@@ -48,7 +55,11 @@ class Scene:
     (identity).  duration: s; else up to the last of `times`, else what the robot comes with,
     else 2 s.  times: where to report, increasing (201 even ones).  rtol, atol: local error
     per step, relative and absolute.  springs: {joint: (stiffness [N·m/rad | N/m], rest
-    [rad | m])}.
+    [rad | m])}, short for forces.Spring.  forces: what else acts (see pinred.forces).
+    prescribed: {joint: Signal}, joints that follow a plan (see pinred.signals); their
+    entries in x0 and xdot0 are not read.  outputs: "all", or "shape" to leave out the base.
+    method: an integrator of pinred.integrators with its own step or tolerance (DOP853 with
+    rtol and atol).
 
     Raises InputError or ShapeError when built with what cannot be simulated.
     """
@@ -65,6 +76,10 @@ class Scene:
     rtol: float = 1e-10
     atol: float = 1e-12
     springs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    forces: Sequence[Force] = ()
+    prescribed: Mapping[str, Signal] = field(default_factory=dict)
+    outputs: Literal["all", "shape"] = "all"
+    method: Method | None = None
 
     def __post_init__(self) -> None:
         checked_system(self.system, "a scene")
@@ -84,8 +99,10 @@ class Scene:
             isinstance(self.seed, (int, np.integer)) and self.seed >= 0
         ):
             raise InputError(f"seed must be a whole number from 0, got {self.seed!r}")
-        if not isinstance(self.springs, Mapping):
-            raise InputError(f"springs must be {{joint: (stiffness, rest)}}, got {self.springs!r}")
+        if self.outputs not in OUTPUTS:
+            raise InputError(f"outputs must be one of {', '.join(OUTPUTS)}, got {self.outputs!r}")
+        if not (self.method is None or isinstance(self.method, Method)):
+            raise InputError(f"method must be DOP853(…) or RKMK4(…), got {self.method!r}")
         for name in ("rtol", "atol"):
             object.__setattr__(self, name, positive(getattr(self, name), name))
         if self.rtol < TIGHTEST:
@@ -93,6 +110,7 @@ class Scene:
         if self.duration is not None:
             object.__setattr__(self, "duration", positive(self.duration, "duration"))
         object.__setattr__(self, "_times", read_only(self._checked_times()))
+        self._check_forces()
         object.__setattr__(self, "_start", self._resolve())
 
     @property
@@ -113,11 +131,38 @@ class Scene:
         return max(self.rtol / MOMENTUM_MARGIN, _LEAST), self.atol / MOMENTUM_MARGIN
 
     @property
+    def force_model(self) -> ForceModel | None:
+        """All that acts besides gravity, and the prescribed joints; None if there is nothing."""
+        model: ForceModel | None = vars(self)["_forces"]
+        return model
+
+    @property
     def end(self) -> float:
         """The time at which the simulation ends [s]; it starts at 0."""
         if self.duration is not None:
             return float(self.duration)
         return float(self.report_times[-1])
+
+    def _check_forces(self) -> None:
+        """Write the forces down, if there are any."""
+        if not isinstance(self.springs, Mapping):
+            raise InputError(f"springs must be {{joint: (stiffness, rest)}}, got {self.springs!r}")
+        if not isinstance(self.prescribed, Mapping):
+            raise InputError(f"prescribed must be {{joint: Signal}}, got {self.prescribed!r}")
+        if not (self.springs or self.forces or self.prescribed):
+            object.__setattr__(self, "_forces", None)
+            return
+        from .force_model import force_model  # needs CasADi
+
+        model = force_model(self.system, self.springs, self.forces, self.prescribed)
+        for signal in (*model.signals, *model.references):
+            first, last = signal.span
+            if not first <= 0.0 <= self.end <= last:
+                raise InputError(
+                    f"{signal!r} is defined from {first:g} to {last:g} s, "
+                    f"but the scene goes from 0 to {self.end:g} s"
+                )
+        object.__setattr__(self, "_forces", model)
 
     def _checked_times(self) -> Array:
         if self.times is None:
@@ -146,6 +191,11 @@ class Scene:
         if ready is not None and self.x0 is None and self.xdot0 is None:
             x, xdot = ready.x, ready.xdot
             xi = ready.xi if self.xi0 is None else xi
+        if self.force_model is not None and self.prescribed:
+            x, xdot = x.copy(), xdot.copy()
+            model = self.force_model
+            given = model.prescribed(0.0, model.numbers_from(0.0, self.end))
+            x[list(model.joints)], xdot[list(model.joints)] = given.x, given.xdot
         red = system.workspace(Reduction, lambda: Reduction(system))
         if self.momentum is None:
             mu = red.body_momentum(x, xdot, xi)

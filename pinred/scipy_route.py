@@ -3,64 +3,71 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.integrate import DOP853, DenseOutput, OdeSolution
 
 from .arrays import Array
-from .errors import IntegrationError
+from .errors import InputError, IntegrationError
 from .flow import ReducedFlow
+from .integrators import method
+from .motion import Piece, Solve
 from .scene import Scene
 
 MOST_STEPS = 1_000_000
 
 
-@dataclass(frozen=True)
-class DenseSolution:
-    """A solution at any time.  at: from times (T,) to reduced states (T, k)."""
+def solve(flow: ReducedFlow, scene: Scene, progress: Callable[[float], None] | None) -> Solve:
+    """Return what integrates a flow from one time of its scene to another.
 
-    at: Callable[[Array], Array]
-    steps: int
-    evaluations: int
-
-
-def integrate(
-    flow: ReducedFlow, scene: Scene, progress: Callable[[float], None] | None
-) -> DenseSolution:
-    """Integrate a flow to the end of its scene.
-
-    Raises IntegrationError, with the time and the entry at fault, if it cannot be followed.
+    Raises InputError for a method that SciPy does not have; what it returns raises
+    IntegrationError, with the time and the entry at fault, if the flow cannot be followed.
     """
-    if flow.y0.size == 0:  # one body that only translates: all of its motion is known
-        return DenseSolution(lambda t: np.empty((len(t), 0)), 0, 0)
-    rtol, atol = scene.tolerance
-    solver = DOP853(flow.rate, 0.0, flow.y0, scene.end, rtol=rtol, atol=atol)
-    knots: list[float] = [0.0]
-    pieces: list[DenseOutput] = []
-    while solver.status == "running":
-        if len(pieces) >= MOST_STEPS:
-            raise IntegrationError(
-                f"'{scene.system.name}' took {MOST_STEPS} steps to t = {solver.t:g} s of "
-                f"{scene.end:g} s; shorten the scene or loosen the tolerance"
-            )
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is caught below
-            message = solver.step()
-            piece = solver.dense_output() if solver.status != "failed" else None
-        if not np.isfinite(solver.y).all():
-            entry = int(np.argmin(np.isfinite(solver.y)))
-            raise IntegrationError(
-                f"{flow.entry_name(entry)} of '{scene.system.name}' is not finite after "
-                f"t = {knots[-1]:g} s"
-            )
-        if solver.status == "failed":
-            raise IntegrationError(
-                f"'{scene.system.name}' cannot be followed beyond t = {solver.t:g} s of "
-                f"{scene.end:g} s at rtol = {scene.rtol:g}: {message}"
-            )
-        knots.append(solver.t)
-        pieces.append(piece)
-        if progress is not None:
-            progress(solver.t / scene.end)
-    dense = OdeSolution(knots, pieces)
-    return DenseSolution(lambda t: np.asarray(dense(t)).T, len(pieces), solver.nfev)
+    asked = scene.method
+    if not (asked is None or isinstance(asked, method.DOP853)):
+        raise InputError(f"engine 'pinocchio' integrates by DOP853 only, not {asked!r}")
+    rtol, atol = scene.tolerance if asked is None else (asked.rtol, asked.atol)
+    longest = np.inf if asked is None else asked.max_step
+    most = MOST_STEPS if asked is None else asked.max_steps
+
+    def run(start: float, end: float, y0: Array) -> Piece:
+        if y0.size == 0:  # one body that only translates: all of its motion is known
+            empty = np.array([start, end])
+            return Piece(empty, lambda t: np.empty((len(t), 0)), flow.numbers.copy(), 0, 0)
+        solver = DOP853(flow.rate, start, y0, end, rtol=rtol, atol=atol, max_step=longest)
+        knots: list[float] = [start]
+        pieces: list[DenseOutput] = []
+        while solver.status == "running":
+            if len(pieces) >= most:
+                raise IntegrationError(
+                    f"'{scene.system.name}' took {most} steps to t = {solver.t:g} s of "
+                    f"{scene.end:g} s; shorten the scene or loosen the tolerance"
+                )
+            with np.errstate(over="ignore", invalid="ignore"):  # what overflows is caught below
+                message = solver.step()
+                piece = solver.dense_output() if solver.status != "failed" else None
+            if not np.isfinite(solver.y).all():
+                entry = int(np.argmin(np.isfinite(solver.y)))
+                raise IntegrationError(
+                    f"{flow.entry_name(entry)} of '{scene.system.name}' is not finite after "
+                    f"t = {knots[-1]:g} s"
+                )
+            if solver.status == "failed":
+                raise IntegrationError(
+                    f"'{scene.system.name}' cannot be followed beyond t = {solver.t:g} s of "
+                    f"{scene.end:g} s at rtol = {scene.rtol:g}: {message}"
+                )
+            knots.append(solver.t)
+            pieces.append(piece)
+            if progress is not None:
+                progress(solver.t / scene.end)
+        dense = OdeSolution(knots, pieces)
+        return Piece(
+            knots=np.array(knots),
+            at=lambda t: np.asarray(dense(t)).T,
+            numbers=flow.numbers.copy(),
+            steps=len(pieces),
+            evaluations=solver.nfev,
+        )
+
+    return run

@@ -7,10 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal
 
-import numpy as np
-
-from .arrays import Array
 from .errors import InputError
+from .motion import follow
 from .scene import Scene
 from .system import System, checked_system
 from .trajectory import Run, Trajectory
@@ -31,7 +29,8 @@ def simulate(
     """Integrate the reduced equations of a scene and reconstruct the motion of the base.
 
     scene: a Scene, or a System with the options of Scene: x0, xdot0, xi0 or momentum,
-        seed, pose0, duration, times, rtol, atol, springs.
+        seed, pose0, duration, times, rtol, atol, springs, forces, prescribed, outputs,
+        method.
     engine: "compiled", machine code made for the robot and the kind of scene (and kept on
         disk), or "pinocchio", the same equations by Pinocchio's numbers under SciPy's DOP853.
     progress: called now and then with the part of the time that is done, 0 to 1.
@@ -64,40 +63,24 @@ def as_scene(scene: System | Scene, options: dict[str, Any], what: str) -> Scene
 
 def _pinocchio(scene: Scene, progress: Progress | None) -> Trajectory:
     from .flow import ReducedFlow
-    from .scipy_route import integrate
+    from .scipy_route import solve
 
     flow = ReducedFlow(scene)
     began = time.perf_counter()
-    solution = integrate(flow, scene, progress)
-    run = Run(
-        engine="pinocchio",
-        method="DOP853",
-        steps=solution.steps,
-        evaluations=solution.evaluations,
-        wall=time.perf_counter() - began,
-    )
-    return Trajectory(scene, lambda t: flow.states(t, solution.at(t)), run)
+    motion = follow(scene, flow, solve(flow, scene, progress))
+    wall = time.perf_counter() - began
+    run = Run("pinocchio", "DOP853", motion.steps, motion.evaluations, wall)
+    return Trajectory(scene, motion, run)
 
 
 def _compiled(scene: Scene, progress: Progress | None) -> Trajectory:
     from .engine.flow import CompiledFlow
-    from .engine.run import integrate, prepare
+    from .engine.run import method_of, prepare, solve
 
     flow = CompiledFlow(scene)
     prepare(flow, scene)
     began = time.perf_counter()
-    solution = integrate(flow, scene, progress)
-    run = Run(
-        engine="compiled",
-        method="DOP853",
-        steps=solution.steps,
-        evaluations=solution.evaluations,
-        wall=time.perf_counter() - began,
-    )
-
-    def state(t: Array) -> Any:
-        # The report times have been asked for already.
-        y = solution.y if t is scene.report_times else solution.at(t)
-        return flow.states(t, np.asarray(y))
-
-    return Trajectory(scene, state, run)
+    motion = follow(scene, flow, solve(flow, scene, progress))
+    wall = time.perf_counter() - began
+    run = Run("compiled", method_of(scene).name, motion.steps, motion.evaluations, wall)
+    return Trajectory(scene, motion, run)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -10,40 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .arrays import Array, as_floats, freeze
+from .arrays import Array, as_floats
 from .errors import InputError, ShapeError
+from .state import ShapeState, State, with_base
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from .balance import EnergyBalance, MomentumBalance
+    from .motion import Motion
     from .scene import Scene
     from .system import System
-
-
-@dataclass(frozen=True)
-class State:
-    """The system at one time, or at many with time as the first axis; arrays are read-only.
-
-    t: [s].  x, xdot: (…, m) shape and rate.  xi: (…, r) body twist [linear; angular].
-    pose: (…, size) of the base.  q, v: (…, nq), (…, n), Pinocchio's.
-    body_momentum: (…, r) μ in the body's frame.  spatial_momentum: (…, r) J = Ad*_{g⁻¹} μ
-    in the root joint's fixed frame, about its origin.
-    energy: (…,) kinetic and potential, of falling too, zero height at the world's origin [J].
-    """
-
-    t: Array
-    x: Array
-    xdot: Array
-    xi: Array
-    pose: Array
-    q: Array
-    v: Array
-    body_momentum: Array
-    spatial_momentum: Array
-    energy: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 @dataclass(frozen=True)
@@ -64,11 +40,11 @@ class Run:
 class Trajectory:
     """The motion of a scene.  Fields of State over the report times; call it for any time."""
 
-    def __init__(self, scene: Scene, state: Callable[[Array], State], run: Run) -> None:
-        """Take the scene, a function from times (T,) to states, and what the run cost."""
+    def __init__(self, scene: Scene, motion: Motion, run: Run) -> None:
+        """Take the scene, its motion, and what the run cost."""
         self.scene = scene
+        self.motion = motion
         self.run = run
-        self._state = state
 
     @property
     def system(self) -> System:
@@ -76,9 +52,14 @@ class Trajectory:
         return self.scene.system
 
     @cached_property
+    def outputs(self) -> State | ShapeState:
+        """What the scene asks for, at the report times, time first; made when first looked at."""
+        return self.motion.states(self.scene.report_times)
+
+    @property
     def states(self) -> State:
-        """The states at the report times, time first; made when first looked at."""
-        return self._state(self.scene.report_times)
+        """The states at the report times.  Raises InputError if the base was left out."""
+        return with_base(self.outputs, self.system.name)
 
     @property
     def t(self) -> Array:
@@ -88,12 +69,12 @@ class Trajectory:
     @property
     def x(self) -> Array:
         """Shape, (T, m) [rad | m]."""
-        return self.states.x
+        return self.outputs.x
 
     @property
     def xdot(self) -> Array:
         """Shape rate, (T, m)."""
-        return self.states.xdot
+        return self.outputs.xdot
 
     @property
     def xi(self) -> Array:
@@ -127,8 +108,35 @@ class Trajectory:
 
     @property
     def energy(self) -> Array:
-        """Total energy, (T,) [J]."""
-        return self.states.energy
+        """Total energy, (T,) [J]; without the base, that about the centre of mass."""
+        return self.outputs.energy
+
+    @cached_property
+    def energy_balance(self) -> EnergyBalance:
+        """Energy, and the work of what has no potential, over the report times.
+
+        Raises InputError if the scene leaves out the base.
+        """
+        from .balance import energy_balance
+
+        return energy_balance(self.scene, self.motion, self.states)
+
+    @cached_property
+    def momentum_balance(self) -> MomentumBalance:
+        """Momentum, and the impulse of wrenches and gravity, over the report times.
+
+        Raises InputError if the scene leaves out the base.
+        """
+        from .balance import momentum_balance
+
+        return momentum_balance(self.scene, self.motion, self.states)
+
+    @cached_property
+    def driving_torques(self) -> Array:
+        """Torques that the prescribed joints need, (T, k) [N·m | N], in their order."""
+        from .driving import driving_torques
+
+        return driving_torques(self.scene, self.t, self.motion.samples(self.t))
 
     def __len__(self) -> int:
         return len(self.t)
@@ -142,6 +150,14 @@ class Trajectory:
     def __call__(self, t: ArrayLike) -> State:
         """Return the state at time t, or states at times (T,), within the duration [s].
 
+        Raises InputError outside it or if the base was left out, ShapeError for anything but
+        a time or a vector of them.
+        """
+        return with_base(self.at(t), self.system.name)
+
+    def at(self, t: ArrayLike) -> State | ShapeState:
+        """Return what the scene asks for at time t, or at times (T,), within the duration [s].
+
         Raises InputError outside it, ShapeError for anything but a time or a vector of them.
         """
         times = as_floats(t, "t")
@@ -150,10 +166,11 @@ class Trajectory:
             raise ShapeError(f"t must be a time or a vector of times, got shape {times.shape}")
         if not ((flat >= 0.0) & (flat <= self.scene.end)).all():
             raise InputError(f"t must lie between 0 and {self.scene.end:g} s, got {times}")
-        state = self._state(flat)
+        state = self.motion.states(flat)
         if times.ndim:
             return state
-        return State(**{f.name: np.asarray(getattr(state, f.name)[0]) for f in fields(State)})
+        kind = type(state)
+        return kind(**{f.name: np.asarray(getattr(state, f.name)[0]) for f in fields(kind)})
 
     def save(self, path: str | Path) -> None:
         """Write the states to a .npz or .csv file (see export.py).  Raises InputError."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,8 @@ import pinred
 from pinred.arrays import Array
 from pinred.catalogue import bundled_robots, has_example_robots
 from pinred.full_state import FullState
+from pinred.motion import Motion
+from pinred.state import with_base
 
 EXAMPLES = {"solo12": 2.0, "ur5": 3.0, "talos": 0.5}
 
@@ -65,14 +68,21 @@ def test_error_follows_the_tolerance() -> None:
     assert errors[1e-5] > 30 * errors[1e-8] > 900 * errors[1e-11]
 
 
-def tampered(traj: pinred.Trajectory, change: object) -> pinred.Trajectory:
+Change = Callable[[pinred.State], pinred.State]
+
+
+def tampered(traj: pinred.Trajectory, change: Change) -> pinred.Trajectory:
     """The trajectory with its states changed after the fact."""
-    assert callable(change)
-    original = traj._state
-    return pinred.Trajectory(traj.scene, lambda t: change(original(t)), traj.run)
+
+    class Tampered(Motion):
+        def states(self, t: Array) -> pinred.State:
+            return change(with_base(super().states(t), ""))
+
+    motion = Tampered(traj.motion._flow, traj.motion._pieces)
+    return pinred.Trajectory(traj.scene, motion, traj.run)
 
 
-def offset(name: str, column: int, size: float) -> object:
+def offset(name: str, column: int, size: float) -> Change:
     """A change that moves one column of a field at later times."""
 
     def change(state: pinred.State) -> pinred.State:
@@ -117,7 +127,7 @@ def test_the_judge_sees_wrong_physics() -> None:
     other = pinred.load("falling_cat")
     other.model.inertias[2].mass *= 1.0 + 1e-5
     report = pinred.compare(
-        pinred.Trajectory(replace(traj.scene, system=other), traj._state, traj.run)
+        pinred.Trajectory(replace(traj.scene, system=other), traj.motion, traj.run)
     )
     assert not report.passed
     assert report.shape_error > report.shape_bound
@@ -170,7 +180,7 @@ def test_reference_is_as_accurate_as_it_says() -> None:
     """The judge's own error, from its two orders, bounds its distance to a closed form."""
     system = pinred.load("elroys_beanie")
     k = 3.0
-    full = FullState(system, {"beanie": (k, 0.0)})
+    full = FullState(pinred.Scene(system=system, springs={"beanie": (k, 0.0)}))
     y0 = full.state(np.zeros(1), np.array([0.5]), np.array([0.8]), np.array([-0.4]))
     times = np.linspace(0.0, 10.0, 11)
     eight = full.run(y0, times, 1e-12, 1e-14)

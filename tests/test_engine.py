@@ -22,7 +22,6 @@ from pinred.engine.kernel import build_kernel, kernel_for
 from pinred.engine.native import NativeCode
 from pinred.engine.symbolic import Structure
 from pinred.flow import ReducedFlow
-from pinred.potential import Potential
 
 
 @pytest.fixture(autouse=True)
@@ -44,7 +43,7 @@ def test_kernels_of_random_trees(case: Case) -> None:
         )
         compiled, readable = CompiledFlow(scene), ReducedFlow(scene)
         kernel = compiled.kernel
-        assert kernel.structure.zero_momentum == (not readable.has_spin)
+        assert kernel.structure.zero_momentum == (not readable.base.has_momentum)
         rate = kernel.evaluate_rate(compiled.y0, compiled.parameters)
         expected = readable.rate(0.0, readable.y0)
         layout, m = kernel.layout, system.m
@@ -114,15 +113,15 @@ def test_just_off_zero_momentum_is_off_zero() -> None:
     still = CompiledFlow(pinred.Scene(system=system, xdot0=xdot0, momentum=0))
     tiny = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e-300])
     off = CompiledFlow(pinred.Scene(system=system, xdot0=xdot0, momentum=tiny))
-    assert still.kernel.layout.spin == 0
-    assert off.kernel.layout.spin == 3
+    assert still.kernel.layout.base.spin == 0
+    assert off.kernel.layout.base.spin == 3
     assert still.kernel.instructions < off.kernel.instructions
 
 
 def test_a_wrong_kernel_never_runs() -> None:
     """A kernel of another robot, or with a number off, is refused with the numbers."""
     cat = pinred.load("falling_cat")
-    kernel = kernel_for(cat, Potential(cat), (), zero_momentum=False)
+    kernel = kernel_for(pinred.Scene(system=cat, seed=0), zero_momentum=False)
     judge(kernel)
     other = pinred.load("falling_cat")
     inertia = other.model.inertias[2]
@@ -137,13 +136,13 @@ def test_kernels_come_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyP
     cache = ObjectCache(tmp_path / "kernels")
     system = pinred.load("falling_cat")
     structure = Structure(zero_momentum=False)
-    first = build_kernel(system, structure, cache)
+    first = build_kernel(system, structure, cache=cache)
 
     def forbidden(*_: object) -> bytes:
         raise AssertionError("compiled again")
 
     monkeypatch.setattr("pinred.engine.kernel.compile_object", forbidden)
-    second = build_kernel(pinred.load("falling_cat"), structure, cache)
+    second = build_kernel(pinred.load("falling_cat"), structure, cache=cache)
     y = np.linspace(0.1, 0.9, first.layout.size)
     p = np.ones(first.layout.parameters)
     np.testing.assert_array_equal(first.evaluate_rate(y, p), second.evaluate_rate(y, p))
@@ -152,7 +151,7 @@ def test_kernels_come_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyP
     inertia.mass = inertia.mass + 1e-9
     heavier.model.inertias[1] = inertia
     with pytest.raises(AssertionError, match="compiled again"):
-        build_kernel(heavier, structure, cache)
+        build_kernel(heavier, structure, cache=cache)
 
 
 def test_slanted_axes_are_part_of_the_key(tmp_path: Path) -> None:
@@ -167,14 +166,14 @@ def test_slanted_axes_are_part_of_the_key(tmp_path: Path) -> None:
     for axis in ("0.6 0 0.8", "0.8 0 0.6"):
         path = tmp_path / "r.urdf"
         path.write_text(text.format(axis))
-        build_kernel(pinred.load(path), Structure(zero_momentum=False), cache)
+        build_kernel(pinred.load(path), Structure(zero_momentum=False), cache=cache)
     assert len(cache.entries()) == 2
 
 
 def test_nan_stays_visible() -> None:
     """A state that is not a number gives a rate that is not, in every entry that depends on it."""
     cat = pinred.load("falling_cat")
-    kernel = kernel_for(cat, Potential(cat), (), zero_momentum=False)
+    kernel = kernel_for(pinred.Scene(system=cat, seed=0), zero_momentum=False)
     y, p = np.full(kernel.layout.size, 0.3), np.ones(kernel.layout.parameters)
     assert np.isfinite(kernel.evaluate_rate(y, p)).all()
     y[0] = np.nan

@@ -13,10 +13,11 @@ from pinred.arrays import Array
 from pinred.canonical import CanonicalForm
 from pinred.cyclic import cyclic_joints
 from pinred.engine.frames import bodies_of
+from pinred.engine.kernel import structure_of
 from pinred.engine.sweep import sweep
 from pinred.engine.symbolic import AXES, ReducedGraph, Structure
 from pinred.flow import ReducedFlow
-from pinred.potential import Potential
+from pinred.potential import shape_gravity
 from pinred.rotations import rotation
 
 
@@ -34,7 +35,7 @@ def test_sweep_solves_for_velocities_and_forces(case: Case) -> None:
     pi = [ca.SX.sym(f"pi{k}") for k in range(m)]
     mu = [ca.SX.sym(f"mu{k}") for k in range(r)]
     axes = AXES[system.group.name]
-    found = sweep(bodies_of(system), x, pi, mu, axes, 0.0)
+    found = sweep(bodies_of(system), x, pi, mu, axes, 0.0, {})
     xi = [(found.root_angular if angular else found.root_linear)[k] for angular, k in axes]
     function = ca.Function(
         "f",
@@ -47,7 +48,7 @@ def test_sweep_solves_for_velocities_and_forces(case: Case) -> None:
     scale = np.linalg.cond(H) * np.finfo(float).eps * 20
     np.testing.assert_allclose(v, case.v, rtol=0, atol=max(1e-12, scale) * np.abs(case.v).max())
     if m:
-        expected = CanonicalForm(system, Potential(system)).force(case.x, case.v)
+        expected = CanonicalForm(system, shape_gravity(system)).force(case.x, case.v)
         size = max(1.0, float(np.abs(expected).max()))
         np.testing.assert_allclose(force, expected, rtol=0, atol=max(1e-12, scale) * size)
 
@@ -87,23 +88,14 @@ def test_reduced_rates_are_those_of_the_pinocchio_route(name: str, zero: bool) -
         **options,
     )
     flow = ReducedFlow(scene)
-    potential = Potential(system, springs)
-    structure = Structure(
-        zero_momentum=zero,
-        cyclic=cyclic_joints(pinred.Reduction(system, springs=springs)),
-        springs=tuple(system.shape_names.index(joint) for joint in springs),
-        gravity=potential.direction,
-    )
-    graph = ReducedGraph(system, structure)
+    structure = structure_of(system, scene.force_model, zero_momentum=zero)
+    graph = ReducedGraph(system, structure, scene.force_model)
     layout, m = graph.layout, system.m
     active, cyclic = list(layout.active), list(layout.cyclic)
-    y0, base = flow.y0, flow._base
+    y0, base = flow.y0, flow.base
     assert base.spin.any() != zero or not base.spin.size
     y = np.concatenate([y0[:m][active], y0[m : 2 * m][active], y0[:m][cyclic], y0[2 * m :]])
-    constants = np.array(list(springs.values())).reshape(-1, 2)
-    parameters = np.concatenate(
-        [base.spin[: layout.spin], y0[m : 2 * m][cyclic], constants[:, 0], constants[:, 1]]
-    )
+    parameters = np.concatenate([base.spin, y0[m : 2 * m][cyclic], flow.numbers])
     assert (len(y), len(parameters)) == (layout.size, layout.parameters)
     rate = flow.rate(0.0, y0)
     expected = np.concatenate(

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from ..arrays import Array
-from ..base import BASES
-from ..canonical import CanonicalForm
-from ..flow import symmetric
-from ..potential import potential_of
+from ..base import Base
+from ..canonical import CanonicalForm, symmetric
+from ..flow import entry_name
+from ..potential import pivot_weight, shape_gravity
 from ..scene import Scene
-from ..trajectory import State
+from ..state import Sample, ShapeState, State, full_state
 from .evaluate import evaluate
 from .kernel import Kernel, kernel_for
 
@@ -19,72 +19,72 @@ class CompiledFlow:
     """What the compiled integrators need of a scene.
 
     kernel: machine code and layout.  y0: (k,) reduced state at the start.  parameters:
-    (p,) what the kernel reads besides.
+    (p,) what the kernel reads besides.  numbers: those of them that are in the forces; the
+    torques that controllers hold are set in it as time goes on.
     """
 
     def __init__(self, scene: Scene) -> None:
         """Set up the flow.  Raises SymmetryError if gravity breaks the symmetry."""
         system, start = scene.system, scene.start
-        self._system = system
-        self._potential = potential = potential_of(system, scene.springs)
+        self._system, self._wanted = system, scene.outputs == "all"
+        self._forces = forces = scene.force_model
+        self._potential = potential = shape_gravity(system)
         form = system.workspace(CanonicalForm, lambda: CanonicalForm(system, potential))
         H = symmetric(form.mass_matrix(start.x))
-        self._base = BASES[system.group.name](system, start, form.com())
-        pi = H[system.r :] @ np.concatenate([self._base.relative_twist0, start.xdot])
-        self.kernel: Kernel = kernel_for(
+        self._base = base = Base(
             system,
-            self._potential,
-            tuple(scene.springs),
-            zero_momentum=not self._base.spin.any(),
+            start,
+            form.com(),
+            pivot_weight(system),
+            wanted=self._wanted,
+            wrench=forces is not None and forces.has_wrench,
         )
+        pi = H[system.r :] @ np.concatenate([base.relative_twist0, start.xdot])
+        self.kernel: Kernel = kernel_for(scene, zero_momentum=not base.has_momentum)
         layout = self.kernel.layout
         self._active, self._cyclic = list(layout.active), list(layout.cyclic)
-        springs = np.array(list(scene.springs.values())).reshape(-1, 2)
+        self._prescribed = list(layout.prescribed)
         self._pi_cyclic = pi[self._cyclic]
-        spin = self._base.spin[: layout.spin]
-        self.parameters = np.concatenate([spin, self._pi_cyclic, springs[:, 0], springs[:, 1]])
+        own = np.empty(0) if forces is None else forces.numbers
+        self.parameters = np.concatenate([base.spin, self._pi_cyclic, own])
+        self.numbers = self.parameters[len(self.parameters) - len(own) :]
+        x, clock = start.x, np.zeros(layout.clock)
         self.y0 = np.concatenate(
-            [
-                start.x[self._active],
-                pi[self._active],
-                start.x[self._cyclic],
-                self._base.attitude0,
-            ]
+            [x[self._active], pi[self._active], x[self._cyclic], base.b0, clock]
         )
 
-    def states(self, t: Array, y: Array) -> State:
-        """Return the full states at times t (T,) of reduced states y (T, k)."""
+    def sample(self, t: float, y: Array, numbers: Array) -> Sample:  # noqa: ARG002
+        """Return what forces see at one time."""
+        system, r = self._system, self._system.r
+        out = self.kernel.evaluate_outputs(y, self._with(numbers))
+        x, _ = self._shape(y[None], out[None])
+        b, base = self._b(y), self._base
+        return Sample(x[0], out[r : system.n], out[:r], base.momentum(b), base.body_weight(b))
+
+    def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
+        """Return the full states at times t (T,) of reduced states y (T, k).
+
+        numbers: (p,) those in the forces then.
+        """
         system, base = self._system, self._base
-        r, k, T = system.r, len(self._active), len(t)
-        out = evaluate(self.kernel.outputs.address, self.parameters, y, system.n + 3)
-        relative, xdot, com = out[:, :r], out[:, r : system.n].copy(), out[:, system.n :]
-        x, pi = np.empty((T, system.m)), np.empty((T, system.m))
-        x[:, self._active], x[:, self._cyclic] = y[:, :k], y[:, 2 * k : 2 * k + len(self._cyclic)]
-        pi[:, self._active], pi[:, self._cyclic] = y[:, k : 2 * k], self._pi_cyclic
-        attitude = y[:, y.shape[1] - len(base.attitude0) :]
-        pose, xi = base.pose(attitude, com, t), base.twist(attitude, relative, t)
-        group, mass = system.group, system.mass
-        J = base.spatial_momentum(mass, t)
-        mu = np.swapaxes(group.Ad(pose), -1, -2) @ J[:, :, None]
-        energy = (
-            base.turning_energy(attitude, relative)
-            + 0.5 * np.sum(xdot * pi, axis=1)
-            + base.carried_energy(mass, t)
-            + base.falling_energy(mass, t)
-            + self._potential.values(x, com)
-        )
-        return State(
-            t=t.copy(),
-            x=x,
-            xdot=xdot,
-            xi=xi,
-            pose=pose,
-            q=system.q(pose, x),
-            v=system.v(xi, xdot),
-            body_momentum=mu[:, :, 0],
-            spatial_momentum=J,
-            energy=energy,
-        )
+        r = system.r
+        kernel = self.kernel
+        out = evaluate(kernel.outputs.address, self._with(numbers), y, kernel.outputs_size)
+        relative, xdot, com = out[:, :r], out[:, r : system.n].copy(), out[:, system.n :][:, :3]
+        x, pi = self._shape(y, out)
+        b = self._b(y)
+        turning = relative[:, r - base.turns :] if base.turns else relative[:, :0]
+        energy = 0.5 * (np.sum(turning * base.angular(b), axis=1) + np.sum(xdot * pi, axis=1))
+        energy += self._potential.values(x, com)
+        if self._forces is not None:
+            energy += self._forces.potentials(x, numbers)
+        if not self._wanted:
+            energy += base.weight_energy(b, com)
+            return ShapeState(t=t.copy(), x=x, xdot=xdot, energy=energy)
+        energy += base.base_energy(b, com, t)
+        pose, J = base.pose(b, com, t), base.spatial_momentum(b, t)
+        mu = (np.swapaxes(system.group.Ad(pose), -1, -2) @ J[:, :, None])[:, :, 0]
+        return full_state(system, t, x, xdot, base.twist(b, relative, t), pose, mu, J, energy)
 
     @property
     def address(self) -> int:
@@ -93,17 +93,32 @@ class CompiledFlow:
 
     def shape(self, y: Array) -> Array:
         """Return the shape (m,) in a reduced state."""
-        x, k = np.empty(self._system.m), len(self._active)
-        x[self._active], x[self._cyclic] = y[:k], y[2 * k : 2 * k + len(self._cyclic)]
-        return x
+        out = np.zeros(self.kernel.outputs_size)
+        if self._prescribed:
+            out = self.kernel.evaluate_outputs(y, self.parameters)
+        x, _ = self._shape(y[None], out[None])
+        return np.asarray(x[0])
 
     def entry_name(self, entry: int) -> str:
         """Return what an entry of the reduced state is, for messages."""
-        names, k = self._system.shape_names, len(self._active)
-        if entry < k:
-            return f"the position of joint '{names[self._active[entry]]}'"
-        if entry < 2 * k:
-            return f"the momentum of joint '{names[self._active[entry - k]]}'"
-        if entry < 2 * k + len(self._cyclic):
-            return f"the position of joint '{names[self._cyclic[entry - 2 * k]]}'"
-        return f"the attitude of the root joint '{self._system.root_name}'"
+        return entry_name(self._system, self._active, self._cyclic, entry)
+
+    def _with(self, numbers: Array) -> Array:
+        """Return the parameters with these numbers in the forces."""
+        return np.concatenate([self.parameters[: len(self.parameters) - len(numbers)], numbers])
+
+    def _b(self, y: Array) -> Array:
+        layout = self.kernel.layout
+        return y[..., layout.base_at : layout.base_at + layout.base.size]
+
+    def _shape(self, y: Array, out: Array) -> tuple[Array, Array]:
+        """Return x and π, (T, m) each, from reduced states and outputs."""
+        T, k, n = len(y), len(self._active), self._system.n
+        x, pi = np.empty((T, self._system.m)), np.empty((T, self._system.m))
+        x[:, self._active], x[:, self._cyclic] = y[:, :k], y[:, 2 * k : 2 * k + len(self._cyclic)]
+        pi[:, self._active], pi[:, self._cyclic] = y[:, k : 2 * k], self._pi_cyclic
+        if self._prescribed:
+            places = n + 3 + len(self._prescribed)
+            x[:, self._prescribed] = out[:, n + 3 : places]
+            pi[:, self._prescribed] = out[:, places:]
+        return x, pi

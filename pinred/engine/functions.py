@@ -65,6 +65,11 @@ def casadi_functions(system: System) -> CasadiFunctions:
 def _mass_matrix(system: System, x: ca.SX) -> ca.SX:
     """Return H(x), the derivative of the momenta by the velocities."""
     v = ca.SX.sym("v", system.n)
+    return ca.jacobian(momenta(system, x, v), v)
+
+
+def momenta(system: System, x: ca.SX, v: ca.SX) -> ca.SX:
+    """Return the momenta H(x) v, (n,), of velocities v = (ξ, ẋ), in one sweep."""
     bodies, axes = bodies_of(system), AXES[system.group.name]
     linear: Vec = [0.0, 0.0, 0.0]
     angular: Vec = [0.0, 0.0, 0.0]
@@ -79,20 +84,21 @@ def _mass_matrix(system: System, x: ca.SX) -> ca.SX:
         part = vi if bodies[i].prismatic else wi
         part[2] = part[2] + v[system.r + i - 1]
         twists.append((vi, wi))
-    momenta = [_momentum(body, *twist) for body, twist in zip(bodies, twists, strict=True)]
+    carried = [_momentum(body, *twist) for body, twist in zip(bodies, twists, strict=True)]
     pi: list[Scalar] = [0.0] * system.m
     for i in range(len(bodies) - 1, 0, -1):
-        body, (lin, ang), step = bodies[i], momenta[i], steps[i]
+        body, (lin, ang), step = bodies[i], carried[i], steps[i]
         assert step is not None
         pi[i - 1] = (lin if body.prismatic else ang)[2] + body.armature * v[system.r + i - 1]
         up, about = step.inward(lin, ang)
-        lin0, ang0 = momenta[body.parent]
-        momenta[body.parent] = plus(lin0, up), plus(ang0, about)
-    lin, ang = momenta[0]
+        lin0, ang0 = carried[body.parent]
+        carried[body.parent] = plus(lin0, up), plus(ang0, about)
+    lin, ang = carried[0]
     mu = [(ang if turning else lin)[axis] for turning, axis in axes]
     if system.group.name == "SO2":
         mu[0] = mu[0] + float(system.model.armature[0]) * v[0]
-    return ca.jacobian(ca.vertcat(*mu, *pi), v)
+    column: ca.SX = ca.vertcat(*mu, *pi)
+    return column
 
 
 def _momentum(body: Body, v: Vec, w: Vec) -> tuple[Vec, Vec]:
@@ -110,12 +116,12 @@ def _curvature(system: System, x: ca.SX, A: ca.SX) -> ca.SX:
     columns = []
     for a in range(m):
         for b in range(m):
-            bracket = _bracket(system, A[:, a], A[:, b])
-            columns.append(dA[b][:, a] - dA[a][:, b] - bracket)
+            turned = bracket(system, A[:, a], A[:, b])
+            columns.append(dA[b][:, a] - dA[a][:, b] - turned)
     return ca.horzcat(*columns)
 
 
-def _bracket(system: System, a: ca.SX, b: ca.SX) -> ca.SX:
+def bracket(system: System, a: ca.SX, b: ca.SX) -> ca.SX:
     """Return [a, b] in the group's algebra."""
     name = system.group.name
     if name in ("R", "SO2"):

@@ -8,10 +8,11 @@ import numpy as np
 import pinocchio as pin
 
 from ..arrays import Array
+from ..canonical import symmetric
 from ..errors import KernelMismatch
-from ..flow import symmetric
 
 if TYPE_CHECKING:
+    from ..force_model import ForceModel
     from .kernel import Kernel
 
 _STATES = 3
@@ -29,41 +30,46 @@ def judge(kernel: Kernel) -> None:
 
 
 def _judge_at(kernel: Kernel, rng: np.random.Generator) -> None:
-    system, layout, structure = kernel.system, kernel.layout, kernel.structure
-    r, m, linear = system.r, system.m, system.group.linear
+    system, layout, forces = kernel.system, kernel.layout, kernel.forces
+    r, m, k = system.r, system.m, system.group.linear
+    group, parts = system.group, layout.base
     model = system.model.copy()
     root = model.jointPlacements[1].rotation
     # What makes the whole system fall is not in the kernel.
-    model.gravity.linear = root @ np.array(structure.gravity or (0.0, 0.0, 0.0))
+    weight = np.array(kernel.structure.gravity or (0.0, 0.0, 0.0))
+    model.gravity.linear = root @ weight
     data = model.createData()
-    pose = system.group.exp(rng.uniform(-1.0, 1.0, r))
-    pose = pose if r > linear else system.group.identity()
-    x = rng.uniform(-2.0, 2.0, m)
+    pose = group.exp(rng.uniform(-1.0, 1.0, r))
+    pose = pose if r > k else group.identity()
+    x, v = rng.uniform(-2.0, 2.0, m), rng.normal(size=system.n)
+    time = float(rng.uniform(*_span(forces)))
+    driven = list(layout.prescribed)
+    numbers, accelerations = rng.normal(size=layout.numbers), np.zeros(len(driven))
+    if forces is not None and driven:
+        given = forces.prescribed(time, numbers)
+        x[driven], v[[r + j for j in driven]], accelerations = given.x, given.xdot, given.xddot
     q = system.q(pose, x)
     H = symmetric(pin.crba(model, data, q))
     com = np.array(data.Ycrb[1].lever)
     # A random velocity whose momentum is of the kind that the kernel knows.
-    v = rng.normal(size=system.n)
     mu = H[:r] @ v
-    if not layout.spin:
+    if not (parts.spin or parts.momentum):
         v[:r] -= np.linalg.solve(H[:r, :r], mu)
         mu = np.zeros(r)
-    elif linear:
-        v[:linear] -= mu[:linear] / system.mass
+    elif k:
+        v[:k] -= mu[:k] / system.mass
         mu = H[:r] @ v
-        mu[:linear] = 0.0
+        mu[:k] = 0.0
     pi = H[r:] @ v
-    springs = list(structure.springs)
-    stiffness, rest = rng.normal(size=len(springs)), rng.normal(size=len(springs))
-    tau = np.zeros(system.n)
-    tau[r + np.array(springs, dtype=int)] = -stiffness * (x[springs] - rest)
-    attitude = pose[len(pose) - layout.attitude :]
-    spin = mu[-layout.spin :] if layout.spin else np.zeros(0)
-    if layout.spin == 3:
-        spin = system.group.Ad(pose)[linear:, linear:] @ spin
+    # A base with heavy arms in a fixed direction of gravity, or with its direction alone.
+    turn = group.Ad(pose)[k:, k:]
+    down = turn.T @ weight / np.linalg.norm(weight) if parts.down else np.zeros(0)
+    spin = turn @ mu[k:] if parts.spin else np.zeros(0)
+    pushed = rng.normal(size=parts.push)
+    b = np.concatenate([pose[len(pose) - parts.attitude :], down, mu[r - parts.momentum :], pushed])
     active, cyclic = list(layout.active), list(layout.cyclic)
-    y = np.concatenate([x[active], pi[active], x[cyclic], attitude])
-    parameters = np.concatenate([spin, pi[cyclic], stiffness, rest])
+    y = np.concatenate([x[active], pi[active], x[cyclic], b, [time] * layout.clock])
+    parameters = np.concatenate([spin, pi[cyclic], numbers])
     # Round-off of the momenta alone moves velocities by this much.
     slack = max(_TOLERANCE, 10.0 * np.finfo(float).eps * float(np.linalg.cond(H)))
     out = kernel.evaluate_outputs(y, parameters)
@@ -71,20 +77,65 @@ def _judge_at(kernel: Kernel, rng: np.random.Generator) -> None:
     _agree(kernel, "velocity", out[: system.n], v, slack)
     # Its rates are judged at its own velocity: round-off in that is not their error.
     v = out[: system.n].copy()
-    _agree(kernel, "centre of mass", out[system.n :], com)
+    end = system.n + 3
+    _agree(kernel, "centre of mass", out[system.n : end], com)
+    _agree(kernel, "prescribed positions", out[end : end + len(driven)], x[driven])
+    _agree(kernel, "momenta of prescribed joints", out[end + len(driven) :], pi[driven], slack)
+    torque, wrench = np.zeros(m), np.zeros(r)
+    if forces is not None:
+        acting = forces.acting(time, x, v[r:], v[:r], mu, numbers)
+        torque, wrench = acting.torque, acting.wrench
     rate = kernel.evaluate_rate(y, parameters)
-    k = len(active)
-    _agree(kernel, "shape rate", rate[:k], v[r:][active], slack)
-    _agree(kernel, "rate of cyclic joints", rate[2 * k : 2 * k + len(cyclic)], v[r:][cyclic], slack)
-    expected = system.group.rate(pose, v[:r])[len(pose) - layout.attitude :]
-    _agree(kernel, "attitude rate", rate[2 * k + len(cyclic) :], expected, slack)
-    # H v̇ = ṗ − Ḣ v, with ṗ = (ad*_ξ μ, π̇) and Ḣ = C + Cᵀ.
+    a = len(active)
+    _agree(kernel, "shape rate", rate[:a], v[r:][active], slack)
+    _agree(kernel, "rate of cyclic joints", rate[2 * a : layout.base_at], v[r:][cyclic], slack)
+    found = np.split(
+        rate[layout.base_at :], np.cumsum([parts.attitude, parts.down, parts.momentum, parts.push])
+    )
+    omega = v[k:r]
+    # The moment of all forces about the centre of mass, or about the pivot, by Pinocchio.
+    lever = H[:k, k:r] / system.mass  # of F at the base's origin: (H_lin,ang / m)ᵀ F = c × F
+    moment = wrench[k:] - lever.T @ wrench[:k]
+    if parts.momentum and weight.any():
+        moment = moment - pin.computeGeneralizedGravity(model, data, q)[:r]
+    bent = np.cross(mu[k:], omega) if parts.momentum == 3 else np.zeros(parts.momentum)
+    expected = group.rate(pose, v[:r])[len(pose) - parts.attitude :]
+    _agree(kernel, "attitude rate", found[0], expected, slack)
+    if parts.down:
+        _agree(kernel, "rate of the direction of gravity", found[1], np.cross(down, omega), slack)
+    if parts.momentum:
+        _agree(kernel, "rate of the angular momentum", found[2], bent + moment, slack)
+    if parts.push:
+        push = np.append(pushed[k:] / system.mass, group.Ad(pose)[:k, :k] @ wrench[:k])
+        _agree(kernel, "rate of the centre of mass", found[3], push, slack)
+    # H v̇ = ṗ − Ḣ v, with ṗ = (ad*_ξ μ + f, π̇) and Ḣ = C + Cᵀ; the frame of the centre of
+    # mass is pushed with it: π̇ in a frame at rest has F·∂c/∂x besides.
     pidot = np.zeros(m)
-    pidot[active] = rate[k : 2 * k]
+    pidot[active] = rate[a : 2 * a]
+    pidot[active] += (H[:k, r:].T @ wrench[:k] / system.mass)[active]
     C = pin.computeCoriolisMatrix(model, data, q, v)
-    momentum_rate = np.concatenate([system.group.coadjoint(v[:r], mu), pidot])
-    found = np.linalg.solve(H, momentum_rate - (C + C.T) @ v)
-    _agree(kernel, "acceleration", found, pin.aba(model, data, q, v, tau), slack)
+    turning = np.zeros(r)
+    if parts.momentum and weight.any():
+        turning = -pin.computeGeneralizedGravity(model, data, q)[:r]
+    momentum_rate = np.concatenate([group.coadjoint(v[:r], mu) + wrench + turning, pidot])
+    tau = np.concatenate([wrench, torque])
+    fixed = r + np.array(driven, dtype=int)
+    free = np.setdiff1d(np.arange(system.n), fixed)
+    held = H[np.ix_(free, fixed)] @ accelerations
+    solved = np.linalg.solve(H[np.ix_(free, free)], (momentum_rate - (C + C.T) @ v)[free] - held)
+    if driven:
+        bias = pin.nonLinearEffects(model, data, q, v)
+        true = np.linalg.solve(H[np.ix_(free, free)], (tau - bias)[free] - held)
+    else:
+        true = pin.aba(model, data, q, v, tau)
+    _agree(kernel, "acceleration", solved, true, slack)
+
+
+def _span(forces: ForceModel | None) -> tuple[float, float]:
+    """Return a span of time on which every function of time in the forces is defined."""
+    signals = () if forces is None else (*forces.signals, *forces.references)
+    first = max([0.0, *(signal.span[0] for signal in signals)])
+    return first, min([1.0, *(signal.span[1] for signal in signals)])
 
 
 def _agree(

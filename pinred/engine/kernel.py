@@ -14,9 +14,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..arrays import Array
+from ..base import BaseParts
 from ..cyclic import cyclic_joints
-from ..potential import Potential
+from ..force_model import ForceModel
+from ..potential import pivot_weight, shape_gravity
 from ..reduction import Reduction
+from ..scene import Scene
 from ..system import System
 from .cache import ObjectCache, cache_key
 from .judge import judge
@@ -42,11 +45,13 @@ class Kernel:
     """Machine code of a reduced vector field and of its outputs.
 
     layout: where things stand in y and in the parameters.  rate: (y, parameters) → dy/dt.
-    outputs: (y, parameters) → (ξ, ẋ, c).  instructions: arithmetic operations of `rate`.
+    outputs: (y, parameters) → (ξ, ẋ, c, x and π of the prescribed joints).  instructions:
+    arithmetic operations of `rate`.
     """
 
     system: System
     structure: Structure
+    forces: ForceModel | None
     layout: Layout
     rate: NativeCode
     outputs: NativeCode
@@ -65,8 +70,13 @@ class Kernel:
         return self._call(self._rate, y, parameters, self.layout.size)
 
     def evaluate_outputs(self, y: Array, parameters: Array) -> Array:
-        """Return (ξ, ẋ, c), (n + 3,)."""
-        return self._call(self._outputs, y, parameters, self.system.n + 3)
+        """Return (ξ, ẋ, c, x and π of the prescribed joints), (outputs_size,)."""
+        return self._call(self._outputs, y, parameters, self.outputs_size)
+
+    @property
+    def outputs_size(self) -> int:
+        """Number of outputs."""
+        return self.system.n + 3 + 2 * len(self.layout.prescribed)
 
     @staticmethod
     def _call(function: Callable[..., None], y: Array, parameters: Array, size: int) -> Array:
@@ -76,44 +86,60 @@ class Kernel:
         return out
 
 
-def kernel_for(
-    system: System, potential: Potential, springs: tuple[str, ...], *, zero_momentum: bool
-) -> Kernel:
+def kernel_for(scene: Scene, *, zero_momentum: bool) -> Kernel:
     """Return the kernel of a kind of scene, built at most once for a System.
 
-    potential: of the system with these springs.  springs: names of the joints that have one.
+    zero_momentum: whether the angular momentum of its base is exactly zero.
     """
+    system, forces = scene.system, scene.force_model
     kernels: dict[tuple[object, ...], Kernel] = system.__dict__.setdefault("_kernels", {})
-    kind = (springs, zero_momentum)
+    kind = (zero_momentum, scene.outputs, None if forces is None else forces.key)
     if kind not in kernels:
-        structure = structure_of(system, potential, springs, zero_momentum=zero_momentum)
-        kernels[kind] = build_kernel(system, structure)
+        structure = structure_of(
+            system, forces, zero_momentum=zero_momentum, base=scene.outputs == "all"
+        )
+        kernels[kind] = build_kernel(system, structure, forces)
     return kernels[kind]
 
 
 def structure_of(
-    system: System, potential: Potential, springs: tuple[str, ...], *, zero_momentum: bool
+    system: System, forces: ForceModel | None, *, zero_momentum: bool, base: bool = True
 ) -> Structure:
-    """Return what decides which terms a scene has."""
-    red = Reduction(system, springs=dict.fromkeys(springs, (1.0, 0.0)))
+    """Return what decides which terms a scene has.
+
+    zero_momentum: of the base.  base: whether it is asked for.  Raises SymmetryError if
+    gravity breaks the symmetry.
+    """
+    weight = pivot_weight(system)
+    direction = shape_gravity(system).direction
+    if weight.any():
+        x, y, z = (weight / system.mass).tolist()
+        direction = (x, y, z)
+    touched = () if forces is None else forces.touched
     return Structure(
         zero_momentum=zero_momentum,
-        cyclic=cyclic_joints(red),
-        springs=tuple(system.shape_names.index(name) for name in springs),
-        gravity=potential.direction,
+        cyclic=cyclic_joints(Reduction(system), touched),
+        gravity=direction,
+        base=base,
     )
 
 
-def build_kernel(system: System, structure: Structure, cache: KernelStore | None = None) -> Kernel:
+def build_kernel(
+    system: System,
+    structure: Structure,
+    forces: ForceModel | None = None,
+    cache: KernelStore | None = None,
+) -> Kernel:
     """Return the kernel of a system and structure: from the cache, or compiled and cached.
 
     Raises KernelMismatch if it disagrees with Pinocchio; then nothing runs.
     """
     cache = ObjectCache() if cache is None else cache
-    key = cache_key(_model_bytes(system), json.dumps(asdict(structure)))
+    kind = asdict(structure) | {"forces": None if forces is None else forces.key}
+    key = cache_key(_model_bytes(system), json.dumps(kind))
     stored = cache.get(key)
     if stored is None:
-        graph = ReducedGraph(system, structure)
+        graph = ReducedGraph(system, structure, forces)
         rate, outputs = graph.rate(), graph.outputs()
         meta = {"layout": asdict(graph.layout), "instructions": rate.n_instructions()}
         codes = [compile_object(rate, "rate"), compile_object(outputs, "outputs")]
@@ -121,11 +147,11 @@ def build_kernel(system: System, structure: Structure, cache: KernelStore | None
         cache.put(key, stored)
     head, rate_code, outputs_code = _unpack(stored)
     meta = json.loads(head)
-    layout = _layout(meta["layout"])
     kernel = Kernel(
         system=system,
         structure=structure,
-        layout=layout,
+        forces=forces,
+        layout=_layout(meta["layout"]),
         rate=load_object(rate_code, "rate"),
         outputs=load_object(outputs_code, "outputs"),
         instructions=int(meta["instructions"]),
@@ -151,9 +177,15 @@ def _model_bytes(system: System) -> bytes:
 
 def _layout(entries: dict[str, Any]) -> Layout:
     """Return the layout that JSON has kept, where tuples are lists."""
-    names = ("active", "cyclic", "springs")
-    tuples = {name: tuple(int(k) for k in entries[name]) for name in names}
-    return Layout(**tuples, attitude=int(entries["attitude"]), spin=int(entries["spin"]))
+    tuples = {
+        name: tuple(int(k) for k in entries[name]) for name in ("active", "cyclic", "prescribed")
+    }
+    return Layout(
+        **tuples,
+        base=BaseParts(**entries["base"]),
+        clock=int(entries["clock"]),
+        numbers=int(entries["numbers"]),
+    )
 
 
 def _pack(*parts: bytes) -> bytes:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..arrays import Array
 from ..errors import IntegrationError, NonFiniteState, StepSizeUnderflow, TooManySteps
-from ..integrators.drive import Solution
 from ..integrators.drive import integrate as _integrate
 from ..integrators.many import STATUS
 from ..integrators.many import integrate_many as _integrate_many
-from ..integrators.method import DOP853
+from ..integrators.method import DOP853, Method
+from ..motion import Piece, Solve
 from ..scene import Scene
 from .flow import CompiledFlow
 
@@ -30,9 +30,8 @@ class ManyRuns:
 def integrate_many(flows: Sequence[CompiledFlow], scene: Scene, threads: int | None) -> ManyRuns:
     """Integrate flows of one kernel, with the times and tolerance of one scene, over threads."""
     kernel = flows[0].kernel
-    rtol, atol = scene.tolerance
     found = _integrate_many(
-        DOP853(rtol=rtol, atol=atol),
+        method_of(scene),
         kernel.rate.address,
         np.array([flow.parameters for flow in flows]),
         np.array([_start(flow) for flow in flows]),
@@ -65,37 +64,72 @@ def prepare(flow: CompiledFlow, scene: Scene) -> None:
         return
     _prepared = True
     with suppress(IntegrationError):  # the run itself will say so
-        integrate(flow, replace(scene, duration=1e-9 * scene.end, times=None), None)
+        solve(flow, scene, None)(0.0, 1e-9 * scene.end, flow.y0)
 
 
-def integrate(
-    flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | None
-) -> Solution:
-    """Integrate a flow to the end of its scene.
-
-    Raises NonFiniteState, StepSizeUnderflow or TooManySteps with the time and shape.
-    """
-    y0, quaternion, times = _start(flow), flow.kernel.layout.quaternion, scene.report_times
+def method_of(scene: Scene) -> Method:
+    """Return the integrator of a scene."""
+    if scene.method is not None:
+        return scene.method
     rtol, atol = scene.tolerance
-    method = DOP853(rtol=rtol, atol=atol)
+    return DOP853(rtol=rtol, atol=atol)
+
+
+def solve(flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | None) -> Solve:
+    """Return what integrates a flow from one time of its scene to another.
+
+    That raises NonFiniteState, StepSizeUnderflow or TooManySteps with time and shape.
+    """
+    method, quaternion = method_of(scene), flow.kernel.layout.quaternion
+    asked = scene.report_times
+
+    def run(start: float, end: float, y0: Array) -> Piece:
+        # The integrators' time begins at 0; what depends on the time has it in its state.
+        whole = start == 0.0 and end == scene.end
+        times = asked if whole else np.empty(0)
+        parameters = flow.parameters.copy()
+        done = progress and (lambda part: progress((start + part * (end - start)) / scene.end))
+        y0 = y0 if y0.size else np.zeros(1)
+        try:
+            found = _integrate(
+                method, flow.address, parameters, y0, end - start, times, quaternion, done
+            )
+        except IntegrationError as stop:
+            raise _explained(stop, flow, scene, start) from None
+        knots = found.knots + start
+        knots[-1] = end  # whatever round-off says
+
+        def at(t: Array) -> Array:
+            if t is asked and whole:  # these have been asked for already
+                return found.y
+            return found.at(np.clip(t - start, 0.0, found.knots[-1]))
+
+        numbers = parameters[len(parameters) - len(flow.numbers) :]
+        return Piece(knots, at, numbers, found.steps, found.evaluations)
+
+    return run
+
+
+def _explained(
+    stop: IntegrationError, flow: CompiledFlow, scene: Scene, start: float
+) -> IntegrationError:
+    """Return a failure in terms of the robot."""
     name = scene.system.name
-    try:
-        return _integrate(
-            method, flow.address, flow.parameters, y0, scene.end, times, quaternion, progress
-        )
-    except NonFiniteState as stop:
-        x = flow.shape(stop.state)
-        raise NonFiniteState(
-            f"{flow.entry_name(stop.entry)} of '{name}' is not finite after t = {stop.time:g} s, "
+    if isinstance(stop, NonFiniteState):
+        time, x = start + stop.time, flow.shape(stop.state)
+        return NonFiniteState(
+            f"{flow.entry_name(stop.entry)} of '{name}' is not finite after t = {time:g} s, "
             f"at shape x = {x}",
-            stop.time,
+            time,
             stop.state,
             stop.entry,
-        ) from None
-    except (StepSizeUnderflow, TooManySteps) as stop:
-        raise type(stop)(
-            f"'{name}' cannot be followed beyond t = {stop.time:g} s of {scene.end:g} s at "
-            f"rtol = {scene.rtol:g}, shape x = {flow.shape(stop.state)}: {stop}",
-            stop.time,
+        )
+    if isinstance(stop, (StepSizeUnderflow, TooManySteps)):
+        time, x = start + stop.time, flow.shape(stop.state)
+        return type(stop)(
+            f"'{name}' cannot be followed beyond t = {time:g} s of {scene.end:g} s at "
+            f"rtol = {scene.rtol:g}, shape x = {x}: {stop}",
+            time,
             stop.state,
-        ) from None
+        )
+    return stop

@@ -13,6 +13,7 @@ Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 7.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -92,11 +93,15 @@ class Eliminated:
 
 @dataclass
 class Swept:
-    """Velocities and rates.  root_linear, root_angular: twist of the root body."""
+    """Velocities and rates.  root_linear, root_angular: twist of the root body.
+
+    xdot, pi, pidot: per shape joint; π of a joint whose rate is prescribed is found here.
+    """
 
     root_linear: Vec
     root_angular: Vec
     xdot: list[Scalar]
+    pi: list[Scalar]
     pidot: list[Scalar]
 
 
@@ -121,21 +126,27 @@ def sweep(
     mu: list[Scalar],
     axes: list[tuple[bool, int]],
     root_armature: float,
+    rates: Mapping[int, Scalar],
 ) -> Swept:
     """Solve H v = p and return velocities and π̇ (without forces).
 
     x, pi: per shape joint.  mu: (r,).  axes: which twist entries the group has, each as
     (angular, axis).  root_armature: added to the diagonal of SO(2)'s locked inertia.
+    rates: ẋ of the joints that are prescribed, whose π is not read.
     """
     inertia = [rigid(body) for body in bodies]
     joints: list[Eliminated | None] = [None] * len(bodies)
     for i in range(len(bodies) - 1, 0, -1):
-        joint = _eliminate(bodies[i], inertia[i], x[i - 1], pi[i - 1])
+        if i - 1 in rates:
+            joint = _drive(bodies[i], inertia[i], x[i - 1], rates[i - 1])
+        else:
+            joint = _eliminate(bodies[i], inertia[i], x[i - 1], pi[i - 1])
         joints[i] = joint
         _carry(joint, inertia[bodies[i].parent])
     linear, angular = _solve_root(inertia[0], mu, axes, root_armature)
     v, w = [linear], [angular]
     xdot: list[Scalar] = []
+    momenta = list(pi)
     pidot: list[Scalar] = []
     for i in range(1, len(bodies)):
         body, known = bodies[i], joints[i]
@@ -143,6 +154,9 @@ def sweep(
         vi, wi = known.step.outward(v[body.parent], w[body.parent])
         rate = sub(known.drive, add(dot(known.gain, vi), dot(known.gain_angular, wi)))
         h = known.inner
+        if i - 1 in rates:
+            along = _linear_row(h, 2, vi, wi) if body.prismatic else _angular_row(h, 2, vi, wi)
+            momenta[i - 1] = add(along, mul(body.armature, rate))
         hx, hy = (_linear_row(h, k, vi, wi) for k in (0, 1))
         if body.prismatic:
             # v × S = (ω × e_z, 0)
@@ -157,7 +171,7 @@ def sweep(
         w.append(wi)
         xdot.append(rate)
         pidot.append(force)
-    return Swept(linear, angular, xdot, pidot)
+    return Swept(linear, angular, xdot, momenta, pidot)
 
 
 def _eliminate(body: Body, a: Articulated, x: Scalar, pi: Scalar) -> Eliminated:
@@ -191,6 +205,18 @@ def _eliminate(body: Body, a: Articulated, x: Scalar, pi: Scalar) -> Eliminated:
     if free:
         (lin if pris else ang)[2] = pi
     return Eliminated(Articulated(M, B, I, lin, ang), gain, gain_angular, drive, step_of(body, x))
+
+
+def _drive(body: Body, a: Articulated, x: Scalar, rate: Scalar) -> Eliminated:
+    """Carry a joint at a prescribed rate: its subtree is rigid, with the momentum of the rate."""
+    if body.prismatic:
+        U, Ua = [a.M[INDEX[k][2]] for k in range(3)], [a.B[k][2] for k in range(3)]
+    else:
+        U, Ua = [a.B[2][k] for k in range(3)], [a.I[INDEX[k][2]] for k in range(3)]
+    lin = [add(a.lin[k], mul(U[k], rate)) for k in range(3)]
+    ang = [add(a.ang[k], mul(Ua[k], rate)) for k in range(3)]
+    none: Vec = [0.0, 0.0, 0.0]
+    return Eliminated(Articulated(a.M, a.B, a.I, lin, ang), none, none, rate, step_of(body, x))
 
 
 def step_of(body: Body, x: Scalar) -> Step:

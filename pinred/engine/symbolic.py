@@ -2,11 +2,12 @@
 
 What a scene does not need is not in the graph.  The reduced state is
 
-    y = (x, π) of the joints that act, x of the cyclic joints, attitude of the base
+    y = (x, π) of the joints that act, x of the cyclic joints, what is integrated of the
+        base, and the time, if anything depends on it
 
-and the parameters are the angular momentum of the base (none if it is zero), the momenta
-of the cyclic joints, and stiffness and rest of the springs.  A joint is cyclic if nothing
-depends on its angle and nothing acts on it: then its momentum is constant.
+and the parameters are the angular momentum of the base where it is a constant, the momenta
+of the cyclic joints, and the numbers in the forces.  A joint is cyclic if nothing depends on
+its angle and nothing acts on it: then its momentum is constant.
 """
 
 from __future__ import annotations
@@ -16,9 +17,12 @@ from functools import cached_property
 
 import casadi as ca
 
-from ..lie import SE2, SE3, SO2
+from ..base import BaseParts, base_parts
+from ..force_model import ForceModel
+from ..lie import SO2, SO3
 from ..system import System
-from .algebra import Scalar, Vec, add, cross, mul, plus
+from .algebra import Scalar, Vec, add, mul, plus, total
+from .base_graph import BaseGraph
 from .frames import Body, bodies_of
 from .sweep import step_of, sweep
 
@@ -33,84 +37,108 @@ AXES: dict[str, list[tuple[bool, int]]] = {
 
 @dataclass(frozen=True)
 class Structure:
-    """What decides which terms a kernel has.
+    """What decides which terms a kernel has, besides the forces.
 
-    zero_momentum: of the base.  cyclic: indices of the cyclic joints.  springs: indices of
-    the joints that have one.
-    gravity: (3,) what acts on the shape, in the root joint's fixed frame, or None.
+    zero_momentum: of the base.  cyclic: indices of the cyclic joints.  gravity: (3,) what
+    acts on the shape, or turns a pivoted base, in the root joint's fixed frame, or None.
+    base: whether somebody asks for the base.
     """
 
     zero_momentum: bool = True
     cyclic: tuple[int, ...] = ()
-    springs: tuple[int, ...] = ()
     gravity: tuple[float, float, float] | None = None
+    base: bool = True
 
 
 @dataclass(frozen=True)
 class Layout:
     """Where things stand in y and in the parameters.
 
-    active, cyclic: indices of shape joints.  attitude: number of base coordinates at the
-    end of y (0, 1, or 4 for a quaternion).  spin: number of momentum parameters.
-    springs: indices of joints with one.
+    active, cyclic, prescribed: indices of shape joints.  base: what is integrated of the
+    base, and its constants.  clock: 1 if the time is the last number of y, else 0.
+    numbers: how many there are in the forces.
     """
 
     active: tuple[int, ...]
     cyclic: tuple[int, ...]
-    attitude: int
-    spin: int
-    springs: tuple[int, ...]
+    prescribed: tuple[int, ...]
+    base: BaseParts
+    clock: int
+    numbers: int
+
+    @property
+    def base_at(self) -> int:
+        """Index in y of the first number of the base."""
+        return 2 * len(self.active) + len(self.cyclic)
 
     @property
     def size(self) -> int:
         """Length of y."""
-        return 2 * len(self.active) + len(self.cyclic) + self.attitude
+        return self.base_at + self.base.size + self.clock
 
     @property
     def parameters(self) -> int:
         """Number of parameters."""
-        return self.spin + len(self.cyclic) + 2 * len(self.springs)
+        return self.base.spin + len(self.cyclic) + self.numbers
 
     @property
     def quaternion(self) -> int:
         """Index of the first of four quaternion entries in y, or −1."""
-        return self.size - 4 if self.attitude == 4 else -1
+        return self.base_at if self.base.attitude == 4 else -1
 
 
 class ReducedGraph:
-    """The expressions of one system under one structure."""
+    """The expressions of one system under one structure, with forces on it."""
 
-    def __init__(self, system: System, structure: Structure) -> None:
+    def __init__(
+        self, system: System, structure: Structure, forces: ForceModel | None = None
+    ) -> None:
         """Build the sweep."""
-        self._system, self._structure = system, structure
+        self._system, self._forces = system, forces
         self._bodies = bodies_of(system)
         group, m = system.group, system.m
+        wrench = forces is not None and forces.has_wrench
+        heavy = group is SO3 and structure.gravity is not None
+        self._weight = _weight(system, structure)
+        parts = base_parts(
+            group,
+            wanted=structure.base,
+            heavy=heavy,
+            wrench=wrench,
+            zero_momentum=structure.zero_momentum,
+        )
         self.x = [ca.SX.sym(f"x{k}") for k in range(m)]
         self.pi = [ca.SX.sym(f"pi{k}") for k in range(m)]
-        self.attitude = _attitude(system)
-        spin = 0 if structure.zero_momentum else {"R": 0, "SO2": 1, "SE2": 1}.get(group.name, 3)
-        self.spin = [ca.SX.sym(f"spin{k}") for k in range(spin)]
-        self.stiffness = [ca.SX.sym(f"k{j}") for j in structure.springs]
-        self.rest = [ca.SX.sym(f"rest{j}") for j in structure.springs]
-        mu = _body_momentum(system, self.spin, self.attitude)
+        self.base = BaseGraph(system, parts, self._weight if heavy else None)
+        self._t = ca.SX.sym("t")
+        prescribed = forces.joints if forces is not None else ()
+        self.layout = Layout(
+            active=tuple(k for k in range(m) if k not in {*structure.cyclic, *prescribed}),
+            cyclic=structure.cyclic,
+            prescribed=prescribed,
+            base=parts,
+            clock=int(forces is not None and forces.needs_time),
+            numbers=len(forces.numbers) if forces is not None else 0,
+        )
+        self._numbers = [ca.SX.sym(f"p{k}") for k in range(self.layout.numbers)]
+        rates = {k: ca.SX.sym(f"xdot{k}") for k in prescribed}
+        mu = self.base.body_momentum()
         armature = float(system.model.armature[0]) if group is SO2 else 0.0
-        cyclic = structure.cyclic
         # Nothing depends on the angle of a cyclic joint, so it may as well be zero.
-        angles: list[Scalar] = [0.0 if k in cyclic else self.x[k] for k in range(m)]
-        found = sweep(self._bodies, angles, self.pi, mu, AXES[group.name], armature)
+        angles: list[Scalar] = [0.0 if k in structure.cyclic else self.x[k] for k in range(m)]
+        found = sweep(self._bodies, angles, self.pi, mu, AXES[group.name], armature, rates)
         self.xi: list[Scalar] = [
             (found.root_angular if angular else found.root_linear)[k]
             for angular, k in AXES[group.name]
         ]
         self.xdot: list[Scalar] = found.xdot
-        self.pidot = self._with_forces(found.pidot)
-        self.layout = Layout(
-            active=tuple(k for k in range(m) if k not in cyclic),
-            cyclic=cyclic,
-            attitude=len(self.attitude),
-            spin=spin,
-            springs=structure.springs,
-        )
+        self._prescribed_pi = [found.pi[k] for k in prescribed]
+        self._moving = ca.vertcat(*(self.x[k] for k in prescribed), *rates.values())
+        torque, acting = self._acting(mu)
+        pidot = [add(p, t) for p, t in zip(found.pidot, torque, strict=True)]
+        self.pidot = self._with_loads(pidot, acting)
+        weight = self.base.body_weight()
+        self._base_rate = self.base.rates(self.xi, self.com(), acting, weight)
 
     @cached_property
     def y(self) -> ca.SX:
@@ -120,14 +148,15 @@ class ReducedGraph:
             [self.x[k] for k in active],
             [self.pi[k] for k in active],
             [self.x[k] for k in cyclic],
-            self.attitude,
+            self.base.b,
+            [self._t] * self.layout.clock,
         )
 
     @cached_property
     def parameters(self) -> ca.SX:
         """The parameters, (parameters,)."""
         constant = [self.pi[k] for k in self.layout.cyclic]
-        return _column(self.spin, constant, self.stiffness, self.rest)
+        return _column(self.base.spin, constant, self._numbers)
 
     def rate(self) -> ca.Function:
         """Return the vector field (y, parameters) → dy/dt."""
@@ -136,47 +165,75 @@ class ReducedGraph:
             [self.xdot[k] for k in active],
             [self.pidot[k] for k in active],
             [self.xdot[k] for k in cyclic],
-            self._attitude_rate(),
+            self._base_rate,
+            [1.0] * self.layout.clock,
         )
-        return ca.Function("rate", [self.y, self.parameters], [ca.densify(rate)], {"cse": True})
+        return self._function("rate", rate)
 
     def outputs(self) -> ca.Function:
-        """Return (y, parameters) → (ξ, ẋ, c): twist relative to the centre of mass, rate, com.
+        """Return (y, parameters) → (ξ, ẋ, c, x and π of the prescribed joints).
 
-        c: (3,) is the centre of mass in the frame of Pinocchio's root body.
+        ξ: twist relative to the centre of mass.  c: (3,) centre of mass in the frame of
+        Pinocchio's root body.
         """
-        out = _column(self.xi, self.xdot, self.com())
-        return ca.Function("outputs", [self.y, self.parameters], [ca.densify(out)], {"cse": True})
+        places = [self.x[k] for k in self.layout.prescribed]
+        out = _column(self.xi, self.xdot, self.com(), places, self._prescribed_pi)
+        return self._function("outputs", out)
 
     def com(self) -> Vec:
         """Return the centre of mass in the root body's own frame, from the joints' placements."""
         return centre_of_mass(self._bodies, self.x)
 
-    def _with_forces(self, pidot: list[Scalar]) -> list[Scalar]:
-        out = list(pidot)
-        for n, j in enumerate(self._structure.springs):
-            out[j] = out[j] - self.stiffness[n] * (self.x[j] - self.rest[n])
-        if self._structure.gravity is not None:
-            weight = [float(-self._system.mass * g) for g in self._structure.gravity]
-            height = sum(mul(w, c) for w, c in zip(weight, self.com(), strict=True))
-            if isinstance(height, ca.SX):
-                slope = ca.gradient(height, ca.vertcat(*self.x))
-                out = [add(out[k], mul(-1.0, slope[k])) for k in range(len(out))]
-        return out
+    def _function(self, name: str, value: ca.SX) -> ca.Function:
+        if self._forces is not None and self.layout.prescribed:
+            x, xdot, _ = self._forces.prescribed_function(self._t, _column(self._numbers))
+            value = ca.substitute(value, self._moving, ca.vertcat(x, xdot))
+        inputs = [self.y, self.parameters]
+        return ca.Function(name, inputs, [ca.densify(value)], {"cse": True})
 
-    def _attitude_rate(self) -> list[Scalar]:
-        if len(self.attitude) == 1:
-            return self.xi[-1:]
-        if not self.attitude:
-            return []
-        x, y, z, w = self.attitude
-        a, b, c = self.xi[-3:]
-        return [
-            0.5 * (w * a + y * c - z * b),
-            0.5 * (w * b + z * a - x * c),
-            0.5 * (w * c + x * b - y * a),
-            -0.5 * (x * a + y * b + z * c),
-        ]
+    def _acting(self, mu: list[Scalar]) -> tuple[list[Scalar], list[Scalar]]:
+        """Return torques (m,) and the wrench, (r,) or none, of the forces."""
+        if self._forces is None:
+            return [0.0] * self._system.m, []
+        columns = (self.x, self.xdot, self.xi, mu, self._numbers)
+        state = [_column(list(column)) for column in columns]
+        torque, wrench = self._forces.acting_function(self._t, *state)
+        on_base = _scalars(wrench) if self._forces.has_wrench else []
+        return _scalars(torque), on_base
+
+    def _with_loads(self, pidot: list[Scalar], acting: list[Scalar]) -> list[Scalar]:
+        """Add what weight and wrench do to the shape: −∂/∂x of F·c, in the body's frame.
+
+        The weight pulls at the centre of mass; a force on the base moves the frame of the
+        centre of mass, in which the shape is pushed the other way.
+        """
+        com, m = self.com(), self._system.m
+        loads: list[tuple[Scalar, Scalar]] = []  # of each coordinate of c: name and value
+        energy: Scalar = 0.0
+        pairs = list(zip(acting, self.base.along(com), strict=False))  # the linear part
+        weight = self.base.body_weight()
+        if weight is None and self._weight is not None:
+            weight = [float(w) for w in self._weight]
+        if weight is not None:
+            pairs += [(mul(-1.0, w), c) for w, c in zip(weight, com, strict=True)]
+        for load, c in pairs:
+            if isinstance(c, ca.SX) and not (isinstance(load, float) and load == 0.0):
+                symbol = ca.SX.sym("load")
+                loads.append((symbol, load))
+                energy = add(energy, mul(symbol, c))
+        if not (isinstance(energy, ca.SX) and m):
+            return pidot
+        slope = ca.gradient(energy, ca.vertcat(*self.x))
+        slope = ca.substitute(slope, _column([s for s, _ in loads]), _column([v for _, v in loads]))
+        return [add(pidot[k], mul(-1.0, slope[k])) for k in range(m)]
+
+
+def _weight(system: System, structure: Structure) -> tuple[float, float, float] | None:
+    """Return m g of what acts on the shape or turns a pivoted base, if anything does."""
+    if structure.gravity is None:
+        return None
+    x, y, z = structure.gravity
+    return system.mass * x, system.mass * y, system.mass * z
 
 
 def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
@@ -193,36 +250,15 @@ def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
         mass[p] += mass[i]
     own = bodies[0].frame.rotation
     com = [mul(1.0 / mass[0], c) for c in moment[0]]
-    return [
-        add(add(mul(float(own[i, 0]), com[0]), mul(float(own[i, 1]), com[1])),
-            mul(float(own[i, 2]), com[2]))
-        for i in range(3)
-    ]  # fmt: skip
-
-
-def _attitude(system: System) -> list[ca.SX]:
-    count = {"R": 0, "SO2": 1, "SE2": 1}.get(system.group.name, 4)
-    return [ca.SX.sym(f"a{k}") for k in range(count)]
-
-
-def _body_momentum(system: System, spin: list[ca.SX], attitude: list[ca.SX]) -> list[Scalar]:
-    """Return μ in the frame of the centre of mass: no linear part, the angular one turned."""
-    group = system.group
-    if not spin:
-        return [0.0] * system.r
-    if group is SO2:
-        return [spin[0]]
-    if group is SE2:
-        return [0.0, 0.0, spin[0]]
-    q: Vec = attitude[:3]
-    w = attitude[3]
-    scale = 2.0 / (sum(c * c for c in q) + w * w)  # a quaternion of any length
-    t = cross(spin, q)
-    turned = cross(t, q)
-    body = [spin[k] + scale * (w * t[k] + turned[k]) for k in range(3)]
-    return [0.0, 0.0, 0.0, *body] if group is SE3 else body
+    return [total([mul(float(own[i, k]), com[k]) for k in range(3)]) for i in range(3)]
 
 
 def _column(*parts: list[Scalar]) -> ca.SX:
     entries = [entry for part in parts for entry in part]
     return ca.vertcat(*entries) if entries else ca.SX(0, 1)
+
+
+def _scalars(column: ca.SX) -> list[Scalar]:
+    """Return the entries of a column; constants as floats, so that zeros fold away."""
+    parts = [column[k] for k in range(column.numel())]
+    return [float(part) if part.is_constant() else part for part in parts]

@@ -1,0 +1,134 @@
+"""Balances: what forces have done, integrated along a motion after the fact.
+
+Energy changes by the work of the forces without a potential, and of the drives of the
+prescribed joints; momentum by the impulse of wrenches and of gravity.  Power and wrench are
+integrated over every step of the motion by Gauss's rule of 8 points, so that a simulation
+pays nothing for them until somebody asks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from .arrays import Array, freeze
+from .driving import driving_torques
+from .motion import Motion
+from .scene import Scene
+from .state import State, with_base
+
+_POINTS = 8
+_DRIVES = "prescribed joints"
+
+
+@dataclass(frozen=True)
+class EnergyBalance:
+    """Where the energy went; arrays are read-only.
+
+    t: (T,) [s].  energy: (T,) [J].  work: (T, K) done since the start by each of `labels`.
+    """
+
+    t: Array
+    energy: Array
+    labels: tuple[str, ...]
+    work: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @property
+    def residual(self) -> Array:
+        """E(t) − E(0) − work, (T,) [J]: zero but for the error of the integration."""
+        return np.asarray(self.energy - self.energy[0] - self.work.sum(axis=1) + self.work[0].sum())
+
+
+@dataclass(frozen=True)
+class MomentumBalance:
+    """Where the momentum came from; arrays are read-only.
+
+    t: (T,) [s].  momentum, impulse: (T, r) J and what wrenches and gravity have given since
+    the start, in the root joint's fixed frame about its origin.
+    """
+
+    t: Array
+    momentum: Array
+    impulse: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @property
+    def residual(self) -> Array:
+        """J(t) − J(0) − impulse, (T, r): zero but for the error of the integration."""
+        return np.asarray(self.momentum - self.momentum[0] - self.impulse + self.impulse[0])
+
+
+def energy_balance(scene: Scene, motion: Motion, states: State) -> EnergyBalance:
+    """Return the energy balance of a motion at the times of some states."""
+    forces = scene.force_model
+    if forces is None or not (forces.labels or forces.joints):
+        none = np.zeros((len(states.t), 0))
+        return EnergyBalance(states.t, states.energy, (), none)
+    labels = (*forces.labels, *([_DRIVES] if forces.joints else []))
+
+    def powers(t: Array) -> Array:
+        seen, full = motion.samples(t), with_base(motion.states(t), scene.system.name)
+        out = np.empty((len(t), len(labels)))
+        for k, (s, numbers) in enumerate(seen):
+            out[k, : len(forces.labels)] = forces.powers(
+                float(t[k]), s.x, s.xdot, s.xi, s.mu, numbers, full.xi[k]
+            )
+        if forces.joints:
+            drive = driving_torques(scene, t, seen)
+            out[:, -1] = np.sum(drive * full.xdot[:, list(forces.joints)], axis=1)
+        return out
+
+    return EnergyBalance(states.t, states.energy, labels, _integral(motion, states.t, powers))
+
+
+def momentum_balance(scene: Scene, motion: Motion, states: State) -> MomentumBalance:
+    """Return the momentum balance of a motion at the times of some states."""
+    system, forces = scene.system, scene.force_model
+    model, data = system.model, system.model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    axes = np.array(data.joints[1].S).reshape(6, system.r)
+    placement, weight = model.jointPlacements[1], system.mass * system.gravity
+    pushed = forces is not None and forces.has_wrench
+
+    def impulses(t: Array) -> Array:
+        full = with_base(motion.states(t), system.name)
+        out = np.empty((len(t), system.r))
+        for k, q in enumerate(full.q):
+            arm = pin.centerOfMass(model, data, q) - placement.translation
+            parts = np.append(weight, np.cross(arm, weight)).reshape(2, 3)
+            out[k] = axes.T @ (parts @ placement.rotation).ravel()
+        if forces is not None and pushed:
+            body = [
+                forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers).wrench
+                for time, (s, numbers) in zip(t, motion.samples(t), strict=True)
+            ]
+            out += system.group.spatial_momentum(full.pose, np.array(body))
+        return out
+
+    impulse = np.zeros((len(states.t), system.r))
+    if pushed or weight.any():
+        impulse = _integral(motion, states.t, impulses)
+    return MomentumBalance(states.t, states.spatial_momentum, impulse)
+
+
+def _integral(motion: Motion, t: Array, integrand: Callable[[Array], Array]) -> Array:
+    """Return the integrals from 0 to times t (T,) of an integrand (T,) → (T, K)."""
+    ends = np.union1d(motion.knots, t)
+    ends = ends[ends <= t[-1]]
+    points, weights = np.polynomial.legendre.leggauss(_POINTS)
+    half = 0.5 * np.diff(ends)
+    if not half.size:
+        return np.zeros((len(t), integrand(t[:1]).shape[1]))
+    nodes = (ends[:-1] + half)[:, None] + half[:, None] * points
+    values = integrand(nodes.ravel()).reshape(*nodes.shape, -1)
+    parts = np.einsum("spk,p,s->sk", values, weights, half)
+    whole = np.concatenate([np.zeros((1, parts.shape[1])), np.cumsum(parts, axis=0)])
+    return np.asarray(whole[np.searchsorted(ends, t)])
