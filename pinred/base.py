@@ -19,15 +19,16 @@ the body, Γ̇ = Γ × ω, for the attitude under the weight.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from copy import copy
+from dataclasses import dataclass
 
 import numpy as np
 
 from .arrays import Array
-from .lie import SE2, SO3, Group
-from .potential import falling, translations
-from .rotations import apply, plane_rotation, rotation
-from .scene import Start
+from .lie import SE2, SE3, SO3, Group
+from .potential import falling, pivot_weight, translations
+from .rotations import apply, hat, plane_rotation, rotation
+from .start import Start
 from .system import System
 
 
@@ -81,52 +82,88 @@ def base_parts(
     )
 
 
-class Base:
-    """The base of one scene: what is integrated of it, and how it moves.
+@dataclass(frozen=True)
+class _Root:
+    """What the base of a system is, whatever its state.
 
-    parts: which numbers.  b0: (parts.size,) their values at the start.  axes: (3, k)
-    directions of its translations.  spin: the constant angular momentum in the fixed frame,
-    (parts.spin,).  relative_twist0: (r,) initial body twist as seen from the frame of the
-    centre of mass.  has_momentum: whether there are terms with angular momentum.
-    turns: how many numbers that is.
+    axes: (3, k) directions of its translations.  g: (k,) how it falls along them.  lift: g
+    times the origin of the root joint's fixed frame.  origin: (3,) that origin in its frame.
+    """
+
+    axes: Array
+    g: Array
+    lift: float
+    origin: Array
+
+
+def _root(system: System) -> _Root:
+    return system.workspace(_Root, lambda: _find_root(system))
+
+
+def _find_root(system: System) -> _Root:
+    placement = system.model.jointPlacements[1]
+    axes, g = translations(system), falling(system)
+    origin = placement.rotation.T @ placement.translation
+    return _Root(axes, g, float(placement.translation @ placement.rotation @ axes @ g), origin)
+
+
+class Base:
+    """The bases of scenes of one kind: what is integrated of them, and how they move.
+
+    parts: which numbers.  b0: (N, parts.size) their values at the start.  axes: (3, k)
+    directions of its translations.  spin: (N, parts.spin) the constant angular momentum in
+    the fixed frame.  relative_twist0: (N, r) initial body twist as seen from the frame of the
+    centre of mass.  has_momentum: whether there are terms with angular momentum.  turns: how
+    many numbers that is.  What moves one base takes the first.
     """
 
     def __init__(
-        self, system: System, start: Start, com: Array, weight: Array, *, wanted: bool, wrench: bool
+        self, system: System, start: Start, about: Array, *, wanted: bool, wrench: bool, zero: bool
     ) -> None:
-        """Take over the initial state.
+        """Take over initial states (N, …).
 
-        com: (3,) centre of mass in the body's frame.  weight: (3,) m g that turns the base,
-        in the root joint's fixed frame, zero if none does.  wanted, wrench: as in base_parts.
+        about: (N, a) their angular momenta, as `angular_momentum` gives them.  wanted,
+        wrench: as in base_parts.  zero: whether these angular momenta all are exactly zero.
         """
-        group = system.group
+        group, weight = system.group, pivot_weight(system)
+        root = _root(system)
         self._group, self._k, self._mass = group, group.linear, system.mass
         self.turns = group.dim - group.linear
-        self.axes = translations(system)
-        self._weight = weight
-        attitude, c, P = start.pose[self._k :], com @ self.axes, start.mu[: self._k]
-        P0 = self._turn(attitude, P)
-        self._c0 = start.pose[: self._k] + self._turn(attitude, c)
-        self._v0, self._g = P0 / system.mass, falling(system)
-        about = start.mu[self._k :] - self._moment(c, P)
+        self.axes, self._g, self._lift, self._weight = root.axes, root.g, root.lift, weight
         heavy = bool(weight.any())
+        self._pivot = float(weight @ root.origin) if heavy else 0.0
         self.parts = base_parts(
-            group, wanted=wanted, heavy=heavy, wrench=wrench, zero_momentum=not about.any()
+            group, wanted=wanted, heavy=heavy, wrench=wrench, zero_momentum=zero
         )
-        self.has_momentum = heavy or wrench or bool(about.any())
-        self.spin = self._fixed(attitude, about) if self.parts.spin else np.empty(0)
-        down = weight / np.linalg.norm(weight) if heavy else weight
-        pieces = (attitude, self._body(attitude, down), about, np.zeros(2 * self._k))
-        self.b0 = np.concatenate(
-            [piece[:count] for piece, count in zip(pieces, astuple(self.parts)[:4], strict=True)]
-        )
-        carried = self._turned_back(attitude, self._v0)
-        self.relative_twist0 = start.xi - np.append(carried, np.zeros(system.r - self._k))
+        self.has_momentum = heavy or wrench or not zero
+        k, attitude = self._k, start.pose[:, self._k :]
+        velocity = start.mu[:, :k] / system.mass
+        if group is SE3:
+            fixed = rotation(attitude) @ np.stack([start.com, velocity, about], axis=2)
+            moved, self._v0, turned = fixed[:, :, 0], fixed[:, :, 1], fixed[:, :, 2]
+        else:
+            moved = self._turn(attitude, start.com @ root.axes)
+            self._v0 = self._turn(attitude, velocity)
+            turned = self._fixed(attitude, about)
+        self._c0 = start.pose[:, :k] + moved
+        self.spin = turned[:, : self.parts.spin]
+        pieces = [attitude[:, : self.parts.attitude]]
+        if self.parts.down:
+            pieces.append(self._body(attitude, weight / np.linalg.norm(weight)))
+        pieces += [about[:, : self.parts.momentum], np.zeros((len(about), self.parts.push))]
+        self.b0 = np.concatenate(pieces, axis=1)
+        self.relative_twist0 = start.xi.copy()
+        self.relative_twist0[:, : self._k] -= velocity
         self._none = np.zeros(system.r)
-        # Energy of falling is −m g · c, of the place in the world.
-        placement = system.model.jointPlacements[1]
-        self._lift = float(placement.translation @ placement.rotation @ self.axes @ self._g)
-        self._pivot = float(weight @ placement.rotation.T @ placement.translation)
+
+    def member(self, i: int) -> Base:
+        """Return the base of one of the initial states."""
+        if len(self.b0) == 1:
+            return self
+        one = copy(self)
+        for name in ("_c0", "_v0", "spin", "b0", "relative_twist0"):
+            setattr(one, name, getattr(self, name)[i : i + 1])
+        return one
 
     def momentum(self, b: Array) -> Array:
         """Return the body momentum (r,) in the frame of the centre of mass."""
@@ -134,7 +171,8 @@ class Base:
             return self._none
         attitude, _, momentum, _ = self.parts.split(b)
         if self.parts.spin:
-            momentum = into_body(attitude, self.spin) if self.parts.spin == 3 else self.spin
+            spin = self.spin[0]
+            momentum = into_body(attitude, spin) if self.parts.spin == 3 else spin
         out = self._none.copy()
         out[self._k :] = momentum
         return out
@@ -173,7 +211,7 @@ class Base:
 
     def about_com(self, com: Array, wrench: Array) -> Array:
         """Return the moment about the centre of mass, N − c × F, of a wrench (r,) at the origin."""
-        return wrench[self._k :] - self._moment(com @ self.axes, wrench[: self._k])
+        return wrench[self._k :] - _moment(self._group, com @ self.axes, wrench[: self._k])
 
     def pose(self, b: Array, com: Array, t: Array) -> Array:
         """Return the pose (T, size) from b (T, …), body-frame com (T, 3), times (T,)."""
@@ -207,7 +245,7 @@ class Base:
             about = np.broadcast_to(self.spin, (len(t), self.parts.spin))
         else:
             about = self._fixed(attitude, self.angular(b))
-        return np.concatenate([P, self._moment(c, P) + about], axis=1)
+        return np.concatenate([P, _moment(self._group, c, P) + about], axis=1)
 
     def base_energy(self, b: Array, com: Array, t: Array) -> Array:
         """Return ½ m |ċ|² − m g · c, and −m g · R c_b of a pivoted body's weight, (T,) [J]."""
@@ -268,13 +306,26 @@ class Base:
             return v
         return np.asarray(apply(np.swapaxes(rotation(attitude), -1, -2), v))
 
-    def _moment(self, c: Array, F: Array) -> Array:
-        """Return c × F in the angular part of the group, (..., a)."""
-        if self._k == 3:
-            return np.asarray(np.cross(c, F))
-        if self._group is SE2:
-            return np.asarray(c[..., :1] * F[..., 1:] - c[..., 1:] * F[..., :1])
-        return np.zeros((*F.shape[:-1], self.turns))
+
+def _moment(group: Group, c: Array, F: Array) -> Array:
+    """Return c × F in the angular part of the group, (..., a)."""
+    if group is SE3:
+        return np.asarray(apply(hat(c), F))
+    if group is SE2:
+        return np.asarray(c[..., :1] * F[..., 1:] - c[..., 1:] * F[..., :1])
+    return np.zeros((*F.shape[:-1], group.dim - group.linear))
+
+
+def angular_momentum(system: System, start: Start) -> Array:
+    """Return the angular momenta about the centre of mass, in the body's frame, (N, a).
+
+    Of SO2 and SO3, about the axis or the pivot.
+    """
+    k = system.group.linear
+    if not k:
+        return start.mu
+    c = start.com @ _root(system).axes
+    return np.asarray(start.mu[:, k:] - _moment(system.group, c, start.mu[:, :k]))
 
 
 def into_body(q: Array, J: Array) -> Array:

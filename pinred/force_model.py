@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,9 +13,11 @@ import numpy as np
 from .arrays import Array, as_floats, freeze
 from .errors import InputError
 from .force import Force, Symbols, Terms
-from .forces import Controller, Spring
+from .forces import Controller, Damper, Spring
 from .signals import Signal
 from .system import System
+
+_REMEMBERED = 16  # models of one system
 
 
 @dataclass(frozen=True)
@@ -170,16 +172,39 @@ class ForceModel:
         return self._names[-1]
 
 
-def force_model(
+def remembered_model(
+    system: System,
+    springs: Mapping[str, tuple[float, float]],
+    forces: Sequence[Force] | Force,
+    prescribed: Mapping[str, Signal],
+) -> ForceModel:
+    """Return the model of springs {joint: (stiffness, rest)}, forces and prescribed joints.
+
+    The last few of a system are kept, for scenes that differ in their start only.
+    Raises InputError for what is none of these, or has joints that are not there.
+    """
+    forces = (forces,) if isinstance(forces, Force) else tuple(forces)
+    # What is equal acts the same; what cannot be compared by value is kept, and so is itself.
+    key = (
+        repr(dict(springs)),
+        *(force if isinstance(force, (Spring, Damper)) else id(force) for force in forces),
+        *((name, id(signal)) for name, signal in prescribed.items()),
+    )
+    models: dict[Hashable, tuple[ForceModel, object]] = vars(system).setdefault("_forces", {})
+    if key not in models:
+        model = _force_model(system, springs, forces, prescribed)
+        while len(models) >= _REMEMBERED:
+            models.pop(next(iter(models)), None)
+        models[key] = (model, (forces, dict(prescribed)))
+    return models[key][0]
+
+
+def _force_model(
     system: System,
     springs: Mapping[str, tuple[float, float]],
     forces: Sequence[Force],
     prescribed: Mapping[str, Signal],
 ) -> ForceModel:
-    """Return the model of springs {joint: (stiffness, rest)}, forces and prescribed joints.
-
-    Raises InputError for what is none of these, or has joints that are not there.
-    """
     every: list[Force] = []
     for name, pair in springs.items():
         values = as_floats(pair, f"springs['{name}']")
@@ -188,7 +213,7 @@ def force_model(
                 f"springs['{name}'] must be (stiffness, rest), both finite, got {pair}"
             )
         every.append(Spring(name, *values.tolist()))
-    for force in (forces,) if isinstance(forces, Force) else forces:
+    for force in forces:
         if not isinstance(force, Force):
             raise InputError(f"forces must be those of pinred.forces, got {force!r}")
         every.append(force)

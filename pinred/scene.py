@@ -13,7 +13,7 @@ from .arrays import Array, as_floats, positive, read_only, vector
 from .errors import InputError, ShapeError
 from .integrators.method import Method
 from .joints import is_prismatic
-from .reduction import Reduction
+from .start import Start, starts
 from .system import InitialState, System, checked_system
 
 if TYPE_CHECKING:
@@ -28,20 +28,6 @@ TIGHTEST = 1e-13  # relative tolerance; below it round-off decides the step
 # small part of a large momentum is a ten times larger part of the light joint's rate.
 MOMENTUM_MARGIN = 10.0
 _LEAST = 2.3e-14  # what SciPy's and our DOP853 take as relative tolerance
-
-
-@dataclass(frozen=True)
-class Start:
-    """An initial state, complete and checked.
-
-    pose: (size,).  x, xdot: (m,).  xi: (r,) body twist.  mu: (r,) body momentum.
-    """
-
-    pose: Array
-    x: Array
-    xdot: Array
-    xi: Array
-    mu: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,6 +102,11 @@ class Scene:
     @property
     def start(self) -> Start:
         """The initial state."""
+        return self.starts[0]
+
+    @property
+    def starts(self) -> Start:
+        """The initial state, with a leading axis of length one."""
         start: Start = vars(self)["_start"]
         return start
 
@@ -152,9 +143,9 @@ class Scene:
         if not (self.springs or self.forces or self.prescribed):
             object.__setattr__(self, "_forces", None)
             return
-        from .force_model import force_model  # needs CasADi
+        from .force_model import remembered_model  # needs CasADi
 
-        model = force_model(self.system, self.springs, self.forces, self.prescribed)
+        model = remembered_model(self.system, self.springs, self.forces, self.prescribed)
         for signal in (*model.signals, *model.references):
             first, last = signal.span
             if not first <= 0.0 <= self.end <= last:
@@ -191,20 +182,23 @@ class Scene:
         if ready is not None and self.x0 is None and self.xdot0 is None:
             x, xdot = ready.x, ready.xdot
             xi = ready.xi if self.xi0 is None else xi
-        if self.force_model is not None and self.prescribed:
-            x, xdot = x.copy(), xdot.copy()
-            model = self.force_model
-            given = model.prescribed(0.0, model.numbers_from(0.0, self.end))
-            x[list(model.joints)], xdot[list(model.joints)] = given.x, given.xdot
-        red = system.workspace(Reduction, lambda: Reduction(system))
+        x, xdot = self.with_prescribed(x[None], xdot[None])
         if self.momentum is None:
-            mu = red.body_momentum(x, xdot, xi)
-        else:
-            # A plain 0 is short for the zero momentum of any group.
-            zero = np.ndim(self.momentum) == 0 and self.momentum == 0
-            mu = np.zeros(system.r) if zero else vector(self.momentum, system.r, "momentum")
-            xi = np.linalg.solve(red.locked_inertia(x), mu) - red.local_connection(x) @ xdot
-        return Start(*(read_only(np.array(a)) for a in (pose, x, xdot, xi, mu)))
+            return starts(system, pose[None], x, xdot, xi=xi[None], mu=None)
+        # A plain 0 is short for the zero momentum of any group.
+        zero = np.ndim(self.momentum) == 0 and self.momentum == 0
+        mu = np.zeros(system.r) if zero else vector(self.momentum, system.r, "momentum")
+        return starts(system, pose[None], x, xdot, xi=None, mu=mu[None])
+
+    def with_prescribed(self, x: Array, xdot: Array) -> tuple[Array, Array]:
+        """Return initial shapes and rates (N, m) with those of the prescribed joints in them."""
+        model = self.force_model
+        if model is None or not model.joints:
+            return x, xdot
+        x, xdot, joints = x.copy(), xdot.copy(), list(model.joints)
+        given = model.prescribed(0.0, model.numbers_from(0.0, self.end))
+        x[:, joints], xdot[:, joints] = given.x, given.xdot
+        return x, xdot
 
 
 def random_state(system: System, seed: int) -> InitialState:

@@ -110,6 +110,9 @@ class System:
     @property
     def mass(self) -> float:
         """Mass of all moving bodies [kg]."""
+        return self.workspace("mass", self._mass)
+
+    def _mass(self) -> float:
         return float(sum(self.model.inertias[i].mass for i in range(1, self.model.njoints)))
 
     @property

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..arrays import Array
-from ..base import Base
-from ..canonical import CanonicalForm, symmetric
+from ..base import Base, angular_momentum
 from ..flow import entry_name
-from ..potential import pivot_weight, shape_gravity
+from ..potential import shape_gravity
 from ..scene import Scene
+from ..start import Start
 from ..state import Sample, ShapeState, State, full_state
 from .evaluate import evaluate
 from .kernel import Kernel, kernel_for
@@ -25,33 +25,27 @@ class CompiledFlow:
 
     def __init__(self, scene: Scene) -> None:
         """Set up the flow.  Raises SymmetryError if gravity breaks the symmetry."""
-        system, start = scene.system, scene.start
-        self._system, self._wanted = system, scene.outputs == "all"
-        self._forces = forces = scene.force_model
-        self._potential = potential = shape_gravity(system)
-        form = system.workspace(CanonicalForm, lambda: CanonicalForm(system, potential))
-        H = symmetric(form.mass_matrix(start.x))
-        self._base = base = Base(
-            system,
-            start,
-            form.com(),
-            pivot_weight(system),
-            wanted=self._wanted,
-            wrench=forces is not None and forces.has_wrench,
-        )
-        pi = H[system.r :] @ np.concatenate([base.relative_twist0, start.xdot])
-        self.kernel: Kernel = kernel_for(scene, zero_momentum=not base.has_momentum)
+        about = angular_momentum(scene.system, scene.starts)
+        self._take(CompiledFlows(scene, scene.starts, about), 0)
+
+    @classmethod
+    def of(cls, flows: CompiledFlows, member: int) -> CompiledFlow:
+        """Return one of many flows."""
+        flow = cls.__new__(cls)
+        flow._take(flows, member)
+        return flow
+
+    def _take(self, flows: CompiledFlows, member: int) -> None:
+        scene = flows.scene
+        self._system, self._wanted = scene.system, scene.outputs == "all"
+        self._forces, self._potential = scene.force_model, flows.potential
+        self.kernel, self._base = flows.kernel, flows.base.member(member)
         layout = self.kernel.layout
         self._active, self._cyclic = list(layout.active), list(layout.cyclic)
         self._prescribed = list(layout.prescribed)
-        self._pi_cyclic = pi[self._cyclic]
-        own = np.empty(0) if forces is None else forces.numbers
-        self.parameters = np.concatenate([base.spin, self._pi_cyclic, own])
-        self.numbers = self.parameters[len(self.parameters) - len(own) :]
-        x, clock = start.x, np.zeros(layout.clock)
-        self.y0 = np.concatenate(
-            [x[self._active], pi[self._active], x[self._cyclic], base.b0, clock]
-        )
+        self.y0, self.parameters = flows.y0[member], flows.parameters[member]
+        spin, end = layout.base.spin, layout.parameters - layout.numbers
+        self._pi_cyclic, self.numbers = self.parameters[spin:end], self.parameters[end:]
 
     def sample(self, t: float, y: Array, numbers: Array) -> Sample:  # noqa: ARG002
         """Return what forces see at one time."""
@@ -122,3 +116,34 @@ class CompiledFlow:
             x[:, self._prescribed] = out[:, n + 3 : places]
             pi[:, self._prescribed] = out[:, places:]
         return x, pi
+
+
+class CompiledFlows:
+    """Flows of one scene from many initial states, all with or all without momentum.
+
+    kernel: of all of them.  y0: (N, k).  parameters: (N, p).
+    """
+
+    def __init__(self, scene: Scene, start: Start, about: Array) -> None:
+        """Set up the flows.  start: (N, …).  about: (N, a) their angular momenta.
+
+        Raises SymmetryError if gravity breaks the symmetry.
+        """
+        system, forces = scene.system, scene.force_model
+        r = system.r
+        self.scene, self.potential = scene, shape_gravity(system)
+        wanted, wrench = scene.outputs == "all", forces is not None and forces.has_wrench
+        self.base = base = Base(
+            system, start, about, wanted=wanted, wrench=wrench, zero=not about.any()
+        )
+        self.kernel: Kernel = kernel_for(scene, zero_momentum=not base.has_momentum)
+        layout, N = self.kernel.layout, len(start.x)
+        active, cyclic = list(layout.active), list(layout.cyclic)
+        v = np.concatenate([base.relative_twist0, start.xdot], axis=1)
+        pi = (start.mass_matrix[:, r:] @ v[:, :, None])[:, :, 0]
+        x, clock = start.x, np.zeros((N, layout.clock))
+        parts = [x[:, active], pi[:, active], x[:, cyclic], base.b0, clock]
+        self.y0 = np.concatenate(parts, axis=1)
+        own = np.empty(0) if forces is None else forces.numbers_from(0.0, scene.end)
+        numbers = np.broadcast_to(own, (N, len(own)))
+        self.parameters = np.concatenate([base.spin, pi[:, cyclic], numbers], axis=1)

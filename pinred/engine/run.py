@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from ..arrays import Array
 from ..errors import IntegrationError, NonFiniteState, StepSizeUnderflow, TooManySteps
-from ..integrators.drive import integrate as _integrate
+from ..integrators.drive import integrate_checked
 from ..integrators.many import STATUS
 from ..integrators.many import integrate_many as _integrate_many
 from ..integrators.method import DOP853, Method
@@ -69,9 +70,11 @@ def prepare(flow: CompiledFlow, scene: Scene) -> None:
 
 def method_of(scene: Scene) -> Method:
     """Return the integrator of a scene."""
-    if scene.method is not None:
-        return scene.method
-    rtol, atol = scene.tolerance
+    return scene.method or _dop853(*scene.tolerance)
+
+
+@lru_cache(maxsize=64)
+def _dop853(rtol: float, atol: float) -> DOP853:
     return DOP853(rtol=rtol, atol=atol)
 
 
@@ -91,7 +94,7 @@ def solve(flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | 
         done = progress and (lambda part: progress((start + part * (end - start)) / scene.end))
         y0 = y0 if y0.size else np.zeros(1)
         try:
-            found = _integrate(
+            found = integrate_checked(
                 method, flow.address, parameters, y0, end - start, times, quaternion, done
             )
         except IntegrationError as stop:

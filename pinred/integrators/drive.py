@@ -126,19 +126,36 @@ def integrate(
     check_kernel(address)
     state = as_floats(y0, "y0")
     check_state(state, quaternion, "y0", 1)
-    n = state.shape[0]
     asked = checked_times(times, end, ordered=True)
     frozen = read_only(np.array(as_floats(params, "params")))
+    return integrate_checked(method, address, frozen, state, end, asked, quaternion, progress)
+
+
+def integrate_checked(
+    method: Method,
+    address: int,
+    params: Array,
+    y0: Array,
+    end: float,
+    times: Array,
+    quaternion: int,
+    progress: Progress | None,
+) -> Solution:
+    """Integrate as `integrate` does, with arguments that are known to be right.
+
+    params and times are not changed by anybody afterwards.
+    """
+    n = y0.shape[0]
     real, count = registers(method, n, end, quaternion)
     count[KEEP] = 1
     work = work_rows(method, n)
     stepper = dop853 if isinstance(method, DOP853) else rkmk4
-    work[stepper.Y, :n] = state
-    out = np.empty((len(asked), n))
+    work[stepper.Y, :n] = y0
+    out = np.empty((len(times), n))
     knots, states = np.empty(_FIRST_KNOTS), np.empty((_FIRST_KNOTS, n))
     status = -1
     while status != DONE:
-        status = stepper.advance(address, frozen, real, count, work, asked, out, knots, states)
+        status = stepper.advance(address, params, real, count, work, times, out, knots, states)
         if status == FULL:
             knots, states = _doubled(knots), _doubled(states)
         elif status >= UNDERFLOW:
@@ -148,7 +165,7 @@ def integrate(
     steps = count[STEPS].item()
     return Solution(
         method=method,
-        times=asked,
+        times=times,
         y=read_only(out),
         steps=steps,
         rejected=count[REJECTED].item(),
@@ -156,7 +173,7 @@ def integrate(
         knots=read_only(knots[: steps + 1]),
         states=read_only(states[: steps + 1]),
         _address=address,
-        _params=frozen,
+        _params=params,
         _quaternion=quaternion,
     )
 
