@@ -34,6 +34,7 @@ from .algebra import (
     total,
 )
 from .frames import Body, cosine, sine
+from .lanes import Lanes, Link, links_of
 
 
 @dataclass
@@ -102,13 +103,12 @@ class Swept:
 
 def rigid(body: Body) -> Articulated:
     """Return the inertia of one body, with no momentum of its own."""
-    x, y, z = (float(c) for c in body.moment)
-    m = float(body.mass)
-    inertia = body.inertia
+    x, y, z = body.moment
+    m = body.mass
     return Articulated(
         M=[m, 0.0, 0.0, m, 0.0, m],
         B=[[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]],
-        I=[float(inertia[i][j]) for i in range(3) for j in range(i, 3)],
+        I=list(body.inertia),
         lin=[0.0, 0.0, 0.0],
         ang=[0.0, 0.0, 0.0],
     )
@@ -121,26 +121,34 @@ def sweep(
     mu: list[Scalar],
     axes: list[tuple[bool, int]],
     root_armature: float,
+    lanes: Lanes | None = None,
 ) -> Swept:
     """Solve H v = p and return velocities and π̇ (without forces).
 
     x, pi: per shape joint.  mu: (r,).  axes: which twist entries the group has, each as
-    (angular, axis).  root_armature: added to the diagonal of SO(2)'s locked inertia.
+    (angular, axis).  root_armature: added to the diagonal of SO(2)'s locked inertia.  lanes:
+    if given, limbs of one build are computed at once, and marked there.
     """
-    inertia = [rigid(body) for body in bodies]
-    joints: list[Eliminated | None] = [None] * len(bodies)
-    for i in range(len(bodies) - 1, 0, -1):
-        joint = _eliminate(bodies[i], inertia[i], x[i - 1], pi[i - 1])
+    links = links_of(bodies, lanes)
+    lanes = lanes or Lanes()  # that nothing is marked in
+    inertia = [rigid(link.body) for link in links]
+    joints: list[Eliminated | None] = [None] * len(links)
+    for i in range(len(links) - 1, 0, -1):
+        link = links[i]
+        step = _packed_step(link, bodies, x, lanes)
+        momentum = lanes.pack([pi[k - 1] for k in link.lanes])
+        joint = _eliminate(link.body, inertia[i], momentum, step)
         joints[i] = joint
-        _carry(joint, inertia[bodies[i].parent])
+        width = len(link.lanes) if len(links[link.parent].lanes) == 1 else 1
+        _add(inertia[link.parent], _carried(joint), lanes, width)
     linear, angular = _solve_root(inertia[0], mu, axes, root_armature)
     v, w = [linear], [angular]
-    xdot: list[Scalar] = []
-    pidot: list[Scalar] = []
-    for i in range(1, len(bodies)):
-        body, known = bodies[i], joints[i]
+    xdot: list[Scalar] = [0.0] * len(x)
+    pidot: list[Scalar] = [0.0] * len(x)
+    for i in range(1, len(links)):
+        link, body, known = links[i], links[i].body, joints[i]
         assert known is not None
-        vi, wi = known.step.outward(v[body.parent], w[body.parent])
+        vi, wi = known.step.outward(v[link.parent], w[link.parent])
         rate = sub(known.drive, add(dot(known.gain, vi), dot(known.gain_angular, wi)))
         h = known.inner
         hx, hy = (_linear_row(h, k, vi, wi) for k in (0, 1))
@@ -155,12 +163,13 @@ def sweep(
             wi = [wi[0], wi[1], add(wi[2], rate)]
         v.append(vi)
         w.append(wi)
-        xdot.append(rate)
-        pidot.append(force)
+        for lane, k in enumerate(link.lanes):
+            xdot[k - 1] = lanes.lane(rate, lane, len(link.lanes))
+            pidot[k - 1] = lanes.lane(force, lane, len(link.lanes))
     return Swept(linear, angular, xdot, pidot)
 
 
-def _eliminate(body: Body, a: Articulated, x: Scalar, pi: Scalar) -> Eliminated:
+def _eliminate(body: Body, a: Articulated, pi: Scalar, step: Step) -> Eliminated:
     """Solve the joint's own momentum equation for its velocity and put that into the rest."""
     if body.prismatic:
         U = [a.M[INDEX[k][2]] for k in range(3)]
@@ -173,7 +182,9 @@ def _eliminate(body: Body, a: Articulated, x: Scalar, pi: Scalar) -> Eliminated:
     inverse = 1.0 / D
     gain, gain_angular = [mul(c, inverse) for c in U], [mul(c, inverse) for c in Ua]
     drive = mul(u, inverse)
-    free = body.armature == 0.0  # then what the joint moves along carries no inertia any more
+    free = (
+        isinstance(body.armature, float) and body.armature == 0.0
+    )  # then what the joint moves along carries no inertia any more
     pris = body.prismatic
     M, I = list(a.M), list(a.I)
     B = [list(row) for row in a.B]
@@ -190,27 +201,40 @@ def _eliminate(body: Body, a: Articulated, x: Scalar, pi: Scalar) -> Eliminated:
     ang = [add(a.ang[k], mul(Ua[k], drive)) for k in range(3)]
     if free:
         (lin if pris else ang)[2] = pi
-    return Eliminated(Articulated(M, B, I, lin, ang), gain, gain_angular, drive, step_of(body, x))
+    return Eliminated(Articulated(M, B, I, lin, ang), gain, gain_angular, drive, step)
 
 
 def step_of(body: Body, x: Scalar) -> Step:
     """Return the way to a body from its parent at joint value x."""
+    return _step(body, _turned(body, x), x)
+
+
+def _packed_step(link: Link, bodies: list[Body], x: list[Scalar], lanes: Lanes) -> Step:
+    """Return the way to a link from its parent."""
+    values = [x[k - 1] for k in link.lanes]
+    turned = [_turned(bodies[k], value) for k, value in zip(link.lanes, values, strict=True)]
+    c, s = (lanes.pack(numbers) for numbers in zip(*turned, strict=True))
+    return _step(link.body, (c, s), lanes.pack(values) if link.body.prismatic else 0.0)
+
+
+def _turned(body: Body, x: Scalar) -> tuple[Scalar, Scalar]:
+    """Return cosine and sine of the angle about the body's z."""
     angle = body.offset if body.prismatic else x + body.offset if body.offset else x
-    fixed = isinstance(angle, float)
-    c, s = (cosine(angle), sine(angle)) if fixed else (ca.cos(angle), ca.sin(angle))
+    if isinstance(angle, float):
+        return cosine(angle), sine(angle)
+    return ca.cos(angle), ca.sin(angle)
+
+
+def _step(body: Body, turned: tuple[Scalar, Scalar], slide: Scalar) -> Step:
     return Step(
-        turns=[
-            Turn(2, cosine(body.beta), sine(body.beta)),
-            Turn(0, cosine(body.alpha), sine(body.alpha)),
-            Turn(2, c, s),
-        ],
-        shift=[float(c) for c in body.r],
-        slide=x if body.prismatic else 0.0,
+        turns=[Turn(2, *body.beta), Turn(0, *body.alpha), Turn(2, *turned)],
+        shift=body.r,
+        slide=slide if body.prismatic else 0.0,
     )
 
 
-def _carry(joint: Eliminated, parent: Articulated) -> None:
-    """Add a subtree to its parent: turned into the parent's axes, shifted to its origin."""
+def _carried(joint: Eliminated) -> Articulated:
+    """Return a subtree turned into its parent's axes and shifted to its parent's origin."""
     a, step = joint.inner, joint.step
     M, B, I = a.M, a.B, a.I
     if not isinstance(step.slide, float):
@@ -219,11 +243,18 @@ def _carry(joint: Eliminated, parent: Articulated) -> None:
         if not turn.is_none:
             M, B, I = turn.symmetric(M), turn.matrix(B), turn.symmetric(I)
     B, I = _shifted(M, B, I, step.shift)
-    lin, ang = step.inward(a.lin, a.ang)
-    parent.M = [add(p, q) for p, q in zip(parent.M, M, strict=True)]
-    parent.I = [add(p, q) for p, q in zip(parent.I, I, strict=True)]
-    parent.B = [plus(p, q) for p, q in zip(parent.B, B, strict=True)]
-    parent.lin, parent.ang = plus(parent.lin, lin), plus(parent.ang, ang)
+    return Articulated(M, B, I, *step.inward(a.lin, a.ang))
+
+
+def _add(parent: Articulated, a: Articulated, lanes: Lanes, width: int) -> None:
+    """Add a subtree to its parent, or those in all lanes."""
+
+    def both(p: Vec, q: Vec) -> Vec:
+        return [add(x, lanes.sum(y, width)) for x, y in zip(p, q, strict=True)]
+
+    parent.M, parent.I = both(parent.M, a.M), both(parent.I, a.I)
+    parent.B = [both(p, q) for p, q in zip(parent.B, a.B, strict=True)]
+    parent.lin, parent.ang = both(parent.lin, a.lin), both(parent.ang, a.ang)
 
 
 def _shifted(M: Sym, B: Mat, I: Sym, r: Vec) -> tuple[Mat, Sym]:

@@ -20,6 +20,7 @@ from ..lie import SE2, SE3, SO2
 from ..system import System
 from .algebra import Scalar, Vec, add, cross, mul, plus
 from .frames import Body, bodies_of
+from .lanes import Lanes
 from .sweep import step_of, sweep
 
 AXES: dict[str, list[tuple[bool, int]]] = {
@@ -80,9 +81,13 @@ class Layout:
 class ReducedGraph:
     """The expressions of one system under one structure."""
 
-    def __init__(self, system: System, structure: Structure) -> None:
-        """Build the sweep."""
-        self._system, self._structure = system, structure
+    def __init__(self, system: System, structure: Structure, lanes: Lanes | None = None) -> None:
+        """Build the sweep.
+
+        lanes: if given, limbs of one build are computed at once, and the Functions are for
+        `compile_object` with the marks of `lanes` alone.
+        """
+        self._system, self._structure, self._lanes = system, structure, lanes
         self._bodies = bodies_of(system)
         group, m = system.group, system.m
         self.x = [ca.SX.sym(f"x{k}") for k in range(m)]
@@ -97,7 +102,7 @@ class ReducedGraph:
         cyclic = structure.cyclic
         # Nothing depends on the angle of a cyclic joint, so it may as well be zero.
         angles: list[Scalar] = [0.0 if k in cyclic else self.x[k] for k in range(m)]
-        found = sweep(self._bodies, angles, self.pi, mu, AXES[group.name], armature)
+        found = sweep(self._bodies, angles, self.pi, mu, AXES[group.name], armature, lanes)
         self.xi: list[Scalar] = [
             (found.root_angular if angular else found.root_linear)[k]
             for angular, k in AXES[group.name]
@@ -138,7 +143,7 @@ class ReducedGraph:
             [self.xdot[k] for k in cyclic],
             self._attitude_rate(),
         )
-        return ca.Function("rate", [self.y, self.parameters], [ca.densify(rate)], {"cse": True})
+        return self._function("rate", rate)
 
     def outputs(self) -> ca.Function:
         """Return (y, parameters) → (ξ, ẋ, c): twist relative to the centre of mass, rate, com.
@@ -146,7 +151,13 @@ class ReducedGraph:
         c: (3,) is the centre of mass in the frame of Pinocchio's root body.
         """
         out = _column(self.xi, self.xdot, self.com())
-        return ca.Function("outputs", [self.y, self.parameters], [ca.densify(out)], {"cse": True})
+        return self._function("outputs", out)
+
+    def _function(self, name: str, value: ca.SX) -> ca.Function:
+        inputs = [self.y, self.parameters]
+        if self._lanes is not None:
+            return self._lanes.function(name, inputs, value)
+        return ca.Function(name, inputs, [ca.densify(value)], {"cse": True})
 
     def com(self) -> Vec:
         """Return the centre of mass in the root body's own frame, from the joints' placements."""
