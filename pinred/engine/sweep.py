@@ -60,6 +60,16 @@ class Step:
     shift: Vec  # r in the parent's axes
     slide: Scalar  # along the body's z, of a prismatic joint
 
+    @property
+    def fixed(self) -> Step:
+        """The part that the joint does not move; after it comes the other."""
+        return Step(self.turns[:2], self.shift, 0.0)
+
+    @property
+    def moving(self) -> Step:
+        """The part about or along the joint's axis."""
+        return Step(self.turns[2:], [0.0, 0.0, 0.0], self.slide)
+
     def inward(self, lin: Vec, ang: Vec) -> tuple[Vec, Vec]:
         """Return a momentum at the body's origin, taken at the parent's, in its axes."""
         if not isinstance(self.slide, float):
@@ -82,9 +92,9 @@ class Step:
 
 @dataclass
 class Eliminated:
-    """What the outward sweep needs of a joint."""
+    """What the outward sweep needs of a joint, in the frame that its body has at value zero."""
 
-    inner: Articulated  # of the subtree with the joint's velocity eliminated, body frame
+    inner: Articulated  # of the subtree with the joint's velocity eliminated
     gain: Vec  # U/D, linear
     gain_angular: Vec  # U/D, angular
     drive: Scalar  # u/D
@@ -137,10 +147,12 @@ def sweep(
         link = links[i]
         step = _packed_step(link, bodies, x, lanes)
         momentum = lanes.pack([pi[k - 1] for k in link.lanes])
-        joint = _eliminate(link.body, inertia[i], momentum, step)
+        # The step about or along the joint's own axis comes first: the division by D need not
+        # wait for it, and outward nothing waits for the rate that it does not move.
+        joint = _eliminate(link.body, _carried(inertia[i], step.moving), momentum, step)
         joints[i] = joint
         width = len(link.lanes) if len(links[link.parent].lanes) == 1 else 1
-        _add(inertia[link.parent], _carried(joint), lanes, width)
+        _add(inertia[link.parent], _carried(joint.inner, step.fixed), lanes, width)
     linear, angular = _solve_root(inertia[0], mu, axes, root_armature)
     v, w = [linear], [angular]
     xdot: list[Scalar] = [0.0] * len(x)
@@ -148,7 +160,7 @@ def sweep(
     for i in range(1, len(links)):
         link, body, known = links[i], links[i].body, joints[i]
         assert known is not None
-        vi, wi = known.step.outward(v[link.parent], w[link.parent])
+        vi, wi = known.step.fixed.outward(v[link.parent], w[link.parent])
         rate = sub(known.drive, add(dot(known.gain, vi), dot(known.gain_angular, wi)))
         h = known.inner
         hx, hy = (_linear_row(h, k, vi, wi) for k in (0, 1))
@@ -161,6 +173,7 @@ def sweep(
             ax, ay = (_angular_row(h, k, vi, wi) for k in (0, 1))
             force = add(sub(mul(vi[1], hx), mul(vi[0], hy)), sub(mul(wi[1], ax), mul(wi[0], ay)))
             wi = [wi[0], wi[1], add(wi[2], rate)]
+        vi, wi = known.step.moving.outward(vi, wi)
         v.append(vi)
         w.append(wi)
         for lane, k in enumerate(link.lanes):
@@ -182,9 +195,8 @@ def _eliminate(body: Body, a: Articulated, pi: Scalar, step: Step) -> Eliminated
     inverse = 1.0 / D
     gain, gain_angular = [mul(c, inverse) for c in U], [mul(c, inverse) for c in Ua]
     drive = mul(u, inverse)
-    free = (
-        isinstance(body.armature, float) and body.armature == 0.0
-    )  # then what the joint moves along carries no inertia any more
+    # Without armature, what the joint moves along carries no inertia any more.
+    free = isinstance(body.armature, float) and body.armature == 0.0
     pris = body.prismatic
     M, I = list(a.M), list(a.I)
     B = [list(row) for row in a.B]
@@ -233,9 +245,8 @@ def _step(body: Body, turned: tuple[Scalar, Scalar], slide: Scalar) -> Step:
     )
 
 
-def _carried(joint: Eliminated) -> Articulated:
-    """Return a subtree turned into its parent's axes and shifted to its parent's origin."""
-    a, step = joint.inner, joint.step
+def _carried(a: Articulated, step: Step) -> Articulated:
+    """Return a subtree turned into the axes before a step and shifted to the origin there."""
     M, B, I = a.M, a.B, a.I
     if not isinstance(step.slide, float):
         B, I = _shifted(M, B, I, [0.0, 0.0, step.slide])
