@@ -92,3 +92,39 @@ def random_model(group: str, joints: int, seed: int, *, armature: bool = True) -
         values[model.joints[1].nv :] = rng.uniform(0.0, 0.1, joints)
         model.armature = values
     return model
+
+
+def limbed_model(group: str, limbs: int, joints: int, seed: int) -> pin.Model:
+    """A root with a trunk joint and `limbs` limbs of one build, on either of the two.
+
+    Limbs branch at random, but alike.  Their constants differ, agree, or vanish, and the
+    armature of some joints does, so that all that limbs may have in common occurs.
+    """
+    rng = np.random.default_rng(seed)
+    model = pin.Model()
+    model.name = f"limbs-{group}-{limbs}-{joints}-{seed}"
+    model.gravity.setZero()
+    kinds = [JOINTS[k] for k in rng.integers(len(JOINTS), size=joints)]
+    path, parents = [0], [0]
+    for k in range(1, joints):
+        parents.append(path[rng.integers(len(path))])
+        path = [*path[: path.index(parents[k]) + 1], k]
+    same = [(placement(rng), inertia(rng)) for _ in range(joints)]
+    root = model.addJoint(0, ROOTS[group][0](rng), pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(root, inertia(rng), pin.SE3.Identity())
+    trunk = model.addJoint(root, pin.JointModelRX(), placement(rng), "trunk")
+    model.appendBodyToJoint(trunk, inertia(rng), pin.SE3.Identity())
+    hangs_on = trunk if rng.random() < 0.5 else root
+    for limb in range(limbs):
+        made: list[int] = []
+        for k in range(joints):
+            where, body = same[k] if rng.random() < 0.5 else (placement(rng), inertia(rng))
+            if rng.random() < 0.3:
+                where = pin.SE3.Identity()
+            parent = made[parents[k]] if k else hangs_on
+            made.append(model.addJoint(parent, kinds[k](rng), where, f"limb{limb}.{k}"))
+            model.appendBodyToJoint(made[-1], body, pin.SE3.Identity())
+    values = np.zeros(model.nv)
+    values[model.joints[1].nv :] = rng.choice([0.0, 0.05], model.nv - model.joints[1].nv)
+    model.armature = values
+    return model

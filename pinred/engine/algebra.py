@@ -123,11 +123,11 @@ class Turn:
         """Return R m Rᵀ for a full matrix."""
         x, y, z = self.x, self.y, self.z
         out = [list(row) for row in m]
-        mean = mul(0.5, add(m[x][y], m[y][x]))
-        skew = mul(0.5, sub(m[x][y], m[y][x]))
-        xx, xy, yy = self._block(m[x][x], mean, m[y][y])
-        out[x][x], out[y][y] = xx, yy
-        out[x][y], out[y][x] = add(xy, skew), sub(xy, skew)
+        # As in _block; the two entries off the diagonal keep their difference.
+        k = sub(mul(self.s, sub(m[y][y], m[x][x])), mul(self.c, add(m[x][y], m[y][x])))
+        sk, ck = mul(self.s, k), mul(self.c, k)
+        out[x][x], out[y][y] = add(m[x][x], sk), sub(m[y][y], sk)
+        out[x][y], out[y][x] = mul(-1.0, add(ck, m[y][x])), mul(-1.0, add(ck, m[x][y]))
         out[x][z] = sub(mul(self.c, m[x][z]), mul(self.s, m[y][z]))
         out[y][z] = add(mul(self.s, m[x][z]), mul(self.c, m[y][z]))
         out[z][x] = sub(mul(self.c, m[z][x]), mul(self.s, m[z][y]))

@@ -120,8 +120,8 @@ class CompositeBodies:
                 origin = plus(out[body.parent].origin, step)
                 rows.append(turned)
             R = rows[i]
-            moment: Vec = [float(c) for c in body.moment]
-            inertia = [float(body.inertia[a][b]) for a in range(3) for b in range(a, 3)]
+            moment: Vec = body.moment
+            inertia = body.inertia
             half = [times(inertia, row) for row in R]
             out.append(
                 Composite(
@@ -170,15 +170,15 @@ class CompositeBodies:
 
 def _outward(body: Body, rows: list[Vec], x: Array) -> tuple[list[Vec], Vec]:
     """Return a body's rotation, by rows, and its step, from its parent's rotation."""
-    step = [dot(row, [float(c) for c in body.r]) for row in rows]
+    step = [dot(row, body.r) for row in rows]
     if body.prismatic:
         own = Turn(2, cosine(body.offset), sine(body.offset))
     else:
         angle = x + body.offset
         own = Turn(2, np.cos(angle), np.sin(angle))
     for turn in (
-        Turn(2, cosine(body.beta), sine(body.beta)),
-        Turn(0, cosine(body.alpha), sine(body.alpha)),
+        Turn(2, *body.beta),
+        Turn(0, *body.alpha),
         own,
     ):
         rows = [turn.back(row) for row in rows]

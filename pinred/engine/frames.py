@@ -18,6 +18,7 @@ from ..arrays import Array
 from ..joints import is_prismatic
 from ..lie import SO2, R
 from ..system import System
+from .algebra import Scalar, Sym, Vec
 
 _SNAP = 4e-16  # relative: what is round-off of a rotation's entries
 
@@ -27,22 +28,22 @@ class Body:
     """One body in its frame.
 
     parent: index of the parent body, −1 for the root.  prismatic: kind of its joint.
-    alpha, beta, r: rotation Rz(β) Rx(α) and shift r (3,) from the parent's frame at joint
-    value zero.  offset: angle added to the joint's.  mass, moment, inertia: mass, mass
-    times centre of mass (3,), and inertia about the origin (3, 3) in this frame.
+    alpha, beta, r: cosine and sine of the angles of Rz(β) Rx(α), and shift r (3,), from the
+    parent's frame at joint value zero.  offset: angle added to the joint's.  mass, moment,
+    inertia: mass, mass times centre of mass (3,), and inertia about the origin in this frame.
     armature: added to the joint's inertia.  frame: this frame in Pinocchio's joint frame.
     """
 
     parent: int
     prismatic: bool
-    alpha: float
-    beta: float
-    r: Array
+    alpha: tuple[Scalar, Scalar]
+    beta: tuple[Scalar, Scalar]
+    r: Vec
     offset: float
-    mass: float
-    moment: Array
-    inertia: Array
-    armature: float
+    mass: Scalar
+    moment: Vec
+    inertia: Sym
+    armature: Scalar
     frame: pin.SE3
 
 
@@ -77,19 +78,20 @@ def bodies_of(system: System) -> list[Body]:
         Y = placed[i].actInv(model.inertias[i + 1])
         moment = _snap(Y.mass * Y.lever, Y.mass)
         about = Y.inertia + Y.mass * (Y.lever @ Y.lever * np.eye(3) - np.outer(Y.lever, Y.lever))
+        about = _snap(about, float(np.abs(about).max()))
         alpha, beta, r = steps[i]
         rotor = model.armature[system.r + i - 1] if i else 0.0
         bodies.append(
             Body(
                 parent=parents[i],
                 prismatic=kinds[i],
-                alpha=alpha,
-                beta=beta,
-                r=r,
+                alpha=(cosine(alpha), sine(alpha)),
+                beta=(cosine(beta), sine(beta)),
+                r=[float(c) for c in r],
                 offset=offsets[i],
                 mass=float(Y.mass),
-                moment=moment,
-                inertia=_snap(about, float(np.abs(about).max())),
+                moment=[float(c) for c in moment],
+                inertia=[float(about[j, k]) for j in range(3) for k in range(j, 3)],
                 armature=float(rotor),
                 frame=placed[i],
             )

@@ -102,10 +102,8 @@ def momenta(system: System, x: ca.SX, v: ca.SX) -> ca.SX:
 
 
 def _momentum(body: Body, v: Vec, w: Vec) -> tuple[Vec, Vec]:
-    moment = [float(c) for c in body.moment]
-    lin = [sub(mul(body.mass, a), b) for a, b in zip(v, cross(moment, w), strict=True)]
-    inertia = [float(body.inertia[i][j]) for i in range(3) for j in range(i, 3)]
-    return lin, plus(cross(moment, v), times(inertia, w))
+    lin = [sub(mul(body.mass, a), b) for a, b in zip(v, cross(body.moment, w), strict=True)]
+    return lin, plus(cross(body.moment, v), times(body.inertia, w))
 
 
 def _curvature(system: System, x: ca.SX, A: ca.SX) -> ca.SX:

@@ -23,6 +23,7 @@ from ..scene import Scene
 from ..system import System
 from .cache import ObjectCache, cache_key
 from .judge import judge
+from .lanes import Lanes
 from .native import NativeCode, compile_object, load_object
 from .symbolic import Layout, ReducedGraph, Structure
 
@@ -139,10 +140,11 @@ def build_kernel(
     key = cache_key(_model_bytes(system), json.dumps(kind))
     stored = cache.get(key)
     if stored is None:
-        graph = ReducedGraph(system, structure, forces)
+        lanes = Lanes()
+        graph = ReducedGraph(system, structure, forces, lanes)
         rate, outputs = graph.rate(), graph.outputs()
         meta = {"layout": asdict(graph.layout), "instructions": rate.n_instructions()}
-        codes = [compile_object(rate, "rate"), compile_object(outputs, "outputs")]
+        codes = [compile_object(f, f.name(), lanes.marks[f.name()]) for f in (rate, outputs)]
         stored = _pack(json.dumps(meta).encode(), *codes)
         cache.put(key, stored)
     head, rate_code, outputs_code = _unpack(stored)

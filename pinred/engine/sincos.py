@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 
-LANES = (4, 2, 1)  # how many angles at once, the widest first
+LANES = (8, 4, 2, 1)  # how many angles at once, the widest first
 
 _LIMIT = 2.0**20
 _MAGIC = 1.5 * 2.0**52  # added to a number, it leaves the nearest integer in the lowest bits

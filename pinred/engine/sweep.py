@@ -35,6 +35,7 @@ from .algebra import (
     total,
 )
 from .frames import Body, cosine, sine
+from .lanes import Lanes, Link, links_of
 
 
 @dataclass
@@ -60,6 +61,16 @@ class Step:
     shift: Vec  # r in the parent's axes
     slide: Scalar  # along the body's z, of a prismatic joint
 
+    @property
+    def fixed(self) -> Step:
+        """The part that the joint does not move; after it comes the other."""
+        return Step(self.turns[:2], self.shift, 0.0)
+
+    @property
+    def moving(self) -> Step:
+        """The part about or along the joint's axis."""
+        return Step(self.turns[2:], [0.0, 0.0, 0.0], self.slide)
+
     def inward(self, lin: Vec, ang: Vec) -> tuple[Vec, Vec]:
         """Return a momentum at the body's origin, taken at the parent's, in its axes."""
         if not isinstance(self.slide, float):
@@ -82,9 +93,9 @@ class Step:
 
 @dataclass
 class Eliminated:
-    """What the outward sweep needs of a joint."""
+    """What the outward sweep needs of a joint, in the frame that its body has at value zero."""
 
-    inner: Articulated  # of the subtree with the joint's velocity eliminated, body frame
+    inner: Articulated  # of the subtree with the joint's velocity eliminated
     gain: Vec  # U/D, linear
     gain_angular: Vec  # U/D, angular
     drive: Scalar  # u/D
@@ -107,13 +118,12 @@ class Swept:
 
 def rigid(body: Body) -> Articulated:
     """Return the inertia of one body, with no momentum of its own."""
-    x, y, z = (float(c) for c in body.moment)
-    m = float(body.mass)
-    inertia = body.inertia
+    x, y, z = body.moment
+    m = body.mass
     return Articulated(
         M=[m, 0.0, 0.0, m, 0.0, m],
         B=[[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]],
-        I=[float(inertia[i][j]) for i in range(3) for j in range(i, 3)],
+        I=list(body.inertia),
         lin=[0.0, 0.0, 0.0],
         ang=[0.0, 0.0, 0.0],
     )
@@ -127,36 +137,48 @@ def sweep(
     axes: list[tuple[bool, int]],
     root_armature: float,
     rates: Mapping[int, Scalar],
+    lanes: Lanes | None = None,
 ) -> Swept:
     """Solve H v = p and return velocities and π̇ (without forces).
 
     x, pi: per shape joint.  mu: (r,).  axes: which twist entries the group has, each as
-    (angular, axis).  root_armature: added to the diagonal of SO(2)'s locked inertia.
-    rates: ẋ of the joints that are prescribed, whose π is not read.
+    (angular, axis).  root_armature: added to the diagonal of SO(2)'s locked inertia.  rates: ẋ
+    of the joints that are prescribed, whose π is not read.  lanes: if given, limbs of one
+    build are computed at once, and marked there.
     """
-    inertia = [rigid(body) for body in bodies]
-    joints: list[Eliminated | None] = [None] * len(bodies)
-    for i in range(len(bodies) - 1, 0, -1):
-        if i - 1 in rates:
-            joint = _drive(bodies[i], inertia[i], x[i - 1], rates[i - 1])
+    links = links_of(bodies, lanes, {k + 1 for k in rates})
+    lanes = lanes or Lanes()  # that nothing is marked in
+    inertia = [rigid(link.body) for link in links]
+    joints: list[Eliminated | None] = [None] * len(links)
+    for i in range(len(links) - 1, 0, -1):
+        link = links[i]
+        step = _packed_step(link, bodies, x, lanes)
+        # The step about or along the joint's own axis comes first: the division by D need not
+        # wait for it, and outward nothing waits for the rate that it does not move.
+        inner = _carried(inertia[i], step.moving)
+        if link.lanes[0] - 1 in rates:
+            joint = _drive(link.body, inner, lanes.pack([rates[k - 1] for k in link.lanes]), step)
         else:
-            joint = _eliminate(bodies[i], inertia[i], x[i - 1], pi[i - 1])
+            momentum = lanes.pack([pi[k - 1] for k in link.lanes])
+            joint = _eliminate(link.body, inner, momentum, step)
         joints[i] = joint
-        _carry(joint, inertia[bodies[i].parent])
+        width = len(link.lanes) if len(links[link.parent].lanes) == 1 else 1
+        _add(inertia[link.parent], _carried(joint.inner, step.fixed), lanes, width)
     linear, angular = _solve_root(inertia[0], mu, axes, root_armature)
     v, w = [linear], [angular]
-    xdot: list[Scalar] = []
+    xdot: list[Scalar] = [0.0] * len(x)
     momenta = list(pi)
-    pidot: list[Scalar] = []
-    for i in range(1, len(bodies)):
-        body, known = bodies[i], joints[i]
+    pidot: list[Scalar] = [0.0] * len(x)
+    for i in range(1, len(links)):
+        link, body, known = links[i], links[i].body, joints[i]
         assert known is not None
-        vi, wi = known.step.outward(v[body.parent], w[body.parent])
+        vi, wi = known.step.fixed.outward(v[link.parent], w[link.parent])
         rate = sub(known.drive, add(dot(known.gain, vi), dot(known.gain_angular, wi)))
         h = known.inner
-        if i - 1 in rates:
-            along = _linear_row(h, 2, vi, wi) if body.prismatic else _angular_row(h, 2, vi, wi)
-            momenta[i - 1] = add(along, mul(body.armature, rate))
+        along: Scalar = 0.0
+        if link.lanes[0] - 1 in rates:
+            own = _linear_row(h, 2, vi, wi) if body.prismatic else _angular_row(h, 2, vi, wi)
+            along = add(own, mul(body.armature, rate))
         hx, hy = (_linear_row(h, k, vi, wi) for k in (0, 1))
         if body.prismatic:
             # v × S = (ω × e_z, 0)
@@ -167,14 +189,18 @@ def sweep(
             ax, ay = (_angular_row(h, k, vi, wi) for k in (0, 1))
             force = add(sub(mul(vi[1], hx), mul(vi[0], hy)), sub(mul(wi[1], ax), mul(wi[0], ay)))
             wi = [wi[0], wi[1], add(wi[2], rate)]
+        vi, wi = known.step.moving.outward(vi, wi)
         v.append(vi)
         w.append(wi)
-        xdot.append(rate)
-        pidot.append(force)
+        for lane, k in enumerate(link.lanes):
+            xdot[k - 1] = lanes.lane(rate, lane, len(link.lanes))
+            pidot[k - 1] = lanes.lane(force, lane, len(link.lanes))
+            if k - 1 in rates:
+                momenta[k - 1] = lanes.lane(along, lane, len(link.lanes))
     return Swept(linear, angular, xdot, momenta, pidot)
 
 
-def _eliminate(body: Body, a: Articulated, x: Scalar, pi: Scalar) -> Eliminated:
+def _eliminate(body: Body, a: Articulated, pi: Scalar, step: Step) -> Eliminated:
     """Solve the joint's own momentum equation for its velocity and put that into the rest."""
     if body.prismatic:
         U = [a.M[INDEX[k][2]] for k in range(3)]
@@ -187,7 +213,8 @@ def _eliminate(body: Body, a: Articulated, x: Scalar, pi: Scalar) -> Eliminated:
     inverse = 1.0 / D
     gain, gain_angular = [mul(c, inverse) for c in U], [mul(c, inverse) for c in Ua]
     drive = mul(u, inverse)
-    free = body.armature == 0.0  # then what the joint moves along carries no inertia any more
+    # Without armature, what the joint moves along carries no inertia any more.
+    free = isinstance(body.armature, float) and body.armature == 0.0
     pris = body.prismatic
     M, I = list(a.M), list(a.I)
     B = [list(row) for row in a.B]
@@ -204,10 +231,10 @@ def _eliminate(body: Body, a: Articulated, x: Scalar, pi: Scalar) -> Eliminated:
     ang = [add(a.ang[k], mul(Ua[k], drive)) for k in range(3)]
     if free:
         (lin if pris else ang)[2] = pi
-    return Eliminated(Articulated(M, B, I, lin, ang), gain, gain_angular, drive, step_of(body, x))
+    return Eliminated(Articulated(M, B, I, lin, ang), gain, gain_angular, drive, step)
 
 
-def _drive(body: Body, a: Articulated, x: Scalar, rate: Scalar) -> Eliminated:
+def _drive(body: Body, a: Articulated, rate: Scalar, step: Step) -> Eliminated:
     """Carry a joint at a prescribed rate: its subtree is rigid, with the momentum of the rate."""
     if body.prismatic:
         U, Ua = [a.M[INDEX[k][2]] for k in range(3)], [a.B[k][2] for k in range(3)]
@@ -216,28 +243,40 @@ def _drive(body: Body, a: Articulated, x: Scalar, rate: Scalar) -> Eliminated:
     lin = [add(a.lin[k], mul(U[k], rate)) for k in range(3)]
     ang = [add(a.ang[k], mul(Ua[k], rate)) for k in range(3)]
     none: Vec = [0.0, 0.0, 0.0]
-    return Eliminated(Articulated(a.M, a.B, a.I, lin, ang), none, none, rate, step_of(body, x))
+    return Eliminated(Articulated(a.M, a.B, a.I, lin, ang), none, none, rate, step)
 
 
 def step_of(body: Body, x: Scalar) -> Step:
     """Return the way to a body from its parent at joint value x."""
+    return _step(body, _turned(body, x), x)
+
+
+def _packed_step(link: Link, bodies: list[Body], x: list[Scalar], lanes: Lanes) -> Step:
+    """Return the way to a link from its parent."""
+    values = [x[k - 1] for k in link.lanes]
+    turned = [_turned(bodies[k], value) for k, value in zip(link.lanes, values, strict=True)]
+    c, s = (lanes.pack(numbers) for numbers in zip(*turned, strict=True))
+    return _step(link.body, (c, s), lanes.pack(values) if link.body.prismatic else 0.0)
+
+
+def _turned(body: Body, x: Scalar) -> tuple[Scalar, Scalar]:
+    """Return cosine and sine of the angle about the body's z."""
     angle = body.offset if body.prismatic else x + body.offset if body.offset else x
-    fixed = isinstance(angle, float)
-    c, s = (cosine(angle), sine(angle)) if fixed else (ca.cos(angle), ca.sin(angle))
+    if isinstance(angle, float):
+        return cosine(angle), sine(angle)
+    return ca.cos(angle), ca.sin(angle)
+
+
+def _step(body: Body, turned: tuple[Scalar, Scalar], slide: Scalar) -> Step:
     return Step(
-        turns=[
-            Turn(2, cosine(body.beta), sine(body.beta)),
-            Turn(0, cosine(body.alpha), sine(body.alpha)),
-            Turn(2, c, s),
-        ],
-        shift=[float(c) for c in body.r],
-        slide=x if body.prismatic else 0.0,
+        turns=[Turn(2, *body.beta), Turn(0, *body.alpha), Turn(2, *turned)],
+        shift=body.r,
+        slide=slide if body.prismatic else 0.0,
     )
 
 
-def _carry(joint: Eliminated, parent: Articulated) -> None:
-    """Add a subtree to its parent: turned into the parent's axes, shifted to its origin."""
-    a, step = joint.inner, joint.step
+def _carried(a: Articulated, step: Step) -> Articulated:
+    """Return a subtree turned into the axes before a step and shifted to the origin there."""
     M, B, I = a.M, a.B, a.I
     if not isinstance(step.slide, float):
         B, I = _shifted(M, B, I, [0.0, 0.0, step.slide])
@@ -245,11 +284,18 @@ def _carry(joint: Eliminated, parent: Articulated) -> None:
         if not turn.is_none:
             M, B, I = turn.symmetric(M), turn.matrix(B), turn.symmetric(I)
     B, I = _shifted(M, B, I, step.shift)
-    lin, ang = step.inward(a.lin, a.ang)
-    parent.M = [add(p, q) for p, q in zip(parent.M, M, strict=True)]
-    parent.I = [add(p, q) for p, q in zip(parent.I, I, strict=True)]
-    parent.B = [plus(p, q) for p, q in zip(parent.B, B, strict=True)]
-    parent.lin, parent.ang = plus(parent.lin, lin), plus(parent.ang, ang)
+    return Articulated(M, B, I, *step.inward(a.lin, a.ang))
+
+
+def _add(parent: Articulated, a: Articulated, lanes: Lanes, width: int) -> None:
+    """Add a subtree to its parent, or those in all lanes."""
+
+    def both(p: Vec, q: Vec) -> Vec:
+        return [add(x, lanes.sum(y, width)) for x, y in zip(p, q, strict=True)]
+
+    parent.M, parent.I = both(parent.M, a.M), both(parent.I, a.I)
+    parent.B = [both(p, q) for p, q in zip(parent.B, a.B, strict=True)]
+    parent.lin, parent.ang = both(parent.lin, a.lin), both(parent.ang, a.ang)
 
 
 def _shifted(M: Sym, B: Mat, I: Sym, r: Vec) -> tuple[Mat, Sym]:

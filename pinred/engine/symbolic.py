@@ -24,6 +24,7 @@ from ..system import System
 from .algebra import Scalar, Vec, add, mul, plus, total
 from .base_graph import BaseGraph
 from .frames import Body, bodies_of
+from .lanes import Lanes
 from .sweep import step_of, sweep
 
 AXES: dict[str, list[tuple[bool, int]]] = {
@@ -91,10 +92,18 @@ class ReducedGraph:
     """The expressions of one system under one structure, with forces on it."""
 
     def __init__(
-        self, system: System, structure: Structure, forces: ForceModel | None = None
+        self,
+        system: System,
+        structure: Structure,
+        forces: ForceModel | None = None,
+        lanes: Lanes | None = None,
     ) -> None:
-        """Build the sweep."""
-        self._system, self._forces = system, forces
+        """Build the sweep.
+
+        lanes: if given, limbs of one build are computed at once, and the Functions are for
+        `compile_object` with the marks of `lanes` alone.
+        """
+        self._system, self._forces, self._lanes = system, forces, lanes
         self._bodies = bodies_of(system)
         group, m = system.group, system.m
         wrench = forces is not None and forces.has_wrench
@@ -121,19 +130,22 @@ class ReducedGraph:
             numbers=len(forces.numbers) if forces is not None else 0,
         )
         self._numbers = [ca.SX.sym(f"p{k}") for k in range(self.layout.numbers)]
-        rates = {k: ca.SX.sym(f"xdot{k}") for k in prescribed}
+        self._angles = ca.vertcat(ca.SX(0, 1), *self.x)  # by which energies are differentiated
+        given = self._given()
+        for k, place in zip(prescribed, given, strict=False):
+            self.x[k] = place
         mu = self.base.body_momentum()
         armature = float(system.model.armature[0]) if group is SO2 else 0.0
         # Nothing depends on the angle of a cyclic joint, so it may as well be zero.
         angles: list[Scalar] = [0.0 if k in structure.cyclic else self.x[k] for k in range(m)]
-        found = sweep(self._bodies, angles, self.pi, mu, AXES[group.name], armature, rates)
+        rates = dict(zip(prescribed, given[len(prescribed) :], strict=True))
+        found = sweep(self._bodies, angles, self.pi, mu, AXES[group.name], armature, rates, lanes)
         self.xi: list[Scalar] = [
             (found.root_angular if angular else found.root_linear)[k]
             for angular, k in AXES[group.name]
         ]
         self.xdot: list[Scalar] = found.xdot
         self._prescribed_pi = [found.pi[k] for k in prescribed]
-        self._moving = ca.vertcat(*(self.x[k] for k in prescribed), *rates.values())
         torque, acting = self._acting(mu)
         pidot = [add(p, t) for p, t in zip(found.pidot, torque, strict=True)]
         self.pidot = self._with_loads(pidot, acting)
@@ -180,16 +192,22 @@ class ReducedGraph:
         out = _column(self.xi, self.xdot, self.com(), places, self._prescribed_pi)
         return self._function("outputs", out)
 
+    def _function(self, name: str, value: ca.SX) -> ca.Function:
+        inputs = [self.y, self.parameters]
+        if self._lanes is not None:
+            return self._lanes.function(name, inputs, value)
+        return ca.Function(name, inputs, [ca.densify(value)], {"cse": True})
+
     def com(self) -> Vec:
         """Return the centre of mass in the root body's own frame, from the joints' placements."""
         return centre_of_mass(self._bodies, self.x)
 
-    def _function(self, name: str, value: ca.SX) -> ca.Function:
-        if self._forces is not None and self.layout.prescribed:
-            x, xdot, _ = self._forces.prescribed_function(self._t, _column(self._numbers))
-            value = ca.substitute(value, self._moving, ca.vertcat(x, xdot))
-        inputs = [self.y, self.parameters]
-        return ca.Function(name, inputs, [ca.densify(value)], {"cse": True})
+    def _given(self) -> list[Scalar]:
+        """Return positions and then rates of the prescribed joints."""
+        if self._forces is None or not self.layout.prescribed:
+            return []
+        x, xdot, _ = self._forces.prescribed_function(self._t, _column(self._numbers))
+        return _scalars(x) + _scalars(xdot)
 
     def _acting(self, mu: list[Scalar]) -> tuple[list[Scalar], list[Scalar]]:
         """Return torques (m,) and the wrench, (r,) or none, of the forces."""
@@ -207,7 +225,8 @@ class ReducedGraph:
         The weight pulls at the centre of mass; a force on the base moves the frame of the
         centre of mass, in which the shape is pushed the other way.
         """
-        com, m = self.com(), self._system.m
+        m = self._system.m
+        com = centre_of_mass(self._bodies, ca.vertsplit(self._angles) if m else [])
         loads: list[tuple[Scalar, Scalar]] = []  # of each coordinate of c: name and value
         energy: Scalar = 0.0
         pairs = list(zip(acting, self.base.along(com), strict=False))  # the linear part
@@ -223,8 +242,9 @@ class ReducedGraph:
                 energy = add(energy, mul(symbol, c))
         if not (isinstance(energy, ca.SX) and m):
             return pidot
-        slope = ca.gradient(energy, ca.vertcat(*self.x))
-        slope = ca.substitute(slope, _column([s for s, _ in loads]), _column([v for _, v in loads]))
+        slope = ca.gradient(energy, self._angles)
+        names, values = _column([s for s, _ in loads]), _column([v for _, v in loads])
+        (slope,) = ca.substitute([slope], [names, self._angles], [values, _column(self.x)])
         return [add(pidot[k], mul(-1.0, slope[k])) for k in range(m)]
 
 

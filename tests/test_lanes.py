@@ -1,0 +1,141 @@
+"""Limbs as lanes of one computation: kernels against Pinocchio, vector code against NumPy."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import groups, seeds
+from trees import limbed_model
+
+import pinred
+from pinred.arrays import Array
+from pinred.engine.flow import CompiledFlow
+from pinred.engine.frames import bodies_of
+from pinred.engine.lanes import Lanes, links_of
+from pinred.engine.native import compile_object, load_object
+from pinred.engine.symbolic import ReducedGraph, Structure
+from pinred.errors import UnsupportedOperationError
+from pinred.flow import ReducedFlow
+
+POINTER = ctypes.POINTER(ctypes.c_double)
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels of the tests go to a folder of their own."""
+    monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path_factory.mktemp("cache", numbered=True)))
+
+
+def build(lanes: Lanes, x: ca.SX, out: ca.SX) -> Callable[[Array], Array]:
+    """Compile an expression with marks."""
+    function = lanes.function("f", [x], out)
+    code = load_object(compile_object(function, "f", lanes.marks["f"]), "f")
+    raw = ctypes.CFUNCTYPE(None, POINTER, POINTER)(code.address)
+
+    def call(at: Array) -> Array:
+        assert code.address
+        found = np.empty(out.numel())
+        raw(at.ctypes.data_as(POINTER), found.ctypes.data_as(POINTER))
+        return found
+
+    return call
+
+
+@pytest.mark.parametrize("width", [2, 3, 4])
+def test_vector_code(width: int) -> None:
+    """Numbers, constants and both in lanes, lanes with plain numbers, and back again."""
+    x = ca.SX.sym("x", 2 * width + 1)
+    constants = np.random.default_rng(width).normal(size=width)
+    lanes = Lanes()
+    a = lanes.pack([x[k] for k in range(width)])
+    b = lanes.pack([ca.cos(x[width + k]) for k in range(width)])
+    c = lanes.pack([float(value) for value in constants])
+    mixed = lanes.pack([x[0], *(float(value) for value in constants[1:])])
+    d = (x[-1] * a - 2.0 * b) / (1.0 + c * c) + 1.0 / (3.0 + b * b) - mixed + (-a) + 2.0 * a
+    deep = lanes.sum(d * x[-1], width) * d
+    out = ca.vertcat(
+        lanes.sum(d, width),
+        *(lanes.lane(deep, k, width) for k in range(width)),
+        lanes.sum(c, width),
+    )
+    fast = build(lanes, x, out)
+    at = np.random.default_rng(0).normal(size=2 * width + 1)
+    A, B, last = at[:width], np.cos(at[width:-1]), at[-1]
+    M = np.array([at[0], *constants[1:]])
+    D = (last * A - 2 * B) / (1 + constants**2) + 1 / (3 + B * B) - M + A
+    expected = [D.sum(), *((D * last).sum() * D), constants.sum()]
+    np.testing.assert_allclose(fast(at), expected, rtol=1e-13)
+    at[1] = np.nan
+    assert np.isnan(fast(at)[:-1]).all()
+
+
+def test_one_number_for_all_lanes_stays_one() -> None:
+    """Where limbs agree, constants fold as ever."""
+    lanes = Lanes()
+    assert lanes.pack([0.0, 0.0]) == 0.0
+    assert (lanes.lane(1.5, 1, 2), lanes.sum(1.5, 3)) == (1.5, 4.5)
+    assert isinstance(lanes.pack([0.0, 1.0]), ca.SX)
+
+
+def test_what_has_no_form_in_lanes_is_named() -> None:
+    """Only arithmetic is done in lanes."""
+    x, lanes = ca.SX.sym("x", 2), Lanes()
+    with pytest.raises(UnsupportedOperationError, match="sqrt"):
+        build(lanes, x, lanes.sum(ca.sqrt(lanes.pack([x[0], x[1]])), 2))
+
+
+def test_limbs_of_one_build_are_found() -> None:
+    """Four arms of a satellite's kind, in pairs, fours, and one left over."""
+    for limbs, widths in ((1, {1}), (2, {1, 2}), (4, {1, 4}), (6, {1, 2, 4})):
+        system = pinred.load(limbed_model("SE3", limbs, 3, 1))
+        links = links_of(bodies_of(system), Lanes(), ())
+        assert {len(link.lanes) for link in links} == widths
+        assert sorted(k for link in links for k in link.lanes) == list(range(system.m + 1))
+        for k, link in enumerate(links[1:], 1):
+            assert link.parent < k
+
+
+@settings(max_examples=40)
+@given(groups, st.integers(2, 6), st.integers(1, 4), seeds)
+def test_kernels_of_alike_limbs(group: str, limbs: int, joints: int, seed: int) -> None:
+    """Any group, limbs and joints, with springs and without: as the readable route."""
+    system = pinred.load(limbed_model(group, limbs, joints, seed))
+    rng = np.random.default_rng(seed)
+    springs = dict.fromkeys(system.shape_names[::3], (1.5, 0.4))
+    scene = pinred.Scene(
+        system=system,
+        x0=rng.uniform(-2.0, 2.0, system.m),
+        xdot0=rng.normal(size=system.m),
+        pose0=system.group.exp(rng.uniform(-1.5, 1.5, system.r)),
+        xi0=rng.normal(size=system.r),
+        springs=springs,
+    )
+    compiled, readable = CompiledFlow(scene), ReducedFlow(scene)
+    layout, m = compiled.kernel.layout, system.m
+    rate = compiled.kernel.evaluate_rate(compiled.y0, compiled.parameters)
+    expected = readable.rate(0.0, readable.y0)
+    active, cyclic = list(layout.active), list(layout.cyclic)
+    rows = [*active, *(m + k for k in active), *cyclic, *range(2 * m, len(expected))]
+    scale = max(1.0, float(np.abs(expected).max(initial=0.0)))
+    np.testing.assert_allclose(rate, expected[rows], rtol=0, atol=1e-10 * scale)
+    # What is no number in one limb is seen.
+    y = np.array(compiled.y0)
+    y[int(rng.integers(len(active)))] = np.nan
+    assert np.isnan(compiled.kernel.evaluate_rate(y, compiled.parameters)).any()
+
+
+def test_more_limbs_of_one_build_cost_little() -> None:
+    """The graph of four limbs is hardly larger than that of two."""
+    sizes = {}
+    for limbs in (1, 2, 4):
+        lanes = Lanes()
+        system = pinred.load(limbed_model("SE3", limbs, 4, 3))
+        function = ReducedGraph(system, Structure(zero_momentum=False), lanes=lanes).rate()
+        sizes[limbs] = function.n_instructions()
+    assert sizes[4] < 1.3 * sizes[2] < 1.7 * sizes[1]
