@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from . import __version__
+from .bench.command import add_measurements
 from .errors import InputError, IntegrationError, PinredError
 
 if TYPE_CHECKING:
@@ -105,9 +106,10 @@ def _parser() -> _Parser:
     sub = command("cache", _cache, "show the compiled kernels kept on disk")
     sub.add_argument("--clear", action="store_true", help="remove them")
 
-    sub = command("bench", _bench, "measure: `pinred bench kernels`, evaluations against pin.aba")
-    sub.add_argument("what", choices=("kernels",), metavar="kernels", help="what to measure")
-    sub.add_argument("robots", nargs="*", metavar="ROBOT", help="robots; a few if none is named")
+    bench = commands.add_parser(
+        "bench", help="measure speed and accuracy", description="Measure speed and accuracy."
+    )
+    add_measurements(bench)
     return parser
 
 
@@ -283,18 +285,6 @@ def _cache(options: argparse.Namespace) -> int:
     )
     for entry in entries:
         print(f"  {entry.key[:16]}  {entry.size / 1e3:8.1f} kB")
-    return 0
-
-
-def _bench(options: argparse.Namespace) -> int:
-    from .bench import KernelTiming, bench_kernels
-    from .progress import ProgressBar
-
-    with ProgressBar("kernels") as bar:
-        timings = bench_kernels(options.robots, progress=bar)
-    print(KernelTiming.header())
-    for timing in timings:
-        print(timing)
     return 0
 
 

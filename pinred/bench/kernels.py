@@ -1,4 +1,4 @@
-"""Measurements that anyone can repeat: ratios within one run, medians of several."""
+"""What one evaluation of a compiled kernel costs, against `pin.aba` called from Python."""
 
 from __future__ import annotations
 
@@ -9,19 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from .arrays import Array
-from .catalogue import has_example_robots
-from .cyclic import cyclic_joints
-from .engine.evaluate import repeat
-from .engine.kernel import build_kernel
-from .engine.symbolic import Structure
-from .loading import load
-from .reduction import Reduction
+from ..catalogue import has_example_robots
+from ..cyclic import cyclic_joints
+from ..engine.kernel import build_kernel
+from ..engine.symbolic import Structure
+from ..loading import load
+from ..reduction import Reduction
+from .timing import NoCache, alternating, evaluations, repeated
 
 BUNDLED = ("coupled_planar", "planar_chain5", "falling_cat", "satellite_two_arms")
 EXAMPLES = ("ur5", "solo12", "talos")
-ROUNDS = 15  # of which the median counts
-SPAN = 0.01  # s, at least, of one round
 
 
 @dataclass(frozen=True)
@@ -55,16 +52,6 @@ class KernelTiming:
         )
 
 
-class _NoCache:
-    """A cache that keeps nothing, so that building is measured."""
-
-    def get(self, key: str) -> None:
-        """Find nothing."""
-
-    def put(self, key: str, code: bytes) -> None:
-        """Keep nothing."""
-
-
 def bench_kernels(
     robots: Sequence[str] = (), *, progress: Callable[[float], None] | None = None
 ) -> list[KernelTiming]:
@@ -85,23 +72,14 @@ def _bench_kernel(name: str) -> KernelTiming:
     system = load(name, group="SE3" if name == "ur5" else None, gravity=(0.0, 0.0, 0.0))
     structure = Structure(zero_momentum=False, cyclic=cyclic_joints(Reduction(system)))
     began = time.perf_counter()
-    kernel = build_kernel(system, structure, cache=_NoCache())
+    kernel = build_kernel(system, structure, cache=NoCache())
     build = time.perf_counter() - began
     rng = np.random.default_rng(0)
-    y = rng.normal(size=kernel.layout.size)
-    parameters = rng.normal(size=kernel.layout.parameters)
     model, data = system.model, system.model.createData()
     q, v = system.q(system.group.identity(), rng.normal(size=system.m)), rng.normal(size=system.n)
     tau = np.zeros(system.n)
 
-    def native(count: int) -> None:
-        repeat(kernel.rate.address, parameters, y, count)
-
-    def full(count: int) -> None:
-        for _ in range(count):
-            pin.aba(model, data, q, v, tau)
-
-    times = _alternating(native, full)
+    times = alternating([evaluations(kernel), repeated(lambda: pin.aba(model, data, q, v, tau))])
     return KernelTiming(
         robot=name,
         joints=system.m,
@@ -110,25 +88,3 @@ def _bench_kernel(name: str) -> KernelTiming:
         kernel=float(np.median(times[:, 0])) * 1e6,
         aba=float(np.median(times[:, 1])) * 1e6,
     )
-
-
-def _alternating(*actions: Callable[[int], None]) -> Array:
-    """Return seconds per call, (ROUNDS, actions), the actions taking turns."""
-    counts = []
-    for action in actions:
-        action(1)
-        count = 1
-        while True:
-            began = time.perf_counter()
-            action(count)
-            if time.perf_counter() - began > SPAN:
-                break
-            count *= 2
-        counts.append(count)
-    out = np.empty((ROUNDS, len(actions)))
-    for k in range(ROUNDS):
-        for j, (action, count) in enumerate(zip(actions, counts, strict=True)):
-            began = time.perf_counter()
-            action(count)
-            out[k, j] = (time.perf_counter() - began) / count
-    return out

@@ -1,0 +1,77 @@
+"""Times that can be compared: medians of rounds in which what is measured takes turns."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ..arrays import Array
+from ..engine.evaluate import repeat
+from ..engine.kernel import Kernel
+
+ROUNDS = 15  # of which the median counts
+SPAN = 0.01  # s, at least, of one action in a round
+
+
+class NoCache:
+    """A cache of kernels that keeps nothing, so that building is measured."""
+
+    def get(self, key: str) -> None:
+        """Find nothing."""
+
+    def put(self, key: str, code: bytes) -> None:
+        """Keep nothing."""
+
+
+def alternating(
+    actions: Sequence[Callable[[int], object]],
+    *,
+    rounds: int = ROUNDS,
+    progress: Callable[[float], None] | None = None,
+) -> Array:
+    """Return seconds per call, (rounds, actions), the actions taking turns.
+
+    actions: each does its work as often as it is told.  It is called once before the clock
+    runs, and then so often in each round that a round takes it at least SPAN.
+    """
+    done = progress or (lambda _: None)
+    counts = []
+    for j, action in enumerate(actions):
+        action(1)
+        count = 1
+        while _seconds(action, count) < SPAN:
+            count *= 2
+        counts.append(count)
+        done((j + 1) / len(actions) / (rounds + 1))
+    out = np.empty((rounds, len(actions)))
+    for k in range(rounds):
+        for j, (action, count) in enumerate(zip(actions, counts, strict=True)):
+            out[k, j] = _seconds(action, count) / count
+        done((k + 2) / (rounds + 1))
+    return out
+
+
+def evaluations(kernel: Kernel) -> Callable[[int], None]:
+    """Return what evaluates a kernel, at one random state, as often as it is told."""
+    rng = np.random.default_rng(0)
+    y = rng.normal(size=kernel.layout.size)
+    parameters = rng.normal(size=kernel.layout.parameters)
+    return lambda count: repeat(kernel.rate.address, parameters, y, count)
+
+
+def repeated(action: Callable[[], object]) -> Callable[[int], None]:
+    """Return what calls an action as often as it is told."""
+
+    def several(count: int) -> None:
+        for _ in range(count):
+            action()
+
+    return several
+
+
+def _seconds(action: Callable[[int], object], count: int) -> float:
+    began = time.perf_counter()
+    action(count)
+    return time.perf_counter() - began
