@@ -19,7 +19,6 @@ the body, Γ̇ = Γ × ω, for the attitude under the weight.
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,7 +82,7 @@ def base_parts(
 
 
 @dataclass(frozen=True)
-class _Root:
+class Root:
     """What the base of a system is, whatever its state.
 
     axes: (3, k) directions of its translations.  g: (k,) how it falls along them.  lift: g
@@ -96,74 +95,51 @@ class _Root:
     origin: Array
 
 
-def _root(system: System) -> _Root:
-    return system.workspace(_Root, lambda: _find_root(system))
+def root_of(system: System) -> Root:
+    """Return the root of a system, found once."""
+    return system.workspace(Root, lambda: _find_root(system))
 
 
-def _find_root(system: System) -> _Root:
+def _find_root(system: System) -> Root:
     placement = system.model.jointPlacements[1]
     axes, g = translations(system), falling(system)
     origin = placement.rotation.T @ placement.translation
-    return _Root(axes, g, float(placement.translation @ placement.rotation @ axes @ g), origin)
+    return Root(axes, g, float(placement.translation @ placement.rotation @ axes @ g), origin)
 
 
 class Base:
-    """The bases of scenes of one kind: what is integrated of them, and how they move.
+    """The base of one scene: what is integrated of it, and how it moves.
 
-    parts: which numbers.  b0: (N, parts.size) their values at the start.  axes: (3, k)
-    directions of its translations.  spin: (N, parts.spin) the constant angular momentum in
-    the fixed frame.  relative_twist0: (N, r) initial body twist as seen from the frame of the
+    parts: which numbers.  b0: (parts.size,) their values at the start.  axes: (3, k)
+    directions of its translations.  spin: (parts.spin,) the constant angular momentum in
+    the fixed frame.  relative_twist0: (r,) initial body twist as seen from the frame of the
     centre of mass.  has_momentum: whether there are terms with angular momentum.  turns: how
-    many numbers that is.  What moves one base takes the first.
+    many numbers that is.
     """
 
-    def __init__(
-        self, system: System, start: Start, about: Array, *, wanted: bool, wrench: bool, zero: bool
-    ) -> None:
-        """Take over initial states (N, …).
-
-        about: (N, a) their angular momenta, as `angular_momentum` gives them.  wanted,
-        wrench: as in base_parts.  zero: whether these angular momenta all are exactly zero.
-        """
-        group, weight = system.group, pivot_weight(system)
-        root = _root(system)
-        self._group, self._k, self._mass = group, group.linear, system.mass
-        self.turns = group.dim - group.linear
+    def __init__(self, system: System, start: Start, *, wanted: bool, wrench: bool) -> None:
+        """Take over the initial state.  wanted, wrench: as in base_parts."""
+        group, weight, root = system.group, pivot_weight(system), root_of(system)
+        k = self._k = group.linear
+        self._group, self._mass, self.turns = group, system.mass, group.dim - k
         self.axes, self._g, self._lift, self._weight = root.axes, root.g, root.lift, weight
+        self._pivot = float(weight @ root.origin)
         heavy = bool(weight.any())
-        self._pivot = float(weight @ root.origin) if heavy else 0.0
+        attitude, c, P = start.pose[k:], start.com @ root.axes, start.mu[:k]
+        about = start.mu[k:] - _moment(group, c, P)
         self.parts = base_parts(
-            group, wanted=wanted, heavy=heavy, wrench=wrench, zero_momentum=zero
+            group, wanted=wanted, heavy=heavy, wrench=wrench, zero_momentum=not about.any()
         )
-        self.has_momentum = heavy or wrench or not zero
-        k, attitude = self._k, start.pose[:, self._k :]
-        velocity = start.mu[:, :k] / system.mass
-        if group is SE3:
-            fixed = rotation(attitude) @ np.stack([start.com, velocity, about], axis=2)
-            moved, self._v0, turned = fixed[:, :, 0], fixed[:, :, 1], fixed[:, :, 2]
-        else:
-            moved = self._turn(attitude, start.com @ root.axes)
-            self._v0 = self._turn(attitude, velocity)
-            turned = self._fixed(attitude, about)
-        self._c0 = start.pose[:, :k] + moved
-        self.spin = turned[:, : self.parts.spin]
-        pieces = [attitude[:, : self.parts.attitude]]
-        if self.parts.down:
-            pieces.append(self._body(attitude, weight / np.linalg.norm(weight)))
-        pieces += [about[:, : self.parts.momentum], np.zeros((len(about), self.parts.push))]
-        self.b0 = np.concatenate(pieces, axis=1)
-        self.relative_twist0 = start.xi.copy()
-        self.relative_twist0[:, : self._k] -= velocity
+        self.has_momentum = heavy or wrench or bool(about.any())
+        self._c0 = start.pose[:k] + self._turn(attitude, c)
+        self._v0 = self._turn(attitude, P / system.mass)
+        self.spin = self._fixed(attitude, about)[: self.parts.spin]
+        down = self._body(attitude, weight / np.linalg.norm(weight)) if self.parts.down else weight
+        pieces = [attitude[: self.parts.attitude], down[: self.parts.down]]
+        pieces += [about[: self.parts.momentum], np.zeros(self.parts.push)]
+        self.b0 = np.concatenate(pieces)
+        self.relative_twist0 = start.xi - np.append(P / system.mass, np.zeros(self.turns))
         self._none = np.zeros(system.r)
-
-    def member(self, i: int) -> Base:
-        """Return the base of one of the initial states."""
-        if len(self.b0) == 1:
-            return self
-        one = copy(self)
-        for name in ("_c0", "_v0", "spin", "b0", "relative_twist0"):
-            setattr(one, name, getattr(self, name)[i : i + 1])
-        return one
 
     def momentum(self, b: Array) -> Array:
         """Return the body momentum (r,) in the frame of the centre of mass."""
@@ -171,8 +147,7 @@ class Base:
             return self._none
         attitude, _, momentum, _ = self.parts.split(b)
         if self.parts.spin:
-            spin = self.spin[0]
-            momentum = into_body(attitude, spin) if self.parts.spin == 3 else spin
+            momentum = _into_body(attitude, self.spin) if self.parts.spin == 3 else self.spin
         out = self._none.copy()
         out[self._k :] = momentum
         return out
@@ -184,7 +159,7 @@ class Base:
         attitude, down, _, _ = self.parts.split(b)
         if self.parts.down:
             return np.asarray(np.linalg.norm(self._weight) * down)
-        return into_body(attitude, self._weight)
+        return _into_body(attitude, self._weight)
 
     def rate(self, b: Array, xi: Array, moment: Array, force: Array) -> Array:
         """Return db/dt, for the relative body twist ξ (r,).
@@ -226,26 +201,6 @@ class Base:
         out = xi.copy()
         out[:, : self._k] += self._turned_back(self._attitude(b), self._linear(b, t) / self._mass)
         return out
-
-    def angular(self, b: Array) -> Array:
-        """Return the angular momentum about the centre of mass in the body's frame, (T, a)."""
-        attitude, _, momentum, _ = self.parts.split(b)
-        if self.parts.momentum:
-            return momentum
-        if not self.parts.spin:
-            return np.zeros((len(b), self.turns))
-        spin = np.broadcast_to(self.spin, (len(b), self.parts.spin))
-        return self._body(self._normal(attitude), spin)
-
-    def spatial_momentum(self, b: Array, t: Array) -> Array:
-        """Return J(t), (T, r), about the origin of the root joint's fixed frame."""
-        c, P = self._centre(b, t), self._linear(b, t)
-        attitude = self._attitude(b)
-        if self.parts.spin:
-            about = np.broadcast_to(self.spin, (len(t), self.parts.spin))
-        else:
-            about = self._fixed(attitude, self.angular(b))
-        return np.concatenate([P, _moment(self._group, c, P) + about], axis=1)
 
     def base_energy(self, b: Array, com: Array, t: Array) -> Array:
         """Return ½ m |ċ|² − m g · c, and −m g · R c_b of a pivoted body's weight, (T,) [J]."""
@@ -304,7 +259,7 @@ class Base:
         """Return vectors of space (..., 3) in the body's frame; plane angular parts as they are."""
         if v.shape[-1] != 3 or attitude.shape[-1] != 4:
             return v
-        return np.asarray(apply(np.swapaxes(rotation(attitude), -1, -2), v))
+        return into_body(attitude, v)
 
 
 def _moment(group: Group, c: Array, F: Array) -> Array:
@@ -316,19 +271,12 @@ def _moment(group: Group, c: Array, F: Array) -> Array:
     return np.zeros((*F.shape[:-1], group.dim - group.linear))
 
 
-def angular_momentum(system: System, start: Start) -> Array:
-    """Return the angular momenta about the centre of mass, in the body's frame, (N, a).
-
-    Of SO2 and SO3, about the axis or the pivot.
-    """
-    k = system.group.linear
-    if not k:
-        return start.mu
-    c = start.com @ _root(system).axes
-    return np.asarray(start.mu[:, k:] - _moment(system.group, c, start.mu[:, :k]))
+def into_body(q: Array, v: Array) -> Array:
+    """Return Rᵀ v, (N, 3), for unit quaternions (N, 4) and a vector of the fixed frame."""
+    return np.asarray(apply(np.swapaxes(rotation(q), -1, -2), v))
 
 
-def into_body(q: Array, J: Array) -> Array:
+def _into_body(q: Array, J: Array) -> Array:
     """Return Rᵀ J, (3,), for a quaternion of any length; scalar code, as it runs at every step."""
     x, y, z, w = q.tolist()
     a, b, c = J.tolist()

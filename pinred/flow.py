@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from .arrays import Array
-from .base import Base, angular_momentum
+from .base import Base
 from .canonical import CanonicalForm, symmetric
 from .errors import IntegrationError
 from .potential import pivot_weight, shape_gravity
@@ -27,7 +27,7 @@ class ReducedFlow:
 
     def __init__(self, scene: Scene) -> None:
         """Set up the flow.  Raises SymmetryError if gravity breaks the symmetry."""
-        system, start = scene.system, scene.starts
+        system, start = scene.system, scene.start
         self._system, self._wanted = system, scene.outputs == "all"
         self._forces = forces = scene.force_model
         self._driven = list(forces.joints) if forces else []
@@ -36,14 +36,10 @@ class ReducedFlow:
         self._weight = pivot_weight(system)
         self._form = CanonicalForm(system, self._potential)
         self.numbers = forces.numbers.copy() if forces else np.empty(0)
-        about = angular_momentum(system, start)
         wrench = forces is not None and forces.has_wrench
-        self.base = base = Base(
-            system, start, about, wanted=self._wanted, wrench=wrench, zero=not about.any()
-        )
-        v = np.concatenate([base.relative_twist0[0], start.xdot[0]])
-        pi = start.mass_matrix[0, system.r :] @ v
-        self.y0 = np.concatenate([start.x[0, self._free], pi[self._free], base.b0[0]])
+        self.base = base = Base(system, start, wanted=self._wanted, wrench=wrench)
+        pi = start.mass_matrix[system.r :] @ np.concatenate([base.relative_twist0, start.xdot])
+        self.y0 = np.concatenate([start.x[self._free], pi[self._free], base.b0])
 
     def rate(self, t: float, y: Array) -> Array:
         """Return dy/dt, (k,)."""

@@ -50,7 +50,7 @@ class ForceModel:
     move; references: the functions of time in the forces.  touched: joints that something
     acts on, or whose position something depends on.  labels: of the forces that work.
     acting_function: (t, x, ẋ, ξ, μ, numbers) → (torque, wrench).  prescribed_function:
-    (t, numbers) → (x, ẋ, ẍ) of the prescribed joints.
+    (t, numbers) → (x, ẋ, ẍ) of the prescribed joints.  potential_function: (x, numbers) → V.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class ForceModel:
         self.prescribed_function = _function("prescribed", [s.t, p], [x, xdot, xddot])
         self.acting_function = _function("acting", state, [torque, wrench])
         self._each = _function("each", state, [torques, wrenches])
-        self._potential = _function("potential", [s.x, p], [potential])
+        self.potential_function = _function("potential", [s.x, p], [potential])
         everything = ca.vertcat(torque, wrench)
         depends = ca.which_depends(ca.vertcat(everything, potential), s.x, 1) if m else []
         self.touched = acted | set(self.joints) | {k for k in range(m) if depends[k]}
@@ -150,11 +150,7 @@ class ForceModel:
 
     def potential(self, x: Array, numbers: Array) -> float:
         """Return V(x) of the forces that have a potential [J]."""
-        return float(self._potential(x, numbers))
-
-    def potentials(self, x: Array, numbers: Array) -> Array:
-        """Return V, (T,) [J], at shapes (T, m)."""
-        return np.asarray(self._potential(x.T, numbers).full().ravel())
+        return float(self.potential_function(x, numbers))
 
     def powers(
         self, t: float, x: Array, xdot: Array, xi: Array, mu: Array, numbers: Array, twist: Array

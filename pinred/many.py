@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .arrays import Array, as_floats
+from .arrays import Array, as_floats, vectors
 from .errors import InputError, IntegrationError, ShapeError
-from .scene import Scene
+from .motion import stops_of
+from .scene import Scene, checked_seed, random_state
 from .simulation import as_scene
+from .start import Given
 from .state import ShapeState, State, with_base
 from .system import System, checked_system
 
@@ -33,16 +37,16 @@ class Failure:
 class Trajectories:
     """Motions of one system from many initial states; `trajectories[i]` are the states of one.
 
-    t: (T,) [s].  y: (N, T, k) reduced states, NaN at times that a member has not reached.
+    t: (T,) [s].  y: (N, T, k) reduced states, NaN at times that a member has not reached, and
+    past the end of those that need fewer numbers.
     failures: the members that did not come to their end.
     """
 
-    def __init__(
-        self, t: Array, y: Array, flows: Sequence[CompiledFlow], failures: Sequence[Failure]
-    ) -> None:
+    def __init__(self, t: Array, y: Array, batches: Sequence[Batch], failures: Sequence[Failure]):
         """Take the report times, reduced states, what makes full ones of them, and failures."""
         self.t, self.y, self.failures = t, y, tuple(failures)
-        self._flows = tuple(flows)
+        self._batches = tuple(batches)
+        self._failed = {failure.member: failure for failure in failures}
 
     def __len__(self) -> int:
         return len(self.y)
@@ -63,14 +67,26 @@ class Trajectories:
 
         Raises IntegrationError if it did not come to its end.
         """
-        for failure in self.failures:
-            if failure.member == range(len(self))[member]:
-                raise IntegrationError(
-                    f"member {member} stopped at t = {failure.time:g} s: {failure.reason}"
-                )
-        flow = self._flows[member]
-        y = np.array(self.y[member, :, : flow.y0.size])
-        return flow.states(self.t, y, flow.numbers)
+        member = range(len(self))[member]
+        if member in self._failed:
+            failure = self._failed[member]
+            raise IntegrationError(
+                f"member {member} stopped at t = {failure.time:g} s: {failure.reason}"
+            )
+        for batch in self._batches:
+            k = int(np.searchsorted(batch.members, member))
+            if k < len(batch.members) and batch.members[k] == member:
+                flow = batch.flow(k)
+                return flow.states(self.t, self.y[member, :, : flow.y0.size], flow.numbers)
+        raise IndexError(member)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Members that share a kernel.  members: their indices, sorted.  flow: of the k-th of them."""
+
+    members: NDArray[np.intp]
+    flow: Callable[[int], CompiledFlow]
 
 
 def simulate_many(
@@ -91,16 +107,31 @@ def simulate_many(
     Raises InputError or ShapeError for scenes that make no sense.
     """
     checked_system(system, "simulate_many")
-    scenes = [as_scene(system, each, "simulate_many") for each in _members(options, seeds)]
-    return _run(scenes, threads)
+    common, varying, count = _members(options, seeds)
+    if not count:
+        raise InputError("simulate_many needs at least one member")
+    # The first member as a scene of its own: it checks all that is common.
+    first = {name: values[0] for name, values in varying.items()}
+    if seeds is not None:
+        first["seed"] = int(seeds[0])
+    scene = as_scene(system, common | first, "simulate_many")
+    if len(stops_of(scene)) > 1:
+        raise InputError(
+            "simulate_many takes no controllers and no signals with breaks, for which an "
+            "integration stops; simulate the members one by one"
+        )
+    given = _given(scene, varying, count) if seeds is None else _drawn(scene, seeds)
+    return _run(scene, given, threads)
 
 
-def _members(options: dict[str, Any], seeds: Sequence[int] | None) -> list[dict[str, Any]]:
-    """Return the options of each member."""
+def _members(
+    options: dict[str, Any], seeds: Sequence[int] | None
+) -> tuple[dict[str, Any], dict[str, Array], int]:
+    """Return the options that are common, those that vary, (N, …), and N."""
     if seeds is not None:
         if "seed" in options:
             raise InputError("give seeds or seed, not both")
-        return [{**options, "seed": int(seed)} for seed in seeds]
+        return options, {}, len(seeds)
     varying = {}
     for name in _VARYING:
         if options.get(name) is not None and np.ndim(options[name]) == 2:
@@ -112,29 +143,54 @@ def _members(options: dict[str, Any], seeds: Sequence[int] | None) -> list[dict[
             f"at least one of {', '.join(_VARYING)} must have shape (N, …), all with the same N; "
             f"the lengths are {found}"
         )
-    count = next(iter(sizes.values()))
     common = {name: value for name, value in options.items() if name not in varying}
-    return [
-        {**common, **{name: values[i] for name, values in varying.items()}} for i in range(count)
-    ]
+    return common, varying, next(iter(sizes.values()))
 
 
-def _run(scenes: list[Scene], threads: int | None) -> Trajectories:
-    from .engine.flow import CompiledFlow
+def _given(scene: Scene, varying: dict[str, Array], count: int) -> Given:
+    """Return the initial states of all members: the first one's where they do not vary."""
+    system, own = scene.system, scene.given
+    sizes = {"x0": system.m, "xdot0": system.m, "xi0": system.r, "momentum": system.r}
+
+    def rows(name: str, first: Array | None) -> Array | None:
+        if name in varying:
+            return vectors(varying[name], sizes[name], name)
+        return None if first is None else np.repeat(first, count, axis=0)
+
+    x, xdot = rows("x0", own.x), rows("xdot0", own.xdot)
+    assert x is not None
+    assert xdot is not None
+    pose = np.repeat(own.pose, count, axis=0)
+    if "pose0" in varying:
+        pose = np.array([system.group.pose(each) for each in varying["pose0"]])
+    x, xdot = scene.with_prescribed(x, xdot)
+    return Given(pose, x, xdot, rows("xi0", own.xi), rows("momentum", own.mu))
+
+
+def _drawn(scene: Scene, seeds: Sequence[int]) -> Given:
+    """Return the random initial states of seeds."""
+    states = [random_state(scene.system, checked_seed(seed)) for seed in seeds]
+    x, xdot, xi = (np.array([getattr(s, name) for s in states]) for name in ("x", "xdot", "xi"))
+    x, xdot = scene.with_prescribed(x, xdot)
+    return Given(np.repeat(scene.given.pose, len(states), axis=0), x, xdot, xi, None)
+
+
+def _run(scene: Scene, given: Given, threads: int | None) -> Trajectories:
+    from .engine.flow import CompiledFlow, flows_of
     from .engine.run import integrate_many
 
-    if not scenes:
-        raise InputError("simulate_many needs at least one member")
-    flows = [CompiledFlow(scene) for scene in scenes]
-    t = scenes[0].report_times
-    width = max(1, flows[0].y0.size)  # of every member: they differ in momentum only
-    y = np.full((len(flows), len(t), width), np.nan)
-    failures: list[Failure] = []
-    # Members without momentum have a kernel of their own.
-    kernels = {id(flow.kernel): flow.kernel for flow in flows}
-    for key in kernels:
-        members = [i for i, flow in enumerate(flows) if id(flow.kernel) == key]
-        found = integrate_many([flows[i] for i in members], scenes[0], threads)
-        y[members] = found.y
-        failures += [Failure(members[k], time, reason) for k, time, reason in found.failures]
-    return Trajectories(t, y, flows, sorted(failures, key=lambda failure: failure.member))
+    t, count = scene.report_times, len(given.x)
+    kinds = flows_of(scene, given)  # members without momentum have a kernel of their own
+    runs = [integrate_many(flows, scene, threads) for _, flows in kinds]
+    y = runs[0].y  # the results are there once, if all members are of one kind
+    if len(runs) > 1:
+        y = np.full((count, len(t), max(run.y.shape[2] for run in runs)), np.nan)
+        for (members, _), run in zip(kinds, runs, strict=True):
+            y[members, :, : run.y.shape[2]] = run.y
+    failures = [
+        Failure(int(members[k]), time, reason)
+        for (members, _), run in zip(kinds, runs, strict=True)
+        for k, time, reason in run.failures
+    ]
+    batches = [Batch(members, partial(CompiledFlow.of, flows)) for members, flows in kinds]
+    return Trajectories(t, y, batches, sorted(failures, key=lambda failure: failure.member))

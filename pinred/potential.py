@@ -75,8 +75,8 @@ class Potential:
 
     @property
     def direction(self) -> tuple[float, float, float] | None:
-        """Gravity that acts on the shape, (3,) in the root joint's fixed frame, if any."""
-        if not self._weighs:
+        """Gravity but for falling, (3,) in the root joint's fixed frame, if there is any."""
+        if not self._sideways.any():
             return None
         x, y, z = self._system.model.jointPlacements[1].rotation.T @ self._sideways
         return float(x), float(y), float(z)

@@ -86,11 +86,11 @@ class Reduction:
 
     def mass_matrix(self, x: ArrayLike) -> Array:
         """H(x), (n, n): Pinocchio's CRBA with armature, base rows first, both triangles."""
-        return self._split(self._shape(x)).mass_matrix
+        return self.split(x).mass_matrix
 
     def locked_inertia(self, x: ArrayLike) -> Array:
         """I(x) = H_bb, (r, r), SPD: the inertia of the system with its joints frozen."""
-        return self._split(self._shape(x)).locked_inertia
+        return self.split(x).locked_inertia
 
     def local_connection(self, x: ArrayLike) -> Array:
         """Local form A(x) of the mechanical connection, A = I⁻¹ H_bs.
@@ -98,11 +98,11 @@ class Reduction:
         Returns (r, m): columns are body twists [linear; angular] per unit joint rate;
         horizontal motion is ξ = −A ẋ.
         """
-        return self._split(self._shape(x)).local_connection
+        return self.split(x).local_connection
 
     def reduced_metric(self, x: ArrayLike) -> Array:
         """M(x) = H_ss − Aᵀ I A, (m, m), SPD: the inertia of the shape at zero momentum."""
-        return self._split(self._shape(x)).reduced_metric
+        return self.split(x).reduced_metric
 
     def curvature(self, x: ArrayLike) -> Array:
         """B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (r, m, m), body form of the curvature.
@@ -121,19 +121,19 @@ class Reduction:
 
     def amended_potential(self, x: ArrayLike, mu: ArrayLike) -> float:
         """V(x) + ½ μᵀ I⁻¹ μ [J] for body momentum mu (r,)."""
-        return self.potential(x) + self._split(self._shape(x)).locked_energy(mu)
+        return self.potential(x) + self.split(x).locked_energy(mu)
 
     def kinetic_energy(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> float:
         """½ vᵀ H v [J] for shape rate xdot (m,) and body twist xi (r,)."""
-        return self._split(self._shape(x)).kinetic_energy(xdot, xi)
+        return self.split(x).kinetic_energy(xdot, xi)
 
     def body_momentum(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> Array:
         """μ = H_bb ξ + H_bs ẋ, (r,) [linear; angular], in the frame of the root body."""
-        return self._split(self._shape(x)).body_momentum(xdot, xi)
+        return self.split(x).body_momentum(xdot, xi)
 
     def locked_velocity(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> Array:
         """Ω = ξ + A ẋ, (r,): the twist the system would have if its joints froze; μ = I Ω."""
-        return self._split(self._shape(x)).locked_velocity(xdot, xi)
+        return self.split(x).locked_velocity(xdot, xi)
 
     def spatial_momentum(self, pose: ArrayLike, mu: ArrayLike) -> Array:
         """J = Ad*_{g⁻¹} μ, (r,): momentum in the root joint's fixed frame, about its origin."""
@@ -196,6 +196,10 @@ class Reduction:
 
     def _shape(self, x: ArrayLike) -> Array:
         return vector(x, self.system.m, f"shape x of {self.system.name!r}", self.system.shape_names)
+
+    def split(self, x: ArrayLike) -> InertiaSplit:
+        """I, A, M, H and the centre of mass at one shape, without derivatives: one CRBA."""
+        return self._split(self._shape(x))
 
     def _split(self, x: Array) -> InertiaSplit:
         upper = pin.crba(self._model, self._data, self.system.q(self._identity, x))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -13,7 +14,7 @@ from .arrays import Array, as_floats, positive, read_only, vector
 from .errors import InputError, ShapeError
 from .integrators.method import Method
 from .joints import is_prismatic
-from .start import Start, starts
+from .start import Given, Start, start_of
 from .system import InitialState, System, checked_system
 
 if TYPE_CHECKING:
@@ -81,10 +82,8 @@ class Scene:
                 f"'{self.system.name}' comes with no initial state; "
                 "give x0, xdot0, xi0 or momentum, or seed= for a random one"
             )
-        if self.seed is not None and not (
-            isinstance(self.seed, (int, np.integer)) and self.seed >= 0
-        ):
-            raise InputError(f"seed must be a whole number from 0, got {self.seed!r}")
+        if self.seed is not None:
+            checked_seed(self.seed)
         if self.outputs not in OUTPUTS:
             raise InputError(f"outputs must be one of {', '.join(OUTPUTS)}, got {self.outputs!r}")
         if not (self.method is None or isinstance(self.method, Method)):
@@ -97,18 +96,18 @@ class Scene:
             object.__setattr__(self, "duration", positive(self.duration, "duration"))
         object.__setattr__(self, "_times", read_only(self._checked_times()))
         self._check_forces()
-        object.__setattr__(self, "_start", self._resolve())
+        object.__setattr__(self, "_given", self._resolve())
 
-    @property
+    @cached_property
     def start(self) -> Start:
-        """The initial state."""
-        return self.starts[0]
+        """The initial state, complete.  Raises SingularInertiaError if it cannot be."""
+        return start_of(self.system, self.given)
 
     @property
-    def starts(self) -> Start:
-        """The initial state, with a leading axis of length one."""
-        start: Start = vars(self)["_start"]
-        return start
+    def given(self) -> Given:
+        """The initial state as it is given, with a leading axis of length one."""
+        given: Given = vars(self)["_given"]
+        return given
 
     @property
     def report_times(self) -> Array:
@@ -172,7 +171,7 @@ class Scene:
             positive(times[-1], "the last of times, which stands for the duration,")
         return times
 
-    def _resolve(self) -> Start:
+    def _resolve(self) -> Given:
         system = self.system
         pose = system.group.identity() if self.pose0 is None else system.group.pose(self.pose0)
         x = _or_zero(self.x0, system.m, "x0", system.shape_names)
@@ -184,11 +183,11 @@ class Scene:
             xi = ready.xi if self.xi0 is None else xi
         x, xdot = self.with_prescribed(x[None], xdot[None])
         if self.momentum is None:
-            return starts(system, pose[None], x, xdot, xi=xi[None], mu=None)
+            return Given(pose[None], x, xdot, xi[None], None)
         # A plain 0 is short for the zero momentum of any group.
         zero = np.ndim(self.momentum) == 0 and self.momentum == 0
         mu = np.zeros(system.r) if zero else vector(self.momentum, system.r, "momentum")
-        return starts(system, pose[None], x, xdot, xi=None, mu=mu[None])
+        return Given(pose[None], x, xdot, None, mu[None])
 
     def with_prescribed(self, x: Array, xdot: Array) -> tuple[Array, Array]:
         """Return initial shapes and rates (N, m) with those of the prescribed joints in them."""
@@ -199,6 +198,13 @@ class Scene:
         given = model.prescribed(0.0, model.numbers_from(0.0, self.end))
         x[:, joints], xdot[:, joints] = given.x, given.xdot
         return x, xdot
+
+
+def checked_seed(seed: Any) -> int:
+    """Return a seed as a whole number from 0.  Raises InputError."""
+    if isinstance(seed, bool) or not (isinstance(seed, (int, np.integer)) and seed >= 0):
+        raise InputError(f"seed must be a whole number from 0, got {seed!r}")
+    return int(seed)
 
 
 def random_state(system: System, seed: int) -> InitialState:

@@ -1,20 +1,47 @@
-"""Initial states, complete and checked: one, or many at once with the same arithmetic."""
+"""Initial states: as they are given, one or many, and complete."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from .arrays import Array, freeze
-from .split import cholesky
+from .reduction import Reduction
 from .system import System
 
 
 @dataclass(frozen=True)
+class Given:
+    """Initial states as they are given, (N, …): with body twists xi or body momenta mu, (N, r).
+
+    pose: (N, size).  x, xdot: (N, m).  The other of xi and mu is None.
+    """
+
+    pose: Array
+    x: Array
+    xdot: Array
+    xi: Array | None
+    mu: Array | None
+
+    @property
+    def motion(self) -> Array:
+        """Whichever of xi and mu is given."""
+        motion = self.xi if self.mu is None else self.mu
+        assert motion is not None
+        return motion
+
+    def __getitem__(self, which: object) -> Given:
+        rows: dict[str, Any] = {
+            name: None if part is None else part[which] for name, part in vars(self).items()
+        }
+        return Given(**rows)
+
+
+@dataclass(frozen=True)
 class Start:
-    """Initial states, with a leading axis (N, …) over them, or one without; read-only.
+    """One initial state, complete; arrays are read-only.
 
     pose: (size,).  x, xdot: (m,).  xi: (r,) body twist.  mu: (r,) body momentum.
     mass_matrix: (n, n) and com: (3,), centre of mass in the root body's frame, at x.
@@ -31,48 +58,18 @@ class Start:
     def __post_init__(self) -> None:
         freeze(self)
 
-    def __getitem__(self, which: object) -> Start:
-        return Start(*(getattr(self, field.name)[which] for field in fields(self)))
 
+def start_of(system: System, given: Given) -> Start:
+    """Return the first of initial states, complete by Pinocchio's mass matrix.
 
-def starts(
-    system: System, pose: Array, x: Array, xdot: Array, *, xi: Array | None, mu: Array | None
-) -> Start:
-    """Return the states with a body twist (N, r), or else with a body momentum (N, r).
-
-    xi, mu: exactly one of them.  pose: (N, size).  x, xdot: (N, m).
-    Raises SingularInertiaError where the mass matrix is singular.
+    Raises SingularInertiaError where that is singular.
     """
-    r = system.r
-    H, com = inertias(system, x)
+    r, one = system.r, given[0]
+    at = system.workspace(Reduction, lambda: Reduction(system)).split(one.x)
+    H = at.mass_matrix
+    xi, mu = one.xi, one.mu
     if xi is None and mu is not None:
-        carried = (H[:, :r, r:] @ xdot[:, :, None])[:, :, 0]
-        xi = np.asarray(np.linalg.solve(H[:, :r, :r], (mu - carried)[:, :, None])[:, :, 0])
+        xi = np.asarray(np.linalg.solve(H[:r, :r], mu - H[:r, r:] @ one.xdot))
     if mu is None and xi is not None:
-        mu = (H[:, :r] @ np.concatenate([xi, xdot], axis=1)[:, :, None])[:, :, 0]
-    assert xi is not None
-    assert mu is not None
-    return Start(pose, x, xdot, xi, mu, H, com)
-
-
-def inertias(system: System, x: Array) -> tuple[Array, Array]:
-    """Return mass matrices (N, n, n) and centres of mass (N, 3) at shapes (N, m)."""
-    model = system.model
-    data: pin.Data = system.workspace(inertias, model.createData)
-    n = system.n
-    upper, com = np.empty((len(x), n, n)), np.empty((len(x), 3))
-    for k, q in enumerate(system.q(system.group.identity(), x)):
-        upper[k] = pin.crba(model, data, q)
-        com[k] = data.Ycrb[1].lever
-    below = system.workspace("below", lambda: np.tri(n, dtype=bool))
-    H = np.where(below, np.swapaxes(upper, 1, 2), upper)
-    try:
-        own = np.diagonal(np.linalg.cholesky(H), axis1=1, axis2=2) ** 2
-    except np.linalg.LinAlgError:
-        own = np.zeros((len(x), n))
-    # The part of each diagonal entry that the coordinates before it do not explain.
-    sound = own > n * np.finfo(float).eps * np.diagonal(H, axis1=1, axis2=2)
-    if not sound.all():
-        for k in np.flatnonzero(~sound.all(axis=1)).tolist():
-            cholesky(H[k], system, x[k])  # raises for those that are singular
-    return H, com
+        mu = H[:r] @ np.concatenate([xi, one.xdot])
+    return Start(one.pose, one.x, one.xdot, np.asarray(xi), np.asarray(mu), H, at.com)

@@ -120,6 +120,16 @@ class System:
         """Gravity in the world frame, (3,) [m/s²], as the model has it."""
         return np.array(self.model.gravity.linear)
 
+    @property
+    def plain(self) -> list[tuple[int, int]]:
+        """Which coordinates of (pose, x) stand in q as they are: their indices in both."""
+        return list(zip(self._plain.tolist(), self._plain_q.tolist(), strict=True))
+
+    @property
+    def angles(self) -> list[tuple[int, int]]:
+        """Which coordinates stand in q as cosine and sine, and where these begin."""
+        return list(zip(self._angle.tolist(), self._angle_q.tolist(), strict=True))
+
     def q(self, pose: ArrayLike, x: ArrayLike) -> Array:
         """Return Pinocchio's configuration (..., nq) of pose (..., size) and shape (..., m).
 

@@ -282,7 +282,7 @@ def test_many() -> None:
     found = bench_many(system, members=8, duration=0.05, rounds=1)
     assert (found.wall > 0.0).all()
     assert found.speedup == pytest.approx(found.wall[0] / found.wall[1])
-    many = pinred.simulate_many(system, seeds=range(8), duration=0.05)
+    many = pinred.simulate_many(system, seeds=range(8), times=[0.05])
     assert found.sizes.tolist() == [2.0, 8.0]
     assert found.results.tolist() == [many.y.nbytes / 4.0, many.y.nbytes]
     assert (found.kept >= found.results).all()

@@ -155,7 +155,7 @@ def test_cache(
     assert run(capsys, "compare", "cartpole", "--time", "0.1")[0] == 0
     code, out, _ = run(capsys, "cache")
     assert code == 0
-    assert out.startswith("1 kernels, ")
+    assert out.startswith("2 kernels, ")
     code, out, _ = run(capsys, "cache", "--clear")
     assert out.startswith("1 kernels removed")
     assert run(capsys, "cache")[1].startswith("0 kernels")

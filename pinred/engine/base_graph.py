@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 
 import casadi as ca
 
-from ..base import BaseParts
+from ..base import BaseParts, root_of
 from ..lie import SE2
-from ..potential import translations
 from ..system import System
 from .algebra import Scalar, Vec, add, cross, dot, mul, plus, sub
+
+
+@dataclass(frozen=True)
+class Full:
+    """The base's full state.  energy: of the centre of mass's motion and fall; see State."""
+
+    pose: list[Scalar]
+    xi: list[Scalar]
+    body_momentum: list[Scalar]
+    spatial_momentum: list[Scalar]
+    energy: Scalar
 
 
 class BaseGraph:
@@ -27,7 +37,7 @@ class BaseGraph:
         self._k, self._r, self._mass = system.group.linear, system.r, system.mass
         self._group, self.parts = system.group, parts
         self._weight = None if weight is None else [float(w) for w in weight]
-        self._axes = translations(system)
+        self._root = root_of(system)
         names = ("attitude", "down", "momentum", "push")
         self.attitude, self.down, self.momentum, self.push = (
             [ca.SX.sym(f"{name}{i}") for i in range(count)]
@@ -75,22 +85,22 @@ class BaseGraph:
             if self.parts.momentum == 3:
                 moment = cross(self.momentum, omega)
             if wrench:
-                moment = plus(moment, self._about(com, wrench))
+                moment = plus(moment, self.about(com, wrench))
             if weight is not None:
                 moment = plus(moment, cross(com, weight))
             out += moment
         if self.parts.push:
             out += [mul(1.0 / self._mass, P) for P in self.push[self._k :]]
-            out += self._turned(wrench[: self._k])
+            out += self.turned(wrench[: self._k])
         return out
 
     def along(self, com: Vec) -> list[Scalar]:
         """Return the part of the centre of mass along the group's translations, (k,)."""
-        axes = self._axes.T.tolist()
+        axes = self._root.axes.T.tolist()
         return [dot(axis, com) for axis in axes]
 
-    def _about(self, com: Vec, wrench: list[Scalar]) -> list[Scalar]:
-        """Return N − c × F."""
+    def about(self, com: Vec, wrench: list[Scalar]) -> list[Scalar]:
+        """Return the angular part about the centre of mass, N − c × F, of a wrench or momentum."""
         force, moment = wrench[: self._k], wrench[self._k :]
         if self._k == 3:
             return [sub(a, b) for a, b in zip(moment, cross(com, force), strict=True)]
@@ -99,11 +109,61 @@ class BaseGraph:
             return [sub(moment[0], arm)]
         return moment
 
+    def turned_angular(self, v: list[Scalar]) -> list[Scalar]:
+        """Return an angular part in the fixed frame."""
+        return _rotated(self.attitude, v, 1.0) if len(v) == 3 else list(v)
+
+    def full(
+        self, xi: list[Scalar], mu: list[Scalar], com: Vec, t: Scalar, line: list[Scalar]
+    ) -> Full:
+        """Return the base's full state at a time from what is relative to the centre of mass.
+
+        xi, mu: (r,).  line: (3k,) where the centre of mass begins, how fast, and how it falls.
+        """
+        k, m = self._k, self._mass
+        c0, v0, g = line[:k], line[k : 2 * k], line[2 * k :]
+        c = [c0[i] + v0[i] * t + 0.5 * g[i] * t * t for i in range(k)]
+        P = [m * (v0[i] + g[i] * t) for i in range(k)]
+        if self.push:
+            c = plus(c, self.push[:k])
+            P = plus(P, self.push[k:])
+        shift, about = self.along(com), mu[k:]
+        size = ca.sqrt(sum(a * a for a in self.attitude)) if len(self.attitude) == 4 else 1.0
+        moved = self.turned(shift)
+        place = [sub(a, b) for a, b in zip(c, moved, strict=True)]
+        carried = self._linear_back(P)
+        origin = (self._root.origin @ self._root.axes).tolist()
+        spatial = self.turned_angular(about)
+        return Full(
+            pose=place + [a / size for a in self.attitude],
+            xi=[add(a, mul(1.0 / m, b)) for a, b in zip(xi, carried, strict=False)] + xi[k:],
+            body_momentum=carried + self._moment(shift, carried, about),
+            spatial_momentum=P + self._moment(c, P, spatial),
+            energy=0.5 / m * dot(P, P) - m * dot(g, plus(c, origin)),
+        )
+
+    def _linear_back(self, v: list[Scalar]) -> list[Scalar]:
+        """Return a linear part in the body's frame."""
+        if self._k == 3:
+            return _rotated(self.attitude, v, -1.0)
+        if self._k == 2:
+            c, s = ca.cos(self.attitude[0]), ca.sin(self.attitude[0])
+            return [add(mul(c, v[0]), mul(s, v[1])), sub(mul(c, v[1]), mul(s, v[0]))]
+        return list(v)
+
+    def _moment(self, c: list[Scalar], P: list[Scalar], about: list[Scalar]) -> list[Scalar]:
+        """Return c × P + about, in the angular part of the group."""
+        if self._k == 3:
+            return plus(cross(c, P), about)
+        if self._k == 2:
+            return [add(sub(mul(c[0], P[1]), mul(c[1], P[0])), about[0])]
+        return list(about)
+
     def _turned_back(self, v: list[Scalar]) -> list[Scalar]:
         """Return an angular part, or any (3,), in the body's frame."""
         return _rotated(self.attitude, v, -1.0) if len(v) == 3 else list(v)
 
-    def _turned(self, v: list[Scalar]) -> list[Scalar]:
+    def turned(self, v: list[Scalar]) -> list[Scalar]:
         """Return a linear part in the fixed frame."""
         if self._k == 3:
             return _rotated(self.attitude, v, 1.0)

@@ -5,14 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from ..arrays import Array
-from ..base import Base, angular_momentum
+from ..base import into_body, root_of
 from ..flow import entry_name
-from ..potential import shape_gravity
+from ..potential import pivot_weight
 from ..scene import Scene
-from ..start import Start
-from ..state import Sample, ShapeState, State, full_state
+from ..start import Given
+from ..state import Sample, ShapeState, State
+from ..system import Indices
 from .evaluate import evaluate
 from .kernel import Kernel, kernel_for
+from .starting import Starts, start_kernel
+
+_AT_ONCE = 512  # members that are set up together
 
 
 class CompiledFlow:
@@ -25,8 +29,7 @@ class CompiledFlow:
 
     def __init__(self, scene: Scene) -> None:
         """Set up the flow.  Raises SymmetryError if gravity breaks the symmetry."""
-        about = angular_momentum(scene.system, scene.starts)
-        self._take(CompiledFlows(scene, scene.starts, about), 0)
+        self._take(CompiledFlows(scene, scene.given), 0)
 
     @classmethod
     def of(cls, flows: CompiledFlows, member: int) -> CompiledFlow:
@@ -36,114 +39,152 @@ class CompiledFlow:
         return flow
 
     def _take(self, flows: CompiledFlows, member: int) -> None:
-        scene = flows.scene
-        self._system, self._wanted = scene.system, scene.outputs == "all"
-        self._forces, self._potential = scene.force_model, flows.potential
-        self.kernel, self._base = flows.kernel, flows.base.member(member)
-        layout = self.kernel.layout
-        self._active, self._cyclic = list(layout.active), list(layout.cyclic)
-        self._prescribed = list(layout.prescribed)
+        self._system, self.kernel = flows.scene.system, flows.kernel
         self.y0, self.parameters = flows.y0[member], flows.parameters[member]
-        spin, end = layout.base.spin, layout.parameters - layout.numbers
-        self._pi_cyclic, self.numbers = self.parameters[spin:end], self.parameters[end:]
+        self._line = flows.line[member]
+        layout = self.kernel.layout
+        self.numbers = self.parameters[layout.parameters - layout.numbers :]
 
-    def sample(self, t: float, y: Array, numbers: Array) -> Sample:  # noqa: ARG002
+    def sample(self, t: float, y: Array, numbers: Array) -> Sample:
         """Return what forces see at one time."""
-        system, r = self._system, self._system.r
-        out = self.kernel.evaluate_outputs(y, self._with(numbers))
-        x, _ = self._shape(y[None], out[None])
-        b, base = self._b(y), self._base
-        return Sample(x[0], out[r : system.n], out[:r], base.momentum(b), base.body_weight(b))
+        where, parameters = self.kernel.where, self._with(numbers)
+        out = self.kernel.evaluate_outputs(t, y, parameters, self._line)
+        weight = out[where.weight] if where.weight.stop > where.weight.start else np.zeros(3)
+        return Sample(out[where.x], out[where.xdot], out[where.xi], out[where.mu], weight)
 
     def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
         """Return the full states at times t (T,) of reduced states y (T, k).
 
         numbers: (p,) those in the forces then.
         """
-        system, base = self._system, self._base
-        r = system.r
-        kernel = self.kernel
-        out = evaluate(kernel.outputs.address, self._with(numbers), y, kernel.outputs_size)
-        relative, xdot, com = out[:, :r], out[:, r : system.n].copy(), out[:, system.n :][:, :3]
-        x, pi = self._shape(y, out)
-        b = self._b(y)
-        turning = relative[:, r - base.turns :] if base.turns else relative[:, :0]
-        energy = 0.5 * (np.sum(turning * base.angular(b), axis=1) + np.sum(xdot * pi, axis=1))
-        energy += self._potential.values(x, com)
-        if self._forces is not None:
-            energy += self._forces.potentials(x, numbers)
-        if not self._wanted:
-            energy += base.weight_energy(b, com)
+        kernel, where, r = self.kernel, self.kernel.where, self._system.r
+        parameters = np.concatenate([self._with(numbers), self._line])
+        rows = y[:, : kernel.layout.size]
+        if not kernel.layout.clock:
+            rows = np.concatenate([rows, t[:, None]], axis=1)
+        out = evaluate(kernel.outputs.address, parameters, rows, where.size)
+        x, xdot, energy = out[:, where.x], out[:, where.xdot], out[:, -1]
+        if not kernel.layout.wanted:
             return ShapeState(t=t.copy(), x=x, xdot=xdot, energy=energy)
-        energy += base.base_energy(b, com, t)
-        pose, J = base.pose(b, com, t), base.spatial_momentum(b, t)
-        mu = (np.swapaxes(system.group.Ad(pose), -1, -2) @ J[:, :, None])[:, :, 0]
-        return full_state(system, t, x, xdot, base.twist(b, relative, t), pose, mu, J, energy)
+        v = out[:, where.v]
+        return State(
+            t=t.copy(),
+            x=x,
+            xdot=xdot,
+            xi=v[:, :r],
+            pose=out[:, where.pose],
+            q=out[:, where.q],
+            v=v,
+            body_momentum=out[:, where.body_momentum],
+            spatial_momentum=out[:, where.spatial_momentum],
+            energy=energy,
+        )
 
     @property
     def address(self) -> int:
         """Address of the vector field."""
         return self.kernel.rate.address
 
-    def shape(self, y: Array) -> Array:
+    def shape(self, t: float, y: Array) -> Array:
         """Return the shape (m,) in a reduced state."""
-        out = np.zeros(self.kernel.outputs_size)
-        if self._prescribed:
-            out = self.kernel.evaluate_outputs(y, self.parameters)
-        x, _ = self._shape(y[None], out[None])
-        return np.asarray(x[0])
+        out = self.kernel.evaluate_outputs(t, y, self.parameters, self._line)
+        return np.asarray(out[self.kernel.where.x])
 
     def entry_name(self, entry: int) -> str:
         """Return what an entry of the reduced state is, for messages."""
-        return entry_name(self._system, self._active, self._cyclic, entry)
+        layout = self.kernel.layout
+        return entry_name(self._system, list(layout.active), list(layout.cyclic), entry)
 
     def _with(self, numbers: Array) -> Array:
         """Return the parameters with these numbers in the forces."""
         return np.concatenate([self.parameters[: len(self.parameters) - len(numbers)], numbers])
 
-    def _b(self, y: Array) -> Array:
-        layout = self.kernel.layout
-        return y[..., layout.base_at : layout.base_at + layout.base.size]
-
-    def _shape(self, y: Array, out: Array) -> tuple[Array, Array]:
-        """Return x and π, (T, m) each, from reduced states and outputs."""
-        T, k, n = len(y), len(self._active), self._system.n
-        x, pi = np.empty((T, self._system.m)), np.empty((T, self._system.m))
-        x[:, self._active], x[:, self._cyclic] = y[:, :k], y[:, 2 * k : 2 * k + len(self._cyclic)]
-        pi[:, self._active], pi[:, self._cyclic] = y[:, k : 2 * k], self._pi_cyclic
-        if self._prescribed:
-            places = n + 3 + len(self._prescribed)
-            x[:, self._prescribed] = out[:, n + 3 : places]
-            pi[:, self._prescribed] = out[:, places:]
-        return x, pi
-
 
 class CompiledFlows:
     """Flows of one scene from many initial states, all with or all without momentum.
 
-    kernel: of all of them.  y0: (N, k).  parameters: (N, p).
+    kernel: of all of them.  y0: (N, k).  parameters: (N, p).  line: (N, 3k) where their
+    centres of mass begin, how fast, and how they fall.
     """
 
-    def __init__(self, scene: Scene, start: Start, about: Array) -> None:
-        """Set up the flows.  start: (N, …).  about: (N, a) their angular momenta.
+    scene: Scene
+    kernel: Kernel
+    y0: Array
+    parameters: Array
+    line: Array
+
+    def __init__(self, scene: Scene, given: Given) -> None:
+        """Set up the flows.  given: (N, …).
 
         Raises SymmetryError if gravity breaks the symmetry.
         """
-        system, forces = scene.system, scene.force_model
-        r = system.r
-        self.scene, self.potential = scene, shape_gravity(system)
-        wanted, wrench = scene.outputs == "all", forces is not None and forces.has_wrench
-        self.base = base = Base(
-            system, start, about, wanted=wanted, wrench=wrench, zero=not about.any()
-        )
-        self.kernel: Kernel = kernel_for(scene, zero_momentum=not base.has_momentum)
-        layout, N = self.kernel.layout, len(start.x)
+        start = _started(scene, given)
+        changes = _momentum_changes(scene)
+        self._begin(scene, given, start, zero=not (changes or bool(start.about.any())))
+
+    @classmethod
+    def several(cls, scene: Scene, given: Given, members: Indices, *, zero: bool) -> CompiledFlows:
+        """Set up the flows of some members, a few at a time: memory beside them stays small."""
+        parts = [members[k : k + _AT_ONCE] for k in range(0, len(members), _AT_ONCE)]
+        flows = cls.__new__(cls)
+        for n, part in enumerate(parts):
+            some = given[part]
+            new = cls.__new__(cls)
+            new._begin(scene, some, _started(scene, some), zero=zero)
+            if n == 0:
+                flows.scene, flows.kernel = scene, new.kernel
+                for name in ("y0", "parameters", "line"):
+                    columns = getattr(new, name).shape[1]
+                    setattr(flows, name, np.empty((len(members), columns)))
+            rows = slice(n * _AT_ONCE, n * _AT_ONCE + len(part))
+            for name in ("y0", "parameters", "line"):
+                getattr(flows, name)[rows] = getattr(new, name)
+        return flows
+
+    def _begin(self, scene: Scene, given: Given, start: Starts, *, zero: bool) -> None:
+        forces, x, N = scene.force_model, given.x, len(given.x)
+        self.scene, self.kernel = scene, kernel_for(scene, zero_momentum=zero)
+        layout = self.kernel.layout
+        parts = layout.base
         active, cyclic = list(layout.active), list(layout.cyclic)
-        v = np.concatenate([base.relative_twist0, start.xdot], axis=1)
-        pi = (start.mass_matrix[:, r:] @ v[:, :, None])[:, :, 0]
-        x, clock = start.x, np.zeros((N, layout.clock))
-        parts = [x[:, active], pi[:, active], x[:, cyclic], base.b0, clock]
-        self.y0 = np.concatenate(parts, axis=1)
+        attitude = given.pose[:, scene.system.group.linear :]
+        pieces = [x[:, active], start.pi[:, active], x[:, cyclic], attitude[:, : parts.attitude]]
+        if parts.down:
+            weight = pivot_weight(scene.system)
+            pieces.append(into_body(attitude, weight / np.linalg.norm(weight)))
+        pieces += [start.about[:, : parts.momentum], np.zeros((N, parts.push + layout.clock))]
+        self.y0 = np.concatenate(pieces, axis=1)
         own = np.empty(0) if forces is None else forces.numbers_from(0.0, scene.end)
         numbers = np.broadcast_to(own, (N, len(own)))
-        self.parameters = np.concatenate([base.spin, pi[:, cyclic], numbers], axis=1)
+        spin = start.fixed[:, : parts.spin]
+        self.parameters = np.concatenate([spin, start.pi[:, cyclic], numbers], axis=1)
+        fall = np.broadcast_to(root_of(scene.system).g, start.c0.shape)
+        self.line = np.concatenate([start.c0, start.v0, fall], axis=1)
+
+
+def flows_of(scene: Scene, given: Given) -> list[tuple[Indices, CompiledFlows]]:
+    """Return the flows of many initial states (N, …): of members with momentum, and without.
+
+    Each with the indices of the members, sorted.
+    """
+    moving = np.full(len(given.x), _momentum_changes(scene))
+    for k in range(0, 0 if moving.all() else len(moving), _AT_ONCE):
+        some = slice(k, k + _AT_ONCE)
+        moving[some] = _started(scene, given[some]).about.any(axis=1)
+    groups = [(np.flatnonzero(moving), False), (np.flatnonzero(~moving), True)]
+    return [
+        (members, CompiledFlows.several(scene, given, members, zero=zero))
+        for members, zero in groups
+        if members.size
+    ]
+
+
+def _started(scene: Scene, given: Given) -> Starts:
+    kernel = start_kernel(scene.system, "xi" if given.mu is None else "mu")
+    return kernel(given.pose, given.x, given.xdot, given.motion)
+
+
+def _momentum_changes(scene: Scene) -> bool:
+    """Return whether something acts on the angular momentum."""
+    forces = scene.force_model
+    return bool(pivot_weight(scene.system).any()) or (forces is not None and forces.has_wrench)

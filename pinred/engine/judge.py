@@ -10,6 +10,7 @@ import pinocchio as pin
 from ..arrays import Array
 from ..canonical import symmetric
 from ..errors import KernelMismatch
+from ..potential import falling, translations
 
 if TYPE_CHECKING:
     from ..force_model import ForceModel
@@ -72,13 +73,17 @@ def _judge_at(kernel: Kernel, rng: np.random.Generator) -> None:
     parameters = np.concatenate([spin, pi[cyclic], numbers])
     # Round-off of the momenta alone moves velocities by this much.
     slack = max(_TOLERANCE, 10.0 * np.finfo(float).eps * float(np.linalg.cond(H)))
-    out = kernel.evaluate_outputs(y, parameters)
+    line, where = np.append(rng.normal(size=2 * k), falling(system)), kernel.where
+    out = kernel.evaluate_outputs(time, y, parameters, line)
     _agree(kernel, "momentum of the velocity", H @ out[: system.n], H @ v)
     _agree(kernel, "velocity", out[: system.n], v, slack)
-    end = system.n + 3
-    _agree(kernel, "centre of mass", out[system.n : end], com)
-    _agree(kernel, "prescribed positions", out[end : end + len(driven)], x[driven])
-    _agree(kernel, "momenta of prescribed joints", out[end + len(driven) :], pi[driven], slack)
+    _agree(kernel, "centre of mass", out[where.com], com)
+    _agree(kernel, "momentum", out[where.mu], mu)
+    _agree(kernel, "prescribed positions", out[where.driven_x], x[driven])
+    _agree(kernel, "momenta of prescribed joints", out[where.driven_pi], pi[driven], slack)
+    _agree(kernel, "shape", out[where.x], x)
+    if layout.wanted:
+        _judge_states(kernel, out, H, x, time, line, pushed, numbers, slack)
     rate = kernel.evaluate_rate(y, parameters)
     a = len(active)
     _agree(kernel, "shape rate", rate[:a], v[r:][active], slack)
@@ -134,6 +139,41 @@ def _judge_at(kernel: Kernel, rng: np.random.Generator) -> None:
     else:
         true = pin.aba(model, data, q, v, tau)
     _agree(kernel, "acceleration", solved, true, slack)
+
+
+def _judge_states(
+    kernel: Kernel,
+    out: Array,
+    H: Array,
+    x: Array,
+    time: float,
+    line: Array,
+    pushed: Array,
+    numbers: Array,
+    slack: float,
+) -> None:
+    """Compare the full state with Pinocchio: place of the centre of mass, momenta, energy."""
+    system, where = kernel.system, kernel.where
+    model, r, k = system.model, system.r, system.group.linear
+    data = model.createData()
+    pose, q, v = out[where.pose], out[where.q], out[where.v]
+    _agree(kernel, "configuration", q, system.q(pose, x))
+    root, (c0, v0, fall) = model.jointPlacements[1], line.reshape(3, k)
+    c, velocity = c0 + v0 * time + 0.5 * fall * time**2, v0 + fall * time
+    if pushed.size:
+        c, velocity = c + pushed[:k], velocity + pushed[k:] / system.mass
+    pin.centerOfMass(model, data, q, v)
+    along = translations(system).T @ root.rotation.T
+    _agree(kernel, "place of the centre of mass", along @ (data.com[0] - root.translation), c)
+    _agree(kernel, "its velocity", along @ data.vcom[0], velocity, slack)
+    mu = H[:r] @ v
+    _agree(kernel, "body momentum", out[where.body_momentum], mu, slack)
+    J = system.group.spatial_momentum(pose, mu)
+    _agree(kernel, "spatial momentum", out[where.spatial_momentum], J, slack)
+    energy = 0.5 * v @ H @ v + pin.computePotentialEnergy(model, data, q)
+    if kernel.forces is not None:
+        energy += kernel.forces.potential(x, numbers)
+    _agree(kernel, "energy", out[-1:], np.array([energy]), slack)
 
 
 def _span(forces: ForceModel | None) -> tuple[float, float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import json
 import struct
 from collections.abc import Callable
@@ -22,10 +21,11 @@ from ..reduction import Reduction
 from ..scene import Scene
 from ..system import System
 from .cache import ObjectCache, cache_key
+from .identity import model_bytes
 from .judge import judge
 from .lanes import Lanes
 from .native import NativeCode, compile_object, load_object
-from .symbolic import Layout, ReducedGraph, Structure
+from .symbolic import Layout, Outputs, ReducedGraph, Structure, outputs_of
 
 _POINTER = ctypes.POINTER(ctypes.c_double)
 _SIGNATURE = ctypes.CFUNCTYPE(None, _POINTER, _POINTER, _POINTER)
@@ -46,7 +46,7 @@ class Kernel:
     """Machine code of a reduced vector field and of its outputs.
 
     layout: where things stand in y and in the parameters.  rate: (y, parameters) → dy/dt.
-    outputs: (y, parameters) → (ξ, ẋ, c, x and π of the prescribed joints).  instructions:
+    outputs: ((y, t), (parameters, c0, v0, g)) → everything of Outputs.  instructions:
     arithmetic operations of `rate`.
     """
 
@@ -70,14 +70,18 @@ class Kernel:
         """Return dy/dt, (size,)."""
         return self._call(self._rate, y, parameters, self.layout.size)
 
-    def evaluate_outputs(self, y: Array, parameters: Array) -> Array:
-        """Return (ξ, ẋ, c, x and π of the prescribed joints), (outputs_size,)."""
-        return self._call(self._outputs, y, parameters, self.outputs_size)
+    def evaluate_outputs(self, t: float, y: Array, parameters: Array, line: Array) -> Array:
+        """Return everything of Outputs, (where.size,), at a time.
 
-    @property
-    def outputs_size(self) -> int:
-        """Number of outputs."""
-        return self.system.n + 3 + 2 * len(self.layout.prescribed)
+        line: (3k,) where the centre of mass begins, how fast, and how it falls.
+        """
+        y = y if self.layout.clock else np.append(y, t)
+        return self._call(self._outputs, y, np.append(parameters, line), self.where.size)
+
+    @cached_property
+    def where(self) -> Outputs:
+        """Where things stand in the outputs."""
+        return outputs_of(self.system, self.layout)
 
     @staticmethod
     def _call(function: Callable[..., None], y: Array, parameters: Array, size: int) -> Array:
@@ -137,7 +141,7 @@ def build_kernel(
     """
     cache = ObjectCache() if cache is None else cache
     kind = asdict(structure) | {"forces": None if forces is None else forces.key}
-    key = cache_key(_model_bytes(system), json.dumps(kind))
+    key = cache_key(model_bytes(system), json.dumps(kind))
     stored = cache.get(key)
     if stored is None:
         lanes = Lanes()
@@ -162,21 +166,6 @@ def build_kernel(
     return kernel
 
 
-def _model_bytes(system: System) -> bytes:
-    """Return a digest of every number of the model that the equations depend on."""
-    model = system.model
-    digest = hashlib.sha256(system.group.name.encode())
-    for i in range(1, model.njoints):
-        joint, Y = model.joints[i], model.inertias[i]
-        digest.update(f"{joint.shortname()} {model.parents[i]} {joint.nq};".encode())
-        digest.update(model.jointPlacements[i].homogeneous.tobytes())
-        digest.update(np.concatenate([[Y.mass], Y.lever, Y.inertia.ravel()]).tobytes())
-        axes = np.asarray(joint.createData().S)  # what tells slanted joints apart
-        digest.update(axes.tobytes())
-    digest.update(np.asarray(model.armature).tobytes())
-    return digest.digest()
-
-
 def _layout(entries: dict[str, Any]) -> Layout:
     """Return the layout that JSON has kept, where tuples are lists."""
     tuples = {
@@ -185,6 +174,8 @@ def _layout(entries: dict[str, Any]) -> Layout:
     return Layout(
         **tuples,
         base=BaseParts(**entries["base"]),
+        wanted=bool(entries["wanted"]),
+        heavy=bool(entries["heavy"]),
         clock=int(entries["clock"]),
         numbers=int(entries["numbers"]),
     )

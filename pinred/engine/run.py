@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,7 +17,7 @@ from ..integrators.many import integrate_many as _integrate_many
 from ..integrators.method import DOP853, Method
 from ..motion import Piece, Solve
 from ..scene import Scene
-from .flow import CompiledFlow
+from .flow import CompiledFlow, CompiledFlows
 
 
 @dataclass(frozen=True)
@@ -28,14 +28,16 @@ class ManyRuns:
     failures: list[tuple[int, float, str]]
 
 
-def integrate_many(flows: Sequence[CompiledFlow], scene: Scene, threads: int | None) -> ManyRuns:
+def integrate_many(flows: CompiledFlows, scene: Scene, threads: int | None) -> ManyRuns:
     """Integrate flows of one kernel, with the times and tolerance of one scene, over threads."""
-    kernel = flows[0].kernel
+    kernel = flows.kernel
+    # One body that only translates carries a zero, which costs nothing.
+    y0 = flows.y0 if flows.y0.shape[1] else np.zeros((len(flows.y0), 1))
     found = _integrate_many(
         method_of(scene),
         kernel.rate.address,
-        np.array([flow.parameters for flow in flows]),
-        np.array([_start(flow) for flow in flows]),
+        flows.parameters,
+        y0,
         scene.end,
         scene.report_times,
         kernel.layout.quaternion,
@@ -45,14 +47,10 @@ def integrate_many(flows: Sequence[CompiledFlow], scene: Scene, threads: int | N
     for k in np.flatnonzero(~found.ok).tolist():
         reason = STATUS[int(found.status[k])]
         if found.entry[k] >= 0:
-            reason = f"{flows[k].entry_name(int(found.entry[k]))} is {reason}"
+            name = CompiledFlow.of(flows, k).entry_name(int(found.entry[k]))
+            reason = f"{name} is {reason}"
         failures.append((int(k), float(found.end[k]), reason))
     return ManyRuns(found.y, failures)
-
-
-def _start(flow: CompiledFlow) -> Array:
-    """Return y0; one body that only translates carries a zero, which costs nothing."""
-    return flow.y0 if flow.y0.size else np.zeros(1)
 
 
 _prepared = False
@@ -119,7 +117,8 @@ def _explained(
     """Return a failure in terms of the robot."""
     name = scene.system.name
     if isinstance(stop, NonFiniteState):
-        time, x = start + stop.time, flow.shape(stop.state)
+        time = start + stop.time
+        x = flow.shape(time, stop.state)
         return NonFiniteState(
             f"{flow.entry_name(stop.entry)} of '{name}' is not finite after t = {time:g} s, "
             f"at shape x = {x}",
@@ -128,7 +127,8 @@ def _explained(
             stop.entry,
         )
     if isinstance(stop, (StepSizeUnderflow, TooManySteps)):
-        time, x = start + stop.time, flow.shape(stop.state)
+        time = start + stop.time
+        x = flow.shape(time, stop.state)
         return type(stop)(
             f"'{name}' cannot be followed beyond t = {time:g} s of {scene.end:g} s at "
             f"rtol = {scene.rtol:g}, shape x = {x}: {stop}",

@@ -14,14 +14,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 
-from ..base import BaseParts, base_parts
+from ..base import BaseParts, base_parts, root_of
 from ..force_model import ForceModel
 from ..lie import SO2, SO3
 from ..system import System
-from .algebra import Scalar, Vec, add, mul, plus, total
+from .algebra import Scalar, Vec, add, dot, mul, plus, sub, total
 from .base_graph import BaseGraph
 from .frames import Body, bodies_of
 from .lanes import Lanes
@@ -64,6 +66,8 @@ class Layout:
     cyclic: tuple[int, ...]
     prescribed: tuple[int, ...]
     base: BaseParts
+    wanted: bool
+    heavy: bool
     clock: int
     numbers: int
 
@@ -86,6 +90,42 @@ class Layout:
     def quaternion(self) -> int:
         """Index of the first of four quaternion entries in y, or −1."""
         return self.base_at if self.base.attitude == 4 else -1
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Where things stand in the outputs: slices.
+
+    xi, xdot, com, mu, weight, driven_x, driven_pi: as seen from the centre of mass; com in
+    the root body's frame, (3,); the weight that turns a pivoted base, (3,) in its frame, or
+    none; x and π of the prescribed joints.  The rest are fields of State, or of
+    ShapeState, whose energy is the last.
+    """
+
+    xi: slice
+    xdot: slice
+    com: slice
+    mu: slice
+    weight: slice
+    driven_x: slice
+    driven_pi: slice
+    x: slice
+    pose: slice
+    q: slice
+    v: slice
+    body_momentum: slice
+    spatial_momentum: slice
+    size: int
+
+
+def outputs_of(system: System, layout: Layout) -> Outputs:
+    """Return where things stand in the outputs of a kernel."""
+    m, r, k = system.m, system.r, len(layout.prescribed)
+    full = [system.group.size, system.model.nq, system.n, r, r]
+    sizes = [r, m, 3, r, 3 * layout.heavy, k, k, m, *(full if layout.wanted else [0] * len(full))]
+    ends = [sum(sizes[:i]) for i in range(len(sizes) + 1)]
+    places: list[Any] = [*(slice(a, b) for a, b in pairwise(ends)), ends[-1] + 1]
+    return Outputs(*places)
 
 
 class ReducedGraph:
@@ -126,6 +166,8 @@ class ReducedGraph:
             cyclic=structure.cyclic,
             prescribed=prescribed,
             base=parts,
+            wanted=structure.base,
+            heavy=heavy,
             clock=int(forces is not None and forces.needs_time),
             numbers=len(forces.numbers) if forces is not None else 0,
         )
@@ -134,7 +176,7 @@ class ReducedGraph:
         given = self._given()
         for k, place in zip(prescribed, given, strict=False):
             self.x[k] = place
-        mu = self.base.body_momentum()
+        self._mu = mu = self.base.body_momentum()
         armature = float(system.model.armature[0]) if group is SO2 else 0.0
         # Nothing depends on the angle of a cyclic joint, so it may as well be zero.
         angles: list[Scalar] = [0.0 if k in structure.cyclic else self.x[k] for k in range(m)]
@@ -145,7 +187,7 @@ class ReducedGraph:
             for angular, k in AXES[group.name]
         ]
         self.xdot: list[Scalar] = found.xdot
-        self._prescribed_pi = [found.pi[k] for k in prescribed]
+        self._driven_pi = {k: found.pi[k] for k in prescribed}
         torque, acting = self._acting(mu)
         pidot = [add(p, t) for p, t in zip(found.pidot, torque, strict=True)]
         self.pidot = self._with_loads(pidot, acting)
@@ -180,20 +222,56 @@ class ReducedGraph:
             self._base_rate,
             [1.0] * self.layout.clock,
         )
-        return self._function("rate", rate)
+        return self._function("rate", rate, [self.y, self.parameters])
 
     def outputs(self) -> ca.Function:
-        """Return (y, parameters) → (ξ, ẋ, c, x and π of the prescribed joints).
+        """Return ((y, t), (parameters, c0, v0, g)) → everything of Outputs.
 
-        ξ: twist relative to the centre of mass.  c: (3,) centre of mass in the frame of
-        Pinocchio's root body.
+        The time is not repeated where it is the last number of y.  c0, v0, g: (k,) where the
+        centre of mass begins, how fast, and how it falls, in the root joint's fixed frame.
         """
-        places = [self.x[k] for k in self.layout.prescribed]
-        out = _column(self.xi, self.xdot, self.com(), places, self._prescribed_pi)
-        return self._function("outputs", out)
+        system, k = self._system, self._system.group.linear
+        com, places = self.com(), [self.x[j] for j in self.layout.prescribed]
+        momenta = [self._driven_pi.get(j, self.pi[j]) for j in range(system.m)]
+        about = self._mu[k:]
+        energy = mul(0.5, add(dot(self.xi[k:], about), dot(self.xdot, momenta)))
+        energy = add(energy, self._potential(com))
+        weight: list[Scalar] = self.base.body_weight() or []
+        parts = [self.xi, self.xdot, com, self._mu, weight]
+        parts += [places, list(self._driven_pi.values()), self.x]
+        line = [ca.SX.sym(f"line{j}") for j in range(3 * k)]
+        if self.layout.wanted:
+            full = self.base.full(self.xi, self._mu, com, self._t, line)
+            parts += [full.pose, self._q(full.pose), full.xi, self.xdot]
+            parts += [full.body_momentum, full.spatial_momentum]
+            energy = add(energy, full.energy)
+        y = self.y if self.layout.clock else ca.vertcat(self.y, self._t)
+        inputs = [y, ca.vertcat(self.parameters, *line)]
+        return self._function("outputs", _column(*parts, [energy]), inputs)
 
-    def _function(self, name: str, value: ca.SX) -> ca.Function:
-        inputs = [self.y, self.parameters]
+    def _potential(self, com: Vec) -> Scalar:
+        """Return V(x), and the potential energy of a pivoted body's weight."""
+        energy: Scalar = 0.0
+        if self._forces is not None:
+            value = self._forces.potential_function(_column(self.x), _column(self._numbers))
+            energy = add(energy, _scalars(value)[0])
+        if self._weight is not None:
+            constant = [float(w) for w in self._weight]
+            weight = self.base.body_weight() or constant
+            origin = dot(constant, root_of(self._system).origin.tolist())
+            energy = sub(energy, add(dot(weight, com), origin))
+        return energy
+
+    def _q(self, pose: list[Scalar]) -> list[Scalar]:
+        """Return Pinocchio's configuration."""
+        y, q = [*pose, *self.x], [0.0] * self._system.model.nq
+        for i, at in self._system.plain:
+            q[at] = y[i]
+        for i, at in self._system.angles:
+            q[at], q[at + 1] = ca.cos(y[i]), ca.sin(y[i])
+        return q
+
+    def _function(self, name: str, value: ca.SX, inputs: list[ca.SX]) -> ca.Function:
         if self._lanes is not None:
             return self._lanes.function(name, inputs, value)
         return ca.Function(name, inputs, [ca.densify(value)], {"cse": True})

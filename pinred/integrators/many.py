@@ -83,14 +83,15 @@ def integrate_many(
 
     params: (N, p).  y0: (N, n).  times: (T,) sorted, within [0, t_end].
     threads: as many as there are processors if None; the numbers do not depend on it.
+    params and y0 are not to be changed meanwhile.
     A run that fails has a status and leaves the others alone.  Raises InputError.
     """
     end = positive(t_end, "t_end")
     check_kernel(address)
-    start = read_only(np.array(as_floats(y0, "y0"), order="C"))
+    start = read_only(np.ascontiguousarray(as_floats(y0, "y0")).view())
     check_state(start, quaternion, "y0", 2)
     size, n = start.shape
-    frozen = read_only(np.array(as_floats(params, "params"), order="C"))
+    frozen = read_only(np.ascontiguousarray(as_floats(params, "params")).view())
     if frozen.ndim != 2 or frozen.shape[0] != size:
         raise ShapeError(f"params must have shape ({size}, p) as y0 has, got {frozen.shape}")
     asked = checked_times(times, end, ordered=True)
