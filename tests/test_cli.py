@@ -157,7 +157,7 @@ def test_cache(
     assert code == 0
     assert out.startswith("2 kernels, ")
     code, out, _ = run(capsys, "cache", "--clear")
-    assert out.startswith("1 kernels removed")
+    assert out.startswith("2 kernels removed")
     assert run(capsys, "cache")[1].startswith("0 kernels")
 
 
