@@ -53,6 +53,31 @@ def test_kernels_of_random_trees(case: Case) -> None:
         np.testing.assert_allclose(rate, expected[rows], rtol=0, atol=1e-10 * scale)
 
 
+@settings(max_examples=25)
+@given(cases(1, 5))
+def test_kernels_obey_hamilton_poincare(case: Case) -> None:
+    """ẋ and π̇ = ṗ + Ȧᵀμ + Aᵀμ̇ of the kernel are those of the equations, term by term.
+
+    p = π − Aᵀμ.  The equations come from the mass matrix and its derivatives, with curvature.
+    """
+    system, red = case.system, pinred.Reduction(case.system)
+    scene = pinred.Scene(system=system, x0=case.x, xdot0=case.xdot, xi0=case.xi, pose0=case.pose)
+    flow = CompiledFlow(scene)
+    mu = flow.sample(0.0, flow.y0, flow.numbers).mu  # about the centre of mass
+    at = red.at(case.x)
+    p = at.reduced_metric @ case.xdot
+    equations = pinred.equations.hamilton_poincare(red, case.x, p, mu)
+    pidot = equations.shape.total + mu @ (at.dA @ case.xdot)
+    pidot += equations.momentum.total @ at.local_connection
+    rate = flow.kernel.evaluate_rate(flow.y0, flow.parameters)
+    active, k = list(flow.kernel.layout.active), len(flow.kernel.layout.active)
+    scale = max(1.0, float(np.abs(pidot).max()))
+    np.testing.assert_allclose(rate[:k], case.xdot[active], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(rate[k : 2 * k], pidot[active], rtol=0, atol=1e-9 * scale)
+    y = flow.y0
+    np.testing.assert_allclose(y[k : 2 * k], (p + mu @ at.local_connection)[active], atol=1e-9)
+
+
 @pytest.mark.parametrize("name", sorted(bundled_robots()))
 def test_both_routes_agree(name: str) -> None:
     """The compiled engine and the Pinocchio route give the same motion, all fields of it."""

@@ -1,0 +1,94 @@
+"""Integrators through `simulate`: the orders that they claim, measured on robots against ABA."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pinred
+from pinred import DOP853, RKMK4
+from pinred.arrays import Array
+from pinred.full_state import FullMotion, FullState
+
+# With the time over which a motion is smooth enough for its steps to be in the asymptotic range.
+ROBOTS = {
+    "planar_chain5": 0.5,
+    "double_spherical_pendulum": 0.5,
+    "coupled_spatial": 1.5,
+    "falling_cat": 1.5,
+}
+
+
+def measured(errors: list[float], steps: list[float]) -> float:
+    """The order with which errors fall."""
+    return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
+
+
+def errors_at_the_end(
+    robot: str, methods: list[DOP853 | RKMK4]
+) -> tuple[list[float], list[float], list[int]]:
+    """Largest errors of shape and rotation at the end, by ABA, and the steps made."""
+    system, end = pinred.load(robot), ROBOTS[robot]
+    scene = pinred.Scene(system=system, seed=3, times=[end])
+    full = FullState(scene)
+    start = scene.start
+    y0 = full.state(start.pose, start.x, start.xi, start.xdot)
+    truth = full.run(y0, np.array([end]), 2e-14, 1e-15)
+    shape, rotation, steps = [], [], []
+    for method in methods:
+        traj = pinred.simulate(system, seed=3, times=[end], method=method)
+        assert traj.run.method == method.name
+        found = full.distance(truth, FullMotion(x=traj.x, q=traj.q))
+        shape.append(float(found.shape[-1]))
+        rotation.append(float(found.rotation[-1]))
+        steps.append(traj.run.steps)
+    return shape, rotation, steps
+
+
+def fixed(step: float) -> DOP853:
+    """DOP853 with steps that no error makes shorter."""
+    return DOP853(rtol=1e3, atol=1e3, max_step=step)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_order_of_rkmk4(robot: str) -> None:
+    """Order 4 in shape and attitude."""
+    counts = [60, 85, 120, 170, 240]
+    steps = [ROBOTS[robot] / count for count in counts]
+    shape, rotation, made = errors_at_the_end(robot, [RKMK4(step) for step in steps])
+    assert made == counts
+    for errors in (shape, rotation):
+        order = measured(errors, steps)
+        assert order == pytest.approx(RKMK4.order, abs=0.2)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_order_of_dop853(robot: str) -> None:
+    """Order 8 in shape and attitude, above the plateau of round-off."""
+    end = ROBOTS[robot]
+    counts = [8, 10, 12, 15, 18, 22]
+    shape, rotation, made = errors_at_the_end(robot, [fixed(end / count) for count in counts])
+    for errors in (shape, rotation):
+        kept = [(e, end / n) for e, n in zip(errors, made, strict=True) if e > 3e-13]
+        assert len(kept) >= 4
+        order = measured([e for e, _ in kept], [h for _, h in kept])
+        assert order == pytest.approx(DOP853.order, abs=0.2)
+
+
+def test_a_method_has_its_own_tolerance() -> None:
+    """A looser DOP853 takes fewer steps than the scene's, and is as wrong as it says."""
+    system = pinred.load("falling_cat")
+    loose = pinred.simulate(system, duration=2.0, method=DOP853(rtol=1e-5, atol=1e-7))
+    tight = pinred.simulate(system, duration=2.0)
+    assert loose.run.steps < tight.run.steps
+    apart: Array = np.abs(loose.x - tight.x).max(axis=0)
+    assert 1e-9 < apart.max() < 1e-3
+
+
+def test_methods_that_are_none() -> None:
+    """A name is no method, and SciPy has DOP853 only."""
+    system = pinred.load("falling_cat")
+    with pytest.raises(pinred.InputError, match=r"method must be DOP853\(…\) or RKMK4\(…\)"):
+        pinred.simulate(system, method="RKMK4")
+    with pytest.raises(pinred.InputError, match="pinocchio"):
+        pinred.simulate(system, method=RKMK4(0.01), engine="pinocchio")
