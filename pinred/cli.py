@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from . import __version__, run_command
 from .bench.command import add_measurements
 from .errors import InputError, IntegrationError, PinredError
+from .scene_keys import GROUPS
 
 if TYPE_CHECKING:
     from .integrators.method import Method
     from .scene import Scene
     from .system import System
 
-GROUP_NAMES = ("R", "SO2", "SE2", "SO3", "SE3")
 VECTORS = ("--at", "--x0", "--xdot0", "--xi0", "--momentum", "--pose0", "--gravity")
 
 
@@ -121,7 +121,7 @@ def _add_robot(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "robot", metavar="ROBOT", help="a name (`pinred robots`), or a URDF or MJCF file"
     )
-    sub.add_argument("--group", metavar="G", help=f"{', '.join(GROUP_NAMES)}; the robot's own root")
+    sub.add_argument("--group", metavar="G", help=f"{', '.join(GROUPS)}; the robot's own root")
     sub.add_argument("--lock", metavar="J1,J2,…", help="joints to freeze, as NAME or NAME=VALUE")
     sub.add_argument("--gravity", metavar="GX,GY,GZ", help="in the world frame [m/s²]")
 

@@ -18,7 +18,7 @@ from .csv_table import read_text
 from .errors import InputError, LoadError, PinredError
 from .expressions import parse
 from .force import Force, Limit
-from .force_model import force_model
+from .force_model import remembered_model
 from .integrators.method import DOP853, RKMK4, Method
 from .loading import load
 from .place import Place, naming, one_line, unknown
@@ -77,14 +77,13 @@ def read_scene_file(path: str | Path) -> SceneFile:
 def _parsed(text: str, place: Place) -> dict[str, Any]:
     """Return the tables of a text.  Raises LoadError if it is not TOML."""
     if _LONG_KEY.search(text):
-        raise LoadError(f"{place}: not a scene: a key of more than 50 parts")
+        raise LoadError(f"{place.file}: not a scene: a key of more than 50 parts")
     try:
-        return tomllib.loads(text)
+        return tomllib.loads(text + "\n")  # so that every fault has its line
     except tomllib.TOMLDecodeError as error:
-        said = re.fullmatch(r"(.*) \(at (?:line (\d+), column (\d+)|end of document)\)", str(error))
-        problem, line, column = said.groups() if said else (str(error), None, None)
-        where = f", line {line}, column {column}" if line else ", at its end"
-        raise LoadError(f"{place.file}{where}: not TOML: {problem}") from None
+        said = re.fullmatch(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", str(error))
+        problem, where = said.groups() if said else (str(error), None)
+        raise LoadError(f"{place.file}, {where or 'at its end'}: not TOML: {problem}") from None
     except RecursionError:
         raise LoadError(f"{place.file}: not a scene: tables or lists nested too deep") from None
     except ValueError:
@@ -231,7 +230,7 @@ class _Builder:
         else:
             for k, force in enumerate(forces):
                 try:
-                    force_model(self.system, {}, [force], prescribed)
+                    remembered_model(self.system, {}, [force], prescribed)
                 except PinredError:
                     place = place / "forces" / k
                     break

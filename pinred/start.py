@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from .arrays import Array, freeze
+from .errors import InputError
 from .split import cholesky
 from .system import System
 
@@ -41,17 +42,21 @@ def starts(
     """Return the states with a body twist (N, r), or else with a body momentum (N, r).
 
     xi, mu: exactly one of them.  pose: (N, size).  x, xdot: (N, m).
-    Raises SingularInertiaError where the mass matrix is singular.
+    Raises SingularInertiaError where the mass matrix is singular, InputError where a
+    momentum or twist overflows.
     """
     r = system.r
     H, com = inertias(system, x)
-    if xi is None and mu is not None:
-        carried = (H[:, :r, r:] @ xdot[:, :, None])[:, :, 0]
-        xi = np.asarray(np.linalg.solve(H[:, :r, :r], (mu - carried)[:, :, None])[:, :, 0])
-    if mu is None and xi is not None:
-        mu = (H[:, :r] @ np.concatenate([xi, xdot], axis=1)[:, :, None])[:, :, 0]
+    with np.errstate(over="ignore", invalid="ignore"):  # checked below
+        if xi is None and mu is not None:
+            carried = (H[:, :r, r:] @ xdot[:, :, None])[:, :, 0]
+            xi = np.asarray(np.linalg.solve(H[:, :r, :r], (mu - carried)[:, :, None])[:, :, 0])
+        if mu is None and xi is not None:
+            mu = (H[:, :r] @ np.concatenate([xi, xdot], axis=1)[:, :, None])[:, :, 0]
     assert xi is not None
     assert mu is not None
+    if not (np.isfinite(xi).all() and np.isfinite(mu).all()):
+        raise InputError("the initial momentum or twist overflows: rates or momentum too large")
     return Start(pose, x, xdot, xi, mu, H, com)
 
 
