@@ -79,11 +79,12 @@ LOAD = Table(
     },
     "the options of pinred.load",
 )
+_OWN = "the robot's own, or zero beside the other of x0 and xdot0"
 START = Table(
     {
-        "x0": Key(SHAPE, "shape [rad | m]; by name, the others are zero", default="see Scene"),
-        "xdot0": Key(SHAPE, "shape rate; by name, the others are zero", default="see Scene"),
-        "xi0": Key(NUMBERS, "body twist of the base [linear; angular]", default="zero"),
+        "x0": Key(SHAPE, "shape [rad | m]; by name, the others are zero", default=_OWN),
+        "xdot0": Key(SHAPE, "shape rate; by name, the others are zero", default=_OWN),
+        "xi0": Key(NUMBERS, "body twist of the base [linear; angular]", default="as of x0"),
         "momentum": Key(
             Either((NUMBER, NUMBERS)), "body momentum instead of xi0, or just 0", default="from xi0"
         ),

@@ -297,7 +297,7 @@ class Tagged(Node):
 
     def _table(self, kind: str) -> Table:
         """Return the table of a kind with its tag among the keys."""
-        tag = Key(Text((kind,)), f"{kind}: {self.tables[kind].words}", required=True)
+        tag = Key(Text((kind,)), self.tables[kind].words, required=True)
         return replace(self.tables[kind], keys={self.tag: tag, **self.tables[kind].keys})
 
     def schema(self, defs: dict[str, Schema]) -> Schema:
