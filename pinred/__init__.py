@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from .many import Failure, Trajectories, simulate_many
     from .reduction import ReducedShape, Reduction
     from .scene import Scene
+    from .scene_file import load_scene
+    from .scene_keys import scene_schema
     from .simulation import simulate
     from .state import ShapeState, State
     from .system import Configuration, InitialState, System, Velocity
@@ -65,6 +67,8 @@ _HOME = {
     **dict.fromkeys(("Failure", "Trajectories", "simulate_many"), "many"),
     **dict.fromkeys(("ReducedShape", "Reduction"), "reduction"),
     "Scene": "scene",
+    "load_scene": "scene_file",
+    "scene_schema": "scene_keys",
     "simulate": "simulation",
     **dict.fromkeys(("Configuration", "InitialState", "System", "Velocity"), "system"),
     **dict.fromkeys(("ShapeState", "State"), "state"),
@@ -110,6 +114,8 @@ __all__ = [
     "inspect",
     "lie",
     "load",
+    "load_scene",
+    "scene_schema",
     "signals",
     "simulate",
     "simulate_many",

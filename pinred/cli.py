@@ -12,15 +12,16 @@ import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from . import __version__
+from . import __version__, run_command
 from .bench.command import add_measurements
 from .errors import InputError, IntegrationError, PinredError
+from .scene_keys import GROUPS
 
 if TYPE_CHECKING:
+    from .integrators.method import Method
     from .scene import Scene
     from .system import System
 
-GROUP_NAMES = ("R", "SO2", "SE2", "SO3", "SE3")
 VECTORS = ("--at", "--x0", "--xdot0", "--xi0", "--momentum", "--pose0", "--gravity")
 
 
@@ -100,6 +101,9 @@ def _parser() -> _Parser:
     sub.add_argument("--out", metavar="FILE", required=True, help="traj.npz or traj.csv")
     sub.add_argument("--samples", metavar="N", type=int, default=201, help="report times (201)")
 
+    sub = command("run", run_command.run, "simulate what a scene file says")
+    run_command.add_arguments(sub)
+
     sub = command("robots", _robots, "list the robots that can be loaded by name")
     sub.add_argument("--check", action="store_true", help="load each and say what is refused")
 
@@ -117,7 +121,7 @@ def _add_robot(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "robot", metavar="ROBOT", help="a name (`pinred robots`), or a URDF or MJCF file"
     )
-    sub.add_argument("--group", metavar="G", help=f"{', '.join(GROUP_NAMES)}; the robot's own root")
+    sub.add_argument("--group", metavar="G", help=f"{', '.join(GROUPS)}; the robot's own root")
     sub.add_argument("--lock", metavar="J1,J2,…", help="joints to freeze, as NAME or NAME=VALUE")
     sub.add_argument("--gravity", metavar="GX,GY,GZ", help="in the world frame [m/s²]")
 
@@ -128,6 +132,9 @@ def _add_scene(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--engine", metavar="E", default="compiled", help="compiled (default), pinocchio"
     )
+    sub.add_argument("--outputs", metavar="O", default="all", help="all (default), shape")
+    sub.add_argument("--method", metavar="M", help="DOP853, or RKMK4 with --step")
+    sub.add_argument("--step", metavar="H", type=float, help="longest step of RKMK4 [s]")
     sub.add_argument("--rtol", metavar="TOL", type=float, default=1e-10, help="(1e-10)")
     sub.add_argument("--atol", metavar="TOL", type=float, default=1e-12, help="(1e-12)")
     for name, text in (
@@ -191,11 +198,24 @@ def _scene(options: argparse.Namespace, system: System) -> Scene:
         rtol=options.rtol,
         atol=options.atol,
         springs=springs,
+        outputs=options.outputs,
+        method=_method(options),
         **given,
     )
     if seed is not None:
         print(f"initial state: random, seed {seed}")
     return scene
+
+
+def _method(options: argparse.Namespace) -> Method | None:
+    """Return the integrator asked for; None is DOP853 at the scene's tolerance."""
+    from .integrators.method import RKMK4
+
+    if options.method not in (None, "DOP853", "RKMK4"):
+        raise InputError(f"unknown method '{options.method}'; the methods are DOP853, RKMK4")
+    if (options.method == "RKMK4") != (options.step is not None):
+        raise InputError("--method RKMK4 and --step H go together")
+    return None if options.step is None else RKMK4(options.step)
 
 
 def _inspect(options: argparse.Namespace) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -33,6 +33,8 @@ from .force import (
 )
 from .force import Limit as Limit
 from .signals import Signal
+
+Action: TypeAlias = Callable[[Any, Any, Any, Any], Any]
 
 
 @dataclass(frozen=True)
@@ -111,10 +113,10 @@ class Torque(Force):
     """Torques at the joints, τ(t, x, ẋ, μ) [N·m | N].
 
     function: (t, x, xdot, mu) → {joint: expression} or m expressions, called once with SX
-    symbols (of Symbols' meaning); or {joint: Signal or number}.
+    symbols (of Symbols' meaning); or {joint: Signal, number or (t, x, xdot, mu) → expression}.
     """
 
-    function: Callable[[Any, Any, Any, Any], Any] | Reference
+    function: Action | Mapping[str, Action | Signal | float]
     limit: Limit | None = None
     name: str = "torque"
 
@@ -132,7 +134,7 @@ class Torque(Force):
         """Return the torques."""
         if isinstance(self.function, Mapping):
             torque = {
-                s.joint(name, self.name): of_time(value, s, number, f"{self.name}['{name}']")
+                s.joint(name, self.name): _acting(value, s, number, f"{self.name}['{name}']")
                 for name, value in self.function.items()
             }
         else:
@@ -225,10 +227,11 @@ class ComputedTorque(Force):
 class Wrench(Force):
     """A wrench on the base at its origin, in its own frame: thrusters.  [linear; angular].
 
-    function: (t, x, xdot, mu) → r expressions, called once; or r Signals or numbers.
+    function: (t, x, xdot, mu) → r expressions, called once; or r entries, each a Signal, a
+    number or (t, x, xdot, mu) → expression.
     """
 
-    function: Callable[[Any, Any, Any, Any], Any] | Sequence[Signal | float]
+    function: Action | Sequence[Action | Signal | float]
     name: str = "wrench"
 
     @property
@@ -249,7 +252,7 @@ class Wrench(Force):
             return Terms(wrench=[scalar(v, f"{self.name}[{i}]") for i, v in enumerate(found)])
         found = entries(self.function, r, self.name)
         return Terms(
-            wrench=[of_time(v, s, number, f"{self.name}[{i}]") for i, v in enumerate(found)]
+            wrench=[_acting(v, s, number, f"{self.name}[{i}]") for i, v in enumerate(found)]
         )
 
 
@@ -301,3 +304,10 @@ class Controller(Force):
                 f"but gave {given!r} at t = {t:g} s"
             )
         return torque
+
+
+def _acting(value: Any, s: Symbols, number: Callable[[float], Any], what: str) -> Any:
+    """Return a Signal, a number or a function of the state as an expression."""
+    if callable(value):
+        return scalar(value(s.t, s.x, s.xdot, s.mu), what)
+    return of_time(value, s, number, what)

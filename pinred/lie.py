@@ -165,10 +165,11 @@ class Group(ABC):
                 f"a pose of {self.name} has shape ({self.size},) or is a homogeneous matrix, "
                 f"got shape {array.shape}"
             )
-        if self.name in ("SO3", "SE3") and abs(np.linalg.norm(pose[-4:]) - 1.0) > 1e-6:
+        with np.errstate(over="ignore"):
+            norm = float(np.linalg.norm(pose[-4:]))
+        if self.name in ("SO3", "SE3") and abs(norm - 1.0) > 1e-6:
             raise InputError(
-                f"the quaternion of a pose of {self.name} must have norm 1, "
-                f"got {np.linalg.norm(pose[-4:]):g}"
+                f"the quaternion of a pose of {self.name} must have norm 1, got {norm:g}"
             )
         return self.normalize(pose)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from .arrays import Array, freeze
+from .errors import InputError
 from .reduction import Reduction
 from .system import System
 
@@ -62,14 +63,23 @@ class Start:
 def start_of(system: System, given: Given) -> Start:
     """Return the first of initial states, complete by Pinocchio's mass matrix.
 
-    Raises SingularInertiaError where that is singular.
+    Raises SingularInertiaError where that is singular, InputError where a momentum or twist
+    overflows.
     """
     r, one = system.r, given[0]
     at = system.workspace(Reduction, lambda: Reduction(system)).split(one.x)
     H = at.mass_matrix
     xi, mu = one.xi, one.mu
-    if xi is None and mu is not None:
-        xi = np.asarray(np.linalg.solve(H[:r, :r], mu - H[:r, r:] @ one.xdot))
-    if mu is None and xi is not None:
-        mu = H[:r] @ np.concatenate([xi, one.xdot])
+    with np.errstate(over="ignore", invalid="ignore"):  # checked below
+        if xi is None and mu is not None:
+            xi = np.asarray(np.linalg.solve(H[:r, :r], mu - H[:r, r:] @ one.xdot))
+        if mu is None and xi is not None:
+            mu = H[:r] @ np.concatenate([xi, one.xdot])
+    finite_start(xi, mu)
     return Start(one.pose, one.x, one.xdot, np.asarray(xi), np.asarray(mu), H, at.com)
+
+
+def finite_start(*arrays: Array | None) -> None:
+    """Raise InputError unless what follows from an initial state is finite."""
+    if not all(array is not None and np.isfinite(array).all() for array in arrays):
+        raise InputError("the initial momentum or twist overflows: rates or momentum too large")

@@ -6,9 +6,11 @@ import re
 from pathlib import Path
 
 import pytest
+import scene_tables
 
 import pinred
 from pinred.catalogue import bundled_folder, bundled_robots
+from pinred.cli import main
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -20,6 +22,29 @@ def test_readme_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(code.strip().splitlines()) <= 12
     exec(compile(code, "README.md", "exec"), {})
     assert "verdict: PASSED" in capsys.readouterr().out
+
+
+def test_readme_scene_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The scene of the README runs as it stands and passes its comparison."""
+    (text,) = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
+    path = tmp_path / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    assert main(["run", str(path), "--compare"]) == 0
+    assert "verdict: PASSED" in capsys.readouterr().out
+
+
+def test_scene_keys_are_documented(tmp_path: Path) -> None:
+    """docs/scenes.md has the tables of the schema, and its error is what the reader says."""
+    text = scene_tables.DOCUMENT.read_text(encoding="utf-8")
+    assert text == scene_tables.document(), "run tests/scene_tables.py"
+    (said,) = re.findall(r"```text\n(.*?)\n```", text)
+    head = 'robot = "falling_cat"\n' + "\n" * 7
+    spring = '[[forces]]\nkind = "spring"\njoint = "bend"\nstifness = 1\n'
+    path = tmp_path / "scene.toml"
+    path.write_text(head + spring, encoding="utf-8")
+    with pytest.raises(pinred.InputError) as caught:
+        pinred.load_scene(path)
+    assert str(caught.value) == f"{tmp_path}/{said}"
 
 
 def test_ci_runs_the_test_command_of_the_readme() -> None:

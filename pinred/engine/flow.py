@@ -9,7 +9,7 @@ from ..base import into_body, root_of
 from ..flow import entry_name
 from ..potential import pivot_weight
 from ..scene import Scene
-from ..start import Given
+from ..start import Given, finite_start
 from ..state import Sample, ShapeState, State
 from ..system import Indices
 from .evaluate import evaluate
@@ -160,6 +160,7 @@ class CompiledFlows:
         self.parameters = np.concatenate([spin, start.pi[:, cyclic], numbers], axis=1)
         fall = np.broadcast_to(root_of(scene.system).g, start.c0.shape)
         self.line = np.concatenate([start.c0, start.v0, fall], axis=1)
+        finite_start(self.y0, self.parameters, self.line)
 
 
 def flows_of(scene: Scene, given: Given) -> list[tuple[Indices, CompiledFlows]]:
