@@ -22,6 +22,8 @@ from .rebuild import rebuild
 from .system import InitialState, System
 from .urdf import mimic_joints, refuse_mimics
 
+_HUGE = 1e100  # m/s²; the square of what is far above overflows
+
 
 def load(
     source: str | Path | pin.Model,
@@ -69,6 +71,8 @@ def load(
     model = _on_root(rebuild(raw, _frozen(raw, locked)), wanted)
     if gravity is not None:
         model.gravity.linear = vector(gravity, 3, "gravity")
+        if np.abs(model.gravity.linear).max() > _HUGE:
+            raise InputError(f"gravity must be below {_HUGE:g} m/s², got {gravity}")
     model.name = name
     return System(model, name=name, initial=initial)
 

@@ -100,7 +100,7 @@ class Scene:
 
     @cached_property
     def start(self) -> Start:
-        """The initial state, complete.  Raises SingularInertiaError if it cannot be."""
+        """The initial state, complete.  Raises SingularInertiaError or InputError."""
         return start_of(self.system, self.given)
 
     @property

@@ -127,6 +127,7 @@ class _Builder:
         options = {**self._start(), **run, "springs": springs, "prescribed": prescribed}
         try:
             scene = Scene(system=self.system, forces=forces, **options)
+            _ = scene.start  # which a Scene works out only when somebody asks
         except PinredError as error:
             self._explain(error, forces, prescribed)
         return SceneFile(scene, engine)

@@ -292,7 +292,7 @@ PATHS = sorted(EXAMPLES.glob("*.toml"))
 def test_examples(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Every example passes the comparison with ABA, from any folder, cut to two seconds."""
+    """Every example passes the comparison with ABA, from any folder, cut to a second."""
     if "solo12" in path.stem and not has_example_robots():
         pytest.skip("needs example-robot-data")
     monkeypatch.chdir(tmp_path)
@@ -300,7 +300,7 @@ def test_examples(
     assert main(["run", str(path), "--check"]) == 0
     assert capsys.readouterr().out.startswith("ok: ")
     full = pinred.load_scene(path)
-    traj = pinred.simulate(full, times=None, duration=min(full.end, 2.0))
+    traj = pinred.simulate(full, times=None, duration=min(full.end, 1.0))
     assert pinred.compare(traj).passed
 
 
