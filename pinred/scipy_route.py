@@ -8,9 +8,8 @@ import numpy as np
 from scipy.integrate import DOP853, DenseOutput, OdeSolution
 
 from .arrays import Array
-from .errors import InputError, IntegrationError
+from .errors import IntegrationError
 from .flow import ReducedFlow
-from .integrators import method
 from .motion import Piece, Solve
 from .scene import Scene
 
@@ -20,27 +19,22 @@ MOST_STEPS = 1_000_000
 def solve(flow: ReducedFlow, scene: Scene, progress: Callable[[float], None] | None) -> Solve:
     """Return what integrates a flow from one time of its scene to another.
 
-    Raises InputError for a method that SciPy does not have; what it returns raises
-    IntegrationError, with the time and the entry at fault, if the flow cannot be followed.
+    That raises IntegrationError, with the time and the entry at fault, if the flow cannot be
+    followed.
     """
-    asked = scene.method
-    if not (asked is None or isinstance(asked, method.DOP853)):
-        raise InputError(f"engine 'pinocchio' integrates by DOP853 only, not {asked!r}")
-    rtol, atol = scene.tolerance if asked is None else (asked.rtol, asked.atol)
-    longest = np.inf if asked is None else asked.max_step
-    most = MOST_STEPS if asked is None else asked.max_steps
+    rtol, atol = scene.tolerance
 
     def run(start: float, end: float, y0: Array) -> Piece:
         if y0.size == 0:  # one body that only translates: all of its motion is known
             empty = np.array([start, end])
             return Piece(empty, lambda t: np.empty((len(t), 0)), flow.numbers.copy(), 0, 0)
-        solver = DOP853(flow.rate, start, y0, end, rtol=rtol, atol=atol, max_step=longest)
+        solver = DOP853(flow.rate, start, y0, end, rtol=rtol, atol=atol)
         knots: list[float] = [start]
         pieces: list[DenseOutput] = []
         while solver.status == "running":
-            if len(pieces) >= most:
+            if len(pieces) >= MOST_STEPS:
                 raise IntegrationError(
-                    f"'{scene.system.name}' took {most} steps to t = {solver.t:g} s of "
+                    f"'{scene.system.name}' took {MOST_STEPS} steps to t = {solver.t:g} s of "
                     f"{scene.end:g} s; shorten the scene or loosen the tolerance"
                 )
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is caught below

@@ -1,0 +1,134 @@
+"""Each rule of what is skipped: on a scene where it applies, and on one where it almost does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from trees import random_model
+
+import pinred
+from pinred.arrays import Array
+from pinred.engine.flow import CompiledFlow
+from pinred.flow import ReducedFlow
+from pinred.force import Force
+from pinred.forces import PD, Damper, PotentialEnergy, Spring, Torque, Wrench
+from pinred.full_state import FullState
+from pinred.signals import Expression, Fourier
+
+
+def sizes(scene: pinred.Scene) -> tuple[int, int]:
+    """Numbers that the compiled engine and the Pinocchio route integrate."""
+    return len(CompiledFlow(scene).y0), len(ReducedFlow(scene).y0)
+
+
+def by_aba(scene: pinred.Scene) -> Array:
+    """The shape at the report times, (T, m), by ABA on the full state."""
+    full, start = FullState(scene), scene.start
+    y0 = full.state(start.pose, start.x, start.xi, start.xdot)
+    return full.run(y0, scene.report_times, 1e-12, 1e-14).x
+
+
+# Numbers of the base that are integrated with momentum, without, and what they are with the base.
+BASES = {"R": (0, 0, 0), "SO2": (0, 0, 1), "SE2": (0, 0, 1), "SO3": (3, 0, 4), "SE3": (3, 0, 4)}
+
+
+@pytest.mark.parametrize("group", BASES)
+def test_the_base_is_left_out(group: str) -> None:
+    """Three numbers μ for the quaternion, none in the plane or at zero momentum; the same shape."""
+    system = pinred.load(random_model(group, 3, 21))
+    moving, still, whole = BASES[group]
+    xdot0 = np.array([0.5, -0.4, 0.3])
+    for start, base in (({"xi0": np.full(system.r, 0.4)}, moving), ({"momentum": 0}, still)):
+        options: dict[str, Any] = {"system": system, "xdot0": xdot0, "duration": 1.0, **start}
+        scene = pinred.Scene(outputs="shape", **options)
+        shape = 6 - len(CompiledFlow(scene).kernel.layout.cyclic)
+        assert sizes(scene) == (shape + base, 6 + base)
+        assert sizes(pinred.Scene(**options)) == (shape + whole, 6 + whole)
+        for engine in ("compiled", "pinocchio"):
+            traj = pinred.simulate(scene, engine=engine)
+            np.testing.assert_allclose(traj.x, by_aba(scene), rtol=0, atol=1e-8)
+            assert np.ptp(traj.energy) < 1e-8 * max(1.0, abs(traj.energy[0]))
+            with pytest.raises(pinred.InputError, match="outputs='shape'"):
+                _ = traj.pose
+            with pytest.raises(pinred.InputError, match="outputs='all'"):
+                pinred.compare(traj)
+
+
+def test_a_pivoted_base_is_left_out() -> None:
+    """Under gravity, μ and the direction of gravity stand for the attitude: 6 for 4 + 3."""
+    model = random_model("SO3", 2, 3)
+    model.gravity.linear = np.array([1.0, -2.0, 9.0])
+    system = pinred.load(model)
+    scene = pinred.Scene(system=system, seed=1, duration=1.0, outputs="shape")
+    assert sizes(scene) == (10, 10)
+    assert sizes(pinred.Scene(system=system, seed=1)) == (11, 11)
+    for engine in ("compiled", "pinocchio"):
+        traj = pinred.simulate(scene, engine=engine)
+        np.testing.assert_allclose(traj.x, by_aba(scene), rtol=0, atol=1e-8)
+
+
+def test_files_of_a_shape(tmp_path: Path) -> None:
+    """What is saved is what was asked for."""
+    traj = pinred.simulate(pinred.load("falling_cat"), duration=0.5, outputs="shape")
+    for suffix in ("npz", "csv"):
+        traj.save(tmp_path / f"traj.{suffix}")
+    found = np.load(tmp_path / "traj.npz")
+    np.testing.assert_array_equal(found["x"], traj.x)
+    assert "pose" not in found
+    table = np.genfromtxt(tmp_path / "traj.csv", delimiter=",", names=True)
+    np.testing.assert_array_equal(table["energy"], traj.energy)
+
+
+def test_time_is_integrated_only_where_it_counts() -> None:
+    """A constant torque needs no clock, one that depends on time does."""
+    system = pinred.load("falling_cat")
+    joint = system.shape_names[0]
+    for force, clock in (
+        (Torque({joint: 0.2}), 0),
+        (Torque({joint: Expression("0.2 + 0*t")}), 0),
+        (Torque({joint: Fourier(0.1, [0.2], [0.0], 1.0)}), 1),
+        (Torque(lambda t, *_: [0.1 * ca.sin(t), 0.0, 0.0]), 1),
+        (Torque(lambda _, x, *__: [0.1 * x[1], 0.0, 0.0]), 0),
+    ):
+        flow = CompiledFlow(pinred.Scene(system=system, seed=1, forces=[force]))
+        assert flow.kernel.layout.clock == clock
+
+
+WHEELS = ("wheel_x", "wheel_y", "wheel_z")
+
+
+@pytest.mark.parametrize(
+    ("force", "cyclic"),
+    [
+        (Damper("wheel_x", 0.1), ("wheel_y", "wheel_z")),
+        (Torque({"wheel_y": 0.01}), ("wheel_x", "wheel_z")),
+        (PD({"wheel_z": 0.3}, 1.0, 0.1), ("wheel_x", "wheel_y")),
+        (Spring("wheel_x", 0.1), ("wheel_y", "wheel_z")),
+        (PotentialEnergy(lambda x: ca.cos(x[1] - x[2])), ("wheel_z",)),
+        # What depends on the rate of a wheel, not on its angle, leaves it cyclic.
+        (Torque(lambda _, __, xdot, ___: {"panel_hinge": -0.1 * xdot[1]}), WHEELS),
+        (Damper("panel_hinge", 0.3), WHEELS),
+        (Wrench([0.1, 0.0, 0.0, 0.0, 0.0, 0.02]), WHEELS),
+    ],
+)
+def test_cyclic_joints_among_forces(force: Force, cyclic: tuple[str, ...]) -> None:
+    """A force that acts on a wheel, or looks at its angle, makes it act; others do not."""
+    system = pinred.load("reaction_wheel_satellite")
+    scene = pinred.Scene(system=system, duration=1.0, forces=[force])
+    layout = CompiledFlow(scene).kernel.layout
+    assert tuple(system.shape_names[k] for k in layout.cyclic) == cyclic
+    report = pinred.compare(pinred.simulate(scene))
+    assert report.passed, str(report)
+
+
+def test_almost_no_gravity() -> None:
+    """Gravity counts on a pivot as soon as it is there at all, and not before."""
+    model = random_model("SO3", 1, 4)
+    for g, turned in ((0.0, 0), (1e-9, 3), (9.81, 3)):
+        system = pinred.load(model, gravity=(0.0, 0.0, -g))
+        parts = CompiledFlow(pinred.Scene(system=system, seed=0)).kernel.layout.base
+        assert parts.momentum == turned
