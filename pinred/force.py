@@ -138,9 +138,10 @@ def of_time(value: Any, s: Symbols, number: Callable[[float], Any], what: str) -
     if isinstance(value, Signal):
         return value.casadi(s.t, s.within)
     try:
-        return number(float(value))
+        value = float(value)
     except (TypeError, ValueError):
         raise InputError(f"{what} must be a Signal or a number, got {value!r}") from None
+    return number(finite(value, what))
 
 
 def signals_in(values: Iterable[Any]) -> list[Signal]:

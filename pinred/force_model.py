@@ -90,7 +90,7 @@ class ForceModel:
         acted: set[int] = set()
         for force in sorted(forces, key=lambda force: force.last):
             if force.last:
-                if any(other.last for other in forces if other is not force):
+                if sum(other.last for other in forces) > 1:
                     raise InputError(f"{force.label}: only one force may know all the others")
                 others = ca.sum2(torques) - ca.gradient(potential, s.x)
                 known = dict(zip(self.joints, ca.vertsplit(xddot), strict=True))
