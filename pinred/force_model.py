@@ -14,6 +14,7 @@ from .arrays import Array, as_floats, freeze
 from .errors import InputError
 from .force import Force, Symbols, Terms
 from .forces import Controller, Damper, Spring
+from .numeric import Numeric
 from .signals import Signal
 from .system import System
 
@@ -114,8 +115,11 @@ class ForceModel:
         wrench = ca.sum2(wrenches)
         self.prescribed_function = _function("prescribed", [s.t, p], [x, xdot, xddot])
         self.acting_function = _function("acting", state, [torque, wrench])
-        self._each = _function("each", state, [torques, wrenches])
+        self._acting = Numeric(self.acting_function)
+        self._prescribed = Numeric(self.prescribed_function)
+        self._each = Numeric(_function("each", state, [torques, wrenches]))
         self.potential_function = _function("potential", [s.x, p], [potential])
+        self._potential = Numeric(self.potential_function)
         everything = ca.vertcat(torque, wrench)
         depends = ca.which_depends(ca.vertcat(everything, potential), s.x, 1) if m else []
         self.touched = acted | set(self.joints) | {k for k in range(m) if depends[k]}
@@ -127,13 +131,12 @@ class ForceModel:
         self, t: float, x: Array, xdot: Array, xi: Array, mu: Array, numbers: Array
     ) -> Acting:
         """Return what acts at one state; arguments as in Symbols, numbers (p,)."""
-        torque, wrench = self.acting_function(t, x, xdot, xi, mu, numbers)
-        return Acting(torque.full().ravel(), wrench.full().ravel())
+        torque, wrench = self._acting(t, x, xdot, xi, mu, numbers)
+        return Acting(torque[:, 0], wrench[:, 0])
 
     def prescribed(self, t: float, numbers: Array) -> Prescribed:
         """Return the motion of the prescribed joints at a time."""
-        found = self.prescribed_function(t, numbers)
-        return Prescribed(*(value.full().ravel() for value in found))
+        return Prescribed(*(value[:, 0] for value in self._prescribed(t, numbers)))
 
     def breaks(self, end: float) -> Array:
         """Return the times before `end` at which a function of time is not smooth, sorted [s]."""
@@ -150,7 +153,8 @@ class ForceModel:
 
     def potential(self, x: Array, numbers: Array) -> float:
         """Return V(x) of the forces that have a potential [J]."""
-        return float(self.potential_function(x, numbers))
+        (value,) = self._potential(x, numbers)
+        return float(value[0, 0])
 
     def powers(
         self, t: float, x: Array, xdot: Array, xi: Array, mu: Array, numbers: Array, twist: Array
@@ -160,7 +164,7 @@ class ForceModel:
         twist: (r,) body twist of the base, not only relative to the centre of mass.
         """
         torques, wrenches = self._each(t, x, xdot, xi, mu, numbers)
-        return np.asarray(torques.full().T @ xdot + wrenches.full().T @ twist)
+        return np.asarray(torques.T @ xdot + wrenches.T @ twist)
 
     def _number(self, value: float) -> ca.SX:
         self._values.append(value)

@@ -105,6 +105,8 @@ class FullState:
         pin.computeJointJacobians(self._model, self._data, pin.neutral(self._model))
         self._axes = np.array(self._data.joints[1].S).reshape(6, self._r)
         self._driven = [] if self._forces is None else list(self._forces.joints)
+        self._fixed = self._r + np.array(self._driven, dtype=np.intp)
+        self._free = np.setdiff1d(np.arange(system.n), self._fixed)
 
     def state(self, pose: Array, x: Array, xi: Array, xdot: Array) -> Array:
         """Return y for a pose, shape, body twist and shape rate."""
@@ -205,8 +207,7 @@ class FullState:
         upper = pin.crba(self._model, self._data, q)
         H = np.triu(upper) + np.triu(upper, 1).T
         bias = pin.nonLinearEffects(self._model, self._data, q, v)
-        driven = self._r + np.array(self._driven)
-        free = np.setdiff1d(np.arange(len(v)), driven)
+        free, driven = self._free, self._fixed
         a = np.empty(len(v))
         a[driven] = given
         rest = (tau - bias)[free] - H[np.ix_(free, driven)] @ given
