@@ -63,7 +63,7 @@ class Scene:
     rtol: float = 1e-10
     atol: float = 1e-12
     springs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    forces: Sequence[Force] = ()
+    forces: Sequence[Force] | Force = ()
     prescribed: Mapping[str, Signal] = field(default_factory=dict)
     outputs: Literal["all", "shape"] = "all"
     method: Method | None = None

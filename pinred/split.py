@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_triangular
 
 from .arrays import Array, freeze, vector
 from .errors import SingularInertiaError
@@ -75,7 +74,8 @@ def split_inertia(system: System, x: Array, H: Array, com: Array) -> InertiaSpli
         mass_matrix=H,
         locked_inertia=H[:r, :r].copy(),
         # H = L Lᵀ by blocks: I = L₁₁L₁₁ᵀ, A = L₁₁⁻ᵀ L₂₁ᵀ, and M = L₂₂L₂₂ᵀ loses no digits.
-        local_connection=np.asarray(solve_triangular(L[:r, :r].T, L[r:, :r].T, lower=False)),
+        # (SciPy's triangular solver starts threads even for these few numbers.)
+        local_connection=np.asarray(np.linalg.solve(L[:r, :r].T, L[r:, :r].T)),
         reduced_metric=L[r:, r:] @ L[r:, r:].T,
         com=com,
     )
