@@ -98,6 +98,17 @@ class Force(ABC):
         return ()
 
 
+class Named(Force):
+    """A force with a name of its own."""
+
+    name: str
+
+    @property
+    def label(self) -> str:
+        """Its name."""
+        return self.name
+
+
 @dataclass(frozen=True)
 class Limit:
     """Bounds on torques.  most: [N·m | N], of all joints or by name.  smooth: tanh, not a kink."""

@@ -17,6 +17,7 @@ from .arrays import Array, as_floats, positive
 from .errors import InputError
 from .force import (
     Force,
+    Named,
     PerJoint,
     Reference,
     Symbols,
@@ -92,16 +93,11 @@ class Damper(Force):
 
 
 @dataclass(frozen=True)
-class PotentialEnergy(Force):
+class PotentialEnergy(Named):
     """Any V(x) [J].  function: from x, an SX of (m,), to a scalar SX; called once."""
 
     function: Callable[[Any], Any]
     name: str = "potential"
-
-    @property
-    def label(self) -> str:
-        """Its name."""
-        return self.name
 
     def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:  # noqa: ARG002
         """Return the potential."""
@@ -109,7 +105,7 @@ class PotentialEnergy(Force):
 
 
 @dataclass(frozen=True)
-class Torque(Force):
+class Torque(Named):
     """Torques at the joints, τ(t, x, ẋ, μ) [N·m | N].
 
     function: (t, x, xdot, mu) → {joint: expression} or m expressions, called once with SX
@@ -119,11 +115,6 @@ class Torque(Force):
     function: Action | Mapping[str, Action | Signal | float]
     limit: Limit | None = None
     name: str = "torque"
-
-    @property
-    def label(self) -> str:
-        """Its name."""
-        return self.name
 
     @property
     def signals(self) -> Iterable[Signal]:
@@ -144,7 +135,7 @@ class Torque(Force):
 
 
 @dataclass(frozen=True)
-class PD(Force):
+class PD(Named):
     """τ = kp (x_d − x) + kd (ẋ_d − ẋ) at the joints of the reference.
 
     reference: {joint: Signal or number}.  kp, kd: of all these joints, or by name.
@@ -155,11 +146,6 @@ class PD(Force):
     kd: PerJoint
     limit: Limit | None = None
     name: str = "pd"
-
-    @property
-    def label(self) -> str:
-        """Its name."""
-        return self.name
 
     @property
     def signals(self) -> Iterable[Signal]:
@@ -179,7 +165,7 @@ class PD(Force):
 
 
 @dataclass(frozen=True)
-class ComputedTorque(Force):
+class ComputedTorque(Named):
     """Torques that make every joint follow its reference exactly, whatever else acts on it.
 
     ẍ = ẍ_d + kd (ẋ_d − ẋ) + kp (x_d − x) by inverse dynamics on the reduced system; a wrench
@@ -193,11 +179,6 @@ class ComputedTorque(Force):
     limit: Limit | None = None
     name: str = "computed torque"
     last: ClassVar[bool] = True
-
-    @property
-    def label(self) -> str:
-        """Its name."""
-        return self.name
 
     @property
     def signals(self) -> Iterable[Signal]:
@@ -224,7 +205,7 @@ class ComputedTorque(Force):
 
 
 @dataclass(frozen=True)
-class Wrench(Force):
+class Wrench(Named):
     """A wrench on the base at its origin, in its own frame: thrusters.  [linear; angular].
 
     function: (t, x, xdot, mu) → r expressions, called once; or r entries, each a Signal, a
@@ -233,11 +214,6 @@ class Wrench(Force):
 
     function: Action | Sequence[Action | Signal | float]
     name: str = "wrench"
-
-    @property
-    def label(self) -> str:
-        """Its name."""
-        return self.name
 
     @property
     def signals(self) -> Iterable[Signal]:
@@ -257,7 +233,7 @@ class Wrench(Force):
 
 
 @dataclass(frozen=True)
-class Controller(Force):
+class Controller(Named):
     """Torques from any Python function, called every `period` seconds and held in between.
 
     function: (t, x, xdot, mu), numbers of Symbols' meaning, → {joint: torque} or m torques.
@@ -274,11 +250,6 @@ class Controller(Force):
         object.__setattr__(self, "period", positive(self.period, f"the period of {self.name}"))
         if self.joints is not None:
             object.__setattr__(self, "joints", tuple(self.joints))
-
-    @property
-    def label(self) -> str:
-        """Its name."""
-        return self.name
 
     def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
         """Return the torques that are held: numbers that are set anew at every sample."""
