@@ -12,6 +12,7 @@ from .cyclic import cyclic_joints
 from .errors import SymmetryError
 from .explanation import reduced_size, skipped
 from .joints import is_prismatic
+from .potential import pivot_weight
 from .reduction import ReducedShape, Reduction
 from .scene import Scene
 from .system import System, checked_system
@@ -98,6 +99,8 @@ def _symmetries(system: System, cyclic: tuple[str, ...], broken: str) -> list[st
         "SO3": "angular momentum about the pivot",
         "SE3": "momentum and angular momentum about the centre of mass",
     }
+    if pivot_weight(system).any():  # what is left of SO(3) is turning about the vertical
+        kept["SO3"] = "angular momentum about the direction of gravity through the pivot"
     lines = [f"{system.group.name}: conserves {kept[system.group.name]}"]
     if cyclic:
         lines.append(f"cyclic joints, whose momentum is constant: {', '.join(cyclic)}")

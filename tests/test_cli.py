@@ -71,6 +71,15 @@ def test_inspect(capsys: pytest.CaptureFixture[str]) -> None:
     assert seen.reduced_size == 4 + 2 + 3
 
 
+def test_inspect_a_pivot_in_gravity(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of SO(3), turning about the vertical is left, and the text says so."""
+    arguments = ("inspect", "coupled_spatial", "--group", "SO3", "--gravity", "0,0,-9.81")
+    code, out, _ = run(capsys, *arguments)
+    assert code == 0
+    assert "conserves angular momentum about the direction of gravity" in out
+    assert "integrated  16 → 13 numbers" in out
+
+
 def test_inspect_where_gravity_breaks_the_symmetry(capsys: pytest.CaptureFixture[str]) -> None:
     """Inspect still shows the split and says what is broken."""
     code, out, _ = run(capsys, "inspect", "double_spherical_pendulum", "--gravity", "1,0,0")

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..arrays import Array
+from ..arrays import Array, read_only
 from ..errors import IntegrationError, NonFiniteState, StepSizeUnderflow, TooManySteps
 from ..integrators.drive import integrate_checked
 from ..integrators.many import STATUS
@@ -54,6 +54,7 @@ def integrate_many(flows: CompiledFlows, scene: Scene, threads: int | None) -> M
 
 
 _prepared = False
+_NO_TIMES = read_only(np.empty(0))
 
 
 def prepare(flow: CompiledFlow, scene: Scene) -> None:
@@ -87,8 +88,9 @@ def solve(flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | 
     def run(start: float, end: float, y0: Array) -> Piece:
         # The integrators' time begins at 0; what depends on the time has it in its state.
         whole = start == 0.0 and end == scene.end
-        times = asked if whole else np.empty(0)
-        parameters = flow.parameters.copy()
+        # Read-only as ever: to numba an array that is not is of another type.
+        times = asked if whole else _NO_TIMES
+        parameters = read_only(flow.parameters.copy())
         done = progress and (lambda part: progress((start + part * (end - start)) / scene.end))
         y0 = y0 if y0.size else np.zeros(1)
         try:
