@@ -22,6 +22,8 @@ from .force import (
     Symbols,
     Terms,
     between,
+    checked,
+    checked_reference,
     entries,
     limited,
     motions,
@@ -56,6 +58,8 @@ class Spring(Force):
         """Return the potential."""
         length = s.x[s.joint(self.joint, self.label)]
         if self.to is not None:
+            if self.to == self.joint:
+                raise InputError(f"{self.label}: both ends are the same joint")
             length = length - s.x[s.joint(self.to, self.label)]
         stretch = length - number(self.rest)
         return Terms(potential=0.5 * number(self.stiffness) * stretch * stretch)
@@ -96,6 +100,9 @@ class PotentialEnergy(Force):
     function: Callable[[Any], Any]
     name: str = "potential"
 
+    def __post_init__(self) -> None:
+        checked(self.name, "a function of x", self.function)
+
     @property
     def label(self) -> str:
         """Its name."""
@@ -117,6 +124,10 @@ class Torque(Force):
     function: Callable[[Any, Any, Any, Any], Any] | Reference
     limit: Limit | None = None
     name: str = "torque"
+
+    def __post_init__(self) -> None:
+        wanted = "a function of (t, x, xdot, mu) or {joint: Signal or number}"
+        checked(self.name, wanted, self.function, Mapping)
 
     @property
     def label(self) -> str:
@@ -153,6 +164,9 @@ class PD(Force):
     kd: PerJoint
     limit: Limit | None = None
     name: str = "pd"
+
+    def __post_init__(self) -> None:
+        checked_reference(self.reference, self.name)
 
     @property
     def label(self) -> str:
@@ -191,6 +205,9 @@ class ComputedTorque(Force):
     limit: Limit | None = None
     name: str = "computed torque"
     last: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        checked_reference(self.reference, self.name)
 
     @property
     def label(self) -> str:
@@ -231,6 +248,10 @@ class Wrench(Force):
     function: Callable[[Any, Any, Any, Any], Any] | Sequence[Signal | float]
     name: str = "wrench"
 
+    def __post_init__(self) -> None:
+        wanted = "a function of (t, x, xdot, mu) or a list of Signals or numbers"
+        checked(self.name, wanted, self.function, Sequence, np.ndarray)
+
     @property
     def label(self) -> str:
         """Its name."""
@@ -269,8 +290,14 @@ class Controller(Force):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "period", positive(self.period, f"the period of {self.name}"))
-        if self.joints is not None:
-            object.__setattr__(self, "joints", tuple(self.joints))
+        checked(self.name, "a function of (t, x, xdot, mu)", self.function)
+        if self.joints is None:
+            return
+        if isinstance(self.joints, str) or not isinstance(self.joints, Sequence):
+            raise InputError(f"joints of {self.name} must be a list of names, got {self.joints!r}")
+        object.__setattr__(self, "joints", tuple(self.joints))
+        if len(set(self.joints)) < len(self.joints):
+            raise InputError(f"joints of {self.name} must differ, got {', '.join(self.joints)}")
 
     @property
     def label(self) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from .arrays import Array, as_floats
 from .errors import InputError, IntegrationError, ShapeError
+from .motion import stops_of
 from .scene import Scene
 from .simulation import as_scene
 from .state import ShapeState, State, with_base
@@ -88,11 +89,29 @@ def simulate_many(
 
     The numbers are bit for bit those of `simulate` one at a time.  A member that fails is
     reported in `failures` and disturbs no other.
-    Raises InputError or ShapeError for scenes that make no sense.
+    Raises InputError or ShapeError for scenes that make no sense, and for those that have
+    to be integrated in pieces: with controllers, or tables that have breaks.
     """
     checked_system(system, "simulate_many")
     scenes = [as_scene(system, each, "simulate_many") for each in _members(options, seeds)]
+    if scenes:
+        _refuse_stops(scenes[0])
     return _run(scenes, threads)
+
+
+def _refuse_stops(scene: Scene) -> None:
+    """Raise InputError if a scene has to be integrated in pieces."""
+    forces = scene.force_model
+    if forces is not None and forces.held:
+        what = f"{forces.held[0][0].name} has to be called every {forces.held[0][0].period:g} s"
+    elif len(stops_of(scene)) > 1:
+        what = f"a function of time is not smooth at t = {stops_of(scene)[0]:g} s"
+    else:
+        return
+    raise InputError(
+        f"simulate_many integrates from start to end at once, but {what}; simulate one at a "
+        "time, or use functions of time without breaks (Fourier, Expression)"
+    )
 
 
 def _members(options: dict[str, Any], seeds: Sequence[int] | None) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -27,7 +28,7 @@ def kinematics(model: pin.Model) -> Callable[[Array, Array], Array]:
 
     def of(kind: str, p: Array, w: Array) -> Array:
         if len(p) == len(w):
-            return w
+            return np.asarray(w)
         if len(p) == 2:
             return w[0] * np.array([-p[1], p[0]])
         if kind == "JointModelPlanar":
@@ -51,7 +52,7 @@ def integrate(
     rtol: float = 1e-12,
     stops: tuple[float, ...] = (),
 ) -> tuple[Array, Array]:
-    """q (T, nq) and v (T, nv) at times (T,), by ABA with torques tau(t, q, v).
+    """Return q (T, nq) and v (T, nv) at times (T,), by ABA with torques tau(t, q, v).
 
     stops: times at which the torques jump; they are called with times between two stops only,
     so that no step sees the other side.
@@ -64,7 +65,7 @@ def integrate(
 
     ends = [0.0, *(s for s in stops if 0.0 < s < times[-1]), float(times[-1])]
     y, rows = np.concatenate([q0, v0]), np.empty((len(times), nq + model.nv))
-    for a, b in zip(ends[:-1], ends[1:], strict=True):
+    for a, b in pairwise(ends):
         inside = (times >= a) & (times <= b)
         middle = 1e-9 * (b - a)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import aba
 import numpy as np
 import pinocchio as pin
@@ -17,7 +19,7 @@ import pinred
 from pinred.arrays import Array
 from pinred.engine.flow import CompiledFlow
 from pinred.flow import ReducedFlow
-from pinred.simulation import ENGINES
+from pinred.simulation import ENGINES, Engine
 
 MASS, ARM, G = 2.0, 0.3, 9.81
 C = 0.05  # about the axis
@@ -26,7 +28,7 @@ TORQUE = MASS * G * ARM
 E3 = np.array([0.0, 0.0, 1.0])
 
 
-def top(**options: object) -> pinred.System:
+def top() -> pinred.System:
     """Lagrange's top on a spherical joint."""
     model = pin.Model()
     model.name = "top"
@@ -48,7 +50,7 @@ def axis(pose: Array) -> Array:
 
 
 def cubic(theta: float, xi: Array) -> tuple[np.polynomial.Polynomial, Array]:
-    """f with u̇² = f(u), u = cos θ, and its roots; Goldstein, Classical Mechanics, §5.7."""
+    """The f of u̇² = f(u), u = cos θ, and its roots; Goldstein, Classical Mechanics, §5.7."""
     u, P = np.cos(theta), np.polynomial.Polynomial
     R = pin.Quaternion(tilted(theta)).matrix()
     spin, upward = C * xi[2], (R @ (np.array([A, A, C]) * xi))[2]
@@ -59,8 +61,8 @@ def cubic(theta: float, xi: Array) -> tuple[np.polynomial.Polynomial, Array]:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_nutation(engine: str) -> None:
-    """cos θ runs between two roots of the cubic, in the period that the cubic gives."""
+def test_nutation(engine: Engine) -> None:
+    """The height cos θ runs between two roots of the cubic, in the period that the cubic gives."""
     theta, xi = 0.6, np.array([0.8, -0.5, 30.0])
     system = top()
     traj = pinred.simulate(
@@ -101,7 +103,7 @@ def test_nutation(engine: str) -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize("theta", [0.4, 2.2])
-def test_steady_precession(theta: float, sign: float, engine: str) -> None:
+def test_steady_precession(theta: float, sign: float, engine: Engine) -> None:
     """A Ω² cos θ − C ω3 Ω + m g l = 0: the slow and the fast rate, above and below the pivot."""
     spin = 60.0
     root = np.sqrt((C * spin) ** 2 - 4 * A * TORQUE * np.cos(theta))
@@ -131,9 +133,10 @@ def test_sleeping_top(part: float) -> None:
 
 def test_without_the_base() -> None:
     """outputs="shape" integrates μ and Γ, 6 numbers for 7, and they are Rᵀ of J and gravity."""
-    xi, options = np.array([0.8, -0.5, 30.0]), {"rtol": 1e-12, "duration": 2.0}
-    every = pinred.simulate(top(), pose0=tilted(0.6), xi0=xi, **options)
-    scene = pinred.Scene(system=top(), pose0=tilted(0.6), xi0=xi, outputs="shape", **options)
+    scene = pinred.Scene(
+        system=top(), pose0=tilted(0.6), xi0=[0.8, -0.5, 30.0], rtol=1e-12, duration=2.0
+    )
+    every, scene = pinred.simulate(scene), replace(scene, outputs="shape")
     assert CompiledFlow(scene).y0.size == ReducedFlow(scene).y0.size == 6
     for engine in ENGINES:
         part = pinred.simulate(scene, engine=engine)
@@ -158,7 +161,7 @@ def test_gravity_too_small_to_square_is_none() -> None:
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("name", ["cartpole", "double_spherical_pendulum"])
-def test_shapes_under_gravity(name: str, engine: str) -> None:
+def test_shapes_under_gravity(name: str, engine: Engine) -> None:
     """A cart-pole across gravity, pendulums about the vertical: a potential on the shape."""
     system = pinred.load(name)
     traj = pinred.simulate(system, duration=3.0, engine=engine)
