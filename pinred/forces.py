@@ -220,13 +220,17 @@ class ComputedTorque(Force):
         return signals_in(self.reference.values())
 
     def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
-        """Return the torques.  Raises InputError if a joint has no reference."""
+        """Return the torques.  Raises InputError if a joint that moves has no reference."""
         from .engine.inverse import required_torque  # heavy to import
 
         wanted = motions(self.reference, s, number, self.name)
         missing = [k for k in range(len(s.names)) if k not in {*wanted, *s.accelerations}]
         if missing:
             raise InputError(f"{self.name} has no reference for joint '{s.names[missing[0]]}'")
+        if driven := [k for k in wanted if k in s.accelerations]:
+            raise InputError(
+                f"{self.name} has a reference for '{s.names[driven[0]]}', which is prescribed"
+            )
         kp = per_joint(self.kp, wanted, s, f"kp of {self.name}")
         kd = per_joint(self.kd, wanted, s, f"kd of {self.name}")
         accelerations = dict(s.accelerations)

@@ -30,7 +30,7 @@ def kinematics(model: pin.Model) -> Callable[[Array, Array], Array]:
         if len(p) == len(w):
             return np.asarray(w)
         if len(p) == 2:
-            return w[0] * np.array([-p[1], p[0]])
+            return np.array([-p[1] * w[0], p[0] * w[0]])
         if kind == "JointModelPlanar":
             c, s = p[2:]
             return np.array([c * w[0] - s * w[1], s * w[0] + c * w[1], -s * w[2], c * w[2]])

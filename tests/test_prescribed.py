@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import aba
 import casadi as ca
 import numpy as np
@@ -149,10 +151,15 @@ def test_driving_torques(group: str, seed: int, joints: int, data: st.DataObject
         Spring(names[0], 2.0, 0.3),
         Damper(names[-1], 0.4),
         Torque(lambda t, x, *_: {names[0]: ca.cos(3 * t) * x[-1]}),
-        Wrench(push),
+        Wrench(push.tolist()),
     ]
     plan = {names[k]: wave(k) for k in driven}
-    options = {"seed": seed % 50, "prescribed": plan, "forces": forces, "duration": 0.5}
+    options: dict[str, Any] = {
+        "seed": seed % 50,
+        "prescribed": plan,
+        "forces": forces,
+        "duration": 0.5,
+    }
     traj = pinred.simulate(system, times=[0.0, 0.2, 0.5], **options)
     other = pinred.simulate(system, times=[0.0, 0.2, 0.5], engine="pinocchio", **options)
     for t, time in enumerate(traj.t):
