@@ -148,11 +148,7 @@ def of_time(value: Any, s: Symbols, number: Callable[[float], Any], what: str) -
     """Return a Signal or a number as an expression.  Raises InputError naming `what`."""
     if isinstance(value, Signal):
         return value.casadi(s.t, s.within)
-    try:
-        value = float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{what} must be a Signal or a number, got {value!r}") from None
-    return number(finite(value, what))
+    return number(finite(value, what, "a Signal or a number"))
 
 
 def signals_in(values: Iterable[Any]) -> list[Signal]:
@@ -160,9 +156,25 @@ def signals_in(values: Iterable[Any]) -> list[Signal]:
     return [value for value in values if isinstance(value, Signal)]
 
 
+def checked(what: str, wanted: str, value: Any, *kinds: type) -> None:
+    """Refuse a value that is not callable, nor of some other kind.  Raises InputError."""
+    if not (callable(value) or isinstance(value, kinds)):
+        raise InputError(f"{what} must be {wanted}, got {value!r}")
+
+
+def checked_reference(reference: Any, what: str) -> None:
+    """Refuse what is not a mapping from joints to signals.  Raises InputError."""
+    if not isinstance(reference, Mapping):
+        raise InputError(f"{what} must have {{joint: Signal or number}}, got {reference!r}")
+
+
 def limited(limit: Limit | None, s: Symbols, torque: dict[int, Any], what: str) -> dict[int, Any]:
-    """Return torques within a limit, if there is one."""
-    return torque if limit is None else limit.apply(s, torque, what)
+    """Return torques within a limit, if there is one.  Raises InputError."""
+    if limit is None:
+        return torque
+    if not isinstance(limit, Limit):
+        raise InputError(f"limit of {what} must be a Limit, got {limit!r}")
+    return limit.apply(s, torque, what)
 
 
 def per_joint(values: PerJoint, joints: Iterable[int], s: Symbols, what: str) -> dict[int, float]:
@@ -177,12 +189,12 @@ def per_joint(values: PerJoint, joints: Iterable[int], s: Symbols, what: str) ->
     return {k: given[k] for k in joints}
 
 
-def finite(value: Any, what: str) -> float:
+def finite(value: Any, what: str, wanted: str = "a number") -> float:
     """Return a value as a finite number.  Raises InputError naming `what`."""
     try:
         number = float(value)
     except (TypeError, ValueError):
-        raise InputError(f"{what} must be a number, got {value!r}") from None
+        raise InputError(f"{what} must be {wanted}, got {value!r}") from None
     if not np.isfinite(number):
         raise InputError(f"{what} must be finite, got {number}")
     return number
@@ -227,4 +239,6 @@ def scalar(value: Any, what: str) -> Any:
         ) from None
     if out.numel() != 1:
         raise InputError(f"{what} must be one value, got shape {out.shape}")
+    if out.is_constant() and not np.isfinite(float(out)):
+        raise InputError(f"{what} must be finite, got {float(out)}")
     return ca.densify(out)

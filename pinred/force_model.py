@@ -98,6 +98,7 @@ class ForceModel:
                 s = replace(s, others=others, accelerations=known)
             first = len(self._values)
             terms = force.terms(s, self._number)
+            self._check_symbols(s, terms, force.label)
             if isinstance(force, Controller):
                 self.held.append((force, slice(first, len(self._values))))
             if terms.potential is not None:
@@ -165,6 +166,18 @@ class ForceModel:
         """
         torques, wrenches = self._each(t, x, xdot, xi, mu, numbers)
         return np.asarray(torques.T @ xdot + wrenches.T @ twist)
+
+    def _check_symbols(self, s: Symbols, terms: Terms, what: str) -> None:
+        """Raise InputError if there is a symbol in a force that is not one it was given."""
+        own = ca.vertcat(s.t, s.x, s.xdot, s.xi, s.mu, *self._names)
+        known = {symbol.element_hash() for symbol in ca.symvar(own)}
+        given = [terms.potential, *terms.torque.values(), *(terms.wrench or [])]
+        for symbol in ca.symvar(ca.SX(ca.vertcat(*(v for v in given if v is not None)))):
+            if symbol.element_hash() not in known:
+                raise InputError(
+                    f"{what} has a symbol '{symbol}' that is none of t, x, xdot and mu; "
+                    "use those that the function is given"
+                )
 
     def _number(self, value: float) -> ca.SX:
         self._values.append(value)

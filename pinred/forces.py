@@ -23,6 +23,8 @@ from .force import (
     Symbols,
     Terms,
     between,
+    checked,
+    checked_reference,
     entries,
     limited,
     motions,
@@ -59,6 +61,8 @@ class Spring(Force):
         """Return the potential."""
         length = s.x[s.joint(self.joint, self.label)]
         if self.to is not None:
+            if self.to == self.joint:
+                raise InputError(f"{self.label}: both ends are the same joint")
             length = length - s.x[s.joint(self.to, self.label)]
         stretch = length - number(self.rest)
         return Terms(potential=0.5 * number(self.stiffness) * stretch * stretch)
@@ -99,6 +103,9 @@ class PotentialEnergy(Named):
     function: Callable[[Any], Any]
     name: str = "potential"
 
+    def __post_init__(self) -> None:
+        checked(self.name, "a function of x", self.function)
+
     def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:  # noqa: ARG002
         """Return the potential."""
         return Terms(potential=scalar(self.function(s.x), f"V(x) of {self.name}"))
@@ -115,6 +122,10 @@ class Torque(Named):
     function: Action | Mapping[str, Action | Signal | float]
     limit: Limit | None = None
     name: str = "torque"
+
+    def __post_init__(self) -> None:
+        wanted = "a function of (t, x, xdot, mu) or {joint: Signal or number}"
+        checked(self.name, wanted, self.function, Mapping)
 
     @property
     def signals(self) -> Iterable[Signal]:
@@ -146,6 +157,9 @@ class PD(Named):
     kd: PerJoint
     limit: Limit | None = None
     name: str = "pd"
+
+    def __post_init__(self) -> None:
+        checked_reference(self.reference, self.name)
 
     @property
     def signals(self) -> Iterable[Signal]:
@@ -180,19 +194,26 @@ class ComputedTorque(Named):
     name: str = "computed torque"
     last: ClassVar[bool] = True
 
+    def __post_init__(self) -> None:
+        checked_reference(self.reference, self.name)
+
     @property
     def signals(self) -> Iterable[Signal]:
         """The functions of time in it."""
         return signals_in(self.reference.values())
 
     def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
-        """Return the torques.  Raises InputError if a joint has no reference."""
+        """Return the torques.  Raises InputError if a joint that moves has no reference."""
         from .engine.inverse import required_torque  # heavy to import
 
         wanted = motions(self.reference, s, number, self.name)
         missing = [k for k in range(len(s.names)) if k not in {*wanted, *s.accelerations}]
         if missing:
             raise InputError(f"{self.name} has no reference for joint '{s.names[missing[0]]}'")
+        if driven := [k for k in wanted if k in s.accelerations]:
+            raise InputError(
+                f"{self.name} has a reference for '{s.names[driven[0]]}', which is prescribed"
+            )
         kp = per_joint(self.kp, wanted, s, f"kp of {self.name}")
         kd = per_joint(self.kd, wanted, s, f"kd of {self.name}")
         accelerations = dict(s.accelerations)
@@ -214,6 +235,10 @@ class Wrench(Named):
 
     function: Action | Sequence[Action | Signal | float]
     name: str = "wrench"
+
+    def __post_init__(self) -> None:
+        wanted = "a function of (t, x, xdot, mu) or a list of Signals or numbers"
+        checked(self.name, wanted, self.function, Sequence, np.ndarray)
 
     @property
     def signals(self) -> Iterable[Signal]:
@@ -248,8 +273,14 @@ class Controller(Named):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "period", positive(self.period, f"the period of {self.name}"))
-        if self.joints is not None:
-            object.__setattr__(self, "joints", tuple(self.joints))
+        checked(self.name, "a function of (t, x, xdot, mu)", self.function)
+        if self.joints is None:
+            return
+        if isinstance(self.joints, str) or not isinstance(self.joints, Sequence):
+            raise InputError(f"joints of {self.name} must be a list of names, got {self.joints!r}")
+        object.__setattr__(self, "joints", tuple(self.joints))
+        if len(set(self.joints)) < len(self.joints):
+            raise InputError(f"joints of {self.name} must differ, got {', '.join(self.joints)}")
 
     def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
         """Return the torques that are held: numbers that are set anew at every sample."""

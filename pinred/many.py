@@ -104,7 +104,8 @@ def simulate_many(
 
     The numbers are bit for bit those of `simulate` one at a time.  A member that fails is
     reported in `failures` and disturbs no other.
-    Raises InputError or ShapeError for scenes that make no sense.
+    Raises InputError or ShapeError for scenes that make no sense, and for those that have
+    to be integrated in pieces: with controllers, or tables that have breaks.
     """
     checked_system(system, "simulate_many")
     common, varying, count = _members(options, seeds)
@@ -115,13 +116,24 @@ def simulate_many(
     if seeds is not None:
         first["seed"] = int(seeds[0])
     scene = as_scene(system, common | first, "simulate_many")
-    if len(stops_of(scene)) > 1:
-        raise InputError(
-            "simulate_many takes no controllers and no signals with breaks, for which an "
-            "integration stops; simulate the members one by one"
-        )
+    _refuse_stops(scene)
     given = _given(scene, varying, count) if seeds is None else _drawn(scene, seeds)
     return _run(scene, given, threads)
+
+
+def _refuse_stops(scene: Scene) -> None:
+    """Raise InputError if a scene has to be integrated in pieces."""
+    forces = scene.force_model
+    if forces is not None and forces.held:
+        what = f"{forces.held[0][0].name} has to be called every {forces.held[0][0].period:g} s"
+    elif len(stops_of(scene)) > 1:
+        what = f"a function of time is not smooth at t = {stops_of(scene)[0]:g} s"
+    else:
+        return
+    raise InputError(
+        f"simulate_many integrates from start to end at once, but {what}; simulate one at a "
+        "time, or use functions of time without breaks (Fourier, Expression)"
+    )
 
 
 def _members(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike
 
 from .arrays import Array, as_floats, positive, read_only, vector
 from .errors import InputError, ShapeError
+from .force import Force
 from .integrators.method import Method
 from .joints import is_prismatic
 from .start import Given, Start, start_of
 from .system import InitialState, System, checked_system
 
 if TYPE_CHECKING:
-    from .force import Force
     from .force_model import ForceModel
     from .signals import Signal
 
@@ -28,6 +28,7 @@ TIGHTEST = 1e-13  # relative tolerance; below it round-off decides the step
 # Momenta are integrated, and rates are wanted: where a light joint sits beside heavy ones, a
 # small part of a large momentum is a ten times larger part of the light joint's rate.
 MOMENTUM_MARGIN = 10.0
+MOST_SAMPLES = 1_000_000  # of one controller; each ends a run of the integrator
 _LEAST = 2.3e-14  # what SciPy's and our DOP853 take as relative tolerance
 
 
@@ -44,7 +45,8 @@ class Scene:
     per step, relative and absolute.  springs: {joint: (stiffness [N·m/rad | N/m], rest
     [rad | m])}, short for forces.Spring.  forces: what else acts (see pinred.forces).
     prescribed: {joint: Signal}, joints that follow a plan (see pinred.signals); their
-    entries in x0 and xdot0 are not read.  outputs: "all", or "shape" to leave out the base.
+    entries in x0 and xdot0 are not read, and torques on them only spare their drives that
+    much.  outputs: "all", or "shape" to leave out the base.
     method: an integrator of pinred.integrators with its own step or tolerance (DOP853 with
     rtol and atol).
 
@@ -139,6 +141,10 @@ class Scene:
             raise InputError(f"springs must be {{joint: (stiffness, rest)}}, got {self.springs!r}")
         if not isinstance(self.prescribed, Mapping):
             raise InputError(f"prescribed must be {{joint: Signal}}, got {self.prescribed!r}")
+        given = (self.forces,) if isinstance(self.forces, Force) else self.forces or ()
+        if not isinstance(given, Iterable):
+            raise InputError(f"forces must be a list of those of pinred.forces, got {given!r}")
+        object.__setattr__(self, "forces", tuple(given))
         if not (self.springs or self.forces or self.prescribed):
             object.__setattr__(self, "_forces", None)
             return
@@ -151,6 +157,12 @@ class Scene:
                 raise InputError(
                     f"{signal!r} is defined from {first:g} to {last:g} s, "
                     f"but the scene goes from 0 to {self.end:g} s"
+                )
+        for controller, _ in model.held:
+            if self.end / controller.period > MOST_SAMPLES:
+                raise InputError(
+                    f"a period of {controller.period:g} s would call {controller.name} more than "
+                    f"{MOST_SAMPLES} times in {self.end:g} s"
                 )
         object.__setattr__(self, "_forces", model)
 

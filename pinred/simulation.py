@@ -15,7 +15,7 @@ from .trajectory import Run, Trajectory
 
 Progress = Callable[[float], None]
 Engine = Literal["compiled", "pinocchio"]
-ENGINES = ("compiled", "pinocchio")
+ENGINES: tuple[Engine, ...] = ("compiled", "pinocchio")
 
 
 def simulate(

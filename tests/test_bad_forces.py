@@ -1,8 +1,9 @@
-"""What a scene's forces cannot be: every message names what was given and what can be."""
+"""Forces, plans and options that make no sense are refused with a message that says why."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -21,139 +22,182 @@ from pinred.forces import (
     Torque,
     Wrench,
 )
-from pinred.signals import Hold, Linear, Spline
+from pinred.signals import Expression, Fourier, Hold, Linear, Spline
 
 CAT = pinred.load("falling_cat")
-JOINT = CAT.shape_names[0]
-TEXT: Any = "sin(t)"
-LISTED = rf"no shape joint 'knee'; the joints are {', '.join(CAT.shape_names)}"
+A, B, C = CAT.shape_names
+WAVE = Fourier(0.0, [], [0.3], 1.0)
+NAN = float("nan")
 
 
-def scene(*forces: Any, **options: Any) -> pinred.Scene:
-    """A scene of the cat with these forces."""
-    return pinred.Scene(system=CAT, seed=0, forces=forces, **options)
+def law(value: Any) -> Callable[..., Any]:
+    """A function that gives the same whatever it is given."""
+    return lambda *_: value
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: scene(Spring("knee", 1.0)),
-        lambda: scene(Spring(JOINT, 1.0, to="knee")),
-        lambda: scene(Damper("knee", 1.0)),
-        lambda: scene(Damper(JOINT, 1.0, to="knee")),
-        lambda: scene(Torque({"knee": 1.0})),
-        lambda: scene(Torque(lambda *_: {"knee": 1.0})),
-        lambda: scene(Torque({JOINT: 1.0}, limit=Limit({"knee": 1.0}))),
-        lambda: scene(PD({"knee": 0.0}, 1.0, 1.0)),
-        lambda: scene(PD({JOINT: 0.0}, {"knee": 1.0}, 1.0)),
-        lambda: scene(Controller(lambda *_: [0.0], 0.1, joints=("knee",))),
-        lambda: scene(prescribed={"knee": Spline([0, 2], [0, 1])}),
-        lambda: pinred.Scene(system=CAT, seed=0, springs={"knee": (1.0, 0.0)}),
-    ],
-)
-def test_joints_that_are_not_there(make: Callable[[], pinred.Scene]) -> None:
-    """The joints that are there are listed."""
-    with pytest.raises(pinred.InputError, match=LISTED):
-        make()
+MX = ca.MX.sym("q")
+UNKNOWN = "no shape joint 'x'; the joints are bend, sway, twist"
+BAD: list[tuple[Callable[[], Any], str]] = [
+    (lambda: Spring("x", 1.0), f"spring x: {UNKNOWN}"),
+    (lambda: Spring(A, 1.0, to="x"), UNKNOWN),
+    (lambda: Spring(A, 1.0, to=A), "both ends are the same joint"),
+    (lambda: Spring(A, NAN), "stiffness of a spring bend must be finite"),
+    (lambda: Spring(A, "stiff"), "must be a number, got 'stiff'"),  # type: ignore[arg-type]
+    (lambda: Damper("x", 1.0), UNKNOWN),
+    (lambda: Damper(A, 1.0, to=A), "both ends are the same joint"),
+    (lambda: Damper(A, np.inf), "coefficient of a damper bend must be finite"),
+    (lambda: Torque({"x": 1.0}), UNKNOWN),
+    (lambda: Torque(law({"x": 1.0})), UNKNOWN),
+    (lambda: Torque({A: NAN}), r"torque\['bend'\] must be finite, got nan"),
+    (lambda: Torque(law([np.inf, 0, 0])), "torque at 'bend' must be finite, got inf"),
+    (lambda: Torque(law([0, 1])), "must give 3 values, gave 2"),
+    (lambda: Torque(law(None)), "must give 3 values"),
+    (lambda: Torque(law("abc")), "a CasADi SX expression, got str"),
+    (lambda: Torque(law([MX] * 3)), "a CasADi SX expression, got MX"),
+    (lambda: Torque(law({A: ca.SX.sym("z")})), "symbol 'z' that is none of t, x, xdot and mu"),
+    (lambda: Torque(3), "torque must be a function"),  # type: ignore[arg-type]
+    (lambda: Torque({A: 1.0}, limit=Limit(-1.0)), "finite and above zero, got -1"),
+    (lambda: Torque({A: 1.0}, limit=Limit({B: 1.0})), "the limit of torque has no value for"),
+    (lambda: Torque({A: 1.0}, limit=2.0), "must be a Limit, got 2.0"),  # type: ignore[arg-type]
+    (lambda: Torque({A: Linear([0, 0.1], [0, 1])}), "defined from 0 to 0.1 s, but the scene"),
+    (lambda: Torque({A: Hold([0.1], [0])}), "defined from 0.1 to inf s"),
+    (lambda: Torque({A: Expression("log(t-1)")}), "not finite at 80 of 80 random states"),
+    (lambda: PD({"x": 1.0}, 1.0, 1.0), UNKNOWN),
+    (lambda: PD({A: NAN}, 1.0, 1.0), r"pd\['bend'\] must be finite"),
+    (lambda: PD({A: 1.0, B: 0.0}, {A: 1.0}, 1.0), "kp of pd has no value for 'sway'"),
+    (lambda: PD({A: 1.0}, 1.0, NAN), "kd of pd must be finite"),
+    (lambda: PD(3.0, 1.0, 1.0), "pd must have {joint: Signal or number}"),  # type: ignore[arg-type]
+    (lambda: ComputedTorque({A: 1.0}, 1.0, 1.0), "no reference for joint 'sway'"),
+    (lambda: PotentialEnergy(law(None)), "got NoneType"),
+    (lambda: PotentialEnergy(law(NAN)), r"V\(x\) of potential must be finite"),
+    (lambda: PotentialEnergy(lambda x: x), "must be one value"),
+    (lambda: PotentialEnergy(3.0), "potential must be a function of x"),  # type: ignore[arg-type]
+    (lambda: Wrench([0.0] * 5), "wrench must give 6 values, gave 5"),
+    (lambda: Wrench([NAN] * 6), r"wrench\[0\] must be finite"),
+    (lambda: Wrench("abcdef"), "Signal or a number, got 'a'"),  # type: ignore[arg-type]
+    (lambda: Wrench(3.0), "wrench must be a function"),  # type: ignore[arg-type]
+    (lambda: Controller(law([0]), 0.1, ("x",)), UNKNOWN),
+    (lambda: Controller(law([0]), 0.0), "the period of controller must be finite and above zero"),
+    (lambda: Controller(law([0]), NAN), "the period of controller must be finite"),
+    (lambda: Controller(law([0]), 1e-13), "would call controller more than 1000000 times"),
+    (lambda: Controller(law([0]), 0.1, "bend"), "must be a list of names"),  # type: ignore[arg-type]
+    (lambda: Controller(law([0]), 0.1, (A, A)), "joints of controller must differ"),
+    (lambda: Controller(3, 0.1), "controller must be a function"),  # type: ignore[arg-type]
+    (lambda: "push", "forces must be those of pinred.forces, got 'push'"),
+    (lambda: Spring, "forces must be those of pinred.forces"),
+]
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: Spring(JOINT, float("nan")), "stiffness of a spring .* must be finite, got nan"),
-        (lambda: Damper(JOINT, TEXT), "coefficient .* must be a number, got 'sin.t.'"),
-        (lambda: scene(Damper(JOINT, 1.0, to=JOINT)), "both ends are the same joint"),
-        (lambda: scene(PotentialEnergy(lambda x: x)), r"must be one value, got shape \(3, 1\)"),
-        (lambda: scene(PotentialEnergy(lambda _: None)), r"V\(x\) of potential must be a number"),
-        (lambda: scene(PotentialEnergy(lambda _: ca.MX.sym("y"))), "SX expression, got MX"),
-        (lambda: scene(Torque(lambda *_: [0.0])), "torque must give 3 values, gave 1"),
-        (lambda: scene(Torque({JOINT: TEXT})), "must be a Signal"),
-        (lambda: scene(Torque({JOINT: float("inf")})), "inf"),
-        (lambda: scene(Torque({JOINT: 1.0}, limit=Limit(0.0))), "limit of torque .* above zero"),
-        (lambda: scene(PD({JOINT: 0.0}, float("nan"), 1.0)), "kp of pd must be finite, got nan"),
-        (lambda: scene(PD({JOINT: 0.0}, {}, 1.0)), f"kp of pd has no value for '{JOINT}'"),
-        (lambda: scene(ComputedTorque({JOINT: 0.0}, 1.0, 1.0)), "has no reference for joint"),
-        (lambda: scene(Wrench([0.0] * 5)), "wrench must give 6 values, gave 5"),
-        (lambda: Controller(lambda *_: [0.0], 0.0), "period of controller .* above zero"),
-        (lambda: Controller(lambda *_: [0.0], float("nan")), "period of controller"),
-        (lambda: scene("spring"), "forces must be those of pinred.forces, got 'spring'"),
-        (lambda: scene(prescribed={JOINT: 0.3}), "must be a Signal, got 0.3"),
-        (lambda: scene(prescribed=[JOINT]), "prescribed must be {joint: Signal}"),
-        (lambda: scene(outputs="pose"), "outputs must be one of all, shape, got 'pose'"),
-        (lambda: scene(prescribed={JOINT: Hold([0, 3], [0, 1])}), "continuous rate.*Spline"),
-        (lambda: scene(prescribed={JOINT: Linear([0, 1, 3], [0, 1, 0])}), "continuous rate"),
-        (
-            lambda: scene(prescribed={JOINT: Spline([0, 1], [0, 1])}, duration=2.0),
-            "defined from 0 to 1 s, but the scene goes from 0 to 2 s",
-        ),
-        (
-            lambda: scene(Torque({JOINT: Spline([0.5, 3], [0, 1])}), duration=2.0),
-            "defined from 0.5 to 3 s, but the scene goes from 0 to 2 s",
-        ),
-        (
-            lambda: scene(*(ComputedTorque(dict.fromkeys(CAT.shape_names, 0.0), 1, 1),) * 2),
-            "only one force may know all the others",
-        ),
-    ],
-)
-def test_values_that_cannot_be_used(make: Callable[[], Any], words: str) -> None:
-    """Wrong numbers, counts, kinds and times are refused before anything runs."""
-    with pytest.raises(pinred.InputError, match=words):
-        make()
+@pytest.mark.filterwarnings("ignore::FutureWarning")
+@pytest.mark.parametrize(("make", "message"), BAD)
+def test_bad_forces(make: Callable[[], Any], message: str) -> None:
+    """Each is refused before anything is integrated."""
+    with pytest.raises(pinred.InputError, match=message):
+        pinred.simulate(CAT, duration=0.3, forces=[make()])
 
 
-def test_one_force_need_not_stand_in_a_list() -> None:
-    """forces=Spring(…) is that one force."""
-    one = pinred.simulate(CAT, seed=0, duration=0.2, forces=Spring(JOINT, 1.0))
-    listed = pinred.simulate(CAT, seed=0, duration=0.2, springs={JOINT: (1.0, 0.0)})
-    np.testing.assert_array_equal(one.x, listed.x)
+PLANS: list[tuple[dict[str, Any], str]] = [
+    ({"prescribed": {"x": WAVE}}, UNKNOWN),
+    ({"prescribed": {A: 1.0}}, r"prescribed\['bend'\] must be a Signal, got 1.0"),
+    ({"prescribed": [WAVE]}, "prescribed must be {joint: Signal}"),
+    ({"prescribed": {A: Hold([0.0], [0.0])}}, "has a kink or a jump; use a Spline"),
+    ({"prescribed": {A: Linear([0.0, 1.0], [0.0, 1.0])}}, "has a kink or a jump; use a Spline"),
+    ({"prescribed": {A: Expression("abs(t)")}}, "has a kink or a jump"),
+    ({"prescribed": {A: Spline([0, 0.1, 0.2], [0, 1, 0])}}, "defined from 0 to 0.2 s"),
+    ({"forces": 3}, "forces must be a list"),
+    ({"springs": {A: 1.0}}, "stiffness, rest"),
+    ({"springs": {A: (NAN, 0.0)}}, "both finite"),
+    ({"outputs": "foo"}, "outputs must be one of all, shape, got 'foo'"),
+    ({"method": pinred.RKMK4(0.01), "engine": "pinocchio"}, "SciPy's DOP853 for integrator"),
+    (
+        {"forces": [ComputedTorque(dict.fromkeys(CAT.shape_names, 0.0), kp, 1.0) for kp in (1, 2)]},
+        "only one force may know all the others",
+    ),
+    (
+        {"forces": [ComputedTorque({A: 0.0, B: 0.0, C: 0.0}, 1.0, 1.0)], "prescribed": {B: WAVE}},
+        "has a reference for 'sway', which is prescribed",
+    ),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ([0.0, 0.0], "must give 3 finite torques"),
-        ([0.0, float("nan"), 0.0], "must give 3 finite torques"),
-        (None, "must be numbers|must give 3"),
-        ({"knee": 1.0}, "gave a torque for 'knee' at t = 0 s"),
-    ],
-)
-@pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
-def test_controllers_that_give_nonsense(given: Any, words: str, engine: Any) -> None:
-    """What a controller returns is checked at every sample, and the time is said."""
-    with pytest.raises(pinred.InputError, match=words):
-        pinred.simulate(
-            CAT, seed=0, duration=0.3, forces=Controller(lambda *_: given, 0.1), engine=engine
-        )
+@pytest.mark.parametrize(("options", "message"), PLANS)
+def test_bad_options(options: dict[str, Any], message: str) -> None:
+    """So is each of these."""
+    with pytest.raises(pinred.InputError, match=message):
+        pinred.simulate(CAT, duration=0.3, **options)
 
 
-def test_errors_of_a_controller_come_through() -> None:
-    """An exception of the user's function is the user's."""
-
-    def broken(*_: Any) -> Any:
-        raise KeyError("mine")
-
-    with pytest.raises(KeyError, match="mine"):
-        pinred.simulate(CAT, seed=0, duration=0.3, forces=Controller(broken, 0.1))
-
-
-def test_many_refuse_what_stops_an_integration() -> None:
-    """Controllers and tables are refused by simulate_many; what has no breaks is not."""
-    x0 = np.zeros((2, CAT.m))
-    for force in (Controller(lambda *_: [0.0] * 3, 0.1), Torque({JOINT: Hold([0, 1], [0, 1])})):
-        with pytest.raises(pinred.InputError, match="no controllers and no signals with breaks"):
-            pinred.simulate_many(CAT, x0=x0, duration=2.0, forces=[force])
-    many = pinred.simulate_many(CAT, x0=x0, duration=0.5, forces=[Torque({JOINT: 0.1})])
-    one = pinred.simulate(CAT, x0=x0[0], duration=0.5, forces=[Torque({JOINT: 0.1})])
-    np.testing.assert_array_equal(many[0].q, one.q)
-
-
-def test_computed_torque_knows_no_pivot_in_gravity() -> None:
-    """There the accelerations depend on the attitude, and the error says what to do."""
-    top = pinred.load("coupled_spatial", group="SO3", gravity=(0.0, 0.0, -9.81))
+def test_computed_torque_where_gravity_turns_the_base() -> None:
+    """Accelerations do not follow from shape and momentum there, and it says so."""
+    swung = pinred.load("satellite_two_arms", group="SO3", gravity=(0, 0, -9.81))
+    zero = dict.fromkeys(swung.shape_names, 0.0)
     with pytest.raises(pinred.SymmetryError, match="gravity turns the base"):
-        pinred.Scene(
-            system=top,
-            seed=0,
-            forces=[ComputedTorque(dict.fromkeys(top.shape_names, 0.0), 1.0, 1.0)],
-        )
+        pinred.simulate(swung, seed=1, forces=[ComputedTorque(zero, 1.0, 1.0)])
+
+
+def test_one_force_and_a_generator_of_forces() -> None:
+    """A force that is no list is a list of one, and a generator is read once."""
+    spring = Spring(A, 5.0)
+    listed = pinred.simulate(CAT, duration=0.3, forces=[spring])
+    one: Any = spring
+    np.testing.assert_array_equal(pinred.simulate(CAT, duration=0.3, forces=one).q, listed.q)
+    scene = pinred.Scene(system=CAT, duration=0.3, forces=(f for f in [spring]))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(pinred.simulate(scene, rtol=1e-10).q, listed.q)
+
+
+def test_a_force_that_is_not_defined_everywhere() -> None:
+    """A barrier runs where it is defined, and ends with time and joint where it is not."""
+    barrier = Torque(lambda _, x, *__: {A: 1e-3 * ca.log(0.3 - x[0] ** 2)})
+    inside = pinred.simulate(CAT, x0=[0.1, 0.0, 0.0], duration=0.1, forces=[barrier])
+    assert np.isfinite(inside.q).all()
+    wide = Torque(lambda _, x, *__: {A: ca.sqrt(0.26 - x[0] ** 2)})
+    with pytest.raises(pinred.IntegrationError, match=r"bend.*after t = 0\.01"):
+        pinred.simulate(CAT, duration=0.3, forces=[wide])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"forces": [Controller(law([0.0] * 3), 0.1)]}, "controller has to be called every 0.1 s"),
+        ({"forces": [Controller(law([0.0] * 3), 9.0)]}, "controller has to be called every 9 s"),
+        ({"forces": [Torque({A: Hold([0, 0.1], [1, 2])})]}, "not smooth at t = 0.1 s"),
+        ({"prescribed": {A: Spline([0, 0.1, 0.3], [0, 1, 0])}}, "not smooth at t = 0.1 s"),
+    ],
+)
+def test_many_refuse_pieces(options: dict[str, Any], message: str) -> None:
+    """simulate_many integrates at once, and refuses what has to stop."""
+    with pytest.raises(pinred.InputError, match=message):
+        pinred.simulate_many(CAT, seeds=range(2), duration=0.3, **options)
+
+
+def test_many_with_smooth_plans() -> None:
+    """What has no breaks goes through, bit for bit as one at a time."""
+    options: dict[str, Any] = {
+        "duration": 0.3, "prescribed": {A: WAVE}, "forces": [Torque({B: WAVE}), Damper(C, 0.1)]
+    }  # fmt: skip
+    many = pinred.simulate_many(CAT, seeds=range(2), **options)
+    for k in range(2):
+        np.testing.assert_array_equal(many[k].q, pinred.simulate(CAT, seed=k, **options).q)
+
+
+def test_without_the_base(tmp_path: Path) -> None:
+    """What needs the base says how to get it; shape, energy and files are there."""
+    traj = pinred.simulate(CAT, duration=0.3, outputs="shape")
+    names = ("xi", "pose", "q", "v", "states", "body_momentum", "energy_balance")
+    for name in (*names, "momentum_balance"):
+        with pytest.raises(pinred.InputError, match="simulate with outputs='all'"):
+            getattr(traj, name)
+    with pytest.raises(pinred.InputError, match="simulate with outputs='all'"):
+        pinred.compare(traj)
+    with pytest.raises(pinred.InputError, match="simulate with outputs='all'"):
+        traj(0.1)
+    traj.save(tmp_path / "x.npz")
+    with np.load(tmp_path / "x.npz") as saved:
+        assert set(saved) == {"robot", "group", "joints", "t", "x", "xdot", "energy"}
+        np.testing.assert_array_equal(saved["x"], traj.x)
+    traj.save(tmp_path / "x.csv")
+    head, *rows = (tmp_path / "x.csv").read_text().splitlines()
+    assert head == "t,x.bend,x.sway,x.twist,xdot.bend,xdot.sway,xdot.twist,energy"
+    found = np.array([row.split(",") for row in rows], dtype=float)
+    np.testing.assert_array_equal(found[:, 1:4], traj.x)
+    np.testing.assert_array_equal(found[:, 7], traj.energy)

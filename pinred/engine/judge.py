@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from ..arrays import Array
 from ..canonical import symmetric
-from ..errors import KernelMismatch
+from ..errors import InputError, KernelMismatch
 from ..potential import falling, translations
 
 if TYPE_CHECKING:
@@ -17,20 +17,31 @@ if TYPE_CHECKING:
     from .kernel import Kernel
 
 _STATES = 3
+_TRIALS = 80
 _TOLERANCE = 1e-10
 
 
 def judge(kernel: Kernel) -> None:
     """Compare a kernel with Pinocchio: velocities by H v = (μ, π), accelerations by ABA.
 
-    Raises KernelMismatch with the numbers if they differ by more than 1e-10 relative.
+    Raises KernelMismatch with the numbers if they differ by more than 1e-10 relative, and
+    InputError if the forces are hardly ever finite.
     """
-    rng = np.random.default_rng(0)
-    for _ in range(_STATES):
-        _judge_at(kernel, rng)
+    rng, judged = np.random.default_rng(0), 0
+    for trial in range(_TRIALS):
+        # Where a force is not defined everywhere, as a barrier is, smaller states are tried.
+        judged += _judge_at(kernel, rng, 0.9 ** max(0, trial - _STATES))
+        if judged == _STATES:
+            return
+    raise InputError(
+        f"the forces or prescribed joints of '{kernel.system.name}' are not finite at "
+        f"{_TRIALS - judged} of {_TRIALS} random states; functions such as sqrt and log have to "
+        "be defined around where the motion is"
+    )
 
 
-def _judge_at(kernel: Kernel, rng: np.random.Generator) -> None:
+def _judge_at(kernel: Kernel, rng: np.random.Generator, reach: float) -> bool:
+    """Judge at a random state of a size; return whether the forces are defined there."""
     system, layout, forces = kernel.system, kernel.layout, kernel.forces
     r, m, k = system.r, system.m, system.group.linear
     group, parts = system.group, layout.base
@@ -46,9 +57,14 @@ def _judge_at(kernel: Kernel, rng: np.random.Generator) -> None:
     time = float(rng.uniform(*_span(forces)))
     driven = list(layout.prescribed)
     numbers, accelerations = rng.normal(size=layout.numbers), np.zeros(len(driven))
+    x, v = x * reach, v * reach
+    if forces is not None:
+        numbers[forces.within] = time  # far beyond its piece a table means nothing
     if forces is not None and driven:
         given = forces.prescribed(time, numbers)
         x[driven], v[[r + j for j in driven]], accelerations = given.x, given.xdot, given.xddot
+        if not np.isfinite([given.x, given.xdot, given.xddot]).all():
+            return False
     q = system.q(pose, x)
     H = symmetric(pin.crba(model, data, q))
     com = np.array(data.Ycrb[1].lever)
@@ -73,6 +89,11 @@ def _judge_at(kernel: Kernel, rng: np.random.Generator) -> None:
     parameters = np.concatenate([spin, pi[cyclic], numbers])
     # Round-off of the momenta alone moves velocities by this much.
     slack = max(_TOLERANCE, 10.0 * np.finfo(float).eps * float(np.linalg.cond(H)))
+    if forces is not None:
+        acting = forces.acting(time, x, v[r:], v[:r], mu, numbers)
+        potential = np.array([forces.potential(x, numbers)])
+        if not np.isfinite(np.concatenate([acting.torque, acting.wrench, potential])).all():
+            return False
     line, where = np.append(rng.normal(size=2 * k), falling(system)), kernel.where
     out = kernel.evaluate_outputs(time, y, parameters, line)
     _agree(kernel, "momentum of the velocity", H @ out[: system.n], H @ v)
@@ -139,6 +160,7 @@ def _judge_at(kernel: Kernel, rng: np.random.Generator) -> None:
     else:
         true = pin.aba(model, data, q, v, tau)
     _agree(kernel, "acceleration", solved, true, slack)
+    return True
 
 
 def _judge_states(

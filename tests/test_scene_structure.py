@@ -1,9 +1,8 @@
-"""Each rule of what is skipped: on a scene where it applies, and on one where it almost does."""
+"""What a scene decides: which joints are cyclic, whether time counts, what is left of the base."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -30,32 +29,6 @@ def by_aba(scene: pinred.Scene) -> Array:
     full, start = FullState(scene), scene.start
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     return full.run(y0, scene.report_times, 1e-12, 1e-14).x
-
-
-# Numbers of the base that are integrated with momentum, without, and what they are with the base.
-BASES = {"R": (0, 0, 0), "SO2": (0, 0, 1), "SE2": (0, 0, 1), "SO3": (3, 0, 4), "SE3": (3, 0, 4)}
-
-
-@pytest.mark.parametrize("group", BASES)
-def test_the_base_is_left_out(group: str) -> None:
-    """Three numbers μ for the quaternion, none in the plane or at zero momentum; the same shape."""
-    system = pinred.load(random_model(group, 3, 21))
-    moving, still, whole = BASES[group]
-    xdot0 = np.array([0.5, -0.4, 0.3])
-    for start, base in (({"xi0": np.full(system.r, 0.4)}, moving), ({"momentum": 0}, still)):
-        options: dict[str, Any] = {"system": system, "xdot0": xdot0, "duration": 1.0, **start}
-        scene = pinred.Scene(outputs="shape", **options)
-        shape = 6 - len(CompiledFlow(scene).kernel.layout.cyclic)
-        assert sizes(scene) == (shape + base, 6 + base)
-        assert sizes(pinred.Scene(**options)) == (shape + whole, 6 + whole)
-        for engine in ("compiled", "pinocchio"):
-            traj = pinred.simulate(scene, engine=engine)
-            np.testing.assert_allclose(traj.x, by_aba(scene), rtol=0, atol=1e-8)
-            assert np.ptp(traj.energy) < 1e-8 * max(1.0, abs(traj.energy[0]))
-            with pytest.raises(pinred.InputError, match="outputs='shape'"):
-                _ = traj.pose
-            with pytest.raises(pinred.InputError, match="outputs='all'"):
-                pinred.compare(traj)
 
 
 def test_a_pivoted_base_is_left_out() -> None:
@@ -123,12 +96,3 @@ def test_cyclic_joints_among_forces(force: Force, cyclic: tuple[str, ...]) -> No
     assert tuple(system.shape_names[k] for k in layout.cyclic) == cyclic
     report = pinred.compare(pinred.simulate(scene))
     assert report.passed, str(report)
-
-
-def test_almost_no_gravity() -> None:
-    """Gravity counts on a pivot as soon as it is there at all, and not before."""
-    model = random_model("SO3", 1, 4)
-    for g, turned in ((0.0, 0), (1e-9, 3), (9.81, 3)):
-        system = pinred.load(model, gravity=(0.0, 0.0, -g))
-        parts = CompiledFlow(pinred.Scene(system=system, seed=0)).kernel.layout.base
-        assert parts.momentum == turned
