@@ -2,8 +2,8 @@
 
 Energy changes by the work of the forces without a potential, and of the drives of the
 prescribed joints; momentum by the impulse of wrenches and of gravity.  Power and wrench are
-integrated over every step of the motion by Gauss's rule of 8 points, so that a simulation
-pays nothing for them until somebody asks.
+integrated over every step of the motion through Gauss's 8 points, so that a simulation pays
+nothing for them until somebody asks.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from numpy.polynomial import legendre
 
 from .arrays import Array, freeze
 from .driving import driving_torques
@@ -120,15 +121,25 @@ def momentum_balance(scene: Scene, motion: Motion, states: State) -> MomentumBal
 
 
 def _integral(motion: Motion, t: Array, integrand: Callable[[Array], Array]) -> Array:
-    """Return the integrals from 0 to times t (T,) of an integrand (T,) → (T, K)."""
-    ends = np.union1d(motion.knots, t)
-    ends = ends[ends <= t[-1]]
-    points, weights = np.polynomial.legendre.leggauss(_POINTS)
+    """Return the integrals from 0 to times t (T,) of an integrand (T,) → (T, K).
+
+    In every step, by the integral of its Legendre series through Gauss's points.
+    """
+    ends = motion.knots[: np.searchsorted(motion.knots, t[-1]) + 1]
+    if len(ends) < 2:
+        ends = motion.knots[:2]
+    points, weights = legendre.leggauss(_POINTS)
     half = 0.5 * np.diff(ends)
-    if not half.size:
-        return np.zeros((len(t), integrand(t[:1]).shape[1]))
-    nodes = (ends[:-1] + half)[:, None] + half[:, None] * points
+    middle = ends[:-1] + half
+    nodes = middle[:, None] + half[:, None] * points
     values = integrand(nodes.ravel()).reshape(*nodes.shape, -1)
-    parts = np.einsum("spk,p,s->sk", values, weights, half)
-    whole = np.concatenate([np.zeros((1, parts.shape[1])), np.cumsum(parts, axis=0)])
-    return np.asarray(whole[np.searchsorted(ends, t)])
+    degree = np.arange(_POINTS)
+    basis = legendre.legvander(points, _POINTS - 1) * weights[:, None] * (degree + 0.5)
+    series = np.einsum("spk,pn,s->snk", values, basis, half)
+    whole = np.concatenate([np.zeros_like(series[:1, 0]), np.cumsum(2.0 * series[:, 0], axis=0)])
+    step = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, len(half) - 1)
+    P = legendre.legvander((t - middle[step]) / half[step], _POINTS)
+    # ∫ P_n from −1 is (P_{n+1} − P_{n−1})/(2n + 1), with P_{−1} = −1.
+    before = np.concatenate([-np.ones((len(t), 1)), P[:, : _POINTS - 1]], axis=1)
+    inside = (P[:, 1:] - before) / (2 * degree + 1)
+    return np.asarray(whole[step] + np.einsum("tn,tnk->tk", inside, series[step]))
