@@ -1,6 +1,6 @@
 """compare(): the judge.  Pinocchio's ABA on the full state against a reduced trajectory.
 
-The full simulation (full_state.py) shares nothing with the reduced one.  It runs at a
+The full simulation (full_state.py) shares no dynamics with the reduced one.  It runs at a
 tolerance 100 times tighter, by two methods of order 8 and 5, whose difference tells how
 accurate the judge is.
 
