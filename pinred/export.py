@@ -106,4 +106,12 @@ def _write_csv(traj: Trajectory, file: BinaryIO) -> None:
             names.append(f"{field.name}.{label}")
             columns.append(values[:, k])
     table = np.column_stack(columns)
-    np.savetxt(file, table, fmt="%.17g", delimiter=",", header=",".join(names), comments="")
+    header = ",".join(map(_quoted, names))
+    np.savetxt(file, table, fmt="%.17g", delimiter=",", header=header, comments="")
+
+
+def _quoted(name: str) -> str:
+    """Return a column's name as csv has it: in quotes if it would not be one field."""
+    if not any(mark in name for mark in ',"\r\n'):
+        return name
+    return '"' + name.replace('"', '""') + '"'

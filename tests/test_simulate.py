@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -318,3 +321,17 @@ def test_pivot_under_gravity_names_the_broken_directions() -> None:
     sideways = pinred.load(model, gravity=(3.0, 0.0, 0.0))
     with pytest.raises(pinred.SymmetryError, match="about the world's y, z axes"):
         pinred.Reduction(sideways).potential([0.1])
+
+
+def test_csv_headers_with_any_joint_name(tmp_path: Path) -> None:
+    """A joint may be called what it likes: Python's csv reader finds the same columns."""
+    model = random_model("SE2", 2, 3)
+    model.names[2], model.names[3] = 'a,"b"', "c d"
+    system = pinred.load(model)
+    assert system.shape_names == ('a,"b"', "c d")
+    traj = pinred.simulate(system, seed=0, duration=0.1, times=[0.0, 0.1])
+    traj.save(tmp_path / "traj.csv")
+    with (tmp_path / "traj.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row['x.a,"b"']) for row in rows] == traj.x[:, 0].tolist()
+    assert [float(row["xdot.c d"]) for row in rows] == traj.xdot[:, 1].tolist()
