@@ -85,13 +85,12 @@ def base_parts(
 class Root:
     """What the base of a system is, whatever its state.
 
-    axes: (3, k) directions of its translations.  g: (k,) how it falls along them.  lift: g
-    times the origin of the root joint's fixed frame.  origin: (3,) that origin in its frame.
+    axes: (3, k) directions of its translations.  g: (k,) how it falls along them.  origin:
+    (3,) origin of the root joint's fixed frame, in that frame.
     """
 
     axes: Array
     g: Array
-    lift: float
     origin: Array
 
 
@@ -102,9 +101,8 @@ def root_of(system: System) -> Root:
 
 def _find_root(system: System) -> Root:
     placement = system.model.jointPlacements[1]
-    axes, g = translations(system), falling(system)
     origin = placement.rotation.T @ placement.translation
-    return Root(axes, g, float(placement.translation @ placement.rotation @ axes @ g), origin)
+    return Root(translations(system), falling(system), origin)
 
 
 class Base:
@@ -122,7 +120,8 @@ class Base:
         group, weight, root = system.group, pivot_weight(system), root_of(system)
         k = self._k = group.linear
         self._group, self._mass, self.turns = group, system.mass, group.dim - k
-        self.axes, self._g, self._lift, self._weight = root.axes, root.g, root.lift, weight
+        self.axes, self._g, self._weight = root.axes, root.g, weight
+        self._lift = float(root.origin @ root.axes @ root.g)
         self._pivot = float(weight @ root.origin)
         heavy = bool(weight.any())
         attitude, c, P = start.pose[k:], start.com @ root.axes, start.mu[:k]

@@ -20,6 +20,7 @@ from scipy.linalg.lapack import dposv
 from .arrays import Array
 from .errors import SingularInertiaError
 from .potential import Potential
+from .split import symmetric
 from .system import System
 
 
@@ -80,8 +81,3 @@ class CanonicalForm:
                 f"the mass matrix of '{self._system.name}' is not positive definite at x = {x}"
             )
         return np.asarray(v)
-
-
-def symmetric(upper: Array) -> Array:
-    """Return the matrix whose upper triangle CRBA filled."""
-    return np.asarray(np.triu(upper) + np.triu(upper, 1).T)

@@ -6,6 +6,7 @@ Their momentum is constant and their angle a quadrature (Routh): reaction wheels
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +14,10 @@ import pinocchio as pin
 from .errors import SymmetryError
 from .potential import pivot_weight
 from .reduction import Reduction
+from .system import System
+
+if TYPE_CHECKING:
+    from .force_model import ForceModel
 
 _SAMPLES = 3  # random shapes at which a dependence would show
 _NO_DEPENDENCE = 1e-12  # of the mass matrix
@@ -47,3 +52,9 @@ def cyclic_joints(red: Reduction, touched: Collection[int] = ()) -> tuple[int, .
         except SymmetryError:
             depends[:] = True
     return tuple(np.flatnonzero(~depends).tolist())
+
+
+def cyclic_of(system: System, forces: ForceModel | None) -> tuple[int, ...]:
+    """Return the cyclic joints of a system with forces on it, found once."""
+    touched = frozenset[int]() if forces is None else frozenset(forces.touched)
+    return system.workspace((cyclic_of, touched), lambda: cyclic_joints(Reduction(system), touched))

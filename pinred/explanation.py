@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from .cyclic import cyclic_joints
+from .cyclic import cyclic_of
 from .flow import ReducedFlow
 from .potential import falling, pivot_weight, shape_gravity
-from .reduction import Reduction
 from .scene import Scene
 
 
@@ -24,7 +23,7 @@ def reduced_size(scene: Scene) -> int:
     """Return how many numbers the compiled engine integrates."""
     forces = scene.force_model
     clock = int(forces is not None and forces.needs_time)
-    return ReducedFlow(scene).y0.size - len(_cyclic(scene)) + clock
+    return ReducedFlow(scene).y0.size - len(cyclic_of(scene.system, forces)) + clock
 
 
 def skipped(scene: Scene) -> list[str]:
@@ -49,7 +48,7 @@ def skipped(scene: Scene) -> list[str]:
     driven = [names[k] for k in forces.joints] if forces is not None else []
     if driven:
         lines.append(f"dynamics of the prescribed joints: {', '.join(driven)}")
-    cyclic = [names[k] for k in _cyclic(scene)]
+    cyclic = [names[k] for k in cyclic_of(system, forces)]
     if cyclic:
         lines.append(f"momenta of the cyclic joints, which are constant: {', '.join(cyclic)}")
     if not system.m:
@@ -57,8 +56,3 @@ def skipped(scene: Scene) -> list[str]:
     elif shape_gravity(system).is_zero and forces is None and not pivot_weight(system).any():
         lines.append("potential: nothing acts on the shape")
     return lines
-
-
-def _cyclic(scene: Scene) -> tuple[int, ...]:
-    touched = () if scene.force_model is None else scene.force_model.touched
-    return cyclic_joints(Reduction(scene.system), touched)

@@ -10,10 +10,11 @@ import numpy as np
 
 from .arrays import Array
 from .base import Base
-from .canonical import CanonicalForm, symmetric
+from .canonical import CanonicalForm
 from .errors import IntegrationError
 from .potential import pivot_weight, shape_gravity
 from .scene import Scene
+from .split import symmetric
 from .state import Sample, ShapeState, State, full_state
 from .system import System
 
@@ -82,12 +83,12 @@ class ReducedFlow:
         r, T = system.r, len(t)
         b = y[:, 2 * len(self._free) :]
         x, v, com = np.empty((T, system.m)), np.empty((T, system.n)), np.empty((T, 3))
-        energy = np.empty(T)
+        energy, H = np.empty(T), np.empty((T, system.n, system.n))
         for k in range(T):
             x[k], v[k] = self._motion(float(t[k]), y[k], numbers)
             com[k] = form.com()
-            H = symmetric(form.mass_matrix(x[k]))
-            energy[k] = 0.5 * v[k] @ H @ v[k] + self._potential.value(x[k])
+            H[k] = symmetric(form.mass_matrix(x[k]))
+            energy[k] = 0.5 * v[k] @ H[k] @ v[k] + self._potential.value(x[k])
             if self._forces is not None:
                 energy[k] += self._forces.potential(x[k], numbers)
         if not np.isfinite(v).all():
@@ -104,7 +105,7 @@ class ReducedFlow:
         pose, xi = self.base.pose(b, com, t), self.base.twist(b, v[:, :r], t)
         mu = np.empty((T, r))
         for k in range(T):
-            mu[k] = symmetric(form.mass_matrix(x[k]))[:r] @ np.concatenate([xi[k], v[k, r:]])
+            mu[k] = H[k, :r] @ np.concatenate([xi[k], v[k, r:]])
         J = system.group.spatial_momentum(pose, mu)
         return full_state(system, t, x, v[:, r:], xi, pose, mu, J, energy)
 

@@ -10,11 +10,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from .arrays import Array, as_floats, freeze
+from .arrays import Array, freeze
 from .errors import InputError
 from .force import Force, Symbols, Terms
 from .forces import Controller, Damper, Spring
 from .numeric import Numeric
+from .potential import spring_pair
 from .signals import Signal
 from .system import System
 
@@ -188,7 +189,7 @@ class ForceModel:
 def remembered_model(
     system: System,
     springs: Mapping[str, tuple[float, float]],
-    forces: Sequence[Force] | Force,
+    forces: Sequence[Force],
     prescribed: Mapping[str, Signal],
 ) -> ForceModel:
     """Return the model of springs {joint: (stiffness, rest)}, forces and prescribed joints.
@@ -196,7 +197,6 @@ def remembered_model(
     The last few of a system are kept, for scenes that differ in their start only.
     Raises InputError for what is none of these, or has joints that are not there.
     """
-    forces = (forces,) if isinstance(forces, Force) else tuple(forces)
     # What is equal acts the same; what cannot be compared by value is kept, and so is itself.
     key = (
         repr(dict(springs)),
@@ -208,7 +208,7 @@ def remembered_model(
         model = _force_model(system, springs, forces, prescribed)
         while len(models) >= _REMEMBERED:
             models.pop(next(iter(models)), None)
-        models[key] = (model, (forces, dict(prescribed)))
+        models[key] = (model, (tuple(forces), dict(prescribed)))
     return models[key][0]
 
 
@@ -218,14 +218,9 @@ def _force_model(
     forces: Sequence[Force],
     prescribed: Mapping[str, Signal],
 ) -> ForceModel:
-    every: list[Force] = []
-    for name, pair in springs.items():
-        values = as_floats(pair, f"springs['{name}']")
-        if values.shape != (2,) or not np.isfinite(values).all():
-            raise InputError(
-                f"springs['{name}'] must be (stiffness, rest), both finite, got {pair}"
-            )
-        every.append(Spring(name, *values.tolist()))
+    every: list[Force] = [
+        Spring(name, *spring_pair(name, pair).tolist()) for name, pair in springs.items()
+    ]
     for force in forces:
         if not isinstance(force, Force):
             raise InputError(f"forces must be those of pinred.forces, got {force!r}")

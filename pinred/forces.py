@@ -146,17 +146,13 @@ class Torque(Named):
 
 
 @dataclass(frozen=True)
-class PD(Named):
-    """τ = kp (x_d − x) + kd (ẋ_d − ẋ) at the joints of the reference.
-
-    reference: {joint: Signal or number}.  kp, kd: of all these joints, or by name.
-    """
+class _Tracking(Named):
+    """What follows a reference: its fields, and the feedback of the error."""
 
     reference: Reference
     kp: PerJoint
     kd: PerJoint
     limit: Limit | None = None
-    name: str = "pd"
 
     def __post_init__(self) -> None:
         checked_reference(self.reference, self.name)
@@ -166,20 +162,36 @@ class PD(Named):
         """The functions of time in it."""
         return signals_in(self.reference.values())
 
-    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
-        """Return the torques."""
-        wanted = motions(self.reference, s, number, self.name)
+    def _feedback(
+        self, s: Symbols, number: Callable[[float], Any], wanted: dict[int, tuple[Any, Any, Any]]
+    ) -> dict[int, Any]:
+        """Return kp (x_d − x) + kd (ẋ_d − ẋ) of each joint whose motion is wanted."""
         kp = per_joint(self.kp, wanted, s, f"kp of {self.name}")
         kd = per_joint(self.kd, wanted, s, f"kd of {self.name}")
-        torque = {
+        return {
             k: number(kp[k]) * (x - s.x[k]) + number(kd[k]) * (xdot - s.xdot[k])
             for k, (x, xdot, _) in wanted.items()
         }
+
+
+@dataclass(frozen=True)
+class PD(_Tracking):
+    """τ = kp (x_d − x) + kd (ẋ_d − ẋ) at the joints of the reference.
+
+    reference: {joint: Signal or number}.  kp, kd: of all these joints, or by name.
+    """
+
+    name: str = "pd"
+
+    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+        """Return the torques."""
+        wanted = motions(self.reference, s, number, self.name)
+        torque = self._feedback(s, number, wanted)
         return Terms(torque=limited(self.limit, s, torque, self.name))
 
 
 @dataclass(frozen=True)
-class ComputedTorque(Named):
+class ComputedTorque(_Tracking):
     """Torques that make every joint follow its reference exactly, whatever else acts on it.
 
     ẍ = ẍ_d + kd (ẋ_d − ẋ) + kp (x_d − x) by inverse dynamics on the reduced system; a wrench
@@ -187,20 +199,8 @@ class ComputedTorque(Named):
     is not prescribed.  kp [1/s²], kd [1/s]: of all joints, or by name.
     """
 
-    reference: Reference
-    kp: PerJoint
-    kd: PerJoint
-    limit: Limit | None = None
     name: str = "computed torque"
     last: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        checked_reference(self.reference, self.name)
-
-    @property
-    def signals(self) -> Iterable[Signal]:
-        """The functions of time in it."""
-        return signals_in(self.reference.values())
 
     def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
         """Return the torques.  Raises InputError if a joint that moves has no reference."""
@@ -214,12 +214,9 @@ class ComputedTorque(Named):
             raise InputError(
                 f"{self.name} has a reference for '{s.names[driven[0]]}', which is prescribed"
             )
-        kp = per_joint(self.kp, wanted, s, f"kp of {self.name}")
-        kd = per_joint(self.kd, wanted, s, f"kd of {self.name}")
         accelerations = dict(s.accelerations)
-        for k, (x, xdot, xddot) in wanted.items():
-            error = number(kp[k]) * (x - s.x[k]) + number(kd[k]) * (xdot - s.xdot[k])
-            accelerations[k] = xddot + error
+        for k, feedback in self._feedback(s, number, wanted).items():
+            accelerations[k] = wanted[k][2] + feedback
         every = required_torque(s, accelerations) - s.others
         torque = {k: every[k] for k in wanted}
         return Terms(torque=limited(self.limit, s, torque, self.name))

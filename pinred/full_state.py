@@ -16,9 +16,9 @@ from scipy.integrate import ode
 
 from .arrays import Array
 from .errors import IntegrationError
-from .motion import stops_of
+from .motion import begin_stretch, stops_of
 from .scene import Scene
-from .state import State
+from .state import Sample, State
 
 _MOST_STEPS = 10_000_000
 
@@ -163,20 +163,19 @@ class FullState:
 
     def _solver(self, method: str, y: Array, t: float, rtol: float, atol: float) -> ode:
         """Return a solver that begins here, with the torques that controllers give here."""
-        if self._forces is not None:
-            stops = stops_of(self._scene)
-            later = stops[stops > t]
-            self._numbers[self._forces.within] = 0.5 * (t + later[0]) if later.size else t
-        if self._forces is not None and self._forces.held:
-            size, m = self._size, self._m
-            x, v = y[size : size + m], y[size + m :]
-            _, mu = self._relative(self.q(y), v)
-            for controller, where in self._forces.held:
-                if abs(t / controller.period - round(t / controller.period)) < 1e-9:
-                    names = self._scene.system.shape_names
-                    self._numbers[where] = controller.sample(names, t, x, v[self._r :], mu)
+        stops = stops_of(self._scene)
+        later = stops[stops > t]
+        stop = float(later[0]) if later.size else t
+        begin_stretch(self._scene, self._numbers, t, stop, lambda: self._sample(y))
         solver = ode(self.rate).set_integrator(method, rtol=rtol, atol=atol, nsteps=_MOST_STEPS)
         return solver.set_initial_value(y, t)
+
+    def _sample(self, y: Array) -> Sample:
+        """Return what forces see, by Pinocchio; the weight they do not see."""
+        size, m, r = self._size, self._m, self._r
+        x, v = y[size : size + m], y[size + m :]
+        xi, mu = self._relative(self.q(y), v)
+        return Sample(x, v[r:], xi, mu, np.zeros(3))
 
     def rate(self, t: float, y: Array) -> Array:
         """Return dy/dt with Pinocchio's ABA."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -112,21 +113,12 @@ class Motion:
 def follow(scene: Scene, flow: Flow, solve: Solve) -> Motion:
     """Integrate a flow from stop to stop, setting the torques that controllers hold."""
     forces = scene.force_model
-    held = () if forces is None else forces.held
     t, y = 0.0, flow.y0
     stops = stops_of(scene)
     pieces: list[Piece] = []
     for stop in stops:
-        if forces is not None:
-            flow.numbers[forces.within] = 0.5 * (t + stop)
-        if held:
-            seen = flow.sample(t, y, flow.numbers)
-            for controller, where in held:
-                # The first sample is at the start; the others at multiples of the period.
-                if t == 0.0 or abs(t / controller.period - round(t / controller.period)) < 1e-9:
-                    names = scene.system.shape_names
-                    torque = controller.sample(names, t, seen.x, seen.xdot, seen.mu)
-                    flow.numbers[where] = torque
+        see = partial(flow.sample, t, y, flow.numbers)
+        begin_stretch(scene, flow.numbers, t, stop, see)
         piece = solve(t, stop, y)
         pieces.append(piece)
         t = stop
@@ -145,6 +137,29 @@ def _joined(parts: Sequence[State | ShapeState], order: Indices) -> State | Shap
         for field in fields(kind)
     }
     return kind(**columns)
+
+
+def begin_stretch(
+    scene: Scene, numbers: Array, t: float, stop: float, see: Callable[[], Sample]
+) -> None:
+    """Set the numbers in the forces of a scene for the stretch from t to its stop.
+
+    see: gives what forces see at t, and is called only if a controller is due.
+    """
+    forces = scene.force_model
+    if forces is None:
+        return
+    numbers[forces.within] = 0.5 * (t + stop)
+    # The first sample is at the start; the others at multiples of the period.
+    due = [
+        (controller, where)
+        for controller, where in forces.held
+        if abs(t / controller.period - round(t / controller.period)) < 1e-9
+    ]
+    if due:
+        seen, names = see(), scene.system.shape_names
+        for controller, where in due:
+            numbers[where] = controller.sample(names, t, seen.x, seen.xdot, seen.mu)
 
 
 def stops_of(scene: Scene) -> Array:

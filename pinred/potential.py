@@ -8,7 +8,7 @@ potential unchanged under the group's rotations: V(x) = −m g⊥ᵀ c(x).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -141,6 +141,14 @@ def shape_gravity(system: System) -> Potential:
     )
 
 
+def spring_pair(name: str, pair: Any) -> Array:
+    """Return (stiffness, rest) of a spring.  Raises InputError unless both are finite."""
+    values = as_floats(pair, f"springs['{name}']")
+    if values.shape != (2,) or not np.isfinite(values).all():
+        raise InputError(f"springs['{name}'] must be (stiffness, rest), both finite, got {pair}")
+    return values
+
+
 def _spring_arrays(system: System, springs: Springs) -> tuple[Indices, Array, Array]:
     unknown = [name for name in springs if name not in system.shape_names]
     if unknown:
@@ -151,12 +159,7 @@ def _spring_arrays(system: System, springs: Springs) -> tuple[Indices, Array, Ar
     index = np.array([system.shape_names.index(name) for name in springs], dtype=np.intp)
     pairs = np.zeros((len(springs), 2))
     for row, (name, pair) in zip(pairs, springs.items(), strict=True):
-        values = as_floats(pair, f"springs['{name}']")
-        if values.shape != (2,) or not np.isfinite(values).all():
-            raise InputError(
-                f"springs['{name}'] must be (stiffness, rest), both finite, got {pair}"
-            )
-        row[:] = values
+        row[:] = spring_pair(name, pair)
     return index, pairs[:, 0], pairs[:, 1]
 
 

@@ -20,7 +20,7 @@ from .arrays import Array, vector, vectors
 from .errors import SymmetryError
 from .lie import Group
 from .potential import Potential, Springs
-from .split import InertiaSplit, split_inertia
+from .split import InertiaSplit, split_inertia, symmetric
 from .system import System, checked_system
 
 if TYPE_CHECKING:
@@ -203,5 +203,4 @@ class Reduction:
 
     def _split(self, x: Array) -> InertiaSplit:
         upper = pin.crba(self._model, self._data, self.system.q(self._identity, x))
-        H = np.triu(upper) + np.triu(upper, 1).T  # crba fills the upper triangle only
-        return split_inertia(self.system, x, H, np.array(self._data.Ycrb[1].lever))
+        return split_inertia(self.system, x, symmetric(upper), np.array(self._data.Ycrb[1].lever))

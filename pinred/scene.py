@@ -144,13 +144,14 @@ class Scene:
         given = (self.forces,) if isinstance(self.forces, Force) else self.forces or ()
         if not isinstance(given, Iterable):
             raise InputError(f"forces must be a list of those of pinred.forces, got {given!r}")
-        object.__setattr__(self, "forces", tuple(given))
-        if not (self.springs or self.forces or self.prescribed):
+        forces = tuple(given)
+        object.__setattr__(self, "forces", forces)
+        if not (self.springs or forces or self.prescribed):
             object.__setattr__(self, "_forces", None)
             return
         from .force_model import remembered_model  # needs CasADi
 
-        model = remembered_model(self.system, self.springs, self.forces, self.prescribed)
+        model = remembered_model(self.system, self.springs, forces, self.prescribed)
         for signal in (*model.signals, *model.references):
             first, last = signal.span
             if not first <= 0.0 <= self.end <= last:

@@ -104,3 +104,8 @@ def cholesky(H: Array, system: System, x: Array) -> Array:
         f"the mass matrix of '{system.name}' is singular to working precision at x = {x}: "
         f"{who} has no inertia of its own ({found})"
     )
+
+
+def symmetric(upper: Array) -> Array:
+    """Return the matrix whose upper triangle CRBA filled."""
+    return np.asarray(np.triu(upper) + np.triu(upper, 1).T)

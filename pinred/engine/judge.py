@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 
 from ..arrays import Array
-from ..canonical import symmetric
 from ..errors import InputError, KernelMismatch
 from ..potential import falling, translations
+from ..split import symmetric
 
 if TYPE_CHECKING:
     from ..force_model import ForceModel
@@ -87,8 +87,7 @@ def _judge_at(kernel: Kernel, rng: np.random.Generator, reach: float) -> bool:
     active, cyclic = list(layout.active), list(layout.cyclic)
     y = np.concatenate([x[active], pi[active], x[cyclic], b, [time] * layout.clock])
     parameters = np.concatenate([spin, pi[cyclic], numbers])
-    # Round-off of the momenta alone moves velocities by this much.
-    slack = max(_TOLERANCE, 10.0 * np.finfo(float).eps * float(np.linalg.cond(H)))
+    slack = slack_of(H)
     if forces is not None:
         acting = forces.acting(time, x, v[r:], v[:r], mu, numbers)
         potential = np.array([forces.potential(x, numbers)])
@@ -205,15 +204,27 @@ def _span(forces: ForceModel | None) -> tuple[float, float]:
     return first, min([1.0, *(signal.span[1] for signal in signals)])
 
 
-def _agree(
-    kernel: Kernel, what: str, found: Array, expected: Array, tolerance: float = _TOLERANCE
+def agree(
+    who: str, what: str, found: Array, expected: Array, tolerance: float = _TOLERANCE
 ) -> None:
+    """Raise KernelMismatch, for a kernel called `who`, unless two arrays agree, relatively."""
     if not expected.size:
         return
     error = float(np.abs(found - expected).max())
     scale = max(float(np.abs(expected).max()), 1e-3)
     if not error <= tolerance * scale:
         raise KernelMismatch(
-            f"the kernel of '{kernel.system.name}' disagrees with Pinocchio: {what} is off by "
+            f"{who} disagrees with Pinocchio: {what} is off by "
             f"{error:.3g} of {scale:.3g}\nfound    {found}\nexpected {expected}"
         )
+
+
+def slack_of(H: Array) -> float:
+    """Return how far velocities may be off: round-off of the momenta alone moves them so."""
+    return max(_TOLERANCE, 10.0 * np.finfo(float).eps * float(np.linalg.cond(H)))
+
+
+def _agree(
+    kernel: Kernel, what: str, found: Array, expected: Array, tolerance: float = _TOLERANCE
+) -> None:
+    agree(f"the kernel of '{kernel.system.name}'", what, found, expected, tolerance)

@@ -14,10 +14,9 @@ import numpy as np
 
 from ..arrays import Array
 from ..base import BaseParts
-from ..cyclic import cyclic_joints
+from ..cyclic import cyclic_of
 from ..force_model import ForceModel
 from ..potential import pivot_weight, shape_gravity
-from ..reduction import Reduction
 from ..scene import Scene
 from ..system import System
 from .cache import ObjectCache, cache_key
@@ -120,10 +119,9 @@ def structure_of(
     if weight.any():
         x, y, z = (weight / system.mass).tolist()
         direction = (x, y, z)
-    touched = () if forces is None else forces.touched
     return Structure(
         zero_momentum=zero_momentum,
-        cyclic=cyclic_joints(Reduction(system), touched),
+        cyclic=cyclic_of(system, forces),
         gravity=direction,
         base=base,
     )
