@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     )
     from .grid import ShapeField
     from .inspection import Inspection, inspect
-    from .integrators.method import DOP853, RKMK4
+    from .integrators.method import DOP853, RKMK4, AdaptiveGauss, Gauss
     from .loading import load
     from .many import Failure, Trajectories, simulate_many
     from .reduction import ReducedShape, Reduction
@@ -74,16 +74,18 @@ _HOME = {
     **dict.fromkeys(("ShapeState", "State"), "state"),
     "Trajectory": "trajectory",
     **dict.fromkeys(("EnergyBalance", "MomentumBalance"), "balance"),
-    **dict.fromkeys(("DOP853", "RKMK4"), "integrators.method"),
+    **dict.fromkeys(("DOP853", "RKMK4", "AdaptiveGauss", "Gauss"), "integrators.method"),
 }
 _MODULES = ("equations", "forces", "lie", "signals")
 
 __all__ = [
     "DOP853",
     "RKMK4",
+    "AdaptiveGauss",
     "Configuration",
     "EnergyBalance",
     "Failure",
+    "Gauss",
     "InitialState",
     "InputError",
     "Inspection",

@@ -71,6 +71,10 @@ class StepSizeUnderflow(_Stopped):
     """The steps that the tolerance asks for have become too short for the clock."""
 
 
+class NoConvergence(_Stopped):
+    """The equations of an implicit step were not solved."""
+
+
 class TooManySteps(_Stopped):
     """An integrator has made all the steps that it was allowed."""
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from .arrays import Array, as_floats, positive, read_only, vector
 from .errors import InputError, ShapeError
 from .force import Force
-from .integrators.method import Method
+from .integrators.method import METHODS, Method
 from .joints import is_prismatic
 from .start import Given, Start, start_of
 from .system import InitialState, System, checked_system
@@ -89,7 +89,8 @@ class Scene:
         if self.outputs not in OUTPUTS:
             raise InputError(f"outputs must be one of {', '.join(OUTPUTS)}, got {self.outputs!r}")
         if not (self.method is None or isinstance(self.method, Method)):
-            raise InputError(f"method must be DOP853(…) or RKMK4(…), got {self.method!r}")
+            names = " or ".join(f"{name}(…)" for name in METHODS)
+            raise InputError(f"method must be {names}, got {self.method!r}")
         for name in ("rtol", "atol"):
             object.__setattr__(self, name, positive(getattr(self, name), name))
         if self.rtol < TIGHTEST:

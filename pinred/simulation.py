@@ -76,8 +76,9 @@ def _pinocchio(scene: Scene, progress: Progress | None) -> Trajectory:
 
 
 def _compiled(scene: Scene, progress: Progress | None) -> Trajectory:
+    from .engine.choice import method_of
     from .engine.flow import CompiledFlow
-    from .engine.run import method_of, prepare, solve
+    from .engine.run import prepare, solve
 
     flow = CompiledFlow(scene)
     prepare(flow, scene)

@@ -26,7 +26,7 @@ from pinred.errors import (
     StepSizeUnderflow,
     TooManySteps,
 )
-from pinred.integrators import dop853, drive, rkmk4
+from pinred.integrators import dop853, drive, rkmk4, stepper
 from pinred.integrators.drive import Solution, integrate
 from pinred.integrators.kernel import SOURCES
 from pinred.integrators.many import STATUS, integrate_many
@@ -329,7 +329,7 @@ def test_a_run_that_pauses_has_the_same_bits(
     """Neither pauses nor the growth of the store change a number."""
     address, params, y0, quaternion = problem
     whole = integrate(method, address, params, y0, 4.0, TIMES, quaternion)
-    monkeypatch.setattr(drive, "EVALUATIONS_BETWEEN_PAUSES", 1)
+    monkeypatch.setattr(stepper, "EVALUATIONS_BETWEEN_PAUSES", 1)
     monkeypatch.setattr(drive, "_FIRST_KNOTS", 1)
     parts: list[float] = []
     paused = integrate(method, address, params, y0, 4.0, TIMES, quaternion, parts.append)

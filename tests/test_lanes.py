@@ -20,7 +20,6 @@ from pinred.engine.frames import bodies_of
 from pinred.engine.lanes import Lanes, links_of
 from pinred.engine.native import compile_object, load_object
 from pinred.engine.symbolic import ReducedGraph, Structure
-from pinred.errors import UnsupportedOperationError
 from pinred.flow import ReducedFlow
 
 POINTER = ctypes.POINTER(ctypes.c_double)
@@ -83,11 +82,16 @@ def test_one_number_for_all_lanes_stays_one() -> None:
     assert isinstance(lanes.pack([0.0, 1.0]), ca.SX)
 
 
-def test_what_has_no_form_in_lanes_is_named() -> None:
-    """Only arithmetic is done in lanes."""
-    x, lanes = ca.SX.sym("x", 2), Lanes()
-    with pytest.raises(UnsupportedOperationError, match="sqrt"):
-        build(lanes, x, lanes.sum(ca.sqrt(lanes.pack([x[0], x[1]])), 2))
+@pytest.mark.parametrize("width", [2, 3, 4, 8])
+def test_what_has_no_form_in_lanes(width: int) -> None:
+    """Functions are called lane by lane, sines of all lanes at once."""
+    x, lanes = ca.SX.sym("x", width), Lanes()
+    a = lanes.pack([x[k] for k in range(width)])
+    value = ca.sqrt(a) + ca.atan2(a, 2.0) * ca.sin(a) - (a > 0.5) * ca.cos(a * 3.0)
+    fast = build(lanes, x, ca.vertcat(*(lanes.lane(value, k, width) for k in range(width))))
+    at = np.random.default_rng(1).uniform(0.0, 1.0, width)
+    expected = np.sqrt(at) + np.arctan2(at, 2.0) * np.sin(at) - (at > 0.5) * np.cos(3.0 * at)
+    np.testing.assert_allclose(fast(at), expected, rtol=1e-14)
 
 
 def test_limbs_of_one_build_are_found() -> None:

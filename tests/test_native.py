@@ -389,3 +389,23 @@ def test_what_cannot_be_loaded() -> None:
         with pytest.raises(InputError, match="'f'"):
             load_object(bad, "f")
     assert compile_object(ca.Function("f", [x], [2 * x]), "f") == code
+
+
+@pytest.mark.parametrize("wide", [4, 8])
+@pytest.mark.parametrize("name", EXACT + ROUNDED)
+def test_many_places_at_once(name: str, wide: int) -> None:
+    """Every operation, in every lane, is what CasADi's interpreter gives for it alone."""
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
+    value = apply(name, x[0], x[1]) if name in BINARY else apply(name, x[0])
+    function = ca.Function("f", [x, p], [ca.vertcat(value, p * value, p, ca.SX(2.0))])
+    code = load_object(compile_object(function, "f", wide=wide), "f")
+    call = callable_of(code, 2, 4 * wide)
+    places = np.random.default_rng(3).uniform(0.1, 0.9, (2, wide))
+    found = call(places.ravel(), np.array([1.5])).reshape(4, wide)
+    for lane in range(wide):
+        expected = reference(function, places[:, lane], np.array([1.5]))
+        np.testing.assert_allclose(found[:, lane], expected, rtol=4e-16)
+    places[0, 1] = np.nan
+    again = call(places.ravel(), np.array([1.5])).reshape(4, wide)
+    others = np.arange(wide) != 1
+    assert (again[:, others] == found[:, others]).all()

@@ -31,9 +31,15 @@ class BaseGraph:
     """
 
     def __init__(
-        self, system: System, parts: BaseParts, weight: tuple[float, float, float] | None
+        self,
+        system: System,
+        parts: BaseParts,
+        weight: tuple[float, float, float] | None,
+        *,
+        lifted: bool = False,
     ) -> None:
-        """Make the symbols."""
+        """Make the symbols.  lifted: see Structure."""
+        self._lifted = lifted
         self._k, self._r, self._mass = system.group.linear, system.r, system.mass
         self._group, self.parts = system.group, parts
         self._weight = None if weight is None else [float(w) for w in weight]
@@ -51,7 +57,8 @@ class BaseGraph:
         if self.parts.momentum:
             angular: list[Scalar] = list(self.momentum)
         elif self.parts.spin:
-            angular = self._turned_back(self.spin)
+            lifted = self._lifted and self.parts.attitude == 4
+            angular = _lift(self.attitude, self.spin) if lifted else self._turned_back(self.spin)
         else:
             return [0.0] * self._r
         return [0.0] * self._k + angular
@@ -180,6 +187,15 @@ def _rotated(q: list[Scalar], v: list[Scalar], sign: float) -> list[Scalar]:
     t = cross(u, v)
     turned = cross(u, t)
     return [add(v[i], mul(scale, add(mul(w, t[i]), turned[i]))) for i in range(3)]
+
+
+def _lift(q: list[Scalar], v: list[Scalar]) -> list[Scalar]:
+    """Return q̄ v q, which is |q|² Rᵀ v, by a quaternion (x, y, z, w)."""
+    u, w = [mul(-1.0, c) for c in q[:3]], q[3]
+    square = add(dot(u, u), mul(w, w))
+    t = cross(u, v)
+    turned = cross(u, t)
+    return [add(mul(square, v[i]), mul(2.0, add(mul(w, t[i]), turned[i]))) for i in range(3)]
 
 
 def _quaternion_rate(q: list[Scalar], omega: list[Scalar]) -> list[Scalar]:

@@ -7,14 +7,17 @@ import numpy as np
 from ..arrays import Array
 from ..base import into_body, root_of
 from ..flow import entry_name
+from ..integrators.method import Method
 from ..potential import pivot_weight
 from ..scene import Scene
 from ..start import Given, finite_start
 from ..state import Sample, ShapeState, State
 from ..system import Indices
+from .choice import method_of
 from .evaluate import evaluate
 from .kernel import Kernel, kernel_for
 from .starting import Starts, start_kernel
+from .wide import wide_rate
 
 _AT_ONCE = 512  # members that are set up together
 
@@ -80,10 +83,10 @@ class CompiledFlow:
             energy=energy,
         )
 
-    @property
-    def address(self) -> int:
-        """Address of the vector field."""
-        return self.kernel.rate.address
+    def address(self, method: Method) -> int:
+        """Address of the vector field, in the form in which a method takes it."""
+        lanes = method.lanes
+        return (self.kernel.rate if lanes == 1 else wide_rate(self.kernel, lanes)).address
 
     def shape(self, t: float, y: Array) -> Array:
         """Return the shape (m,) in a reduced state."""
@@ -143,7 +146,10 @@ class CompiledFlows:
 
     def _begin(self, scene: Scene, given: Given, start: Starts, *, zero: bool) -> None:
         forces, x, N = scene.force_model, given.x, len(given.x)
-        self.scene, self.kernel = scene, kernel_for(scene, zero_momentum=zero)
+        self.scene, self.kernel = (
+            scene,
+            kernel_for(scene, zero_momentum=zero, lifted=method_of(scene).lanes > 1),
+        )
         layout = self.kernel.layout
         parts = layout.base
         active, cyclic = list(layout.active), list(layout.cyclic)

@@ -159,6 +159,7 @@ class _Lowering:
         self.width: dict[str, int] = {}  # of what has more than one lane
         self.stage: dict[str, int] = {}  # of what is not known in stage 0
         self.used: set[int] = set()  # operations
+        self.both: dict[str, int] = {}  # numbers of the angles with lanes
         self._same: dict[tuple[str, int], str] = {}  # one number in all lanes
         self._sums: set[int] = set()  # widths
         self._marks = marks
@@ -177,14 +178,38 @@ class _Lowering:
         width = max([self.width.get(v, 1) for v in operands])
         one = constant(1.0)
         if width > 1:
+            operands = [self.in_lanes(v, width) for v in operands]
             if op not in _LINES:
-                raise UnsupportedOperationError(f"'{_NAMES.get(op, op)}' has no form in lanes")
-            operands = [self._in_lanes(v, width) for v in operands]
+                return self._one_by_one(new, template, operands, width)
             one = f"splat (double {one})"
         return self.put(new, width, template.format(*operands, T=vector(width), one=one), *operands)
 
+    def _one_by_one(self, new: str, template: str, operands: list[str], width: int) -> str:
+        """Write down an operation that has no form in lanes, one lane after another."""
+        packed, T = "poison", vector(width)
+        for lane in range(width):
+            numbers = [
+                self.put(f"{new}.{lane}.{k}", 1, f"extractelement {T} {v}, i32 {lane}", v)
+                for k, v in enumerate(operands)
+            ]
+            value = self.put(f"{new}.{lane}", 1, template.format(*numbers), *numbers)
+            text = f"insertelement {T} {packed}, double {value}, i32 {lane}"
+            packed = self.put(f"{new}.to{lane}", width, text, value, packed)
+        return packed
+
     def angle(self, letter: str, angle: str) -> str:
         """Return the name of the sine (s) or cosine (c) of an angle."""
+        width = self.width.get(angle, 1)
+        if width > 1:
+            if angle not in self.both:
+                T = vector(width)
+                self.both[angle] = k = len(self.both)
+                text = f"call {{{T}, {T}}} @pinred.sincos{width}({T} {angle})"
+                both = self.put(f"%wide{k}", 1, text, angle)
+                for part, name in enumerate("sc"):
+                    text = f"extractvalue {{{T}, {T}}} {both}, {part}"
+                    self.put(f"%wide{name}{k}", width, text, both)
+            return f"%wide{letter}{self.both[angle]}"
         at = self.stage.get(angle, 0)
         return self._known(f"%{letter}{self.writer.angle(angle, at)}", 1, at + 1)
 
@@ -223,7 +248,7 @@ class _Lowering:
         if mark.kind == "pack":
             return self._packed(new, operands)
         (packed,) = operands
-        packed = self._in_lanes(packed, mark.width)
+        packed = self.in_lanes(packed, mark.width)
         if mark.kind == "lane":
             return self.put(new, 1, f"extractelement {T} {packed}, i32 {mark.lane}", packed)
         self._sums.add(mark.width)
@@ -243,7 +268,8 @@ class _Lowering:
                 packed = self.put(f"{new}.{lane}", width, text, packed, value)
         return packed
 
-    def _in_lanes(self, value: str, width: int) -> str:
+    def in_lanes(self, value: str, width: int) -> str:
+        """Return a value in lanes, the same number in all if it is one."""
         if self.width.get(value, 1) == width:
             return value
         if _is_constant(value):
@@ -263,12 +289,19 @@ class _Lowering:
 
 
 def lower(
-    function: ca.Function, name: str, marks: Sequence[Mark] | None = None, *, fma: bool
+    function: ca.Function,
+    name: str,
+    marks: Sequence[Mark] | None = None,
+    *,
+    fma: bool,
+    wide: int = 1,
 ) -> str:
     """Return the IR of a Function.
 
     marks: of a Function made by `Lanes`, whose last input and first output are their symbols
-    and their operands.  fma: whether the CPU has a fused multiply-add.
+    and their operands.  wide: how many values the first input and the output have of every
+    number, in lanes: the function is evaluated at so many places at once.  fma: whether the
+    CPU has a fused multiply-add.
 
     Raises UnsupportedOperationError if it holds an operation that has no machine code.
     """
@@ -291,17 +324,20 @@ def lower(
             elif (which, entry) in loads:
                 new = loads[which, entry]
             else:
-                low.put(f"%p{k}", 1, f"getelementptr double, ptr %in{which}, i64 {entry}")
-                new = low.put(f"%r{k}", 1, f"load double, ptr %p{k}, align 8")
+                lanes = wide if which == 0 else 1
+                at = f"getelementptr double, ptr %in{which}, i64 {lanes * entry}"
+                low.put(f"%p{k}", 1, at)
+                new = low.put(f"%r{k}", lanes, f"load {vector(lanes)}, ptr %p{k}, align 8")
                 loads[which, entry] = new
         elif op == ca.OP_OUTPUT:
             source, (which, entry) = value[arguments[0]], function.instruction_output(k)
             if marks is not None and which == 0:
                 low.operand(source)
             else:
+                source = source if wide == 1 else low.in_lanes(source, wide)
                 low.writer.stages[low.stage.get(source, 0)] += [
-                    f"%p{k} = getelementptr double, ptr %out, i64 {entry}",
-                    f"store double {source}, ptr %p{k}, align 8",
+                    f"%p{k} = getelementptr double, ptr %out, i64 {wide * entry}",
+                    f"store {vector(wide)} {source}, ptr %p{k}, align 8",
                 ]
             continue
         elif op in (ca.OP_SIN, ca.OP_COS):
@@ -315,6 +351,7 @@ def lower(
             )
         value[function.instruction_output(k)[0]] = new
     lines, widths = low.writer.body()
+    widths |= {low.width[angle] for angle in low.both}
     pointers = [f"ptr noalias readonly %in{k}" for k in range(inputs)]
     return "\n".join(
         [

@@ -38,18 +38,22 @@ class NativeCode:
     _engine: Any = field(repr=False)
 
 
-def compile_object(function: ca.Function, name: str, marks: Sequence[Mark] | None = None) -> bytes:
+def compile_object(
+    function: ca.Function, name: str, marks: Sequence[Mark] | None = None, *, wide: int = 1
+) -> bytes:
     """Return object code of `void name(const double *in0, …, double *out)` for this CPU.
 
     function: an SX Function of any number of dense columns with one dense column as its
     output.  No pointer may overlap `out`; one to an empty column may be anything.  marks: of
-    a Function made by `Lanes`; what it has more of than that has no pointer.
+    a Function made by `Lanes`; what it has more of than that has no pointer.  wide: at how
+    many places at once it is evaluated; then in0 and out hold so many values of a number,
+    one after another, for every number.
 
     Raises InputError if the function is not such, or `name` not the name of a function, and
     UnsupportedOperationError if it holds an operation that has no machine code.
     """
     _check(function, name, outputs=1 if marks is None else 2)
-    text = lower(function, name, marks, fma=_has_fma())
+    text = lower(function, name, marks, fma=_has_fma(), wide=wide)
     with _LOCK:
         context = llvm.create_context()
         module = llvm.parse_assembly(text, context)

@@ -5,18 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
 from ..arrays import Array, read_only
-from ..errors import IntegrationError, NonFiniteState, StepSizeUnderflow, TooManySteps
+from ..errors import (
+    IntegrationError,
+    NoConvergence,
+    NonFiniteState,
+    StepSizeUnderflow,
+    TooManySteps,
+)
 from ..integrators.drive import integrate_checked
 from ..integrators.many import STATUS
 from ..integrators.many import integrate_many as _integrate_many
-from ..integrators.method import DOP853, Method
+from ..integrators.method import Method
 from ..motion import Piece, Solve
 from ..scene import Scene
+from .choice import method_of
 from .flow import CompiledFlow, CompiledFlows
 
 
@@ -30,12 +36,12 @@ class ManyRuns:
 
 def integrate_many(flows: CompiledFlows, scene: Scene, threads: int | None) -> ManyRuns:
     """Integrate flows of one kernel, with the times and tolerance of one scene, over threads."""
-    kernel = flows.kernel
+    kernel, method = flows.kernel, method_of(scene)
     # One body that only translates carries a zero, which costs nothing.
     y0 = flows.y0 if flows.y0.shape[1] else np.zeros((len(flows.y0), 1))
     found = _integrate_many(
-        method_of(scene),
-        kernel.rate.address,
+        method,
+        CompiledFlow.of(flows, 0).address(method),
         flows.parameters,
         y0,
         scene.end,
@@ -53,37 +59,27 @@ def integrate_many(flows: CompiledFlows, scene: Scene, threads: int | None) -> M
     return ManyRuns(found.y, failures)
 
 
-_prepared = False
+_prepared: set[type[Method]] = set()
 _NO_TIMES = read_only(np.empty(0))
 
 
 def prepare(flow: CompiledFlow, scene: Scene) -> None:
-    """Load the integrators' machine code, once for a process: a run's time is then its own."""
-    global _prepared
-    if _prepared:
+    """Load an integrator's machine code, once for a process: a run's time is then its own."""
+    method = type(method_of(scene))
+    if method in _prepared:
         return
-    _prepared = True
+    _prepared.add(method)
     with suppress(IntegrationError):  # the run itself will say so
         solve(flow, scene, None)(0.0, 1e-9 * scene.end, flow.y0)
-
-
-def method_of(scene: Scene) -> Method:
-    """Return the integrator of a scene."""
-    return scene.method or _dop853(*scene.tolerance)
-
-
-@lru_cache(maxsize=64)
-def _dop853(rtol: float, atol: float) -> DOP853:
-    return DOP853(rtol=rtol, atol=atol)
 
 
 def solve(flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | None) -> Solve:
     """Return what integrates a flow from one time of its scene to another.
 
-    That raises NonFiniteState, StepSizeUnderflow or TooManySteps with time and shape.
+    That raises an IntegrationError with time and shape.
     """
     method, quaternion = method_of(scene), flow.kernel.layout.quaternion
-    asked = scene.report_times
+    asked, address = scene.report_times, flow.address(method)
 
     def run(start: float, end: float, y0: Array) -> Piece:
         # The integrators' time begins at 0; what depends on the time has it in its state.
@@ -95,7 +91,7 @@ def solve(flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | 
         y0 = y0 if y0.size else np.zeros(1)
         try:
             found = integrate_checked(
-                method, flow.address, parameters, y0, end - start, times, quaternion, done
+                method, address, parameters, y0, end - start, times, quaternion, done
             )
         except IntegrationError as stop:
             raise _explained(stop, flow, scene, start) from None
@@ -128,7 +124,7 @@ def _explained(
             stop.state,
             stop.entry,
         )
-    if isinstance(stop, (StepSizeUnderflow, TooManySteps)):
+    if isinstance(stop, (StepSizeUnderflow, NoConvergence, TooManySteps)):
         time = start + stop.time
         x = flow.shape(time, stop.state)
         return type(stop)(

@@ -44,13 +44,17 @@ class Structure:
 
     zero_momentum: of the base.  cyclic: indices of the cyclic joints.  gravity: (3,) what
     acts on the shape, or turns a pivoted base, in the root joint's fixed frame, or None.
-    base: whether somebody asks for the base.
+    base: whether somebody asks for the base.  lifted: whether a quaternion of any length
+    stands for the angular momentum, μ = q̄ J q, which grows as the square of that length.
+    Under this map (Cayley and Klein's) of ℝ⁴ to so(3)* the canonical bracket becomes that of
+    Lie and Poisson, so that a symplectic method for (x, π, q) is a Poisson map of (x, π, μ).
     """
 
     zero_momentum: bool = True
     cyclic: tuple[int, ...] = ()
     gravity: tuple[float, float, float] | None = None
     base: bool = True
+    lifted: bool = False
 
 
 @dataclass(frozen=True)
@@ -151,14 +155,15 @@ class ReducedGraph:
         self._weight = _weight(system, structure)
         parts = base_parts(
             group,
-            wanted=structure.base,
+            wanted=structure.base or structure.lifted,
             heavy=heavy,
             wrench=wrench,
             zero_momentum=structure.zero_momentum,
         )
         self.x = [ca.SX.sym(f"x{k}") for k in range(m)]
         self.pi = [ca.SX.sym(f"pi{k}") for k in range(m)]
-        self.base = BaseGraph(system, parts, self._weight if heavy else None)
+        turned = self._weight if heavy else None
+        self.base = BaseGraph(system, parts, turned, lifted=structure.lifted)
         self._t = ca.SX.sym("t")
         prescribed = forces.joints if forces is not None else ()
         self.layout = Layout(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import ceil
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,43 +12,35 @@ from ..arrays import Array, as_floats, positive, read_only
 from ..errors import (
     InputError,
     IntegrationError,
+    NoConvergence,
     NonFiniteState,
     ShapeError,
     StepSizeUnderflow,
     TooManySteps,
 )
-from . import dop853, rkmk4
-from .kernel import LANES
-from .method import DOP853, Method
+from .method import Method
 from .run import (
-    ATOL,
-    BUDGET,
-    COUNTS,
+    DIVERGED,
     DONE,
     ENTRY,
     EVALUATIONS,
     FULL,
     KEEP,
-    MAX_STEP,
     MAX_STEPS,
     NOT_FINITE,
-    QUATERNION,
-    REALS,
     REJECTED,
     RTOL,
     STEPS,
     T_END,
-    TOTAL,
     UNDERFLOW,
     Counts,
     H,
-    N,
     T,
 )
+from .stepper import registers, stepper_of, work_rows
 
 Progress = Callable[[float], None]
 
-EVALUATIONS_BETWEEN_PAUSES = 4096  # at most some milliseconds: Ctrl-C and progress come through
 _FIRST_KNOTS = 128
 
 
@@ -83,10 +74,9 @@ class Solution:
         asked = checked_times(times, float(self.knots[-1]), ordered=False)
         order = np.argsort(asked, kind="stable")
         n = self.states.shape[1]
-        count, out = np.zeros(COUNTS, dtype=np.int64), np.empty((len(asked), n))
-        count[N], count[QUATERNION] = n, self._quaternion
-        stepper = dop853 if isinstance(self.method, DOP853) else rkmk4
-        stepper.recall(
+        out = np.empty((len(asked), n))
+        _, count = registers(self.method, n, 1.0, self._quaternion)
+        stepper_of(self.method).recall(
             self._address,
             self._params,
             count,
@@ -119,8 +109,8 @@ def integrate(
         (x, y, z, w), −1 for none; its rate is ½ q ω with the body's angular velocity ω.
     progress: called now and then with the part of the time that is done, 0 to 1.
 
-    Raises InputError, and StepSizeUnderflow, NonFiniteState or TooManySteps with the time
-    and the state at which the run stopped.
+    Raises InputError, and StepSizeUnderflow, NonFiniteState, NoConvergence or TooManySteps with
+    the time and the state at which the run stopped.
     """
     end = positive(t_end, "t_end")
     check_kernel(address)
@@ -149,8 +139,8 @@ def integrate_checked(
     real, count = registers(method, n, end, quaternion)
     count[KEEP] = 1
     work = work_rows(method, n)
-    stepper = dop853 if isinstance(method, DOP853) else rkmk4
-    work[stepper.Y, :n] = y0
+    stepper = stepper_of(method)
+    work[stepper.state, :n] = y0
     out = np.empty((len(times), n))
     knots, states = np.empty(_FIRST_KNOTS), np.empty((_FIRST_KNOTS, n))
     status = -1
@@ -159,7 +149,7 @@ def integrate_checked(
         if status == FULL:
             knots, states = _doubled(knots), _doubled(states)
         elif status >= UNDERFLOW:
-            raise failure(status, real, count, work[stepper.Y, :n].copy())
+            raise failure(status, real, count, work[stepper.state, :n].copy())
         if progress is not None:
             progress(real[T].item() / end)
     steps = count[STEPS].item()
@@ -178,28 +168,6 @@ def integrate_checked(
     )
 
 
-def registers(method: Method, n: int, t_end: float, quaternion: int) -> tuple[Array, Counts]:
-    """Return `real` and `count` of run.py for a run that has not begun."""
-    real, count = np.zeros(REALS), np.zeros(COUNTS, dtype=np.int64)
-    real[T_END] = t_end
-    count[N], count[QUATERNION] = n, quaternion
-    count[ENTRY], count[BUDGET] = -1, EVALUATIONS_BETWEEN_PAUSES
-    if isinstance(method, DOP853):
-        real[RTOL], real[ATOL], real[MAX_STEP] = method.rtol, method.atol, method.max_step
-        count[MAX_STEPS] = method.max_steps
-    else:
-        # The part of a step that round-off adds to the quotient is no step.
-        total = max(1, ceil(t_end / method.step * (1.0 - 1e-12)))
-        count[TOTAL], real[H] = total, t_end / total
-    return real, count
-
-
-def work_rows(method: Method, n: int) -> Array:
-    """Return the rows that a stepper works on, padded to whole vectors."""
-    rows = dop853.ROWS if isinstance(method, DOP853) else rkmk4.ROWS
-    return np.zeros((rows, -(-n // LANES) * LANES))
-
-
 def failure(status: int, real: Array, count: Counts, state: Array) -> IntegrationError:
     """Return the error for a status of `advance`; state: (n,) at the last time reached."""
     time, entry = real[T].item(), count[ENTRY].item()
@@ -210,6 +178,13 @@ def failure(status: int, real: Array, count: Counts, state: Array) -> Integratio
         return StepSizeUnderflow(
             f"the tolerance (rtol = {real[RTOL]:g}) asks for steps below {real[H]:.1e} s at "
             f"{where}: the motion is singular there, or the tolerance too tight",
+            time,
+            state,
+        )
+    if status == DIVERGED:
+        return NoConvergence(
+            f"the implicit step of {real[H]:.3g} s has no solution by fixed-point iteration after "
+            f"{where}: take shorter steps",
             time,
             state,
         )

@@ -38,13 +38,13 @@ def compiled(function: _Function) -> _Function:
     return typed
 
 
-def _intrinsic(generator: Callable[..., Any]) -> Callable[..., None]:
+def make_intrinsic(generator: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function for compiled code whose instructions `generator` gives."""
-    out: Callable[..., None] = intrinsic(generator)
+    out: Callable[..., Any] = intrinsic(generator)
     return out
 
 
-@_intrinsic
+@make_intrinsic
 def call(typing: Any, address: Any, y: Any, params: Any, dydt: Any) -> Any:  # noqa: ARG001
     """Let the kernel at `address` (int64) fill dydt with the rates at y.
 
@@ -77,7 +77,7 @@ def combination(out: int, base: int | None, weights: Sequence[float]) -> Callabl
     """
     terms = [(row, float(weight)) for row, weight in enumerate(weights) if weight != 0.0]
 
-    @_intrinsic
+    @make_intrinsic
     def combine(typing: Any, work: Any, h: Any) -> Any:  # noqa: ARG001
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             array = context.make_array(signature.args[0])(context, builder, arguments[0])

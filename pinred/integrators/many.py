@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import Array, as_floats, freeze, positive, read_only
 from ..errors import InputError, ShapeError
 from . import dop853, rkmk4
-from .drive import check_kernel, check_state, checked_times, registers, work_rows
+from .drive import check_kernel, check_state, checked_times
 from .kernel import compiled
-from .method import DOP853, Method
+from .method import DOP853, RKMK4, Method
 from .run import (
+    DIVERGED,
     DONE,
     ENTRY,
     EVALUATIONS,
@@ -30,10 +31,12 @@ from .run import (
     N,
     T,
 )
+from .stepper import Stepper, registers, stepper_of, work_rows
 
 STATUS = {
     DONE: "done",
     UNDERFLOW: "step size underflow",
+    DIVERGED: "without a solution of its implicit step",
     NOT_FINITE: "not finite",
     TOO_MANY: "too many steps",
 }
@@ -104,10 +107,17 @@ def integrate_many(
     y = np.full((size, len(asked), n), np.nan)
     reached, tally = np.zeros(size), np.zeros((size, 5), dtype=np.int64)
     stop = np.zeros(1, dtype=np.int64)
-    family = 0 if isinstance(method, DOP853) else 1
+    loops = {DOP853: 0, RKMK4: 1}
+    family = loops.get(type(method), -1)
 
     def share(first: int, last: int) -> None:
         work = work_rows(method, n)
+        if family < 0:
+            _one_by_one(
+                stepper_of(method), address, frozen, start, first, last, real, count, work,
+                asked, y, reached, tally, stop,
+            )  # fmt: skip
+            return
         members(
             family, address, frozen, start, first, last, real.copy(), count.copy(), real, count,
             work, asked, y, reached, tally, stop,
@@ -135,6 +145,42 @@ def integrate_many(
         rejected=tally[:, 3].copy(),
         evaluations=tally[:, 4].copy(),
     )
+
+
+def _one_by_one(
+    stepper: Stepper,
+    address: int,
+    params: Array,
+    y0: Array,
+    first: int,
+    last: int,
+    fresh_real: Array,
+    fresh_count: Counts,
+    work: Array,
+    times: Array,
+    y: Array,
+    reached: Array,
+    tally: Counts,
+    stop: Counts,
+) -> None:
+    """Run members as `members` does, in a loop of Python's; a run is compiled all the same."""
+    no_times, no_states = reached[:0], y[0, :0]
+    clean = work.copy()
+    for member in range(first, last):
+        real, count = fresh_real.copy(), fresh_count.copy()
+        work[:] = clean
+        work[stepper.state, : count[N]] = y0[member]
+        status = PAUSED
+        while status == PAUSED:
+            if stop[0] != 0:
+                return
+            status = stepper.advance(
+                address, params[member], real, count, work, times, y[member], no_times, no_states
+            )
+        reached[member] = real[T]
+        tally[member] = (
+            status, count[ENTRY], count[STEPS], count[REJECTED], count[EVALUATIONS],
+        )  # fmt: skip
 
 
 @compiled

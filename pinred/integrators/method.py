@@ -1,4 +1,8 @@
-"""Integrators as values: what to run, and what each claims to do."""
+"""Integrators as values: what to run, and what each claims to do.
+
+name, order, dense_order (of the states between the ends of steps), symplectic, adaptive.
+lanes: how many states the kernel of the method evaluates at once.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,13 @@ from typing import ClassVar, TypeAlias
 
 from ..arrays import positive
 from ..errors import InputError
+
+STAGES = 8  # of Gauss's methods, at most
+
+
+def lanes_of(stages: int) -> int:
+    """Return how many stages the kernels of Gauss's methods evaluate at once, idle ones too."""
+    return 4 if stages <= 4 else 8
 
 
 @dataclass(frozen=True)
@@ -24,20 +35,14 @@ class DOP853:
     max_step: float = inf
 
     name: ClassVar[str] = "DOP853"
+    lanes: ClassVar[int] = 1
     order: ClassVar[int] = 8
     dense_order: ClassVar[int] = 7
     symplectic: ClassVar[bool] = False
     adaptive: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        positive(self.rtol, "rtol")
-        positive(self.atol, "atol")
-        if self.max_step != inf:
-            positive(self.max_step, "max_step")
-        if isinstance(self.max_steps, bool) or not isinstance(self.max_steps, int):
-            raise InputError(f"max_steps must be a whole number, got {self.max_steps!r}")
-        if self.max_steps < 1:
-            raise InputError(f"max_steps must be at least 1, got {self.max_steps}")
+        _check_control(self)
 
 
 @dataclass(frozen=True)
@@ -50,6 +55,7 @@ class RKMK4:
     step: float
 
     name: ClassVar[str] = "RKMK4"
+    lanes: ClassVar[int] = 1
     order: ClassVar[int] = 4
     dense_order: ClassVar[int] = 3
     symplectic: ClassVar[bool] = False
@@ -59,4 +65,86 @@ class RKMK4:
         positive(self.step, "step")
 
 
-Method: TypeAlias = DOP853 | RKMK4
+@dataclass(frozen=True)
+class Gauss:
+    """Gauss–Legendre collocation with fixed steps: symplectic, symmetric, of even order.
+
+    step: longest step [s]; the end time is met by making all steps equal.  order: 2, 4, …, 16.
+    Angular momenta and Casimirs are kept to round-off, the energy stays near its value for
+    exponentially long times.  The stages are found by fixed-point iteration to round-off.
+    """
+
+    step: float
+    order: int = 6
+
+    symplectic: ClassVar[bool] = True
+    adaptive: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        positive(self.step, "step")
+        orders = range(2, 2 * STAGES + 1, 2)
+        if isinstance(self.order, bool) or self.order not in orders:
+            raise InputError(
+                f"order must be one of {', '.join(map(str, orders))}, got {self.order!r}"
+            )
+
+    @property
+    def name(self) -> str:
+        """Gauss and the order."""
+        return f"Gauss{self.order}"
+
+    @property
+    def dense_order(self) -> int:
+        """That of the steps: a state between them comes from a shorter one."""
+        return self.order
+
+    @property
+    def stages(self) -> int:
+        """Half of the order."""
+        return self.order // 2
+
+    @property
+    def lanes(self) -> int:
+        """How many states the kernel evaluates at once."""
+        return lanes_of(self.stages)
+
+
+@dataclass(frozen=True)
+class AdaptiveGauss:
+    """Gauss–Legendre collocation of order 16 with step control, for tight tolerances.
+
+    rtol, atol, max_steps, max_step: as for DOP853.
+    """
+
+    rtol: float = 1e-12
+    atol: float = 1e-14
+    max_steps: int = 1_000_000
+    max_step: float = inf
+
+    name: ClassVar[str] = "AdaptiveGauss"
+    lanes: ClassVar[int] = STAGES
+    stages: ClassVar[int] = STAGES
+    order: ClassVar[int] = 2 * STAGES
+    dense_order: ClassVar[int] = 2 * STAGES
+    symplectic: ClassVar[bool] = False
+    adaptive: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        _check_control(self)
+
+
+def _check_control(method: DOP853 | AdaptiveGauss) -> None:
+    positive(method.rtol, "rtol")
+    positive(method.atol, "atol")
+    if method.max_step != inf:
+        positive(method.max_step, "max_step")
+    if isinstance(method.max_steps, bool) or not isinstance(method.max_steps, int):
+        raise InputError(f"max_steps must be a whole number, got {method.max_steps!r}")
+    if method.max_steps < 1:
+        raise InputError(f"max_steps must be at least 1, got {method.max_steps}")
+
+
+Method: TypeAlias = DOP853 | RKMK4 | Gauss | AdaptiveGauss
+METHODS: dict[str, type[Method]] = {
+    kind.__name__: kind for kind in (DOP853, RKMK4, Gauss, AdaptiveGauss)
+}

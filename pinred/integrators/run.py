@@ -1,6 +1,6 @@
 """The state of a run, held in arrays so that it can stop and go on, and its small helpers.
 
-real (6,) and count (13,) are indexed by the names below; a stepper's `advance` works on
+real (7,) and count (15,) are indexed by the names below; a stepper's `advance` works on
 them and returns one of the codes.
 """
 
@@ -17,22 +17,23 @@ from .kernel import compiled
 
 Counts: TypeAlias = NDArray[np.int64]
 
-# Entries of `real`: time, next step, end time, longest step, tolerances.
-T, H, T_END, MAX_STEP, RTOL, ATOL = range(6)
-REALS = 6
+# Entries of `real`: time, next step, end time, longest step, tolerances, the step before.
+T, H, T_END, MAX_STEP, RTOL, ATOL, BEFORE = range(7)
+REALS = 7
 
 # Entries of `count`: numbers in the state; first of the quaternion's four or −1; accepted
 # and rejected steps; evaluations; next time to report; whether the run has begun; whether
 # the last trial was rejected; limit on trials; entry that was not finite or −1; whether
-# knots are kept; evaluations before a pause; number of steps if it is known beforehand.
+# knots are kept; evaluations before a pause; number of steps if it is known beforehand;
+# stages that are lanes of one evaluation, and lanes.
 (
     N, QUATERNION, STEPS, REJECTED, EVALUATIONS, NEXT, BEGUN, AGAIN, MAX_STEPS, ENTRY, KEEP,
-    BUDGET, TOTAL,
-) = range(13)  # fmt: skip
-COUNTS = 13
+    BUDGET, TOTAL, STAGES, LANES,
+) = range(15)  # fmt: skip
+COUNTS = 15
 
 # What `advance` returns.
-DONE, PAUSED, FULL, UNDERFLOW, NOT_FINITE, TOO_MANY = range(6)
+DONE, PAUSED, FULL, UNDERFLOW, NOT_FINITE, TOO_MANY, DIVERGED = range(7)
 
 
 @compiled

@@ -1,0 +1,138 @@
+"""One step of Gauss–Legendre collocation over a kernel that evaluates all stages at once.
+
+The stages are found by fixed-point iteration, which costs one call of such a kernel a turn.
+E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2nd ed., section VIII.6.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..arrays import Array
+from .gauss_tables import tables
+from .kernel import call, compiled
+from .lanes import product, refreshment
+from .method import lanes_of
+
+# Rows of `work`.  L and OLD are h b f of this step and the one before; SUB that of a step for
+# a report; CARRY what the sum of the steps has rounded away.  SCALE holds an inverse for each
+# number, INFO what change round-off may leave, and the quotient of the last two changes.
+Y, NEW, CARRY, NEXT_CARRY, STAGE, RATE, L, OLD, SUB, BEST, SCALE = range(11)
+MU, GUESS, B, C, LAST, BARY, INFO = range(11, 18)
+ROWS = 18
+
+MOST = 100  # turns of the iteration
+ROUND_OFF = 0.0  # as a limit: go on until nothing improves
+DIVERGED = -1
+
+_multiply4, _multiply8 = product(4), product(8)
+_refresh4, _refresh8 = refreshment(4), refreshment(8)
+
+
+def work_rows(stages: int, n: int) -> Array:
+    """Return the rows that a step of so many stages works on, tables filled in."""
+    lanes = lanes_of(stages)
+    work = np.zeros((ROWS, max((n + 1) * lanes, lanes * lanes)))
+    method = tables(stages)
+    work[MU, : lanes * lanes] = method.mu.T.ravel()
+    for row, numbers in (
+        (B, method.b), (C, method.c), (LAST, method.last), (BARY, method.bary),
+    ):  # fmt: skip
+        work[row, :lanes] = numbers
+    return work
+
+
+@compiled
+def start_evenly(
+    address: int, params: Array, work: Array, n: int, lanes: int, row: int, h: float
+) -> None:
+    """Put h b ẏ at the start of the step into `row`, all lanes alike: a first guess."""
+    for i in range(n):
+        for j in range(lanes):
+            work[STAGE, i * lanes + j] = work[Y, i]
+    call(address, work[STAGE], params, work[RATE])
+    for i in range(n):
+        for j in range(lanes):
+            work[row, i * lanes + j] = h * work[B, j] * work[RATE, i * lanes + j]
+
+
+@compiled
+def prepare_guess(work: Array, lanes: int, stages: int, ratio: float) -> None:
+    """Fill the table that carries L of a step on to the next, `ratio` times as long.
+
+    The polynomial through the rates of the old stages, by barycentric interpolation.
+    """
+    c, b, bary = work[C], work[B], work[BARY]
+    for k in range(stages):
+        at = 1.0 + ratio * c[k]
+        node = 1.0
+        for j in range(stages):
+            node *= at - c[j]
+        for j in range(stages):
+            basis = node * bary[j] / (at - c[j])
+            work[GUESS, j * lanes + k] = ratio * b[k] / b[j] * basis
+
+
+@compiled
+def guess(work: Array, n: int, lanes: int) -> None:
+    """Fill L by the table of prepare_guess from OLD."""
+    if lanes == 4:
+        _multiply4(work, L, -1, GUESS, OLD, n)
+    else:
+        _multiply8(work, L, -1, GUESS, OLD, n)
+
+
+@compiled
+def iterate(
+    address: int, params: Array, work: Array, n: int, lanes: int, row: int, h: float, limit: float
+) -> int:
+    """Bring the L in `row` from a guess to the solution; return the turns it took.
+
+    limit: on what is still to come, by SCALE; ROUND_OFF to go on until no number changes by
+    less than before.  DIVERGED if that does not come about.
+    """
+    best = work[BEST]
+    for i in range(n * lanes):
+        best[i] = np.inf
+    before = np.inf
+    for turn in range(1, MOST + 1):
+        if lanes == 4:
+            _multiply4(work, STAGE, Y, MU, row, n)
+            call(address, work[STAGE], params, work[RATE])
+            size = np.sqrt(_refresh4(work, row, RATE, BEST, SCALE, B, n, h))
+        else:
+            _multiply8(work, STAGE, Y, MU, row, n)
+            call(address, work[STAGE], params, work[RATE])
+            size = np.sqrt(_refresh8(work, row, RATE, BEST, SCALE, B, n, h))
+        if not size < np.inf or (turn > 3 and size > 10.0 * before and size > work[INFO, 0]):
+            return DIVERGED
+        improved = 0.0
+        for j in range(lanes):
+            improved += best[n * lanes + j]
+        # Round-off goes to and fro; an iteration that does not converge does so by far.
+        if improved == 0.0 and size <= max(limit, work[INFO, 0]):
+            return turn
+        if turn > 1 and size <= before:
+            if size == 0.0:
+                return turn
+            part = size / before
+            work[INFO, 1] = part
+            if limit > 0.0 and size * part <= limit * (1.0 - part):
+                return turn
+        before = size
+    return DIVERGED
+
+
+@compiled
+def finish(work: Array, n: int, lanes: int, row: int) -> None:
+    """Put the end of the step into NEW, by compensated summation."""
+    for i in range(n):
+        total = work[CARRY, i]
+        for j in range(lanes):
+            total += work[row, i * lanes + j]
+        old = work[Y, i]
+        new = old + total
+        # Knuth's two-sum: exact, whichever of the two is larger.
+        back = new - old
+        work[NEXT_CARRY, i] = (old - (new - back)) + (total - back)
+        work[NEW, i] = new

@@ -1,0 +1,86 @@
+"""What runs a method: its compiled functions, the rows they work on, and their registers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import ceil
+from typing import Any
+
+import numpy as np
+
+from ..arrays import Array
+from . import dop853, gauss, gauss_adaptive, implicit, rkmk4
+from .kernel import LANES as WHOLE
+from .method import DOP853, RKMK4, AdaptiveGauss, Gauss, Method
+from .run import (
+    ATOL,
+    BUDGET,
+    COUNTS,
+    ENTRY,
+    LANES,
+    MAX_STEP,
+    MAX_STEPS,
+    QUATERNION,
+    REALS,
+    RTOL,
+    STAGES,
+    T_END,
+    TOTAL,
+    Counts,
+    H,
+    N,
+)
+
+EVALUATIONS_BETWEEN_PAUSES = 4096  # at most some milliseconds: Ctrl-C and progress come through
+
+
+@dataclass(frozen=True)
+class Stepper:
+    """The compiled functions of a method.
+
+    advance, recall: see dop853.py.  state: the row of `work` with the state.
+    """
+
+    advance: Callable[..., int]
+    recall: Callable[..., None]
+    state: int
+
+
+_STEPPERS: dict[type[Any], Stepper] = {
+    DOP853: Stepper(dop853.advance, dop853.recall, dop853.Y),
+    RKMK4: Stepper(rkmk4.advance, rkmk4.recall, rkmk4.Y),
+    Gauss: Stepper(gauss.advance, gauss.recall, implicit.Y),
+    AdaptiveGauss: Stepper(gauss_adaptive.advance, gauss_adaptive.recall, implicit.Y),
+}
+
+
+def stepper_of(method: Method) -> Stepper:
+    """Return the compiled functions of a method."""
+    return _STEPPERS[type(method)]
+
+
+def work_rows(method: Method, n: int) -> Array:
+    """Return the rows that a stepper works on, padded to whole vectors."""
+    if isinstance(method, (Gauss, AdaptiveGauss)):
+        return implicit.work_rows(method.stages, n)
+    rows = dop853.ROWS if isinstance(method, DOP853) else rkmk4.ROWS
+    return np.zeros((rows, -(-n // WHOLE) * WHOLE))
+
+
+def registers(method: Method, n: int, t_end: float, quaternion: int) -> tuple[Array, Counts]:
+    """Return `real` and `count` of run.py for a run that has not begun."""
+    real, count = np.zeros(REALS), np.zeros(COUNTS, dtype=np.int64)
+    real[T_END] = t_end
+    count[N], count[QUATERNION] = n, quaternion
+    count[ENTRY], count[BUDGET] = -1, EVALUATIONS_BETWEEN_PAUSES
+    if isinstance(method, (Gauss, AdaptiveGauss)):
+        count[STAGES], count[LANES] = method.stages, method.lanes
+    if isinstance(method, (DOP853, AdaptiveGauss)):
+        real[RTOL], real[ATOL], real[MAX_STEP] = method.rtol, method.atol, method.max_step
+        count[MAX_STEPS] = method.max_steps
+    else:
+        # The part of a step that round-off adds to the quotient is no step.
+        total = max(1, ceil(t_end / method.step * (1.0 - 1e-12)))
+        count[TOTAL], real[H] = total, t_end / total
+    return real, count
