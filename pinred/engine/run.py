@@ -64,11 +64,12 @@ _NO_TIMES = read_only(np.empty(0))
 
 
 def prepare(flow: CompiledFlow, scene: Scene) -> None:
-    """Load an integrator's machine code, once for a process: a run's time is then its own."""
-    method = type(method_of(scene))
-    if method in _prepared:
+    """Have the machine code of kernel and integrator ready: a run's time is then its own."""
+    method = method_of(scene)
+    flow.address(method)
+    if type(method) in _prepared:
         return
-    _prepared.add(method)
+    _prepared.add(type(method))
     with suppress(IntegrationError):  # the run itself will say so
         solve(flow, scene, None)(0.0, 1e-9 * scene.end, flow.y0)
 

@@ -12,6 +12,7 @@ import numpy as np
 from ..arrays import Array
 from .implicit import (
     CARRY,
+    GUESS,
     INFO,
     NEW,
     NEXT_CARRY,
@@ -19,6 +20,7 @@ from .implicit import (
     ROUND_OFF,
     SCALE,
     SUB,
+    WITHIN,
     L,
     Y,
     finish,
@@ -98,10 +100,9 @@ def advance(
             if count[ENTRY] >= 0:
                 count[ENTRY] //= lanes
                 return NOT_FINITE
-            if stages > 0:
-                prepare_guess(work, lanes, stages, 1.0)
+            prepare_guess(work, lanes, stages, GUESS, 1.0, 1.0)
         else:
-            guess(work, n, lanes)
+            guess(work, n, lanes, GUESS, OLD, L)
         turns = solve(address, params, work, n, lanes, L, h)
         if turns == NO_SOLUTION:
             count[ENTRY] = entry_of(work, n, lanes)
@@ -157,7 +158,12 @@ def report(
     """Write the states at the times that lie in a step from real[T] to t_new."""
     while count[NEXT] < times.shape[0] and times[count[NEXT]] <= t_new:
         j = count[NEXT]
-        state(address, params, count, work, times[j], real[T], t_new, out[j])
+        time, t = times[j], real[T]
+        if t < time < t_new:
+            ratio = (time - t) / (t_new - t)
+            prepare_guess(work, count[LANES], count[STAGES], WITHIN, 0.0, ratio)
+            guess(work, count[N], count[LANES], WITHIN, L, SUB)
+        state(address, params, count, work, time, t, t_new, out[j])
         count[NEXT] += 1
 
 
@@ -174,7 +180,7 @@ def state(
 ) -> None:
     """Write the state at a time in the step from t to t_new, (n,), its quaternion of length 1.
 
-    Between the ends it is that of a shorter step from the begin.
+    Between the ends it is that of a shorter step from the begin, with a first guess in SUB.
     """
     n, lanes = count[N], count[LANES]
     if time <= t or time >= t_new:
@@ -183,9 +189,8 @@ def state(
             out[i] = work[row, i]
     else:
         h = time - t
-        start_evenly(address, params, work, n, lanes, SUB, h)
         turns = solve(address, params, work, n, lanes, SUB, h)
-        count[EVALUATIONS] += (1 + turns) * count[STAGES]
+        count[EVALUATIONS] += turns * count[STAGES]
         for i in range(n):
             total = 0.0
             for j in range(lanes):
@@ -218,4 +223,7 @@ def recall(
             for i in range(n):
                 work[Y, i] = knots_y[k, i]
                 work[NEW, i] = knots_y[k + 1, i]
-        state(address, params, count, work, times[j], knots_t[k], knots_t[k + 1], out[j])
+        time, t = times[j], knots_t[k]
+        if t < time < knots_t[k + 1]:
+            start_evenly(address, params, work, n, count[LANES], SUB, time - t)
+        state(address, params, count, work, time, t, knots_t[k + 1], out[j])

@@ -19,6 +19,7 @@ from .dop853 import TURN
 from .gauss import entry_of, recall, report
 from .implicit import (
     CARRY,
+    GUESS,
     INFO,
     LAST,
     NEW,
@@ -74,9 +75,9 @@ __all__ = ["advance", "recall"]
 _SAFETY, _SHRINK, _GROW, _HALF = 0.9, 0.25, 4.0, 0.5
 _EPS = float(np.finfo(float).eps)
 _ORDER = 17.0  # of the error of a step
-_CALIBRATION = 0.03  # error over the square of the estimate, on the bundled robots
-_LEFT = 0.05  # of the tolerance: what the iteration may leave
-_FASTEST = 0.3  # quotient of changes at which a longer step takes as many more turns
+_CALIBRATION = 1.0  # error over the square of the estimate, on the bundled robots
+_LEFT = 0.01  # of the tolerance: what the iteration may leave
+_FASTEST = 0.15  # quotient of changes at which a longer step takes as many more turns
 
 
 @compiled
@@ -126,8 +127,8 @@ def advance(
         t_new = real[T_END] if h == left else t + h
         h = t_new - t
         if real[BEFORE] > 0.0:
-            prepare_guess(work, lanes, stages, h / real[BEFORE])
-            guess(work, n, lanes)
+            prepare_guess(work, lanes, stages, GUESS, 1.0, h / real[BEFORE])
+            guess(work, n, lanes, GUESS, OLD, L)
         else:
             start_evenly(address, params, work, n, lanes, L, h)
             count[EVALUATIONS] += stages

@@ -18,8 +18,8 @@ from .method import lanes_of
 # a report; CARRY what the sum of the steps has rounded away.  SCALE holds an inverse for each
 # number, INFO what change round-off may leave, and the quotient of the last two changes.
 Y, NEW, CARRY, NEXT_CARRY, STAGE, RATE, L, OLD, SUB, BEST, SCALE = range(11)
-MU, GUESS, B, C, LAST, BARY, INFO = range(11, 18)
-ROWS = 18
+MU, GUESS, WITHIN, B, C, LAST, BARY, INFO = range(11, 19)
+ROWS = 19
 
 MOST = 100  # turns of the iteration
 ROUND_OFF = 0.0  # as a limit: go on until nothing improves
@@ -57,29 +57,32 @@ def start_evenly(
 
 
 @compiled
-def prepare_guess(work: Array, lanes: int, stages: int, ratio: float) -> None:
-    """Fill the table that carries L of a step on to the next, `ratio` times as long.
+def prepare_guess(
+    work: Array, lanes: int, stages: int, table: int, begin: float, ratio: float
+) -> None:
+    """Fill the table that makes, of L of a step, that of another, `ratio` times as long.
 
-    The polynomial through the rates of the old stages, by barycentric interpolation.
+    begin: of the other one, 0 where the step begins and 1 where it ends.  The rates are those
+    of the polynomial through the rates of the stages.
     """
     c, b, bary = work[C], work[B], work[BARY]
     for k in range(stages):
-        at = 1.0 + ratio * c[k]
-        node = 1.0
+        at = begin + ratio * c[k]
         for j in range(stages):
-            node *= at - c[j]
-        for j in range(stages):
-            basis = node * bary[j] / (at - c[j])
-            work[GUESS, j * lanes + k] = ratio * b[k] / b[j] * basis
+            basis = bary[j]
+            for i in range(stages):
+                if i != j:
+                    basis *= at - c[i]
+            work[table, j * lanes + k] = ratio * b[k] / b[j] * basis
 
 
 @compiled
-def guess(work: Array, n: int, lanes: int) -> None:
-    """Fill L by the table of prepare_guess from OLD."""
+def guess(work: Array, n: int, lanes: int, table: int, source: int, row: int) -> None:
+    """Fill `row` from the L in `source` by a table of prepare_guess."""
     if lanes == 4:
-        _multiply4(work, L, -1, GUESS, OLD, n)
+        _multiply4(work, row, -1, table, source, n)
     else:
-        _multiply8(work, L, -1, GUESS, OLD, n)
+        _multiply8(work, row, -1, table, source, n)
 
 
 @compiled
