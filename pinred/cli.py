@@ -10,7 +10,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from . import __version__, run_command
 from .bench.command import add_measurements
@@ -207,15 +207,15 @@ def _scene(options: argparse.Namespace, system: System) -> Scene:
     return scene
 
 
-def _method(options: argparse.Namespace) -> Method | None:
-    """Return the integrator asked for; None is DOP853 at the scene's tolerance."""
+def _method(options: argparse.Namespace) -> Method | Literal["auto"]:
+    """Return the integrator asked for."""
     from .integrators.method import RKMK4
 
     if options.method not in (None, "DOP853", "RKMK4"):
         raise InputError(f"unknown method '{options.method}'; the methods are DOP853, RKMK4")
     if (options.method == "RKMK4") != (options.step is not None):
         raise InputError("--method RKMK4 and --step H go together")
-    return None if options.step is None else RKMK4(options.step)
+    return "auto" if options.step is None else RKMK4(options.step)
 
 
 def _inspect(options: argparse.Namespace) -> int:

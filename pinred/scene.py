@@ -47,8 +47,8 @@ class Scene:
     prescribed: {joint: Signal}, joints that follow a plan (see pinred.signals); their
     entries in x0 and xdot0 are not read, and torques on them only spare their drives that
     much.  outputs: "all", or "shape" to leave out the base.
-    method: an integrator of pinred.integrators with its own step or tolerance (DOP853 with
-    rtol and atol).
+    method: an integrator of pinred.integrators with its own step or tolerance, or "auto" for
+    one with rtol and atol that suits the scene (simulate(explain=True) says which and why).
 
     Raises InputError or ShapeError when built with what cannot be simulated.
     """
@@ -68,7 +68,7 @@ class Scene:
     forces: Sequence[Force] | Force = ()
     prescribed: Mapping[str, Signal] = field(default_factory=dict)
     outputs: Literal["all", "shape"] = "all"
-    method: Method | None = None
+    method: Method | Literal["auto"] = "auto"
 
     def __post_init__(self) -> None:
         checked_system(self.system, "a scene")
@@ -88,9 +88,9 @@ class Scene:
             checked_seed(self.seed)
         if self.outputs not in OUTPUTS:
             raise InputError(f"outputs must be one of {', '.join(OUTPUTS)}, got {self.outputs!r}")
-        if not (self.method is None or isinstance(self.method, Method)):
+        if not (self.method == "auto" or isinstance(self.method, Method)):
             names = " or ".join(f"{name}(…)" for name in METHODS)
-            raise InputError(f"method must be {names}, got {self.method!r}")
+            raise InputError(f"method must be 'auto' or {names}, got {self.method!r}")
         for name in ("rtol", "atol"):
             object.__setattr__(self, name, positive(getattr(self, name), name))
         if self.rtol < TIGHTEST:

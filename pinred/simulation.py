@@ -43,7 +43,7 @@ def simulate(
     if engine not in ENGINES:
         raise InputError(f"unknown engine {engine!r}; the engines are {', '.join(ENGINES)}")
     scene = as_scene(scene, options, "simulate")
-    if engine == "pinocchio" and scene.method is not None:
+    if engine == "pinocchio" and scene.method != "auto":
         raise InputError("engine 'pinocchio' has SciPy's DOP853 for integrator; give no method")
     if explain:
         from .explanation import explain_scene
