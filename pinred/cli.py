@@ -16,6 +16,7 @@ from . import __version__, run_command
 from .bench.command import add_measurements
 from .errors import InputError, IntegrationError, PinredError
 from .scene_keys import GROUPS
+from .stress import command as stress_command
 
 if TYPE_CHECKING:
     from .integrators.method import Method
@@ -109,6 +110,9 @@ def _parser() -> _Parser:
 
     sub = command("cache", _cache, "show the compiled kernels kept on disk")
     sub.add_argument("--clear", action="store_true", help="remove them")
+
+    sub = command("stress", stress_command.run, "check the numbers where they are hard")
+    stress_command.add_arguments(sub)
 
     bench = commands.add_parser(
         "bench", help="measure speed and accuracy", description="Measure speed and accuracy."

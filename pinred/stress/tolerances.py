@@ -1,0 +1,26 @@
+"""Does the error follow the tolerance, on every bundled robot, from 1e-4 to 1e-13?"""
+
+from __future__ import annotations
+
+from ..catalogue import bundled_robots
+from ..loading import load
+from ..scene import Scene
+from .check import PER_GROWTH, Case, Cases, Check, Trial, tolerance
+from .truth import samples, truth_of
+
+_SHORT = ("planar_chain5", "falling_cat")
+
+
+def _cases(trial: Trial) -> Cases:
+    exponents = trial.pick((4, 8, 13), tuple(range(4, 14)))
+    for name in trial.pick(_SHORT, tuple(bundled_robots())):
+        scene = Scene(system=load(name))
+        times = samples(scene)
+        truth = truth_of(scene, times)
+        for k in exponents:
+            rtol = 10.0**-k
+            traj = trial.simulate(scene.system, **tolerance(rtol))
+            yield Case(f"{name}, {rtol:.0e}", truth.error(traj, times) / rtol, PER_GROWTH)
+
+
+CHECK = Check("tolerances", "error by ABA over 10 s, relative, per tolerance", _cases)

@@ -1,0 +1,107 @@
+"""The stress suite in short, and that each of its checks can fail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinred
+from pinred.cli import main
+from pinred.stress.check import Case, Check, Trial
+from pinred.stress.suite import CHECKS, chosen, run_check, table
+
+SHORT = Trial(effort="short")
+
+
+def broken(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return simulate or simulate_many with the masses of all bodies but the base off by 1e-5.
+
+    A body's moments of inertia are off with its mass, and the armature stays as it is.
+    """
+
+    def run(system: pinred.System, **options: Any) -> Any:
+        return function(off(system), **options)
+
+    return run
+
+
+def off(system: pinred.System, by: float = 1e-5) -> pinred.System:
+    """The robot with one constant of each body wrong: another one for each axis."""
+    model = system.model.copy()
+    for i in range(1, model.njoints):
+        body = model.inertias[i]
+        scale = np.diag(1.0 + by * np.array([1.0, 0.3, -0.5]))
+        wrong = scale @ body.inertia @ scale
+        model.inertias[i] = pin.Inertia(body.mass * (1.0 + by / i), body.lever, wrong)
+    return pinred.load(model)
+
+
+@pytest.mark.parametrize("name", CHECKS)
+def test_passes(name: str) -> None:
+    """The short form of the check passes."""
+    outcome = run_check(CHECKS[name], SHORT)
+    assert outcome.passed, table([outcome])
+
+
+def test_not_a_number_fails() -> None:
+    """What is not a number is within no bound, and is the worst case."""
+    case = Case("a", float("nan"), 1.0)
+    assert not case.passed
+    outcome = run_check(Check("c", "w", lambda _: iter([Case("b", 0.0, 1.0), case])), SHORT)
+    assert not outcome.passed
+    assert outcome.worst is case
+
+
+def test_nothing_measured_fails() -> None:
+    """A check without cases proves nothing."""
+    assert not run_check(Check("c", "w", lambda _: iter([])), SHORT).passed
+
+
+def test_what_stops_fails() -> None:
+    """A motion that cannot be followed is a failure that says why."""
+
+    def cases(trial: Trial) -> Any:
+        yield Case("a", 0.0, 1.0)
+        trial.simulate(pinred.load("falling_cat"), method=pinred.DOP853(max_steps=1))
+
+    outcome = run_check(Check("c", "w", cases), SHORT)
+    assert not outcome.passed
+    assert "TooManySteps" in table([outcome])
+
+
+def test_unknown_names() -> None:
+    """The error lists the checks."""
+    with pytest.raises(pinred.InputError, match="no check 'x'; the checks are tolerances, "):
+        chosen(["reversal", "x"])
+    assert main(["stress", "--only", "x"]) == 2
+
+
+def test_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """It prints a table, and returns 1 if a check fails."""
+    quick = Check("quick", "nothing", lambda _: iter([Case("a case", 0.5, 1.0)]))
+    monkeypatch.setitem(CHECKS, "quick", quick)
+    assert main(["stress", "--only", "quick"]) == 0
+    assert "1 of 1 checks passed" in capsys.readouterr().out
+    failing = replace(quick, cases=lambda _: iter([Case("a case", 2.0, 1.0)]))
+    monkeypatch.setitem(CHECKS, "quick", failing)
+    assert main(["stress", "--only", "quick"]) == 1
+    out = capsys.readouterr().out
+    assert "FAILED" in out
+    assert "0 of 1 checks passed" in out
+
+
+# Where invariance is the statement, a wrong robot keeps it; these have breaks of their own below.
+@pytest.mark.parametrize("name", [n for n in CHECKS if n not in ("reversal", "frames", "units")])
+def test_a_wrong_constant_fails(name: str) -> None:
+    """The check fails for a simulation of a robot whose constants are off by 1e-5."""
+    wrong = replace(
+        SHORT,
+        simulate=broken(pinred.simulate),
+        simulate_many=broken(pinred.simulate_many),
+    )
+    assert not run_check(CHECKS[name], wrong).passed
