@@ -87,6 +87,22 @@ class System:
     def __repr__(self) -> str:
         return f"System({self.name!r}, group={self.group.name}, r={self.r}, m={self.m})"
 
+    def _repr_html_(self) -> str:
+        from .html_parts import card, table
+        from .joints import is_prismatic
+
+        kinds = (is_prismatic(self.model.joints[i]) for i in range(2, self.model.njoints))
+        rows = [
+            (name, *(("prismatic", "m") if slides else ("revolute", "rad")))
+            for name, slides in zip(self.shape_names, kinds, strict=True)
+        ]
+        about = (
+            f"group {self.group.name} (r = {self.r}) on joint '{self.root_name}', shape of "
+            f"{self.m} joints, {self.mass:g} kg, gravity "
+            f"({', '.join(f'{g:g}' for g in self.gravity)}) m/s²"
+        )
+        return card(self.name, about, table("shape", ["joint", "kind", "unit"], rows))
+
     @property
     def r(self) -> int:
         """Dimension of the group."""

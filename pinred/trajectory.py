@@ -147,6 +147,36 @@ class Trajectory:
             f"{self.run.steps} steps of {self.run.method}, {self.run.engine})"
         )
 
+    def _repr_html_(self) -> str:
+        from .html_parts import card, line, number, table
+
+        out, run = self.outputs, self.run
+        rows = [
+            (name, float(x[0]), float(x[-1]), float(x.min()), float(x.max()))
+            for name, x in zip(self.system.shape_names, out.x.T, strict=True)
+        ]
+        momenta = ""
+        lines = [f"energy [J]: {number(out.energy[0])} → {number(out.energy[-1])}"]
+        if isinstance(out, State):
+            group, (first, last) = self.system.group, out.pose[[0, -1]]
+            turned = float(group.error(first, last).rotation)
+            moved = float(np.linalg.norm((last - first)[: group.linear]))
+            lines.append(f"base: turned by {number(turned)} rad, moved by {number(moved)} m")
+            J = out.spatial_momentum
+            momenta = table(
+                "",
+                ["spatial momentum", *group.twist_names],
+                [["start", *J[0].tolist()], ["end", *J[-1].tolist()]],
+            )
+        return card(
+            self.system.name,
+            f"{len(self)} times to {self.scene.end:g} s, {run.steps} steps of {run.method} "
+            f"({run.engine}), {run.evaluations} evaluations in {run.wall:.3g} s",
+            table("shape [rad | m]", ["joint", "start", "end", "least", "greatest"], rows),
+            *map(line, lines),
+            momenta,
+        )
+
     def __call__(self, t: ArrayLike) -> State:
         """Return the state at time t, or states at times (T,), within the duration [s].
 
