@@ -23,9 +23,10 @@ import numpy as np
 from .arrays import Array, freeze
 from .balance import energy_balance, momentum_balance
 from .errors import InputError
-from .full_state import FullMotion, FullState
+from .full_state import Audit, FullMotion, FullState
 from .potential import pivot_weight
 from .progress import Progress, shown
+from .state import State
 from .trajectory import Trajectory
 
 TIGHTER = 100.0  # the reference's tolerance is this much below the one asked for
@@ -188,12 +189,7 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
     second = full.run(y0, times, *tight, method="dopri5")
     done(0.9)
     error = full.distance(truth, FullMotion(x=states.x, q=states.q))
-    forces = scene.force_model
-    work = energy_balance(scene, traj.motion, states).work.sum(axis=1)
-    impulse = None
-    if (forces is not None and forces.has_wrench) or pivot_weight(traj.system).any():
-        impulse = momentum_balance(scene, traj.motion, states).impulse
-    audit = full.audit(states, work, impulse)
+    audit = audited(traj, states)
     size = full.size(truth)
     growth = max(1.0, full.distance(truth, kicked).worst(size) / _KICK)
     done(1.0)
@@ -223,3 +219,14 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
         wall_reduced=traj.run.wall,
         wall_full=wall_full,
     )
+
+
+def audited(traj: Trajectory, states: State) -> Audit:
+    """Return what Pinocchio says of states of a trajectory, work and impulse taken off."""
+    scene = traj.scene
+    forces = scene.force_model
+    work = energy_balance(scene, traj.motion, states).work.sum(axis=1)
+    impulse = None
+    if (forces is not None and forces.has_wrench) or pivot_weight(traj.system).any():
+        impulse = momentum_balance(scene, traj.motion, states).impulse
+    return FullState(scene).audit(states, work, impulse)
