@@ -65,7 +65,7 @@ np.testing.assert_allclose(np.divide(off[:-1], off[1:]), 2.0, rtol=0.05)  # half
 # %% [markdown]
 # ## Large loops by hand
 # Along a path the pose is the ordered product of many small steps, g ← g · exp(−A(x) Δx). That
-# needs the connection and nothing else: no time, no mass, no equation of motion.
+# needs the connection and the path, but no time and no equation of motion.
 
 
 # %%
@@ -85,13 +85,14 @@ np.testing.assert_allclose(turned(traj), product, atol=1e-5)
 
 # %% [markdown]
 # ## It is geometric
-# Three times as fast, the cat turns by the same angle. Backwards, it turns back.
+# Three times as fast, the cat turns by the same angle. Backwards, it turns back. The axis lies in
+# the plane of the arch, along the cat from tail to head: it rolls over.
 
 # %%
 fast, back = roll_the_bend(1.2, seconds=0.3), roll_the_bend(1.2, turn=-1)
 for name, motion in {"in 1 s": traj, "in 0.3 s": fast, "backwards": back}.items():
     momenta = [
-        pin.computeCentroidalMomentum(cat.model, data, q, v).angular
+        pin.computeCentroidalMomentum(cat.model, data, q, v).angular.copy()
         for q, v in zip(motion.q, motion.v, strict=True)
     ]
     print(f"{name:9} {np.linalg.norm(turned(motion)):.9f} rad", end="; ")

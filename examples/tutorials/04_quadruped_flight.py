@@ -54,7 +54,7 @@ traj = leap(fold=0.9)
 path = [pin.centerOfMass(solo.model, data, q).copy() for q in traj.q]
 fall = path[0] + np.outer(traj.t, take_off) + 0.5 * np.outer(traj.t**2, solo.gravity)
 spin = [
-    pin.computeCentroidalMomentum(solo.model, data, q, v).angular
+    pin.computeCentroidalMomentum(solo.model, data, q, v).angular.copy()
     for q, v in zip(traj.q, traj.v, strict=True)
 ]
 print(
