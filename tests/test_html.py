@@ -14,7 +14,9 @@ from trees import random_model
 
 import pinred
 from pinred import html_parts
+from pinred.bench import Point, WorkPrecision
 from pinred.forces import Damper, PotentialEnergy
+from pinred.signals import Constant
 
 NASTY = "<script>alert('x')</script>&amp;\"<b>"
 TAGS = {
@@ -210,6 +212,55 @@ def test_many() -> None:
     assert row[2] == lost.failures[0].reason
 
 
+def test_scene() -> None:
+    """Where it starts, for how long, and what acts."""
+    system = pinred.load("elroys_beanie")
+    seen = page(
+        pinred.Scene(
+            system=system,
+            x0=[0.4],
+            momentum=[0.6],
+            duration=3.0,
+            springs={"beanie": (2.0, 0.1)},
+            forces=Damper("beanie", 0.3),
+        )
+    )
+    start, acting = seen.tables
+    assert start == [["joint", "x", "rate"], ["beanie", "0.4", "0"]]
+    assert "twist of the base: (0.2)" in seen.text  # μ/I
+    assert acting[1] == ["spring beanie", "(2.0, 0.1)"]
+    assert acting[2][0] == "damper beanie"
+    assert "0.3" in acting[2][1]
+    assert "Scene of elroys_beanie: 3 s, 201 times" in seen.text
+    planned = pinred.Scene(system=system, duration=1.0, prescribed={"beanie": Constant(0.2)})
+    assert page(planned).tables[1][1] == ["prescribed beanie", "Constant(level=0.2)"]
+
+
+def test_work_and_precision() -> None:
+    """What was measured, failures with their reason, and time at equal error."""
+    found = WorkPrecision(
+        problem="a <problem>",
+        joints=2,
+        duration=1.0,
+        reference_error=1e-14,
+        about={"one": "about it"},
+        points=(
+            Point("one", 1e-4, wall=1e-3, evaluations=50.0, shape=1e-4, rotation=0.0, position=0.0),
+            Point("one", 1e-8, wall=4e-3, evaluations=99.0, shape=1e-8, rotation=0.0, position=0.0),
+            Point("one", 1e-12, failure="too <many> steps"),
+        ),
+    )
+    seen = page(found)
+    equal, measured = seen.tables
+    # On a line in logarithms: 1 ms at 1e-4, 4 ms at 1e-8, so 2 ms at 1e-6, and no way to 1e-9.
+    cells = dict(equal[1:])
+    assert float(cells["1e-06"]) == pytest.approx(2.0)
+    assert cells["1e-09"] == "—"
+    assert measured[1] == ["one", "1e-04", "1.0e-04", "1", "50", ""]
+    assert measured[3][-1] == "too <many> steps"
+    assert seen.text.startswith("a <problem>: 2 joints, 1 s")
+
+
 def test_names_are_escaped() -> None:
     """Names from files and from users come out as the text they are."""
     system = pinred.load("elroys_beanie")
@@ -220,6 +271,7 @@ def test_names_are_escaped() -> None:
     traj = pinred.simulate(nasty, duration=0.5, forces=force)
     cards = [
         nasty._repr_html_(),
+        traj.scene._repr_html_(),
         traj._repr_html_(),
         traj.energy_balance._repr_html_(),
         pinred.inspect(nasty)._repr_html_(),

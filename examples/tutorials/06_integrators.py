@@ -27,8 +27,8 @@ scene = pinred.Scene(system=cat, duration=1.0, springs=dict.fromkeys(cat.shape_n
 # - `DOP853`, Dormand and Prince's pair of order 8 with a step chosen by the estimated error: the
 #   default. Give it the tolerance you need.
 # - `RKMK4`, Munthe-Kaas's form of the classical Runge–Kutta method of order 4: a fixed step, in
-#   which the attitude moves by exponentials of rotations, corrected by dexp⁻¹. Weighting body
-#   velocities without that correction keeps energy to order 4 but loses attitude to order 2.
+#   which the attitude moves by exponentials of rotations, corrected by dexp⁻¹. Without that
+#   correction, energy would still look like order 4, and the attitude would be of order 2.
 #
 # Each is a value with its claims (`order`, `adaptive`, `symplectic`). To try another, add a line.
 
