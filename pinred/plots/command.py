@@ -58,14 +58,17 @@ def run(options: argparse.Namespace) -> int:
     if "joints" in given:
         given["joints"] = given["joints"].split(",")
     paths = _paths(options.out, kinds)
-    own = {kind: {k: v for k, v in given.items() if k in options_of(kind)} for kind in kinds}
+    own: dict[str, dict[str, Any]] = {}
+    for kind in kinds:
+        known = options_of(kind)
+        own[kind] = {name: value for name, value in given.items() if name in known}
     for name in given:
         if not any(name in of_kind for of_kind in own.values()):
             raise InputError(f"--{name} means nothing to {', '.join(kinds)}")
     source = _source(options, kinds)
+    figures = {kind: plot(source, kind, **own[kind]) for kind in paths}
     for kind, path in paths.items():
-        figure = plot(source, kind, **own[kind])
-        save(figure, path)
+        save(figures[kind], path)
         print(f"written to {path} ({path.stat().st_size / 1e3:.0f} kB)")
     return 0
 

@@ -1,4 +1,4 @@
-"""When a motion crosses a section of its state space, to the last digits of its dense output."""
+"""A motion between its report times, and when it crosses a section of its state space."""
 
 from __future__ import annotations
 
@@ -14,6 +14,14 @@ _PARTS = 8  # in which each step of the integrator is searched for a change of s
 _HALVINGS = 64  # enough to bring any step down to the spacing of floats
 
 
+def fine_times(traj: Trajectory) -> Array:
+    """Return times from start to end between which a motion turns little, (T,) [s]."""
+    ends = np.append(traj.motion.knots, [0.0, traj.scene.end])
+    knots = np.unique(np.clip(ends, 0.0, traj.scene.end))
+    parts = np.arange(_PARTS) / _PARTS
+    return np.append((knots[:-1, None] + parts * np.diff(knots)[:, None]).ravel(), knots[-1])
+
+
 def crossings(traj: Trajectory, function: Callable[[Array], Array], direction: int = 0) -> Array:
     """Return the times at which a function of time changes its sign, (K,) [s].
 
@@ -24,10 +32,7 @@ def crossings(traj: Trajectory, function: Callable[[Array], Array], direction: i
     """
     if direction not in (-1, 0, 1):
         raise InputError(f"direction must be 1 (upwards), -1 (downwards) or 0, got {direction!r}")
-    knots = traj.motion.knots
-    knots = np.unique(np.clip(np.append(knots, [0.0, traj.scene.end]), 0.0, traj.scene.end))
-    parts = np.arange(_PARTS) / _PARTS
-    t = np.append((knots[:-1, None] + parts * np.diff(knots)[:, None]).ravel(), knots[-1])
+    t = fine_times(traj)
     # A zero counts as the sign before it, so that one hit exactly is found once.
     signs = np.sign(function(t))
     for k in np.flatnonzero(signs == 0.0):

@@ -15,6 +15,7 @@ from ..errors import InputError
 from ..reduction import Reduction
 from ..system import System, checked_system
 from ..trajectory import Trajectory
+from .fine_path import fine_path
 from .motion_labels import labels_of
 from .shape_plane import Limits, around, checked_path, draw_path, plane, reach, title_at
 from .style import BLACK, FIELD, figure, legend, styled
@@ -61,7 +62,7 @@ def curvature(
     if path is not None:
         drawn = checked_path(path, system.m)
     elif isinstance(source, Trajectory):
-        drawn = source.x
+        drawn = fine_path(source).x
     start = np.zeros(system.m) if drawn is None else drawn[0]
     stands = start if at is None else vector(at, system.m, "at", system.shape_names)
     units = [names.units[k] for k in pair]

@@ -12,7 +12,9 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from ..arrays import Array
 from ..errors import InputError
 from ..reduction import Reduction
+from ..state import ShapeState, with_base
 from ..trajectory import Trajectory
+from .fine_path import Path, fine_path
 from .motion_labels import Motion, labels
 from .recording import Recording
 from .style import BLACK, RED, figure, styled
@@ -34,7 +36,7 @@ def sphere(motion: Motion, *, when: float = 0.0) -> Figure:
     Raises InputError for another group or where there is no momentum.
     """
     names = labels(motion)
-    L = angular_momentum(motion)
+    L = angular_momentum(motion, fine_path(motion))
     size = float(np.linalg.norm(L[0]))
     inertia = None
     if isinstance(motion, Trajectory):
@@ -70,15 +72,17 @@ def sphere(motion: Motion, *, when: float = 0.0) -> Figure:
     return made
 
 
-def angular_momentum(motion: Motion) -> Array:
-    """Return the angular momentum in the body's frame over time, (T, 3) [N·m·s].
+def angular_momentum(motion: Motion, path: Path) -> Array:
+    """Return the angular momentum in the body's frame along a path of a motion, (T, 3) [N·m·s].
 
     Raises InputError for groups other than SO3 and SE3, or a file of SE3.
     """
     group = labels(motion).group
     if group not in ("SO3", "SE3"):
         raise InputError(f"the body momentum moves on a sphere for SO3 and SE3, not for {group}")
-    mu = motion.body_momentum
+    if isinstance(path, ShapeState):
+        path = with_base(path, labels(motion).robot)
+    mu = path.body_momentum
     if group == "SO3":
         return mu
     if isinstance(motion, Recording):
@@ -86,7 +90,7 @@ def angular_momentum(motion: Motion) -> Array:
             f"'{motion.path}' does not hold the robot, so the centre of mass is not known; "
             "plot from the robot or its scene file"
         )
-    com = Reduction(motion.system).grid(motion.x).com
+    com = Reduction(motion.system).grid(path.x).com
     return np.asarray(mu[:, 3:] - np.cross(com, mu[:, :3]))
 
 

@@ -12,6 +12,7 @@ from ..arrays import Array
 from ..errors import InputError, SymmetryError
 from ..reduction import Reduction
 from ..trajectory import Trajectory
+from .fine_path import Path, fine_path
 from .motion_labels import Labels, Motion, labels
 from .shape_plane import Limits, Plane, around, draw_path, plane, title_at
 from .style import BLACK, BLUE, FIELD, RED, StyledFigure, figure, legend, line, styled
@@ -46,8 +47,9 @@ def phase(
     if len(chosen) > 2:
         raise InputError(f"joints must be one or two for a phase portrait, got {len(chosen)}")
     units = [names.units[k] for k in chosen]
+    path = fine_path(motion)
     if limits is None:
-        limits = around(motion.x[:, chosen], units)
+        limits = around(path.x[:, chosen], units)
     landscape = _Landscape(motion, when) if isinstance(motion, Trajectory) else None
     at = motion.x[0] if landscape is None else landscape.x
     shapes = plane(chosen, limits, at)
@@ -57,8 +59,8 @@ def phase(
     if rest and values is not None:
         title += f"\n{rest}"
     if len(chosen) == 1:
-        return _one(motion, names, shapes, landscape, values, title)
-    return _two(motion, names, shapes, landscape, values, title)
+        return _one(path, names, shapes, landscape, values, title)
+    return _two(path, names, shapes, landscape, values, title)
 
 
 class _Landscape:
@@ -124,7 +126,7 @@ def _remark(names: Labels, landscape: _Landscape | None, values: Array | None) -
 
 
 def _one(
-    motion: Motion, names: Labels, shapes: Plane, landscape: _Landscape | None,
+    path: Path, names: Labels, shapes: Plane, landscape: _Landscape | None,
     values: Array | None, title: str,
 ) -> StyledFigure:  # fmt: skip
     (joint,), (x,) = shapes.joints, shapes.axes
@@ -142,10 +144,10 @@ def _one(
             top.axhline(landscape.energy(), label="energy", color=RED, linestyle="--")
         top.set_ylabel("potential [J]")
         legend(top)
-    _portrait(portrait, motion, names, joint)
+    _portrait(portrait, path, names, joint)
     portrait.set_xlim(x[0], x[-1])
     if landscape is not None and values is not None and len(names.joints) == 1:
-        low, high = around(motion.xdot[:, [joint]], ["rate"])[0]
+        low, high = around(path.xdot[:, [joint]], ["rate"])[0]
         rate = np.linspace(low, high, len(x))
         energy = 0.5 * rate[:, None] ** 2 * landscape.metric(shapes.shapes)[:, 0, 0] + values
         portrait.contour(
@@ -159,7 +161,7 @@ def _one(
 
 
 def _two(
-    motion: Motion, names: Labels, shapes: Plane, landscape: _Landscape | None,
+    path: Path, names: Labels, shapes: Plane, landscape: _Landscape | None,
     values: Array | None, title: str,
 ) -> StyledFigure:  # fmt: skip
     made = figure(title, width=9.6, height=4.6)
@@ -178,7 +180,7 @@ def _two(
         if len(names.joints) == 2 and landscape.is_exact and values.min() < energy < values.max():
             main.contour(*shapes.axes, values, levels=[energy], colors="white", linewidths=1.8)
             main.plot([], [], color="#BBBBBB", linewidth=1.8, label="potential = energy")
-    draw_path(main, motion.x[:, a], motion.x[:, b])
+    draw_path(main, path.x[:, a], path.x[:, b])
     main.grid(visible=False)
     main.set(xlim=shapes.axes[0][[0, -1]], ylim=shapes.axes[1][[0, -1]])
     main.set_xlabel(f"{names.joints[a]} [{names.units[a]}]")
@@ -186,15 +188,15 @@ def _two(
     main.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
     for row, joint in enumerate((a, b)):
         axes = made.add_subplot(grid[row, 1])
-        _portrait(axes, motion, names, joint)
+        _portrait(axes, path, names, joint)
         axes.set_xlabel(f"{names.joints[joint]} [{names.units[joint]}]")
     return made
 
 
-def _portrait(axes: Axes, motion: Motion, names: Labels, joint: int) -> None:
+def _portrait(axes: Axes, path: Path, names: Labels, joint: int) -> None:
     """Draw rate against shape of one joint."""
     unit = names.units[joint].replace(" | ", "/s | ")
-    x, rate = motion.x[:, joint], motion.xdot[:, joint]
+    x, rate = path.x[:, joint], path.xdot[:, joint]
     axes.plot(x, rate, color=BLUE, linewidth=1.6, label="path", zorder=3)
     axes.plot(x[:1], rate[:1], "o", color="white", markeredgecolor=BLACK, markersize=6,
               label="start", linestyle="none", zorder=5)  # fmt: skip

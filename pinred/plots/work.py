@@ -14,7 +14,7 @@ from .style import WIDTH, dots, figure, legend, line, styled
 
 _AGAINST = {
     "wall": ("wall time [ms]", 1e3),
-    "evaluations": ("evaluations of the vector field, or steps of a Taylor method [1]", 1.0),
+    "evaluations": ("evaluations, or Taylor steps [1]", 1.0),
 }
 
 
