@@ -21,7 +21,7 @@ from pinred.viz.server import Player
 
 pytestmark = pytest.mark.browser
 Picture = NDArray[np.int16]
-SIZE = {"width": 900, "height": 640}
+SIZE = {"width": 900, "height": 760}
 ROBOTS: dict[str, dict[str, Any]] = {
     "falling_cat": {"duration": 4.0},
     "satellite_two_arms": {"duration": 4.0},
@@ -198,6 +198,9 @@ def test_arrow_stands_still_on_the_screen(screen: Browser, tmp_path: Path) -> No
     switch(screen, Robot=False)
     arrows = [near(at(screen, t), (213, 94, 0)) for t in times]
     assert arrows[0].sum() > 300
+    rows, columns = np.nonzero(arrows[0][:, 300:])  # all of it is in sight
+    assert 0 < rows.min() < rows.max() < SIZE["height"] - 60
+    assert 0 < columns.min() < columns.max() < SIZE["width"] - 301
     for arrow, image in zip(arrows[1:], with_robot[1:], strict=True):
         assert (arrow != arrows[0])[60:-80, 300:].sum() < 0.02 * arrows[0].sum()
         assert differ(image, with_robot[0]) > 1000

@@ -227,6 +227,10 @@ def test_framing() -> None:
     arrow = seen.momentum.vector[0] / np.linalg.norm(seen.momentum.vector[0])
     assert abs(arrow @ framing.eye) < 0.15
     assert framing.floor[2] < seen.com[:, 2].min() - framing.radius
+    swung = film("double_spherical_pendulum", duration=2.0)
+    framing = frame(swung, bodies_of(swung.system))
+    arm = np.linalg.norm(swung.com - swung.momentum.tail, axis=1).max()
+    assert framing.radius + arm < framing.reach
     assert not frame(film("rigid_body"), bodies_of(pinred.load("rigid_body"))).follow
 
 

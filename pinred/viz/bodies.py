@@ -114,6 +114,7 @@ def _from_file(system: System, path: Path) -> Bodies:
         geometry = pin.buildGeomFromMJCF(raw, str(path), visual)
     solids: list[Solid] = []
     meshes: list[Mesh] = []
+    left_out = 0
     known: dict[tuple[str, tuple[float, ...]], int] = {}
     for entry in geometry.geometryObjects:
         shape = entry.geometry
@@ -125,11 +126,13 @@ def _from_file(system: System, path: Path) -> Bodies:
                 meshes.append(_mesh(shape))
             size = (float(known[key]),)
         elif not kind:
+            left_out += 1
             continue
         joint, at = _carried_by(system, raw, entry)
         colour = tuple(float(c) for c in entry.meshColor)
         solids.append(Solid(joint, kind, size, np.array(pin.SE3ToXYZQUAT(at)), colour))  # type: ignore[arg-type]
-    return Bodies(tuple(solids), tuple(meshes), "")
+    note = f"{left_out} shapes of its file cannot be drawn" if left_out else ""
+    return Bodies(tuple(solids), tuple(meshes), note)
 
 
 def _carried_by(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]:

@@ -33,7 +33,9 @@ def run(options: argparse.Namespace) -> int:
 
     pair = None if options.pair is None else tuple(options.pair.split(","))
     out = None if options.out is None else Path(options.out)
-    fps = options.fps or 60.0
+    fps = options.fps
+    if fps is None:
+        fps = 60.0 if out is None or out.suffix == ".html" else 30.0
     view = View(
         ghost=options.ghost, speed=options.speed, fps=fps, pair=pair, meshes=not options.no_meshes
     )
@@ -56,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
         from .frames import save_film
 
         with ProgressBar("film   ") as bar:
-            count = save_film(motion, out, view, fps=options.fps or 30.0, progress=bar)
+            count = save_film(motion, out, view, fps=fps, progress=bar)
         print(f"{count} frames written to {out}")
     return 0
 

@@ -53,7 +53,11 @@ def frame(film: Playback, bodies: Bodies) -> Framing:
     eye = _eye(film)
     right = np.cross([0.0, 0.0, 1.0], eye)
     aside = np.zeros(3) if film.ghost is None else _BESIDE * radius * right / np.linalg.norm(right)
-    reach = ARROW * radius + 0.5 * float(np.linalg.norm(aside))
+    reach = 1.05 * radius
+    if film.momentum.vector.any():
+        arm = film.momentum.tail - film.com
+        reach = ARROW * radius + float(np.linalg.norm(arm, axis=1).max())
+    reach += 0.5 * float(np.linalg.norm(aside))
     cell = _nice(0.5 * radius)
     wide = float(np.abs((film.com - middle)[:, :2]).max()) + 6.0 * radius
     return Framing(
@@ -85,7 +89,8 @@ def _eye(film: Playback) -> Array:
     """Return the direction, among some around the vertical, most across the momentum."""
     planar = film.system.group.name == "SE2"
     elevation = np.radians(_PLANAR_ELEVATION if planar else _ELEVATION)
-    azimuth = np.radians(-60.0 + np.arange(0.0, 360.0, 15.0))
+    turn = np.arange(0.0, 181.0, 15.0)
+    azimuth = np.radians(-60.0 + np.column_stack([-turn, turn]).ravel())
     eyes = np.column_stack(
         [
             np.cos(elevation) * np.cos(azimuth),

@@ -23,6 +23,9 @@ from .recording import Recording
 from .shape_panel import ShapePanel, shape_panel
 from .view import View
 
+# A page that is sent to somebody carries the licences of the viewer that is in it.
+_LICENCES = ("viewer/LICENSE", "viewer/dist/main.min.js.THIRD_PARTY_LICENSES.json")
+
 
 def page(source: Trajectory | Recording, view: View) -> bytes:
     """Return the HTML of a motion's playback.  Errors as of `playback`."""
@@ -36,7 +39,8 @@ def page(source: Trajectory | Recording, view: View) -> bytes:
     parts = {
         "%HEAD%": text,
         "%BLOB%": base64.b64encode(bytes(blob.data)).decode("ascii"),
-        "%MESHCAT%": _meshcat(),
+        "%MESHCAT%": _meshcat("viewer/dist/main.min.js"),
+        "%LICENCES%": "\n".join(map(_meshcat, _LICENCES)),
         "%PLAYER%": _own("player.js"),
     }
     pieces = re.split("(%[A-Z]+%)", _own("page.html"))
@@ -137,11 +141,13 @@ def _own(name: str) -> str:
     return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-def _meshcat() -> str:
-    """Return meshcat's viewer, which its Python package brings along.  Raises LoadError."""
+def _meshcat(name: str) -> str:
+    """Return a file of meshcat's Python package, fit to stand in a script element.
+
+    Raises LoadError if it is not there.
+    """
     spec = find_spec("meshcat")
     for folder in (spec.submodule_search_locations or ()) if spec else ():
-        script = Path(folder, "viewer", "dist", "main.min.js")
-        if script.is_file():
-            return script.read_text(encoding="utf-8").replace("</script", "<\\/script")
-    raise LoadError("meshcat's viewer was not found; pip install 'meshcat>=0.3.2'")
+        if (file := Path(folder, name)).is_file():
+            return file.read_text(encoding="utf-8").replace("</script", "<\\/script")
+    raise LoadError(f"meshcat's {name} was not found; pip install 'meshcat>=0.3.2'")

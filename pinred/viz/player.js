@@ -213,7 +213,8 @@
       });
       ink.fillStyle = "#1d2733";
       const name = panel.components[c].replace(/ \[.*/, "");
-      ink.fillText(`± ${most.toPrecision(2)}  ${name}`, box[0] + 146, box[1] + 23);
+      const bound = most < 1e-3 ? most.toExponential(1) : most.toPrecision(2);
+      ink.fillText(`± ${bound}  ${name}`, box[0] + 146, box[1] + 23);
     }
     ink.strokeStyle = "#1d2733";
     ink.strokeRect(...box);
@@ -275,7 +276,7 @@
     camera.fov = 30;
     const w = innerWidth, h = innerHeight; // the middle of what the cards leave free
     if (bare) camera.setViewOffset(w, h, panel && on["Shape"] ? -w / 10 : 0, 0, w, h);
-    else camera.setViewOffset(w, h, w < 700 ? 0 : -130, 24, w, h);
+    else camera.setViewOffset(w, h, w >= 700 && h >= 740 ? -130 : 0, 24, w, h);
     const half = Math.min(camera.fov, camera.fov * camera.aspect) * Math.PI / 360;
     const far = 1.02 * reach / Math.sin(half);
     const side = on["Ghost"] && on["Ghost beside"] ? aside.map((v) => v / 2) : [0, 0, 0];
@@ -337,7 +338,9 @@
   const speeds = [...new Set([0.05, 0.1, 0.25, 0.5, 1, 2, 5, 10, 100, head.speed])].sort((a, b) => a - b);
   speeds.forEach((v) => $("speed").add(new Option(`×${v}`, String(v), v === speed, v === speed)));
   $("speed").onchange = () => { speed = Number($("speed").value); };
-  document.querySelector("#side h1").textContent = head.title;
+  const title = head.title.replaceAll("_", "_\u200b"); // where a long name may be broken
+  document.querySelector("#side summary").textContent = title;
+  document.querySelector("#side details").open = innerWidth >= 700;
   document.title = `${head.title} · pinred`;
 
   function step(stamp) {
