@@ -17,6 +17,7 @@ from .bench.command import add_measurements
 from .errors import InputError, IntegrationError, PinredError
 from .plots import command as plot_command
 from .scene_keys import GROUPS
+from .viz import command as play_command
 
 if TYPE_CHECKING:
     from .integrators.method import Method
@@ -107,6 +108,9 @@ def _parser() -> _Parser:
 
     sub = command("plot", plot_command.run, "draw a motion, or what bench accuracy measured")
     plot_command.add_arguments(sub)
+
+    sub = command("play", play_command.run, "play a motion in a browser, or write it as a film")
+    play_command.add_arguments(sub)
 
     sub = command("robots", _robots, "list the robots that can be loaded by name")
     sub.add_argument("--check", action="store_true", help="load each and say what is refused")

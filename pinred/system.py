@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from threading import get_ident
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
@@ -38,6 +38,18 @@ class InitialState:
 
 
 @dataclass(frozen=True)
+class Origin:
+    """Where a system was loaded from.
+
+    source: the robot's name, or the absolute path of its file.  lock: frozen joints and
+    their values [rad | m].
+    """
+
+    source: str
+    lock: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class Configuration:
     """A point of Q = G × B: pose (..., size) of the base, shape x (..., m)."""
 
@@ -58,12 +70,14 @@ class System:
     """A multibody system with symmetry: the root joint is the group, the others the shape.
 
     name: what the robot is called.  model: the pin.Model, root joint first.
-    initial: a generic initial state, where the robot comes with one.
+    initial: a generic initial state, where the robot comes with one.  origin: what was
+    loaded, where that is a name or a file.
     """
 
     model: pin.Model
     name: str = ""
     initial: InitialState | None = None
+    origin: Origin | None = None
     group: Group = field(init=False)
     shape_names: tuple[str, ...] = field(init=False)
     # Where the coordinates (pose, x) stand in Pinocchio's q: as they are, or as (cos, sin).
