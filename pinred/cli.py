@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 from . import __version__, run_command
 from .bench.command import add_measurements
 from .errors import InputError, IntegrationError, PinredError
+from .plots import command as plot_command
 from .scene_keys import GROUPS
 from .stress import command as stress_command
+from .viz import command as play_command
 
 if TYPE_CHECKING:
     from .integrators.method import Method
@@ -104,6 +106,12 @@ def _parser() -> _Parser:
 
     sub = command("run", run_command.run, "simulate what a scene file says")
     run_command.add_arguments(sub)
+
+    sub = command("plot", plot_command.run, "draw a motion, or what bench accuracy measured")
+    plot_command.add_arguments(sub)
+
+    sub = command("play", play_command.run, "play a motion in a browser, or write it as a film")
+    play_command.add_arguments(sub)
 
     sub = command("robots", _robots, "list the robots that can be loaded by name")
     sub.add_argument("--check", action="store_true", help="load each and say what is refused")

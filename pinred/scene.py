@@ -101,6 +101,28 @@ class Scene:
         self._check_forces()
         object.__setattr__(self, "_given", self._resolve())
 
+    def _repr_html_(self) -> str:
+        from .html_parts import card, line, numbers, table
+
+        system, start = self.system, self.start
+        rows = zip(system.shape_names, start.x.tolist(), start.xdot.tolist(), strict=True)
+        forces: tuple[Force, ...] = vars(self)["forces"]
+        acting = [
+            *((f"spring {name}", str(spring)) for name, spring in self.springs.items()),
+            *((force.label, repr(force)) for force in forces),
+            *((f"prescribed {name}", repr(plan)) for name, plan in self.prescribed.items()),
+        ]
+        method = f", {self.method}" if self.method else ""
+        return card(
+            f"Scene of {system.name}",
+            f"{self.end:g} s, {len(self.report_times)} times, rtol {self.rtol:g}, "
+            f"atol {self.atol:g}{method}, outputs '{self.outputs}'",
+            table("start", ["joint", "x", "rate"], rows),
+            line(f"twist of the base: {numbers(start.xi)}"),
+            line(f"pose of the base: {numbers(start.pose)}"),
+            table("acting", ["", ""], acting),
+        )
+
     @cached_property
     def start(self) -> Start:
         """The initial state, complete.  Raises SingularInertiaError or InputError."""
