@@ -256,17 +256,17 @@ class Trajectory:
         path: str | Path,
         *,
         size: tuple[int, int] = (960, 720),
-        fps: float = 30.0,
         progress: Callable[[float], None] | None = None,
         **options: Any,
     ) -> int:
         """Write the playback as film.mp4 or film.gif, or as frames film_0000.png and so on.
 
-        size: in pixels.  fps: frames a second.  options: ghost, speed, pair, meshes, as of
-        `play`.  Returns the number of frames.  Raises InputError, OutputError.
+        size: width and height in pixels.  progress: called with the part that is done.
+        options: as of `play`, with 30 for fps.  Returns the number of frames.  Raises
+        InputError, OutputError.
         """
-        from .viz.frames import save_film
+        from .viz.frames import FPS, save_film
         from .viz.view import as_view
 
-        view = as_view({"fps": fps, **options}, "save_film")
-        return save_film(self, path, view, size=size, fps=fps, progress=progress)
+        view = as_view({"fps": FPS, **options}, "save_film")
+        return save_film(self, path, view, size=size, progress=progress)

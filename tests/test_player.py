@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -167,3 +168,26 @@ def test_command_writes_pages(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         assert f"written to {out} ({size / 1e6:.2f} MB)" in capsys.readouterr().out
         assert size < 2e6
         out.unlink()
+
+
+def test_films_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What makes no sense, and what to install, before anything is rendered."""
+    traj = pinred.simulate(pinred.load("elroys_beanie"), duration=0.1)
+
+    def refused(words: str, name: str, **options: Any) -> None:
+        with pytest.raises(pinred.InputError, match=words):
+            traj.save_film(tmp_path / name, **options)
+        assert not list(tmp_path.iterdir())
+
+    refused("two even numbers of pixels", "film.gif", size=(321, 240))
+    refused("two even numbers of pixels", "film.gif", size=(320,))
+    refused("two even numbers of pixels", "film.gif", size=320)
+    refused("fps must be at most 120", "film.gif", fps=200)
+    refused("suffix must be .mp4 or .gif or .png", "film.avi")
+    refused("no option 'frames'; they are ghost", "film.gif", frames=3)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    refused(r"pip install \"pinred\[film\]\" or apt-get install ffmpeg", "film.mp4")
+    refused("apt-get install chromium", "film.gif")
+    monkeypatch.setenv("PINRED_BROWSER", "netscape")
+    refused("PINRED_BROWSER is 'netscape'", "film.gif")

@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
         from .frames import save_film
 
         with ProgressBar("film   ") as bar:
-            count = save_film(motion, out, view, fps=fps, progress=bar)
+            count = save_film(motion, out, view, progress=bar)
         print(f"{count} frames written to {out}")
     return 0
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import io
-import math
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from ..errors import InputError, OutputError
@@ -18,7 +17,8 @@ from .page import page
 from .recording import Recording
 from .view import View
 
-MOST_FRAMES = 20_000
+SIZE, FPS = (960, 720), 30.0
+MOST_FRAMES, MOST_FPS = 20_000, 120
 SUFFIXES = (".mp4", ".gif", ".png")
 Progress = Callable[[float], None]
 
@@ -28,34 +28,32 @@ def save_film(
     path: str | Path,
     view: View,
     *,
-    size: tuple[int, int] = (960, 720),
-    fps: float = 30.0,
+    size: Sequence[int] = SIZE,
     progress: Progress | None = None,
 ) -> int:
     """Write a film and return the number of its frames; the suffix decides what it is.
 
     path: film.mp4 (needs ffmpeg), film.gif, or film.png for frames film_0000.png and so on.
-    size: width and height in pixels, even.  fps: frames a second; `view.speed` says how much
-    of the motion goes into a second.  progress: called with the part that is done.
+    view: of it, fps is frames a second, and speed how much of the motion goes into one.
+    size: width and height in pixels, even.  progress: called with the part that is done.
     Raises InputError for what makes no sense, or if Chromium or ffmpeg is not installed,
     OutputError if rendering or writing fails; the others as of `page`.
     """
     path = check_path(path, SUFFIXES)
-    if len(size) != 2 or not all(isinstance(n, int) and 16 <= n <= 4096 for n in size):
-        raise InputError(f"size must be two whole numbers of pixels, 16 to 4096, got {size!r}")
-    if size[0] % 2 or size[1] % 2:
-        raise InputError(f"size must be even, as films demand it, got {size[0]} × {size[1]}")
-    if not (math.isfinite(fps) and 0.0 < fps <= 120.0):
-        raise InputError(f"fps must be above zero, at most 120, got {fps:g}")
+    pixels = tuple(size) if isinstance(size, Sequence) else ()
+    if len(pixels) != 2 or not all(n in range(16, 4097, 2) for n in pixels):
+        raise InputError(f"size must be two even numbers of pixels, 16 to 4096, got {size!r}")
+    if view.fps > MOST_FPS:
+        raise InputError(f"fps must be at most {MOST_FPS} in a film, got {view.fps:g}")
     encoder = find_ffmpeg() if path.suffix == ".mp4" else ""
     content = page(source, view)
-    shots = _shots(content, size, fps, view.speed, progress or (lambda _: None))
+    shots = _shots(content, pixels, view, progress or (lambda _: None))
     try:
         if path.suffix == ".png":
             return _write_frames(path, shots)
         if path.suffix == ".gif":
-            return _write_gif(path, shots, fps)
-        return _write_mp4(path, shots, fps, encoder)
+            return write_gif(path, shots, view.fps)
+        return _write_mp4(path, shots, view.fps, encoder)
     except OSError as error:
         raise OutputError(f"cannot write '{path}': {error.strerror or error}") from error
 
@@ -75,9 +73,7 @@ def find_ffmpeg() -> str:
         ) from None
 
 
-def _shots(
-    content: bytes, size: tuple[int, int], fps: float, speed: float, progress: Progress
-) -> Iterator[bytes]:
+def _shots(content: bytes, size: Sequence[int], view: View, progress: Progress) -> Iterator[bytes]:
     """Give PNG pictures of a page at even times, from the first to the last."""
     with tempfile.TemporaryDirectory() as folder, browser() as screen:
         file = Path(folder, "film.html")
@@ -85,7 +81,7 @@ def _shots(
         screen.open(f"{file.as_uri()}#bare", width=size[0], height=size[1])
         screen.wait_for("window.pinred !== undefined")
         begin, end = screen.run("[pinred.begin, pinred.end]")
-        count = max(2, round((end - begin) / speed * fps) + 1)
+        count = max(2, round((end - begin) / view.speed * view.fps) + 1)
         if count > MOST_FRAMES:
             raise InputError(
                 f"{count} frames are too many (at most {MOST_FRAMES}); "
@@ -104,7 +100,8 @@ def _write_frames(path: Path, shots: Iterator[bytes]) -> int:
     return count
 
 
-def _write_gif(path: Path, shots: Iterator[bytes], fps: float) -> int:
+def write_gif(path: Path, shots: Iterator[bytes], fps: float) -> int:
+    """Write PNG pictures as a gif and return their number."""
     from PIL import Image  # meshcat brings it along
 
     pictures = [Image.open(io.BytesIO(shot)).convert("RGB").quantize(128) for shot in shots]
