@@ -166,8 +166,3 @@ def on_log(values: Array) -> Array:
     """Return magnitudes for a logarithmic axis, which has no place for an exact zero."""
     size = np.abs(values)
     return np.where(size > 0.0, size, np.nan)
-
-
-def equally_scaled(axes: Axes) -> None:
-    """Draw both directions of a plane to one scale."""
-    axes.set_aspect("equal", adjustable="datalim")
