@@ -15,6 +15,7 @@ from pinred.bench import METHODS, Problem, reference_of
 from pinred.bench.full_field import full_field
 from pinred.bench.method import Method
 from pinred.bench.peers.aba import ABA
+from pinred.bench.peers.drake import DrakeModel
 from pinred.bench.peers.equality import EQUAL, equality, missing_unless_equal
 from pinred.bench.peers.euler import ORDERS, angles_of, rotation_of, spin_matrix, spin_rate
 from pinred.bench.peers.exudyn import ExudynModel
@@ -27,7 +28,7 @@ from pinred.scene import random_state
 from pinred.system import InitialState, System
 
 needs_heyoka = pytest.mark.skipif(find_spec("heyoka") is None, reason="heyoka is not installed")
-MODELS = {"mujoco": MujocoModel, "exudyn": ExudynModel}
+MODELS = {"mujoco": MujocoModel, "exudyn": ExudynModel, "pydrake": DrakeModel}
 # What builds a peer is warned about by the peer itself.
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -55,7 +56,7 @@ def test_models_are_pinocchio_s(package: str, group: str) -> None:
         assert found.acceleration < 1e-10
 
 
-def pair(package: str, system: System) -> tuple[System, MujocoModel | ExudynModel]:
+def pair(package: str, system: System) -> tuple[System, MujocoModel | ExudynModel | DrakeModel]:
     """A system and a peer's model of it."""
     return system, MODELS[package](system)
 
