@@ -19,6 +19,7 @@ from pinred.bench.peers.drake import DrakeModel
 from pinred.bench.peers.equality import EQUAL, equality, missing_unless_equal
 from pinred.bench.peers.euler import ORDERS, angles_of, rotation_of, spin_matrix, spin_rate
 from pinred.bench.peers.exudyn import ExudynModel
+from pinred.bench.peers.first_principles import full_graph
 from pinred.bench.peers.mujoco import MujocoModel
 from pinred.engine.symbolic import ReducedGraph, Structure
 from pinred.errors import UnsupportedOperationError
@@ -59,6 +60,24 @@ def test_models_are_pinocchio_s(package: str, group: str) -> None:
 def pair(package: str, system: System) -> tuple[System, MujocoModel | ExudynModel | DrakeModel]:
     """A system and a peer's model of it."""
     return system, MODELS[package](system)
+
+
+@pytest.mark.parametrize("group", sorted(GROUPS))
+def test_full_graph_is_pinocchio_s(group: str) -> None:
+    """The textbook's graph has the accelerations, and the judge's kinematics of the root."""
+    for seed in (1, 2):
+        model = random_model(group, 5, seed)
+        armature = np.zeros(model.nv)
+        armature[-3:] = 0.1, 0.2, 0.3
+        model.armature = armature
+        system = pinred.load(model)
+        rng = np.random.default_rng(seed)
+        pose = system.group.exp(rng.normal(size=system.r))
+        judge = FullState(pinred.Scene(system=system, seed=0))
+        y = judge.state(pose, *(rng.normal(size=k) for k in (system.m, system.r, system.m)))
+        expected = judge.rate(0.0, y)
+        found = np.array(full_graph(system)(y)).ravel()
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-10 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("package", sorted(MODELS))

@@ -8,14 +8,15 @@ from ..errors import InputError
 from .method import Method
 from .own import OWN
 from .peers.aba import ABA
+from .peers.cvodes import CVODES
 from .peers.drake import DRAKE
 from .peers.exudyn import EXUDYN
 from .peers.heyoka import HEYOKA, HEYOKA_SLOW
 from .peers.mujoco import MUJOCO
 
-METHODS: tuple[Method, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *HEYOKA)
+METHODS: tuple[Method, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA)
 # With what takes minutes to prepare.
-ALL_METHODS: tuple[Method, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *HEYOKA_SLOW)
+ALL_METHODS: tuple[Method, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA_SLOW)
 
 
 def methods_named(
