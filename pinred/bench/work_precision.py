@@ -1,0 +1,140 @@
+"""What accuracy costs on one problem: points of run time and error, and ratios at equal error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import InputError
+
+ERRORS = tuple(float(f"1e-{k}") for k in range(4, 14))
+
+
+@dataclass(frozen=True)
+class Point:
+    """One method at one tolerance, at the end of a problem.
+
+    tolerance: relative, or the step in parts of the whole time where a method takes steps.
+    wall: s of a run.  build: s before the first.  evaluations: of the vector field, or steps
+    of a Taylor method.  shape: largest |Δx| [rad | m]; rotation [rad] and position [m] of the
+    base: norms of the parts of log(g⁻¹ĝ).  energy, momentum: drift, relative (see drift.py).
+    failure: why it did not come to its end; then the numbers are NaN.
+    """
+
+    method: str
+    tolerance: float
+    wall: float = np.nan
+    build: float = np.nan
+    evaluations: float = np.nan
+    shape: float = np.nan
+    rotation: float = np.nan
+    position: float = np.nan
+    energy: float = np.nan
+    momentum: float = np.nan
+    failure: str = ""
+
+    @property
+    def error(self) -> float:
+        """The largest of the three errors [rad | m]; NaN stays."""
+        return float(np.max([self.shape, self.rotation, self.position]))
+
+
+@dataclass(frozen=True)
+class WorkPrecision:
+    """What accuracy costs on one problem, measured in one run.
+
+    scene, problem: its name, and what it is.  reference_error: how far the reference may be
+    from the truth [rad | m]; smaller errors of a point say nothing.  reference: how it was
+    found.  about: method to what is timed of it.  missing: method to why it could not run
+    here.  run: name of the run; times of different runs are not to be compared.
+    """
+
+    scene: str
+    problem: str
+    joints: int
+    duration: float
+    reference_error: float
+    about: Mapping[str, str]
+    points: tuple[Point, ...]
+    reference: str = ""
+    missing: Mapping[str, str] = field(default_factory=dict)
+    run: str = ""
+
+    def of(self, method: str) -> list[Point]:
+        """Return the points of a method that came to their end.  Raises InputError."""
+        if method not in self.about:
+            raise InputError(f"no method '{method}'; they are {', '.join(self.about)}")
+        return [p for p in self.points if p.method == method and not p.failure]
+
+    def wall_at(self, method: str, error: float) -> float:
+        """Return the seconds a method takes for an error [rad | m], NaN if it never gets there.
+
+        Between measured points, of which only those count that no other beats in both time
+        and error, the logarithms are interpolated.  Above the largest error measured it is
+        the time of the fastest point.
+        """
+        front: list[tuple[float, float]] = []  # (log error, log wall), errors falling
+        best = np.inf
+        for p in sorted(self.of(method), key=lambda p: (p.error, p.wall)):
+            if p.wall < best:
+                best = p.wall
+                front.append((np.log(max(p.error, self.reference_error)), np.log(p.wall)))
+        if not front or np.log(error) < front[0][0]:
+            return float("nan")
+        errors, walls = zip(*front, strict=True)
+        return float(np.exp(np.interp(np.log(error), errors, walls)))
+
+    def ratio_at(self, peer: str, error: float, method: str = "pinred") -> float:
+        """Return how many times longer a peer takes than a method at equal error."""
+        return self.wall_at(peer, error) / self.wall_at(method, error)
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.scene} ({self.problem}): {self.joints} joint{'s' * (self.joints != 1)}, "
+            f"{self.duration:g} s; the reference is known to {self.reference_error:.0e}"
+            + (f": {self.reference}" if self.reference else ""),
+            *(f"  {name}: {text}" for name, text in self.about.items()),
+            *(f"  {line}" for line in dict.fromkeys(self.missing.values())),
+            "",
+            f"{'method':<19} {'tolerance':>9} {'wall [ms]':>10} {'evaluations':>11} "
+            f"{'shape':>8} {'rotation':>8} {'position':>8} {'energy':>8} {'momentum':>8} "
+            f"{'build [s]':>9}",
+            *(_row(p) for p in self.points),
+            "",
+            "wall time [ms] at equal error",
+            *_table(self.about, lambda name, e: 1e3 * self.wall_at(name, e)),
+        ]
+        peers = [name for name in self.about if not name.startswith("pinred")]
+        for own in (name for name in self.about if name.startswith("pinred")):
+            if peers:
+
+                def ratio(peer: str, error: float, own: str = own) -> float:
+                    return self.ratio_at(peer, error, own)
+
+                lines += ["", f"how many times faster {own} is", *_table(peers, ratio)]
+        return "\n".join(lines)
+
+
+def _table(names: Iterable[str], value: Callable[[str, float], float]) -> list[str]:
+    """Return a row for each name and a column for each error."""
+    head = f"{'error':<19}" + "".join(f"{error:>9.0e}" for error in ERRORS)
+    rows = (
+        f"{name:<19}" + "".join(_cell(value(name, error)) for error in ERRORS) for name in names
+    )
+    return [head, *rows]
+
+
+def _row(p: Point) -> str:
+    head = f"{p.method:<19} {p.tolerance:>9.1e} "
+    if p.failure:
+        return f"{head}failed: {p.failure}"
+    return head + (
+        f"{1e3 * p.wall:>10.4f} {p.evaluations:>11.0f} {p.shape:>8.1e} {p.rotation:>8.1e} "
+        f"{p.position:>8.1e} {p.energy:>8.1e} {p.momentum:>8.1e} {p.build:>9.2f}"
+    )
+
+
+def _cell(value: float) -> str:
+    return f"{'—' if np.isnan(value) else format(value, '.3g'):>9}"
