@@ -43,35 +43,6 @@ QUICK = Effort("quick", rounds=3, patience=0.1, budget=0.1, every=3)
 DEFAULT = Effort("default", rounds=7, patience=0.8, budget=1.0)
 FULL = Effort("full", rounds=15, patience=10.0, budget=30.0)
 
-    def _repr_html_(self) -> str:
-        from ..html_parts import card, line, table
-
-        head = ["method", "tolerance", "error [rad | m]", "wall [ms]", "evaluations", ""]
-        rows = [
-            (
-                p.method,
-                f"{p.tolerance:.0e}",
-                f"{p.error:.1e}",
-                1e3 * p.wall,
-                p.evaluations,
-                p.failure,
-            )
-            for p in self.points
-        ]
-        equal = [
-            (f"{error:.0e}", *(_cell(1e3 * self.wall_at(n, error)).strip() for n in self.about))
-            for error in ERRORS
-        ]
-        return card(
-            self.problem,
-            f"{self.joints} joints, {self.duration:g} s, the end against ABA on the full state; "
-            f"two references agree to {self.reference_error:.0e}",
-            *(line(f"{name}: {text}") for name, text in self.about.items()),
-            *map(line, self.missing),
-            table("wall time [ms] at equal error", ["error", *self.about], equal),
-            table("measured", head, rows),
-        )
-
 
 def run_name() -> str:
     """Return a name for a run of this process, which no other has."""

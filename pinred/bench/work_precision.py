@@ -90,6 +90,35 @@ class WorkPrecision:
         """Return how many times longer a peer takes than a method at equal error."""
         return self.wall_at(peer, error) / self.wall_at(method, error)
 
+    def _repr_html_(self) -> str:
+        from ..html_parts import card, line, table
+
+        head = ["method", "tolerance", "error [rad | m]", "wall [ms]", "evaluations", ""]
+        rows = [
+            (
+                p.method,
+                f"{p.tolerance:.0e}",
+                f"{p.error:.1e}",
+                1e3 * p.wall,
+                p.evaluations,
+                p.failure,
+            )
+            for p in self.points
+        ]
+        equal = [
+            (f"{error:.0e}", *(_cell(1e3 * self.wall_at(n, error)).strip() for n in self.about))
+            for error in ERRORS
+        ]
+        return card(
+            self.problem,
+            f"{self.joints} joints, {self.duration:g} s, the end against ABA on the full state; "
+            f"two references agree to {self.reference_error:.0e}",
+            *(line(f"{name}: {text}") for name, text in self.about.items()),
+            *map(line, self.missing),
+            table("wall time [ms] at equal error", ["error", *self.about], equal),
+            table("measured", head, rows),
+        )
+
     def __str__(self) -> str:
         lines = [
             f"{self.scene} ({self.problem}): {self.joints} joint{'s' * (self.joints != 1)}, "
