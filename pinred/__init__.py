@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from . import equations, forces, lie, signals
+    from . import equations, forces, lie, plots, signals
     from .balance import EnergyBalance, MomentumBalance
     from .comparison import Report, compare
     from .errors import (
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         IntegrationError,
         KernelMismatch,
         LoadError,
+        MissingPackageError,
         ModelError,
         OutputError,
         PinredError,
@@ -54,6 +55,7 @@ _HOME = {
                 "IntegrationError",
                 "KernelMismatch",
                 "LoadError",
+                "MissingPackageError",
                 "ModelError",
                 "OutputError",
             ),
@@ -76,7 +78,7 @@ _HOME = {
     **dict.fromkeys(("EnergyBalance", "MomentumBalance"), "balance"),
     **dict.fromkeys(("DOP853", "RKMK4"), "integrators.method"),
 }
-_MODULES = ("equations", "forces", "lie", "signals")
+_MODULES = ("equations", "forces", "lie", "plots", "signals")
 
 __all__ = [
     "DOP853",
@@ -90,6 +92,7 @@ __all__ = [
     "IntegrationError",
     "KernelMismatch",
     "LoadError",
+    "MissingPackageError",
     "ModelError",
     "MomentumBalance",
     "OutputError",
@@ -115,6 +118,7 @@ __all__ = [
     "lie",
     "load",
     "load_scene",
+    "plots",
     "scene_schema",
     "signals",
     "simulate",

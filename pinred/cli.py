@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from . import __version__, run_command
 from .bench.command import add_measurements
 from .errors import InputError, IntegrationError, PinredError
+from .plots import command as plot_command
 from .scene_keys import GROUPS
 
 if TYPE_CHECKING:
@@ -103,6 +104,9 @@ def _parser() -> _Parser:
 
     sub = command("run", run_command.run, "simulate what a scene file says")
     run_command.add_arguments(sub)
+
+    sub = command("plot", plot_command.run, "draw a motion, or what bench accuracy measured")
+    plot_command.add_arguments(sub)
 
     sub = command("robots", _robots, "list the robots that can be loaded by name")
     sub.add_argument("--check", action="store_true", help="load each and say what is refused")

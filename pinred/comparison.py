@@ -24,8 +24,9 @@ import numpy as np
 from .arrays import Array, freeze
 from .balance import energy_balance, momentum_balance
 from .errors import InputError
-from .full_state import FullMotion, FullState
+from .full_state import Audit, FullMotion, FullState
 from .potential import pivot_weight
+from .state import State
 from .trajectory import Trajectory
 
 TIGHTER = 100.0  # the reference's tolerance is this much below the one asked for
@@ -161,12 +162,7 @@ def compare(traj: Trajectory, *, progress: Callable[[float], None] | None = None
     second = full.run(y0, times, *tight, method="dopri5")
     done(0.9)
     error = full.distance(truth, FullMotion(x=states.x, q=states.q))
-    forces = scene.force_model
-    work = energy_balance(scene, traj.motion, states).work.sum(axis=1)
-    impulse = None
-    if (forces is not None and forces.has_wrench) or pivot_weight(traj.system).any():
-        impulse = momentum_balance(scene, traj.motion, states).impulse
-    audit = full.audit(states, work, impulse)
+    audit = audited(traj, states)
     size = full.size(truth)
     growth = max(1.0, full.distance(truth, kicked).worst(size) / _KICK)
     done(1.0)
@@ -196,3 +192,14 @@ def compare(traj: Trajectory, *, progress: Callable[[float], None] | None = None
         wall_reduced=traj.run.wall,
         wall_full=wall_full,
     )
+
+
+def audited(traj: Trajectory, states: State) -> Audit:
+    """Return what Pinocchio says of states of a trajectory, work and impulse taken off."""
+    scene = traj.scene
+    forces = scene.force_model
+    work = energy_balance(scene, traj.motion, states).work.sum(axis=1)
+    impulse = None
+    if (forces is not None and forces.has_wrench) or pivot_weight(traj.system).any():
+        impulse = momentum_balance(scene, traj.motion, states).impulse
+    return FullState(scene).audit(states, work, impulse)

@@ -39,6 +39,10 @@ class SingularInertiaError(PinredError, ArithmeticError):
     """The mass matrix is not positive definite at a shape."""
 
 
+class MissingPackageError(PinredError, ImportError):
+    """A package is not installed that only some of pinred needs."""
+
+
 class OutputError(PinredError):
     """A file could not be written; what was there before still is."""
 

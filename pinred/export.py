@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import BinaryIO
@@ -40,11 +40,11 @@ def save(traj: Trajectory, path: str | Path) -> None:
         raise OutputError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
-def check_path(path: str | Path) -> Path:
-    """Return `path` if a trajectory can be written there.  Raises InputError if not."""
+def check_path(path: str | Path, suffixes: Sequence[str] = (".npz", ".csv")) -> Path:
+    """Return `path` if a file of this kind can be written there.  Raises InputError if not."""
     path = Path(path)
-    if path.suffix not in (".npz", ".csv"):
-        raise InputError(f"cannot write '{path}': the suffix must be .npz or .csv")
+    if path.suffix not in suffixes:
+        raise InputError(f"cannot write '{path}': the suffix must be {' or '.join(suffixes)}")
     try:
         if path.is_dir():
             raise InputError(f"cannot write '{path}': it is a folder")

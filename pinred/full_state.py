@@ -66,15 +66,25 @@ class Distance:
 class Audit:
     """What Pinocchio's own functions say of the states of a trajectory, all relative.
 
-    energy: largest change over the largest kinetic energy T about the centre of mass.
-    momentum: of each conserved component, angular about the centre of mass if the group
-    translates, over √(2mT), for angular ones times the radius of gyration.  fields: largest
-    difference of pose, twist, momenta and energy from those that q and v have.
+    energies: (T,) change over the largest kinetic energy T about the centre of mass.
+    momenta: (T, r) change of each conserved component, angular about the centre of mass if
+    the group translates, over √(2mT), for angular ones times the radius of gyration.
+    fields: largest difference of pose, twist, momenta and energy from those that q and v have.
     """
 
-    energy: float
-    momentum: float
+    energies: Array
+    momenta: Array
     fields: float
+
+    @property
+    def energy(self) -> float:
+        """The largest change of energy."""
+        return float(np.abs(self.energies).max())
+
+    @property
+    def momentum(self) -> float:
+        """The largest change of momentum."""
+        return float(np.abs(self.momenta).max())
 
 
 class FullState:
@@ -311,7 +321,7 @@ class FullState:
         if impulse is not None:
             conserved = list(spatial - impulse)
             scale = np.maximum(scale, np.abs(spatial).max())
-        change = np.abs(np.array(conserved) - conserved[0]).max(axis=0)
+        scale[scale == 0.0] = 1.0
         found = np.array(
             [self.q(np.concatenate(row)) for row in zip(state.pose, state.x, strict=True)]
         )
@@ -323,8 +333,8 @@ class FullState:
             _difference(state.energy, energies, most),
         ]
         return Audit(
-            energy=_ratio(float(np.abs(gained).max()), most),
-            momentum=float(np.max([_ratio(c, s) for c, s in zip(change, scale, strict=True)])),
+            energies=gained / most if most > 0.0 else gained,
+            momenta=(np.array(conserved) - conserved[0]) / scale,
             fields=float(np.max(mismatch)),
         )
 

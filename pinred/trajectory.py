@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +15,8 @@ from .state import ShapeState, State, with_base
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from matplotlib.figure import Figure
 
     from .balance import EnergyBalance, MomentumBalance
     from .motion import Motion
@@ -171,6 +173,16 @@ class Trajectory:
             return state
         kind = type(state)
         return kind(**{f.name: np.asarray(getattr(state, f.name)[0]) for f in fields(kind)})
+
+    def plot(self, kind: str = "shape", **options: Any) -> Figure:
+        """Return a figure of the motion: pinred.plots has a function for each kind.
+
+        Raises InputError for a kind or an option that there is not, listing those there are;
+        MissingPackageError if matplotlib is not installed.
+        """
+        from .plots import plot
+
+        return plot(self, kind, **options)
 
     def save(self, path: str | Path) -> None:
         """Write the states to a .npz or .csv file (see export.py).  Raises InputError."""
