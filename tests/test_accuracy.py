@@ -38,7 +38,7 @@ from pinred.bench.drift import drift
 from pinred.bench.methods import methods_named
 from pinred.bench.reference import _quadruple
 from pinred.cli import main
-from pinred.errors import InputError, IntegrationError
+from pinred.errors import InputError, IntegrationError, LoadError
 from pinred.full_state import FullMotion
 from pinred.integrators.method import RKMK4
 from pinred.system import InitialState
@@ -161,8 +161,8 @@ def test_a_further_integrator_is_one_value() -> None:
 def made(*points: Point, reference_error: float = 1e-14, run: str = "now") -> WorkPrecision:
     """A result of two methods a and b with these points."""
     return WorkPrecision(
-        scene="s",
-        problem="a scene, with a comma",
+        problem="s",
+        description="a scene, with a comma",
         joints=1,
         duration=1.0,
         reference_error=reference_error,
@@ -198,6 +198,20 @@ def test_wall_at_equal_error() -> None:
     assert str(found).count("c is left out") == 1
     with pytest.raises(InputError, match="no method 'c'; they are a, b"):
         found.of("c")
+
+
+def test_fastest_of_tools() -> None:
+    """One method of each tool, the fastest where it gets so far; pinred's all."""
+    names = ("pinred", "pinred-x", "t-slow", "t-fast", "t-never", "u-never")
+    walls = dict(zip(names, (1.0, 2.0, 5.0, 3.0, 0.1, 0.2), strict=True))
+    points = [
+        point(name, 1e-2 if name.endswith("never") else 1e-9, wall) for name, wall in walls.items()
+    ]
+    found = replace(made(*points), about=dict.fromkeys(names, ""))
+    few = found.fastest_of_tools(1e-8)
+    assert few == ["pinred", "pinred-x", "t-fast", "u-never"]
+    assert list(found.only(few).about) == few
+    assert [p.method for p in found.only(["t-fast", "pinred"]).points] == ["t-fast", "pinred"]
 
 
 def test_what_the_reference_cannot_tell_is_not_claimed() -> None:
@@ -241,7 +255,8 @@ def test_what_is_too_slow_is_said() -> None:
 def test_record_round_trip(tmp_path: Path) -> None:
     """What is written reads back as it was, NaN and failures included."""
     path = tmp_path / "accuracy.csv"
-    assert read_record(path, "quick") == []
+    with pytest.raises(LoadError, match="No such file"):
+        read_record(path)
     found = made(point("a", 1.0 / 3.0, 0.1), Point("b", 1e-9, failure='stopped, "here"'))
     other = made(point("a", 1e-3, 0.2), Point("b", 1e-9, failure="again"), run="later")
     write_record(path, "quick", [found, other])
@@ -255,7 +270,7 @@ def test_record_round_trip(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="was measured as 'quick', not 'full'"):
         read_record(path, "full")
     path.write_text("a,b\n1,2\n")
-    with pytest.raises(InputError, match="is not a record of accuracy: 'effort'"):
+    with pytest.raises(LoadError, match="of `pinred bench accuracy`: 'problem'"):
         read_record(path, "quick")
 
 
@@ -278,7 +293,7 @@ def test_resumed(
     assert main(command) == 130
     asked_for = "quick, tolerances 0.0001 1e-08"
     first = read_record(folder / "accuracy.csv", asked_for)
-    assert [found.scene for found in first] == ["coupled_planar"]
+    assert [found.problem for found in first] == ["coupled_planar"]
     assert main(command) == 0
     assert [name for name, _ in asked[2:]] == ["rigid_body"]
     assert f"coupled_planar is measured already, in run {first[0].run}" in capsys.readouterr().out
@@ -288,16 +303,20 @@ def test_resumed(
     assert [names for _, names in asked[3:]] == [["pinred", "aba-lsoda"]] * 2
     found = read_record(folder / "accuracy.csv", asked_for)
     assert repr(found[:1]) == repr(first)
-    assert [(f.scene, list(f.about)) for f in found] == [
+    assert [(f.problem, list(f.about)) for f in found] == [
         ("coupled_planar", ["pinred", "aba-odeint"]),
         ("rigid_body", ["pinred", "aba-odeint"]),
         ("coupled_planar", ["pinred", "aba-lsoda"]),
         ("rigid_body", ["pinred", "aba-lsoda"]),
     ]
+    if find_spec("matplotlib") is not None:
+        scenes = ("coupled_planar", "coupled_planar_2", "rigid_body", "rigid_body_2")
+        figures = {f"{name}{end}.png" for name in scenes for end in ("", "_all")}
+        assert {path.name for path in folder.glob("*.png")} == figures
     with (folder / "equal_error.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     for row in rows:
-        (own,) = (f for f in found if (f.scene, f.run) == (row["scene"], row["run"]))
+        (own,) = (f for f in found if (f.problem, f.run) == (row["problem"], row["run"]))
         ratio = own.ratio_at(row["method"], float(row["error"]))
         assert float(row["times_pinred"]) == ratio or np.isnan(ratio)
     assert main([*command[:-4], "--out", str(folder)]) == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 
 import casadi as ca
@@ -21,8 +22,9 @@ from pinred.bench.peers.euler import ORDERS, angles_of, rotation_of, spin_matrix
 from pinred.bench.peers.exudyn import ExudynModel
 from pinred.bench.peers.first_principles import full_graph
 from pinred.bench.peers.mujoco import MujocoModel
+from pinred.bench.peers.trial import survived
 from pinred.engine.symbolic import ReducedGraph, Structure
-from pinred.errors import UnsupportedOperationError
+from pinred.errors import IntegrationError, UnsupportedOperationError
 from pinred.full_state import FullMotion, FullState
 from pinred.lie import GROUPS
 from pinred.scene import random_state
@@ -103,6 +105,18 @@ def test_what_is_not_installed_is_left_out() -> None:
     system = pinred.load("cartpole")
     line = missing(Problem("p", "", system, random_state(system, 0)))
     assert line == 'It is left out: pip install "pinred[bench]"'
+
+
+def test_what_aborts_is_a_failure() -> None:
+    """A library that kills its process does not kill the benchmark; what raises is no matter."""
+
+    def raises() -> None:
+        raise ValueError("somebody else's")
+
+    survived(lambda: None, "It")
+    survived(raises, "It")
+    with pytest.raises(IntegrationError, match=r"It aborts \(signal 6\)"):
+        survived(os.abort, "It")
 
 
 SHORT = {

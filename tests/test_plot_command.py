@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 from pathlib import Path
@@ -14,8 +13,8 @@ from pictures import measured
 
 import pinred
 from pinred import plots
+from pinred.bench import write_record
 from pinred.cli import main
-from pinred.plots.measurements import read_measurements
 
 SCENE = """robot = "elroys_beanie"
 [start]
@@ -95,39 +94,13 @@ def test_random_state_is_said(capsys: pytest.CaptureFixture[str], tmp_path: Path
     assert "seed 4" in run(capsys, *arguments)[1]
 
 
-def write_measurements(path: Path, **changes: str) -> None:
-    """Write measurements as `pinred bench accuracy` does, with some columns changed."""
-    rows = [
-        {"problem": each.problem, **vars(point), "error": point.error, **changes}
-        for each in measured()
-        for point in each.points
-    ]
-    with path.open("w", encoding="utf-8", newline="") as file:
-        table = csv.DictWriter(file, fieldnames=list(rows[0]))
-        table.writeheader()
-        table.writerows(rows)
-
-
-def test_measurements_are_read_back(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """accuracy.csv gives the points that were measured, problem by problem."""
-    path = tmp_path / "accuracy.csv"
-    write_measurements(path)
-    for found, expected in zip(read_measurements(path), measured(), strict=True):
-        assert found.problem == expected.problem
-        assert set(found.about) == set(expected.about)
-        for name in expected.about:
-            assert repr(found.of(name)) == repr(expected.of(name))
-        assert np.isnan(found.reference_error)
-    out = str(tmp_path / "wp.svg")
-    assert run(capsys, str(path), "--kind", "work_precision", "--out", out)[0] == 0
-    write_measurements(path, reference_error="1e-10")
-    assert {found.reference_error for found in read_measurements(path)} == {1e-10}
-    write_measurements(path, wall="soon")
-    with pytest.raises(pinred.LoadError, match="soon"):
-        read_measurements(path)
-    path.write_text("a,b\n1,2\n")
-    with pytest.raises(pinred.LoadError, match="it has no 'problem'"):
-        read_measurements(path)
+def test_measurements_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The record of a benchmark gives the figure that its results give."""
+    path, out = tmp_path / "accuracy.csv", tmp_path / "wp.png"
+    write_record(path, "quick", measured())
+    assert run(capsys, str(path), "--kind", "work_precision", "--out", str(out))[0] == 0
+    plots.work_precision(measured()).savefig(tmp_path / "python.png")
+    np.testing.assert_array_equal(imread(out), imread(tmp_path / "python.png"))
 
 
 @pytest.mark.parametrize(
@@ -142,7 +115,7 @@ def test_measurements_are_read_back(capsys: pytest.CaptureFixture[str], tmp_path
         (("falling_dog", "--kind", "shape", "--out", "a.png"), "did you mean falling_cat"),
         (("cartpole", "--kind", "sphere", "--out", "a.png"), "not for R"),
         (("falling_cat", "--kind", "work_precision", "--out", "a.png"), "pinred bench accuracy"),
-        (("no.csv", "--kind", "work_precision", "--out", "a.png"), "no such table"),
+        (("no.csv", "--kind", "work_precision", "--out", "a.png"), "cannot read table"),
         (("no.csv", "--kind", "shape", "--out", "a.png"), "work_precision only"),
         (("no.npz", "--kind", "shape", "--out", "a.png"), "no such file"),
         (("no.toml", "--kind", "shape", "--out", "a.png"), "no such scene file"),

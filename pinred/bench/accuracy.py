@@ -135,8 +135,8 @@ def bench_problem(
     for j, (k, _) in enumerate(running):
         points[k] = replace(points[k], wall=float(np.nanmedian(times[:, j])))
     return WorkPrecision(
-        scene=problem.name,
-        problem=problem.about,
+        problem=problem.name,
+        description=problem.about,
         joints=problem.system.m,
         duration=problem.start.duration,
         reference_error=truth.error,

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 from ..errors import InputError
 from ..progress import ProgressBar
 
+_LOOKED_AT = 1e-8  # error at which the fastest method of each tool is drawn
+
 if TYPE_CHECKING:
     from .accuracy import Effort
     from .method import Method
@@ -71,10 +73,10 @@ def _measure(
     if tolerances is not None:
         asked += f", tolerances {' '.join(f'{t:g}' for t in tolerances)}"
     path = None if folder is None else folder / NAME
-    results = [] if path is None else read_record(path, asked)
+    results = read_record(path, asked) if path is not None and path.exists() else []
     run = run_name()
     for k, problem in enumerate(problems):
-        before = [found for found in results if found.scene == problem.name]
+        before = [found for found in results if found.problem == problem.name]
         done = {name for found in before for name in (*found.about, *found.missing)}
         wanted = [method for method in methods if method.name not in done]
         if not wanted:
@@ -90,11 +92,30 @@ def _measure(
         if path is not None:
             write_record(path, asked, results)
     if path is not None and folder is not None:
-        _write_views(folder, results)
+        _write_equal_error(folder, results)
+        _draw(folder, results)
         print(f"written to {path}")
 
 
-def _write_views(folder: Path, results: Sequence[WorkPrecision]) -> None:
+def _draw(folder: Path, results: Sequence[WorkPrecision]) -> None:
+    """Draw each result: all its methods, and the fastest of each tool."""
+    from ..errors import MissingPackageError
+
+    try:
+        from ..plots import work_precision
+        from ..plots.command import save
+    except MissingPackageError as error:
+        print(f"no figures: {error}")
+        return
+    for k, found in enumerate(results):
+        again = sum(before.problem == found.problem for before in results[:k])
+        name = found.problem + (f"_{again + 1}" if again else "")
+        few = found.only(found.fastest_of_tools(_LOOKED_AT))
+        save(work_precision(few), folder / f"{name}.png")
+        save(work_precision(found), folder / f"{name}_all.png")
+
+
+def _write_equal_error(folder: Path, results: Sequence[WorkPrecision]) -> None:
     """Write what follows from the points: times and ratios at equal error."""
     import csv
     from io import StringIO
@@ -105,7 +126,7 @@ def _write_views(folder: Path, results: Sequence[WorkPrecision]) -> None:
 
     text = StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(["run", "scene", "error", "method", "wall", "times_pinred", "reference_error"])
+    table.writerow(["run", "problem", "error", "method", "wall", "times_pinred", "reference_error"])
     for found in results:
         for error in ERRORS:
             for method in found.about:
@@ -113,7 +134,7 @@ def _write_views(folder: Path, results: Sequence[WorkPrecision]) -> None:
                 ratio: Any = found.ratio_at(method, error) if own else ""
                 wall = found.wall_at(method, error)
                 table.writerow(
-                    [found.run, found.scene, error, method, wall, ratio, found.reference_error]
+                    [found.run, found.problem, error, method, wall, ratio, found.reference_error]
                 )
     write_text(folder / "equal_error.csv", text.getvalue())
 

@@ -15,13 +15,16 @@ from dataclasses import fields
 from pathlib import Path
 from typing import BinaryIO
 
-from ..errors import InputError, OutputError
+from ..errors import InputError, LoadError, OutputError
 from ..export import write_atomic
 from .work_precision import Point, WorkPrecision
 
 NAME = "accuracy.csv"
 _POINT = tuple(field.name for field in fields(Point))
-_ABOUT = ("effort", "run", "scene", "problem", "joints", "duration", "reference_error", "reference")
+_ABOUT = (
+    *("effort", "run", "problem", "description", "joints", "duration"),
+    *("reference_error", "reference"),
+)
 COLUMNS = (*_ABOUT, "about", *_POINT, "error")
 
 
@@ -45,35 +48,41 @@ def write_record(path: Path, effort: str, results: Iterable[WorkPrecision]) -> N
     write_text(path, text.getvalue())
 
 
-def read_record(path: Path, effort: str) -> list[WorkPrecision]:
-    """Return the results in a file, in its order; none if there is no file.
+def read_record(path: Path, effort: str | None = None) -> list[WorkPrecision]:
+    """Return the results in a file, in its order.
 
-    Raises InputError if it is none of ours, or was measured with another effort.
+    effort: what they must have been measured with, if anything.  Raises LoadError if it
+    cannot be read or is no such record, InputError if another effort was made.
     """
-    if not path.is_file():
-        return []
-    with path.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise LoadError(f"cannot read table '{path}': {error}") from None
     groups: dict[tuple[str, str], list[dict[str, str]]] = {}
     try:
         for row in rows:
-            if row["effort"] != effort:
-                raise InputError(
-                    f"'{path}' was measured as '{row['effort']}', not '{effort}': "
-                    "give another folder, or the same options"
-                )
-            groups.setdefault((row["scene"], row["run"]), []).append(row)
-        return [_result(group) for group in groups.values()]
+            groups.setdefault((row["problem"], row["run"]), []).append(row)
+        others = {row["effort"] for row in rows} - {effort}
+        results = [_result(group) for group in groups.values()]
     except (KeyError, ValueError, TypeError) as error:
-        raise InputError(f"'{path}' is not a record of accuracy: {error}") from None
+        raise LoadError(
+            f"'{path}' is not accuracy.csv of `pinred bench accuracy`: {error}"
+        ) from None
+    if effort is not None and others:
+        raise InputError(
+            f"'{path}' was measured as '{min(others)}', not '{effort}': "
+            "give another folder, or the same options"
+        )
+    return results
 
 
 def _result(rows: list[dict[str, str]]) -> WorkPrecision:
     head = rows[0]
     there = [row for row in rows if row["tolerance"]]
     return WorkPrecision(
-        scene=head["scene"],
         problem=head["problem"],
+        description=head["description"],
         joints=int(head["joints"]),
         duration=float(head["duration"]),
         reference_error=float(head["reference_error"]),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -45,19 +45,19 @@ class Point:
 class WorkPrecision:
     """What accuracy costs on one problem, measured in one run.
 
-    scene, problem: its name, and what it is.  reference_error: how far the reference may be
+    problem, description: its name, and what it is.  reference_error: how far the reference may be
     from the truth [rad | m]; smaller errors of a point say nothing.  reference: how it was
     found.  about: method to what is timed of it.  missing: method to why it could not run
     here.  run: name of the run; times of different runs are not to be compared.
     """
 
-    scene: str
     problem: str
     joints: int
     duration: float
     reference_error: float
     about: Mapping[str, str]
     points: tuple[Point, ...]
+    description: str = ""
     reference: str = ""
     missing: Mapping[str, str] = field(default_factory=dict)
     run: str = ""
@@ -85,6 +85,31 @@ class WorkPrecision:
             return float("nan")
         errors, walls = zip(*front, strict=True)
         return float(np.exp(np.interp(np.log(error), errors, walls)))
+
+    def only(self, methods: Iterable[str]) -> WorkPrecision:
+        """Return the results of some methods alone.  Raises InputError."""
+        points = {name: self.of(name) for name in methods}
+        return replace(
+            self,
+            about={name: self.about[name] for name in points},
+            points=tuple(point for name in points for point in points[name]),
+        )
+
+    def fastest_of_tools(self, error: float) -> list[str]:
+        """Return pinred's methods, and of each other tool the fastest at an error [rad | m].
+
+        A tool is what stands before the first hyphen in its methods' names.
+        """
+        tools: dict[str, list[str]] = {}
+        for name in self.about:
+            tool = name if name.startswith("pinred") else name.partition("-")[0]
+            tools.setdefault(tool, []).append(name)
+
+        def wall(name: str) -> float:
+            found = self.wall_at(name, error)
+            return np.inf if np.isnan(found) else found
+
+        return [min(names, key=wall) for names in tools.values()]
 
     def ratio_at(self, peer: str, error: float, method: str = "pinred") -> float:
         """Return how many times longer a peer takes than a method at equal error."""
@@ -121,7 +146,7 @@ class WorkPrecision:
 
     def __str__(self) -> str:
         lines = [
-            f"{self.scene} ({self.problem}): {self.joints} joint{'s' * (self.joints != 1)}, "
+            f"{self.problem} ({self.description}): {self.joints} joint{'s' * (self.joints != 1)}, "
             f"{self.duration:g} s; the reference is known to {self.reference_error:.0e}"
             + (f": {self.reference}" if self.reference else ""),
             *(f"  {name}: {text}" for name, text in self.about.items()),

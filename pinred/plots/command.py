@@ -132,9 +132,9 @@ def _recording(path: str) -> Any:
 
 
 def _measurements(path: str) -> Any:
-    from .measurements import read_measurements
+    from ..bench.record import read_record
 
-    return read_measurements(path)
+    return read_record(Path(path))
 
 
 def _simulated_file(path: str) -> Any:

@@ -8,7 +8,7 @@ from typing import Literal
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..bench.accuracy import WorkPrecision
+from ..bench.work_precision import WorkPrecision
 from ..errors import InputError
 from .style import WIDTH, dots, figure, legend, line, styled
 

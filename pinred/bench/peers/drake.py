@@ -15,6 +15,9 @@ from ...system import System
 from ..method import End, Method, Prepared, decades
 from ..problems import Problem
 from .equality import missing_unless_equal
+from .trial import survived
+
+_MAX_STEP = 0.1  # s, Drake's own
 
 
 class DrakeModel:
@@ -154,7 +157,7 @@ def _prepare(problem: Problem, tolerance: float, scheme: str) -> Prepared:
     bridge, duration = drake_model(problem.system), problem.start.duration
     plant = bridge.plant
     simulator = analysis.Simulator(plant, plant.CreateDefaultContext())
-    integrator = analysis.ResetIntegratorFromFlags(simulator, scheme, duration)
+    integrator = analysis.ResetIntegratorFromFlags(simulator, scheme, _MAX_STEP)
     integrator.set_target_accuracy(tolerance)
     context = simulator.get_mutable_context()
     q0 = bridge.positions(problem.q0, problem.start.x)
@@ -173,6 +176,7 @@ def _prepare(problem: Problem, tolerance: float, scheme: str) -> Prepared:
         count = float(integrator.get_num_derivative_evaluations())
         return plant.GetPositions(context), plant.GetVelocities(context), count
 
+    survived(run, "Drake")  # it does so when a trial step leaves the finite numbers
     return Prepared(run, lambda found: bridge.end(*found))
 
 
