@@ -103,7 +103,7 @@ np.testing.assert_allclose(turned(back), -turned(traj), atol=1e-8)
 # %% [markdown]
 # ## Land on your feet
 # How far must the cat bend to turn by half a turn in one go? Ask the ordered product, then let
-# Pinocchio's ABA, which knows no connection, judge the motion.
+# Pinocchio's ABA, which knows no connection, judge the motion. `fall.play()` shows it.
 
 # %%
 half_turn = brentq(lambda r: holonomy(r, 300)[6], 1.0, 1.55)  # where cos(angle/2) is zero

@@ -112,5 +112,8 @@ print(report)
 if not report.passed:
     raise SystemExit("the reduced motion is not that of the full simulation")
 
+# %% [markdown]
+# To see it: `traj.play()`, or `traj.save_html("solo.html")`, a page with the animation.
+
 # %%
 traj.plot("base") if drawing else None
