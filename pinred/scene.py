@@ -24,12 +24,11 @@ if TYPE_CHECKING:
 
 OUTPUTS = ("all", "shape")
 DURATION = 2.0  # s, where neither scene nor robot says
-TIGHTEST = 1e-13  # relative tolerance; below it round-off decides the step
+TIGHTEST = 1e-14  # relative tolerance; below it round-off decides the step
 # Momenta are integrated, and rates are wanted: where a light joint sits beside heavy ones, a
 # small part of a large momentum is a ten times larger part of the light joint's rate.
 MOMENTUM_MARGIN = 10.0
 MOST_SAMPLES = 1_000_000  # of one controller; each ends a run of the integrator
-_LEAST = 2.3e-14  # what SciPy's and our DOP853 take as relative tolerance
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,7 +142,7 @@ class Scene:
     @property
     def tolerance(self) -> tuple[float, float]:
         """What the integrator of the momenta gets as (rtol, atol), a tenth of those asked for."""
-        return max(self.rtol / MOMENTUM_MARGIN, _LEAST), self.atol / MOMENTUM_MARGIN
+        return self.rtol / MOMENTUM_MARGIN, self.atol / MOMENTUM_MARGIN
 
     @property
     def force_model(self) -> ForceModel | None:

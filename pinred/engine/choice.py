@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import log10
 
-from ..integrators.method import DOP853, AdaptiveGauss, Method
+from ..integrators.method import DOP853, DOP853_LEAST, AdaptiveGauss, Method
 from ..motion import stops_of
 from ..scene import Scene
 from ..system import System
@@ -50,17 +50,18 @@ def _asked(scene: Scene) -> Choice | None:
 
 def _chosen(scene: Scene) -> Choice:
     rtol, atol = scene.tolerance
+    dop853 = DOP853(max(rtol, DOP853_LEAST), atol)
     inside = int((scene.report_times < scene.end).sum()) - int(scene.report_times[0] == 0.0)
     if inside > _FEW:
-        return Choice(DOP853(rtol, atol), f"{inside} reports before the end cost it least")
+        return Choice(dop853, f"{inside} reports before the end cost it least")
     if scene.force_model is not None and len(stops_of(scene)) > 1:
-        return Choice(DOP853(rtol, atol), "the scene is integrated in pieces")
+        return Choice(dop853, "the scene is integrated in pieces")
     cost = _SWEEP * scene.system.workspace("limbs as lanes", lambda: _limbs(scene.system))
     worth = _AT_LOOSEST + _PER_DIGIT * max(0.0, -log10(scene.rtol) - _LOOSEST)
     told = f"{cost:.1f} evaluations a sweep, worth {worth:.1f} at rtol = {scene.rtol:g}"
     if cost < worth:
         return Choice(AdaptiveGauss(rtol, atol), told)
-    return Choice(DOP853(rtol, atol), told)
+    return Choice(dop853, told)
 
 
 def _limbs(system: System) -> float:
