@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -44,6 +43,8 @@ def poincare(
     if len(pair) != 2:
         raise InputError(f"joints must be two for a Poincaré section, got {len(pair)}")
     crossed, shown = pair
+    if direction not in (-1, 0, 1):
+        raise InputError(f"direction must be 1, -1 or 0 for both, got {direction!r}")
     unit = names.units[crossed]
     where = float(as_floats(value, "value"))
     if not np.isfinite(where):
@@ -81,22 +82,14 @@ def section(
 
     turns: whether whole turns more or less than `value` count.
     """
-    levels = np.array([value])
-    if turns:
-        x = traj.at(traj.motion.knots).x[:, joint]
-        turn = 2.0 * np.pi
-        first, last = np.floor((x.min() - value) / turn), np.ceil((x.max() - value) / turn)
-        levels = value + turn * np.arange(first, last + 1.0)
 
-    def height(t: Array, level: float) -> Array:
-        return traj.at(t).x[:, joint] - level
+    def height(t: Array) -> Array:
+        apart = traj.at(t).x[:, joint] - value
+        return np.sin(0.5 * apart) if turns else apart
 
-    t = np.sort(
-        np.concatenate(
-            [crossings(traj, partial(height, level=level), direction) for level in levels.tolist()]
-        )
-    )
+    t = crossings(traj, height)
     if not t.size:
         return np.empty((0, 2))
     state = traj.at(t)
-    return np.stack([state.x[:, shown], state.xdot[:, shown]], axis=1)
+    points = np.stack([state.x[:, shown], state.xdot[:, shown]], axis=1)
+    return points if not direction else points[np.sign(state.xdot[:, joint]) == direction]
