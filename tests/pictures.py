@@ -1,4 +1,4 @@
-"""Pictures that figures are held to: tests/pictures/*.png, written by running this file.
+"""Pictures that figures are held to: tests/baselines/*.png, written by running this file.
 
 They are drawn without text, which looks different with every version of its renderer; the tests
 read it from the figures.  Two pictures agree if every pixel of one has its like near the same
@@ -26,7 +26,7 @@ from pinred import plots
 from pinred.arrays import Array
 from pinred.bench import Point, WorkPrecision
 
-FOLDER = Path(__file__).parent / "pictures"
+FOLDER = Path(__file__).parent / "baselines"
 DPI = 50
 NEAR = 7  # pixels: the side of the square in which a like is looked for
 ALIKE = 0.15  # of the way from black to white
@@ -140,7 +140,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "phase_2": lambda: _cat().plot("phase"),
     "sphere": lambda: pinred.simulate(pinred.load("rigid_body"), duration=6.0).plot("sphere"),
     "curvature": lambda: plots.curvature(pinred.load("falling_cat"), component="w3", path=_cat().x),
-    "poincare": lambda: _pendulum().plot("poincare", direction=0),
+    "poincare": lambda: _pendulum().plot("poincare", value=0.0, direction=0),
     "work_precision": lambda: plots.work_precision(measured()),
 }
 

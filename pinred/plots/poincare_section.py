@@ -11,6 +11,7 @@ from ..arrays import Array, as_floats
 from ..errors import InputError
 from ..trajectory import Trajectory
 from .crossings import crossings
+from .fine_path import fine_path
 from .motion_labels import labels, labels_of
 from .style import dots, figure, legend, styled
 from .time_series import require_joints
@@ -21,13 +22,14 @@ def poincare(
     motions: Trajectory | Sequence[Trajectory],
     *,
     joints: Sequence[str | int] | None = None,
-    value: float = 0.0,
+    value: float | None = None,
     direction: int = 1,
 ) -> Figure:
     """Draw shape against rate of one joint at each crossing of another, each motion by its mark.
 
     joints: the one that crosses and the one that is drawn, the first two if None.  value:
-    where it crosses [rad | m]; of a turning joint, whole turns more or less count as well.
+    where it crosses [rad | m], the middle of its motion if None; of a turning joint, whole turns
+    more or less count as well.
     direction: 1 where its rate is positive, −1 where it is negative, 0 both.
     Raises InputError for fewer than two joints, motions of several robots, or if no motion
     crosses.
@@ -46,6 +48,9 @@ def poincare(
     if direction not in (-1, 0, 1):
         raise InputError(f"direction must be 1, -1 or 0 for both, got {direction!r}")
     unit = names.units[crossed]
+    if value is None:
+        x = fine_path(every[0]).x[:, crossed]
+        value = 0.5 * float(x.min() + x.max())
     where = float(as_floats(value, "value"))
     if not np.isfinite(where):
         raise InputError(f"value must be finite, got {value}")
@@ -59,7 +64,7 @@ def poincare(
         )
     sense = {1: ", upwards", -1: ", downwards", 0: ""}[direction]
     made = figure(
-        f"{names.robot}: Poincaré section at {names.joints[crossed]} = {where:g} {unit}{sense}",
+        f"{names.robot}: Poincaré section at {names.joints[crossed]} = {where:.4g} {unit}{sense}",
         height=4.2,
     )
     axes = made.subplots()
