@@ -271,6 +271,11 @@ class FullState:
             pin.difference(self._model, p, q)[: self._r] for p, q in zip(a.q, b.q, strict=True)
         ]
         log = np.array(apart)
+        if self._root.nq != self._size:
+            # Pinocchio's planar log takes a trace above 2, which is round-off, for no turn at all.
+            k = self._linear
+            (c, s), (cb, sb) = a.q[:, k : k + 2].T, b.q[:, k : k + 2].T
+            log[:, -1] = np.arctan2(c * sb - s * cb, c * cb + s * sb)
         return Distance(
             shape=np.abs(b.x - a.x).max(axis=1, initial=0.0),
             rotation=np.linalg.norm(log[:, self._linear :], axis=1),

@@ -12,7 +12,7 @@ from trees import random_model
 import pinred
 from pinred.arrays import Array
 from pinred.catalogue import bundled_robots, has_example_robots
-from pinred.full_state import FullState
+from pinred.full_state import FullMotion, FullState
 from pinred.motion import Motion
 from pinred.state import with_base
 
@@ -206,3 +206,22 @@ def test_report_is_a_table_with_its_numbers() -> None:
     assert report.shape_error == report.shape_errors.max()
     assert report.wall_reduced > 0.0
     assert report.wall_full > 0.0
+
+
+@pytest.mark.parametrize("group", ["SO2", "SE2", "SO3", "SE3"])
+@pytest.mark.parametrize("angle", [1e-3, 1e-6, 3e-9, 1e-12])
+def test_small_turns_are_seen(group: str, angle: float) -> None:
+    """Two bases that differ by a small turn are as far apart, wherever they stand."""
+    system = pinred.load(random_model(group, 2, 1))
+    judge = FullState(pinred.Scene(system=system, seed=0))
+    rng = np.random.default_rng(0)
+    turn = np.zeros(system.r)
+    turn[-1] = angle
+    x = np.zeros(2)
+    for _ in range(50):
+        pose = system.group.exp(rng.normal(size=system.r))
+        poses = (pose, system.group.compose(pose, system.group.exp(turn)))
+        here, there = (FullMotion(x[None], system.q(p, x)[None]) for p in poses)
+        found = judge.distance(here, there)
+        assert found.rotation[0] == pytest.approx(angle, rel=1e-6, abs=1e-15)
+        assert found.position[0] < 1e-14

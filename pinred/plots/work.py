@@ -36,8 +36,9 @@ def work_precision(
         raise InputError("work_precision takes one or more results of pinred.bench.bench_accuracy")
     if against not in _AGAINST:
         raise InputError(f"against must be one of {', '.join(_AGAINST)}, got {against!r}")
-    made = figure("Work and precision", width=1.15 * WIDTH, height=0.5 + 3.2 * len(every))
     names = list(dict.fromkeys(name for each in every for name in each.about))
+    panel = max(3.2, 0.2 * max(len(each.about) for each in every))  # in; as high as its legend
+    made = figure("Work and precision", width=1.15 * WIDTH, height=0.5 + panel * len(every))
     panels = made.subplots(len(every), 1, squeeze=False)[:, 0]
     for axes, each in zip(panels, every, strict=True):
         _panel(axes, each, names, against)

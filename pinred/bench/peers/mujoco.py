@@ -30,6 +30,9 @@ class MujocoModel:
     def __init__(self, system: System) -> None:
         """Build the model."""
         mj = import_module("mujoco")
+        if mj.get_mju_user_warning() is None:
+            # Motions that blow up are seen by their end; MuJoCo would write a file of them.
+            mj.set_mju_user_warning(lambda _: None)
         self.mj, self.system = mj, system
         self._kind, self._m = system.group.name, system.m
         if self._kind == "SE3" and not np.array_equal(
