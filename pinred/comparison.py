@@ -35,6 +35,7 @@ SAMPLES = 101  # times at which a motion is judged, besides those it reports
 CONSISTENT = 1e-9  # relative; pose, twist, momenta and energy are functions of q and v
 JUDGEABLE = 0.1  # rad; a bound above it says nothing
 _TIGHTEST = 2e-14
+_RESOLVED = 1e-13  # relative; what the reference and its energies can tell from round-off
 _KICK = 1e-6  # relative size of the perturbation whose growth is measured
 
 
@@ -193,7 +194,8 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
     size = full.size(truth)
     growth = max(1.0, full.distance(truth, kicked).worst(size) / _KICK)
     done(1.0)
-    allowed = ALLOWANCE * growth * (rtol + atol)
+    resolved = max(rtol, _RESOLVED) + atol
+    allowed = ALLOWANCE * growth * resolved
     return Report(
         robot=traj.system.name,
         engine=traj.run.engine,
@@ -214,8 +216,8 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
         shape_bound=allowed * size.shape,
         rotation_bound=allowed,
         position_bound=allowed * size.position,
-        drift_bound=ALLOWANCE * (rtol + atol),
-        growth_bound=JUDGEABLE / max(_KICK, ALLOWANCE * (rtol + atol)),
+        drift_bound=ALLOWANCE * resolved,
+        growth_bound=JUDGEABLE / max(_KICK, ALLOWANCE * resolved),
         wall_reduced=traj.run.wall,
         wall_full=wall_full,
     )

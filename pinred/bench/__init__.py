@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .accuracy import DEFAULT, FULL, QUICK, Effort, bench_accuracy
+    from .evaluations import Evaluations, bench_evaluations
     from .kernels import KernelTiming, bench_kernels
     from .many import ManyTiming, bench_many
     from .method import End, Method, Prepared
@@ -31,6 +32,7 @@ _HOME = {
     **dict.fromkeys(("KernelTiming", "bench_kernels"), "kernels"),
     **dict.fromkeys(("ManyTiming", "bench_many"), "many"),
     **dict.fromkeys(("End", "Method", "Prepared"), "method"),
+    **dict.fromkeys(("Evaluations", "bench_evaluations"), "evaluations"),
     "METHODS": "methods",
     "own_method": "own",
     "Problem": "problems",
@@ -49,6 +51,7 @@ __all__ = [
     "SCENES",
     "Effort",
     "End",
+    "Evaluations",
     "KernelTiming",
     "ManyTiming",
     "Method",
@@ -59,6 +62,7 @@ __all__ = [
     "Scaling",
     "WorkPrecision",
     "bench_accuracy",
+    "bench_evaluations",
     "bench_kernels",
     "bench_many",
     "bench_scaling",

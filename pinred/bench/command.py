@@ -31,6 +31,8 @@ def add_measurements(parser: argparse.ArgumentParser) -> None:
     sub.add_argument("robots", nargs="*", metavar="ROBOT", help="robots; a few if none is named")
     sub = command("accuracy", _accuracy, "run time against error, and against other tools")
     accuracy_command.add_arguments(sub)
+    sub = command("evaluations", _evaluations, "evaluations that an error costs, by many methods")
+    sub.add_argument("scenes", nargs="*", metavar="SCENE", help="four if none is named")
     command("scaling", _scaling, "one evaluation of chains of 5 to 100 joints")
     sub = command("many", _many, "simulate_many on one and two threads, and its memory")
     sub.add_argument("robot", nargs="?", default="solo12", metavar="ROBOT", help="(solo12)")
@@ -52,6 +54,23 @@ def _kernels(options: argparse.Namespace) -> int:
 
 def _accuracy(options: argparse.Namespace) -> int:
     return accuracy_command.run(options, _folder(options.out))
+
+
+def _evaluations(options: argparse.Namespace) -> int:
+    folder = _folder(options.out)
+    from .evaluations import ERRORS, SCENES, bench_evaluations
+
+    with ProgressBar("evaluations") as bar:
+        found = bench_evaluations(options.scenes or SCENES, progress=bar)
+    print("\n\n".join(map(str, found)))
+    rows: list[Row] = [
+        {"problem": each.problem, "method": name, "error": error, "evaluations": count}
+        for each in found
+        for name, counts in each.counts.items()
+        for error, count in zip(ERRORS, counts, strict=True)
+    ]
+    _write(folder, "evaluations", rows)
+    return 0
 
 
 def _scaling(options: argparse.Namespace) -> int:

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ..integrators.method import RKMK4
+from ..integrators.method import DOP853, RKMK4, AdaptiveGauss, Gauss
 from ..integrators.method import Method as Integrator
 from ..state import State, with_base
 from .method import ATOL, End, Method, Prepared, decades, halvings
 from .problems import Problem
 
-FROM_TOLERANCE = decades(2, 13)
+FROM_TOLERANCE = decades(2, 14)
 
 
 def own_method(
@@ -79,6 +79,23 @@ OWN = (
         "its integration alone: as heyoka is timed",
         FROM_TOLERANCE,
         _integration,
+    ),
+    own_method(
+        "pinred-dop853",
+        "simulate() with DOP853, whole call",
+        lambda tol: DOP853(max(tol, 2.3e-14), ATOL * tol),
+    ),
+    own_method(
+        "pinred-gauss",
+        "simulate() with AdaptiveGauss, whole call",
+        lambda tol: AdaptiveGauss(tol, ATOL * tol),
+    ),
+    own_method(
+        "pinred-gauss6",
+        "simulate() with Gauss of order 6, equal steps, whole call",
+        lambda step: Gauss(step, 6),
+        tolerances=halvings(50, 10),
+        fixed=True,
     ),
     own_method(
         "pinred-rkmk4",
