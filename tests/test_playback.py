@@ -226,7 +226,13 @@ def test_framing() -> None:
     np.testing.assert_allclose(np.linalg.norm(framing.eye), 1.0)
     arrow = seen.momentum.vector[0] / np.linalg.norm(seen.momentum.vector[0])
     assert abs(arrow @ framing.eye) < 0.15
-    assert framing.floor[2] < seen.com[:, 2].min() - framing.radius
+    assert framing.grid[2] < seen.com[:, 2].min() - framing.radius
+    np.testing.assert_array_equal(framing.normal, [0.0, 0.0, 1.0])
+    fallen = film("solo12", seed=0, duration=2.0)  # 20 m down: a wall behind, all the way
+    framing = frame(fallen, bodies_of(fallen.system))
+    assert framing.normal[2] == 0.0
+    assert ((fallen.com - framing.grid) @ framing.normal > framing.radius).all()
+    assert framing.cell * framing.cells > 2.0 * np.ptp(fallen.com[:, 2]) / 2.0
     swung = film("double_spherical_pendulum", duration=2.0)
     framing = frame(swung, bodies_of(swung.system))
     arm = np.linalg.norm(swung.com - swung.momentum.tail, axis=1).max()

@@ -116,8 +116,12 @@
   put(seenThrough(dot, 5), "CoM trail", "CoM");
 
   const cell = head.cell, cells = head.cells;
-  const grid = new THREE.GridHelper(cell * cells, cells, 0x8a97a5, 0xb3bdc7).rotateX(Math.PI / 2);
-  grid.position.fromArray(head.floor);
+  const grid = new THREE.GridHelper(cell * cells, cells, 0x8a97a5, 0xb3bdc7); // across y
+  const normal = new THREE.Vector3(...head.normal), row = new THREE.Vector3(0, 0, 1).cross(normal);
+  if (row.length() < 0.5) row.set(1, 0, 0); // a floor
+  grid.quaternion.setFromRotationMatrix(
+    new THREE.Matrix4().makeBasis(row, normal, row.clone().cross(normal)));
+  grid.position.fromArray(head.grid);
   put(grid, "Grid");
 
   // -- one frame ----------------------------------------------------------------------------
@@ -272,14 +276,15 @@
     node("Lights").position.fromArray(point);
   }
   function look() {
-    const camera = viewer.camera, reach = on["Follow"] ? head.reach : head.span;
+    const camera = viewer.camera;
+    const side = on["Ghost"] && on["Ghost beside"] ? aside.map((v) => v / 2) : [0, 0, 0];
+    const reach = (on["Follow"] ? head.reach : head.span) + Math.hypot(...side);
     camera.fov = 30;
     const w = innerWidth, h = innerHeight; // the middle of what the cards leave free
     if (bare) camera.setViewOffset(w, h, panel && on["Shape"] ? -w / 10 : 0, 0, w, h);
     else camera.setViewOffset(w, h, w >= 700 && h >= 740 ? -130 : 0, 24, w, h);
     const half = Math.min(camera.fov, camera.fov * camera.aspect) * Math.PI / 360;
     const far = 1.02 * reach / Math.sin(half);
-    const side = on["Ghost"] && on["Ghost beside"] ? aside.map((v) => v / 2) : [0, 0, 0];
     viewer.controls.target.copy(held).add(turned(side));
     camera.position.copy(turned(head.eye)).multiplyScalar(far).add(viewer.controls.target);
     camera.near = far / 1000;
