@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import pickle
 from pathlib import Path
 from typing import Any
@@ -307,7 +308,20 @@ def test_files_that_are_no_motion(tmp_path: Path) -> None:
     refused(pinred.InputError, "'q' must be finite", q=np.full_like(good["q"], np.nan))
     refused(pinred.InputError, "'v' must be", v=good["v"][:-1])
     refused(pinred.InputError, "increasing", t=good["t"][::-1])
+    refused(pinred.InputError, "is not the configuration", q=2.0 * good["q"])
+    refused(pinred.LoadError, "cannot be loaded", lock_joints=np.array(["a"]))
+    # However a file is damaged, the error is one of ours.
+    whole, rng = (tmp_path / "good.npz").read_bytes(), np.random.default_rng(0)
+    for _ in range(200):
+        damaged = bytearray(whole)
+        for at in rng.integers(len(whole), size=4):
+            damaged[at] ^= 1 << int(rng.integers(8))
+        (tmp_path / "bad.npz").write_bytes(bytes(damaged[: rng.integers(1, len(whole) + 1)]))
+        with contextlib.suppress(pinred.PinredError):
+            read_recording(tmp_path / "bad.npz")
     (tmp_path / "text.npz").write_text("hello")
-    for name in ("text.npz", "gone.npz"):
+    np.save(tmp_path / "array.npy", good["q"])
+    (tmp_path / "array.npy").rename(tmp_path / "array.npz")
+    for name in ("text.npz", "array.npz", "gone.npz"):
         with pytest.raises(pinred.LoadError, match=name):
             read_recording(tmp_path / name)
