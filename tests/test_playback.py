@@ -154,6 +154,12 @@ def test_curvature_field_of_the_panel() -> None:
         k = names.index(name.split(" [")[0])
         assert name.endswith("[m/(rad·rad)]" if k < 3 else "[rad/(rad·rad)]")
         np.testing.assert_allclose(component[10, 40], B[k], atol=1e-12)
+    # Wheels spin at 15 to 30 rad/s: the hinge comes before them, and their waves are not drawn.
+    wheels = film("reaction_wheel_satellite", duration=5.0)
+    spun = shape_panel(wheels.system, wheels.x, wheels.xdot)
+    assert spun is not None
+    assert spun.labels[0] == "panel_hinge [rad]"
+    assert (spun.components, spun.field.size) == ((), 0)
     one = film("elroys_beanie", duration=1.0)
     phase = shape_panel(one.system, one.x, one.xdot)
     assert phase is not None
