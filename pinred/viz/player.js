@@ -108,10 +108,15 @@
 
   const trail = new THREE.Group(), track = new THREE.BufferGeometry();
   track.setAttribute("position", new THREE.BufferAttribute(com, 3));
-  trail.add(new THREE.Line(track, new THREE.LineBasicMaterial({ color: 0x111111 })));
+  const stub = new THREE.BufferGeometry(); // from the last frame to where the CoM is
+  stub.setAttribute("position", new THREE.BufferAttribute(new Float32Array(6), 3));
+  for (const part of [track, stub]) {
+    const line = new THREE.Line(part, new THREE.LineBasicMaterial({ color: 0x111111 }));
+    line.frustumCulled = false; // what is drawn of it changes
+    trail.add(line);
+  }
   const dot = new THREE.Group(); // a group, so that its renderOrder counts against the arrow's
   dot.add(new THREE.Mesh(new THREE.SphereGeometry(0.03 * radius, 20, 14), flat(0x111111)));
-  trail.children[0].frustumCulled = false; // its bounds change with the draw range
   put(seenThrough(trail, 4), "CoM trail");
   put(seenThrough(dot, 5), "CoM trail", "CoM");
 
@@ -166,6 +171,8 @@
     frame.quaternion.copy(reduced[1].quaternion);
     dot.position.fromArray(c);
     track.setDrawRange(0, k + 1);
+    stub.attributes.position.array.set([...com.subarray(3 * k, 3 * k + 3), ...c]);
+    stub.attributes.position.needsUpdate = true;
     const shift = on["Follow"] ? c : head.middle;
     carry(shift);
     shapePanel(k, s);
