@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from trees import random_model
 
 import pinred
 from pinred.arrays import Array
@@ -93,6 +94,26 @@ def test_arrow_stands_still_while_the_body_turns() -> None:
 def test_arrow_in_closed_form(name: str, wanted: list[float]) -> None:
     """The momentum that the group conserves, for one axis of turning, of sliding, for a pivot."""
     np.testing.assert_allclose(film(name, duration=1.0).momentum.vector, [wanted] * 61, atol=1e-9)
+
+
+@pytest.mark.parametrize("group", ["R", "SO2", "SE2", "SO3", "SE3"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_arrow_of_random_trees_stands_still(group: str, seed: int) -> None:
+    """Slanted roots, branches that leave the plane: what is drawn is what is conserved."""
+    model = random_model(group, 4, seed)
+    if group == "SO2":  # only there may the root have a rotor
+        model.armature = np.array([0.5, *model.armature[1:]])
+    system = pinred.load(model)
+    seen = playback(pinred.simulate(system, seed=seed, duration=1.0), View(fps=20.0))
+    vector = seen.momentum.vector
+    scale = float(np.linalg.norm(vector[0]))
+    assert scale > 1e-3
+    assert np.abs(vector - vector[0]).max() < 1e-8 * max(1.0, scale)
+    if group != "SE3":  # the tail too, but for what slides
+        away = seen.momentum.tail - seen.momentum.tail[0]
+        assert (np.abs(away).max() > 1e-3) == (group in ("R", "SE2"))
+    mass, centre, _, _ = bodies(seen)
+    np.testing.assert_allclose(seen.com, np.einsum("n,fni->fi", mass, centre) / mass.sum())
 
 
 def test_no_arrow_without_momentum() -> None:
