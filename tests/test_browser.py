@@ -313,6 +313,11 @@ def test_films(screen: Browser, tmp_path: Path) -> None:
     assert write_gif(tmp_path / "film.gif", pictures, 4.0) == 3
     with Image.open(tmp_path / "film.gif") as film:
         assert (film.size, film.n_frames) == ((320, 240), 3)  # type: ignore[attr-defined]
+        shown = np.asarray(film.convert("RGB"), dtype=np.int16)
+    # Its few colours are those of what is drawn: the arrow is still there.
+    arrow = near(frames[0], (213, 94, 0))
+    assert arrow.sum() > 50
+    assert (np.abs(shown - frames[0])[arrow].max(axis=1) < 40).mean() > 0.9
     try:
         encoder = find_ffmpeg()
     except pinred.InputError as error:

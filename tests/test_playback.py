@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import pickle
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from trees import random_model
 
 import pinred
 from pinred.arrays import Array
@@ -94,6 +96,26 @@ def test_arrow_in_closed_form(name: str, wanted: list[float]) -> None:
     np.testing.assert_allclose(film(name, duration=1.0).momentum.vector, [wanted] * 61, atol=1e-9)
 
 
+@pytest.mark.parametrize("group", ["R", "SO2", "SE2", "SO3", "SE3"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_arrow_of_random_trees_stands_still(group: str, seed: int) -> None:
+    """Slanted roots, branches that leave the plane: what is drawn is what is conserved."""
+    model = random_model(group, 4, seed)
+    if group == "SO2":  # only there may the root have a rotor
+        model.armature = np.array([0.5, *model.armature[1:]])
+    system = pinred.load(model)
+    seen = playback(pinred.simulate(system, seed=seed, duration=1.0), View(fps=20.0))
+    vector = seen.momentum.vector
+    scale = float(np.linalg.norm(vector[0]))
+    assert scale > 1e-3
+    assert np.abs(vector - vector[0]).max() < 1e-8 * max(1.0, scale)
+    if group != "SE3":  # the tail too, but for what slides
+        away = seen.momentum.tail - seen.momentum.tail[0]
+        assert (np.abs(away).max() > 1e-3) == (group in ("R", "SE2"))
+    mass, centre, _, _ = bodies(seen)
+    np.testing.assert_allclose(seen.com, np.einsum("n,fni->fi", mass, centre) / mass.sum())
+
+
 def test_no_arrow_without_momentum() -> None:
     """A cat that turns with no momentum has none to draw, not one of round-off."""
     options: dict[str, Any] = {"x0": [0.5, 0.2, -0.3], "xdot0": [3.0, -2.0, 1.0], "momentum": 0}
@@ -153,6 +175,12 @@ def test_curvature_field_of_the_panel() -> None:
         k = names.index(name.split(" [")[0])
         assert name.endswith("[m/(rad·rad)]" if k < 3 else "[rad/(rad·rad)]")
         np.testing.assert_allclose(component[10, 40], B[k], atol=1e-12)
+    # Wheels spin at 15 to 30 rad/s: the hinge comes before them, and their waves are not drawn.
+    wheels = film("reaction_wheel_satellite", duration=5.0)
+    spun = shape_panel(wheels.system, wheels.x, wheels.xdot)
+    assert spun is not None
+    assert spun.labels[0] == "panel_hinge [rad]"
+    assert (spun.components, spun.field.size) == ((), 0)
     one = film("elroys_beanie", duration=1.0)
     phase = shape_panel(one.system, one.x, one.xdot)
     assert phase is not None
@@ -226,7 +254,13 @@ def test_framing() -> None:
     np.testing.assert_allclose(np.linalg.norm(framing.eye), 1.0)
     arrow = seen.momentum.vector[0] / np.linalg.norm(seen.momentum.vector[0])
     assert abs(arrow @ framing.eye) < 0.15
-    assert framing.floor[2] < seen.com[:, 2].min() - framing.radius
+    assert framing.grid[2] < seen.com[:, 2].min() - framing.radius
+    np.testing.assert_array_equal(framing.normal, [0.0, 0.0, 1.0])
+    fallen = film("solo12", seed=0, duration=2.0)  # 20 m down: a wall behind, all the way
+    framing = frame(fallen, bodies_of(fallen.system))
+    assert framing.normal[2] == 0.0
+    assert ((fallen.com - framing.grid) @ framing.normal > framing.radius).all()
+    assert framing.cell * framing.cells > 2.0 * np.ptp(fallen.com[:, 2]) / 2.0
     swung = film("double_spherical_pendulum", duration=2.0)
     framing = frame(swung, bodies_of(swung.system))
     arm = np.linalg.norm(swung.com - swung.momentum.tail, axis=1).max()
@@ -301,7 +335,20 @@ def test_files_that_are_no_motion(tmp_path: Path) -> None:
     refused(pinred.InputError, "'q' must be finite", q=np.full_like(good["q"], np.nan))
     refused(pinred.InputError, "'v' must be", v=good["v"][:-1])
     refused(pinred.InputError, "increasing", t=good["t"][::-1])
+    refused(pinred.InputError, "is not the configuration", q=2.0 * good["q"])
+    refused(pinred.LoadError, "cannot be loaded", lock_joints=np.array(["a"]))
+    # However a file is damaged, the error is one of ours.
+    whole, rng = (tmp_path / "good.npz").read_bytes(), np.random.default_rng(0)
+    for _ in range(200):
+        damaged = bytearray(whole)
+        for at in rng.integers(len(whole), size=4):
+            damaged[at] ^= 1 << int(rng.integers(8))
+        (tmp_path / "bad.npz").write_bytes(bytes(damaged[: rng.integers(1, len(whole) + 1)]))
+        with contextlib.suppress(pinred.PinredError):
+            read_recording(tmp_path / "bad.npz")
     (tmp_path / "text.npz").write_text("hello")
-    for name in ("text.npz", "gone.npz"):
+    np.save(tmp_path / "array.npy", good["q"])
+    (tmp_path / "array.npy").rename(tmp_path / "array.npz")
+    for name in ("text.npz", "array.npz", "gone.npz"):
         with pytest.raises(pinred.LoadError, match=name):
             read_recording(tmp_path / name)

@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from ..errors import InputError, OutputError
@@ -30,14 +30,15 @@ _FLAGS = (
     "--hide-scrollbars", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader", "--force-device-scale-factor=1",
 )  # fmt: skip
-# Puts the pipes where the browser looks for them, then becomes the browser.
-_BECOME = (
-    "import os, sys\n"
-    "a, b = (os.dup(int(n)) for n in sys.argv[1:3])\n"
-    "a, b = os.dup(a), os.dup(b)\n"
-    "os.dup2(a, 3); os.dup2(b, 4)\n"
-    "os.execv(sys.argv[3], sys.argv[3:])\n"
-)
+# Puts the pipes where the browser looks for them, then becomes the browser.  A program of its
+# own does it, as Python code between fork and exec is not safe where there are threads.
+_BECOME = """
+import fcntl, os, sys
+there, back = (fcntl.fcntl(int(n), fcntl.F_DUPFD, 5) for n in sys.argv[1:3])
+os.dup2(there, 3)
+os.dup2(back, 4)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
 
 
 def find_browser() -> str:
@@ -156,24 +157,28 @@ def browser() -> Iterator[Browser]:
             command.append("--no-sandbox")  # Chromium's sandbox does not work for root
         there, send = os.pipe()
         receive, back = os.pipe()
-        try:
-            process = subprocess.Popen(
-                [sys.executable, "-c", _BECOME, str(there), str(back), *command],
-                pass_fds=(there, back),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
-        finally:
-            os.close(there)
-            os.close(back)
-        try:
-            yield Browser(process, send, receive)
-        finally:
-            os.close(send)  # which ends it
-            os.close(receive)
+        with ExitStack() as closing:  # the last first
             try:
-                process.wait(10.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+                process = subprocess.Popen(
+                    [sys.executable, "-c", _BECOME, str(there), str(back), *command],
+                    pass_fds=(there, back),
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                )
+                closing.callback(_end, process)
+            finally:
+                os.close(there)
+                os.close(back)
+                closing.callback(os.close, send)  # which ends the browser
+                closing.callback(os.close, receive)
+            yield Browser(process, send, receive)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Wait for the browser, whose pipe is closed, to end; make it if it does not."""
+    try:
+        process.wait(10.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

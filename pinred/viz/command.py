@@ -18,7 +18,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("motion", metavar="MOTION", help="traj.npz, or a scene file (.toml)")
     sub.add_argument("--robot", metavar="R", help="the robot of an npz that does not name its own")
     sub.add_argument("--ghost", action="store_true", help="beside it, full ABA (scenes only)")
-    sub.add_argument("--speed", metavar="S", type=float, default=1.0, help="to begin with (1)")
+    sub.add_argument("--speed", metavar="S", type=float, default=1.0, help="speed at first (1)")
     sub.add_argument("--pair", metavar="J1,J2", help="joints on the axes of the shape panel")
     sub.add_argument("--no-meshes", action="store_true", help="draw bodies from their inertias")
     sub.add_argument("--port", metavar="P", type=int, help="where to serve; any free port")

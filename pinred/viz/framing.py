@@ -23,10 +23,11 @@ class Framing:
     """How a film is framed; vectors are (3,) in the world frame, lengths in m.
 
     radius: of the ball about the centre of mass that the robot stays in.  reach: of what is
-    drawn around it.  middle: of the path of the centre of mass.  span: of what is drawn
-    around that, all along.  follow: whether the robot goes so far that the camera should go
-    along.  eye: unit vector to the camera.  aside: from the robot to its ghost.  cell, cells,
-    floor: side of the grid's squares, how many in a row, and the middle of the grid.
+    drawn around it, but for a ghost.  middle: of the path of the centre of mass.  span: of
+    what is drawn around that, all along.  follow: whether the robot goes so far that the
+    camera should go along.  eye: unit vector to the camera.  aside: from the robot to its
+    ghost.  cell, cells: side of the grid's squares, how many in a row.  grid, normal: the
+    middle of the grid, and the unit vector across it: a floor, or a wall for what falls.
     """
 
     radius: float
@@ -38,7 +39,8 @@ class Framing:
     aside: Array
     cell: float
     cells: int
-    floor: Array
+    grid: Array
+    normal: Array
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -57,9 +59,16 @@ def frame(film: Playback, bodies: Bodies) -> Framing:
     if film.momentum.vector.any():
         arm = film.momentum.tail - film.com
         reach = ARROW * radius + float(np.linalg.norm(arm, axis=1).max())
-    reach += 0.5 * float(np.linalg.norm(aside))
     cell = _nice(0.5 * radius)
-    wide = float(np.abs((film.com - middle)[:, :2]).max()) + 6.0 * radius
+    falls = high[2] - low[2] > max(2.0 * radius, *(high - low)[:2])
+    normal, grid = np.array([0.0, 0.0, 1.0]), middle.copy()
+    if falls:
+        normal = np.append(eye[:2], 0.0) / np.linalg.norm(eye[:2])
+        grid -= 1.5 * radius * normal
+    else:
+        grid[2] = low[2] - 1.1 * radius
+    away = film.com - middle
+    along = np.linalg.norm(away - np.outer(away @ normal, normal), axis=1)
     return Framing(
         radius=radius,
         reach=reach,
@@ -69,8 +78,9 @@ def frame(film: Playback, bodies: Bodies) -> Framing:
         eye=eye,
         aside=aside,
         cell=cell,
-        cells=min(2 * int(np.ceil(wide / cell)), _MOST_CELLS),
-        floor=np.array([middle[0], middle[1], low[2] - 1.1 * radius]),
+        cells=min(2 * int(np.ceil((float(along.max()) + 6.0 * radius) / cell)), _MOST_CELLS),
+        grid=grid,
+        normal=normal,
     )
 
 

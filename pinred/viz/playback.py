@@ -17,28 +17,11 @@ from ..full_state import FullState
 from ..scene import Scene
 from ..system import System
 from ..trajectory import Trajectory
+from .momentum import Momentum, conserved_momentum
 from .recording import Recording, recorded
 from .view import View
 
 MOST_FRAMES = 100_000
-STILL = 1e-9  # of what the motion could carry; momentum below it is zero
-
-
-@dataclass(frozen=True)
-class Momentum:
-    """The conserved momentum as an arrow in space; arrays are read-only.
-
-    vector: (F, 3) in the world frame, exactly zero where it is zero but for round-off.
-    tail: (F, 3) where the arrow begins [m].  words: what it is.  unit: of the vector.
-    """
-
-    vector: Array
-    tail: Array
-    words: str
-    unit: str
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 @dataclass(frozen=True)
@@ -145,35 +128,13 @@ def _ghost(scene: Scene, t: Array, placements: Array) -> Ghost:
 
 
 def _drawn(recording: Recording, placements: Array, ghost: Ghost | None) -> Playback:
-    system = recording.system
+    system, q, v = recording.system, recording.q, recording.v
     model, data = system.model, system.model.createData()
-    frames = len(recording.t)
-    com, ellipsoid = np.empty((frames, 3)), np.empty((frames, 3, 3))
-    vector, reach, most = np.empty((frames, 3)), np.zeros(frames), 0.0
-    translates = system.group.linear > 1
-    pivot = model.jointPlacements[1].translation
-    for k, (q, v) in enumerate(zip(recording.q, recording.v, strict=True)):
-        pin.ccrba(model, data, q, v)
+    com, ellipsoid = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
+    for k in range(len(q)):
+        pin.ccrba(model, data, q[k], v[k])
         com[k] = data.com[0]
         ellipsoid[k] = _ellipsoid(data.Ig.inertia, data.Ig.mass)
-        linear, angular = np.array(data.hg.linear), np.array(data.hg.angular)
-        if not translates:
-            angular += np.cross(com[k] - pivot, linear)
-            reach[k] = float(np.linalg.norm(com[k] - pivot))
-        if system.r == 1:
-            # Along the one axis of the root joint, in the world frame.
-            axis = pin.computeJointJacobians(model, data, q)[:, 0]
-            axis = axis[:3] if system.group.linear else axis[3:]
-            along = linear if system.group.linear else angular
-            vector[k] = axis * (axis @ along + model.armature[0] * v[0])
-        else:
-            vector[k] = angular
-        size = float(np.sqrt(np.trace(data.Ig.inertia) / data.Ig.mass))
-        arm = 0.0 if system.group.linear == 1 else size + reach[k]
-        most = max(most, _carried(model, data, q, v, arm))
-    vector[np.linalg.norm(vector, axis=1) <= STILL * most] = 0.0
-    about_com = translates or bool(system.group.linear)
-    tail = com.copy() if about_com else np.broadcast_to(np.array(pivot), com.shape).copy()
     return Playback(
         system=system,
         t=recording.t.copy(),
@@ -182,28 +143,9 @@ def _drawn(recording: Recording, placements: Array, ghost: Ghost | None) -> Play
         placements=placements,
         com=com,
         ellipsoid=ellipsoid,
-        momentum=Momentum(vector, tail, *_words(system)),
+        momentum=conserved_momentum(system, q, v),
         ghost=ghost,
     )
-
-
-def _words(system: System) -> tuple[str, str]:
-    """Return what the arrow is, and its unit."""
-    if system.group.linear == 1:
-        return "momentum along the axis", "kg m/s"
-    if system.group.linear:
-        return "angular momentum about the centre of mass", "kg m²/s"
-    about = "the axis" if system.r == 1 else "the pivot"
-    return f"angular momentum about {about}", "kg m²/s"
-
-
-def _carried(model: pin.Model, data: pin.Data, q: Array, v: Array, arm: float) -> float:
-    """Return the momentum that a body of this mass, size and energy could carry.
-
-    arm: length that counts as size, or zero for linear momentum.
-    """
-    most = float(np.sqrt(2.0 * data.Ig.mass * pin.computeKineticEnergy(model, data, q, v)))
-    return most * arm if arm else most
 
 
 def _ellipsoid(inertia: Array, mass: float) -> Array:

@@ -108,16 +108,25 @@
 
   const trail = new THREE.Group(), track = new THREE.BufferGeometry();
   track.setAttribute("position", new THREE.BufferAttribute(com, 3));
-  trail.add(new THREE.Line(track, new THREE.LineBasicMaterial({ color: 0x111111 })));
+  const stub = new THREE.BufferGeometry(); // from the last frame to where the CoM is
+  stub.setAttribute("position", new THREE.BufferAttribute(new Float32Array(6), 3));
+  for (const part of [track, stub]) {
+    const line = new THREE.Line(part, new THREE.LineBasicMaterial({ color: 0x111111 }));
+    line.frustumCulled = false; // what is drawn of it changes
+    trail.add(line);
+  }
   const dot = new THREE.Group(); // a group, so that its renderOrder counts against the arrow's
   dot.add(new THREE.Mesh(new THREE.SphereGeometry(0.03 * radius, 20, 14), flat(0x111111)));
-  trail.children[0].frustumCulled = false; // its bounds change with the draw range
   put(seenThrough(trail, 4), "CoM trail");
   put(seenThrough(dot, 5), "CoM trail", "CoM");
 
   const cell = head.cell, cells = head.cells;
-  const grid = new THREE.GridHelper(cell * cells, cells, 0x8a97a5, 0xb3bdc7).rotateX(Math.PI / 2);
-  grid.position.fromArray(head.floor);
+  const grid = new THREE.GridHelper(cell * cells, cells, 0x8a97a5, 0xb3bdc7); // across y
+  const normal = new THREE.Vector3(...head.normal), row = new THREE.Vector3(0, 0, 1).cross(normal);
+  if (row.length() < 0.5) row.set(1, 0, 0); // a floor
+  grid.quaternion.setFromRotationMatrix(
+    new THREE.Matrix4().makeBasis(row, normal, row.clone().cross(normal)));
+  grid.position.fromArray(head.grid);
   put(grid, "Grid");
 
   // -- one frame ----------------------------------------------------------------------------
@@ -162,6 +171,8 @@
     frame.quaternion.copy(reduced[1].quaternion);
     dot.position.fromArray(c);
     track.setDrawRange(0, k + 1);
+    stub.attributes.position.array.set([...com.subarray(3 * k, 3 * k + 3), ...c]);
+    stub.attributes.position.needsUpdate = true;
     const shift = on["Follow"] ? c : head.middle;
     carry(shift);
     shapePanel(k, s);
@@ -272,14 +283,15 @@
     node("Lights").position.fromArray(point);
   }
   function look() {
-    const camera = viewer.camera, reach = on["Follow"] ? head.reach : head.span;
+    const camera = viewer.camera;
+    const side = on["Ghost"] && on["Ghost beside"] ? aside.map((v) => v / 2) : [0, 0, 0];
+    const reach = (on["Follow"] ? head.reach : head.span) + Math.hypot(...side);
     camera.fov = 30;
     const w = innerWidth, h = innerHeight; // the middle of what the cards leave free
     if (bare) camera.setViewOffset(w, h, panel && on["Shape"] ? -w / 10 : 0, 0, w, h);
     else camera.setViewOffset(w, h, w >= 700 && h >= 740 ? -130 : 0, 24, w, h);
     const half = Math.min(camera.fov, camera.fov * camera.aspect) * Math.PI / 360;
     const far = 1.02 * reach / Math.sin(half);
-    const side = on["Ghost"] && on["Ghost beside"] ? aside.map((v) => v / 2) : [0, 0, 0];
     viewer.controls.target.copy(held).add(turned(side));
     camera.position.copy(turned(head.eye)).multiplyScalar(far).add(viewer.controls.target);
     camera.near = far / 1000;

@@ -5,12 +5,15 @@ Reading executes nothing: only plain arrays are taken from the file.
 
 from __future__ import annotations
 
+import struct
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from ..arrays import Array, freeze
 from ..errors import InputError, LoadError, PinredError
@@ -19,6 +22,10 @@ from ..system import System
 from ..trajectory import Trajectory
 
 _ARRAYS = ("t", "x", "xdot", "q", "v")
+_UNREADABLE = (
+    ValueError, OSError, EOFError, KeyError, TypeError, NotImplementedError, SyntaxError,
+    MemoryError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error,
+)  # fmt: skip
 _AGREE = 1e-6  # rad | m; how far q may be from pose and shape
 
 
@@ -75,9 +82,9 @@ def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise LoadError(f"no such file: {path}")
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
-    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile, AttributeError) as error:
+    except _UNREADABLE as error:
         raise LoadError(f"{path} is no .npz file of plain arrays: {error}") from None
 
 
@@ -119,6 +126,7 @@ def _checked(path: Path, entries: dict[str, Any], system: System) -> list[Array]
     if count < 2 or (np.diff(t) <= 0.0).any():
         raise InputError(f"{path}: 't' must hold two increasing times at least")
     wanted = system.q(system.configuration(q).pose, x)
-    if np.abs(wanted - q).max() > _AGREE:
+    rotations = all(pin.isNormalized(system.model, row, _AGREE) for row in q)
+    if not rotations or np.abs(wanted - q).max() > _AGREE:
         raise InputError(f"{path}: 'q' is not the configuration of '{system.name}' at shape 'x'")
     return found

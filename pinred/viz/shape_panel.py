@@ -14,6 +14,7 @@ from ..system import System
 
 _FINE = 61  # shapes along each axis of the field
 _MARGIN = 0.15  # of the path's range, around it
+_TURN = 2.0 * np.pi
 _LEAST = 0.2  # rad | m; a field narrower than that shows nothing
 
 
@@ -24,7 +25,8 @@ class ShapePanel:
     labels: of the axes, with units.  path: (F, 2).  low, high: (2,) the range shown.
     components: names of the components of the curvature B_αβ, with units.  field:
     (components, N, N) over a (first) and b, the other joints held as at the first frame.
-    Without a second joint the second axis is the rate of the first, and there is no field.
+    Without a second joint the second axis is the rate of the first, and there is no field;
+    nor is there one where a joint makes so many turns that its waves would be too fine.
     """
 
     labels: tuple[str, str]
@@ -43,7 +45,7 @@ def shape_panel(
 ) -> ShapePanel | None:
     """Return the panel of shapes x and rates xdot, (F, m); None for a rigid body.
 
-    pair: the joints on the axes; the two that move the most if None.
+    pair: the joints on the axes; if None the two that move the most, but do not spin if possible.
     Raises InputError for joints that there are not.
     """
     names, units = system.shape_names, _units(system)
@@ -57,23 +59,22 @@ def shape_panel(
         path = np.column_stack([x[:, 0], xdot[:, 0]])
         return ShapePanel(labels, path, *_range(path), (), np.empty((0, 0, 0)))
     if pair is None:
-        most = np.argsort(-np.ptp(x, axis=0), kind="stable")[:2]
-        a, b = sorted(map(int, most))
+        moved = np.ptp(x, axis=0)
+        spins = (moved > _TURN) & np.array([unit == "rad" for unit in units])
+        a, b = sorted(map(int, np.lexsort((-moved, spins))[:2]))
     else:
         a, b = names.index(pair[0]), names.index(pair[1])
     path = x[:, [a, b]]
     low, high = _range(path)
+    labels = (f"{names[a]} [{units[a]}]", f"{names[b]} [{units[b]}]")
+    if (high - low)[[units[k] == "rad" for k in (a, b)]].max(initial=0.0) > _FINE / 12 * _TURN:
+        return ShapePanel(labels, path, low, high, (), np.empty((0, 0, 0)))
     shapes = np.broadcast_to(x[0], (_FINE, _FINE, system.m)).copy()
     shapes[..., a] = np.linspace(low[0], high[0], _FINE)[:, None]
     shapes[..., b] = np.linspace(low[1], high[1], _FINE)[None, :]
     field = np.moveaxis(Reduction(system).grid(shapes).curvature[..., a, b], -1, 0)
-    return ShapePanel(
-        (f"{names[a]} [{units[a]}]", f"{names[b]} [{units[b]}]"),
-        path,
-        low,
-        high,
-        *_strongest_first(system, field, f"({units[a]}·{units[b]})"),
-    )
+    components = _strongest_first(system, field, f"({units[a]}·{units[b]})")
+    return ShapePanel(labels, path, low, high, *components)
 
 
 def _units(system: System) -> list[str]:

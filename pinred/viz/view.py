@@ -17,8 +17,8 @@ class View:
     ghost: also draw the full simulation (ABA on the full state) beside the reduced one.
     speed: seconds of the motion in a second of playback, to begin with.  fps: frames in a
     second of playback; the page draws between them, too.  pair: two joints, the axes of the
-    shape panel (those that move the most).  meshes: draw what the robot's file says; else
-    bodies made from the inertias.
+    shape panel (those that move the most without spinning).  meshes: draw what the robot's
+    file says; else bodies made from the inertias.
 
     Raises InputError for values that make no sense.
     """
