@@ -9,11 +9,14 @@ import numpy as np
 
 from ..errors import InputError, PinredError
 from . import (
+    casimirs,
     chaos,
+    energy,
     flat_bodies,
     frames,
     long_chains,
     mass_ratios,
+    periods,
     reversal,
     singular_shapes,
     spins,
@@ -30,7 +33,10 @@ CHECKS: dict[str, Check] = {
     module.CHECK.name: module.CHECK
     for module in (
         tolerances,
+        periods,
         reversal,
+        energy,
+        casimirs,
         mass_ratios,
         spins,
         flat_bodies,
