@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import InputError, PinredError
 from . import (
+    between,
     casimirs,
     chaos,
     energy,
@@ -33,6 +34,7 @@ CHECKS: dict[str, Check] = {
     module.CHECK.name: module.CHECK
     for module in (
         tolerances,
+        between,
         periods,
         reversal,
         energy,
