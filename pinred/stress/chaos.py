@@ -8,7 +8,7 @@ from ..loading import load
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
 from .defect import defect
 
-_ROUNDING = 1e3  # of eps: what a rate has of the momenta's
+_ROUNDING = 2e3  # of eps: what a rate has of the momenta's
 # Fast enough, and for long enough, that what is known of the start is lost.
 _SCENES: dict[str, tuple[float, float]] = {
     "planar_chain5": (5.0, 100.0),
