@@ -45,6 +45,17 @@ class EnergyBalance:
         """E(t) − E(0) − work, (T,) [J]: zero but for the error of the integration."""
         return np.asarray(self.energy - self.energy[0] - self.work.sum(axis=1) + self.work[0].sum())
 
+    def _repr_html_(self) -> str:
+        from .html_parts import card, table
+
+        rows = [
+            ("energy at the start", float(self.energy[0])),
+            *((f"work of {k}", float(w)) for k, w in zip(self.labels, self.work[-1], strict=True)),
+            ("energy at the end", float(self.energy[-1])),
+            ("largest residual", float(np.abs(self.residual).max())),
+        ]
+        return card("Energy", f"balance to {self.t[-1]:g} s", table("", ["", "J"], rows))
+
 
 @dataclass(frozen=True)
 class MomentumBalance:
@@ -65,6 +76,15 @@ class MomentumBalance:
     def residual(self) -> Array:
         """J(t) − J(0) − impulse, (T, r): zero but for the error of the integration."""
         return np.asarray(self.momentum - self.momentum[0] - self.impulse + self.impulse[0])
+
+    def _repr_html_(self) -> str:
+        from .html_parts import card, table
+
+        J, worst = self.momentum, np.abs(self.residual).max(axis=0)
+        columns = np.column_stack([J[0], self.impulse[-1], J[-1], worst])
+        rows = [[str(k), *row.tolist()] for k, row in enumerate(columns)]
+        head = ["component", "start", "impulse", "end", "largest residual"]
+        return card("Spatial momentum", f"balance to {self.t[-1]:g} s", table("", head, rows))
 
 
 def energy_balance(scene: Scene, motion: Motion, states: State) -> EnergyBalance:

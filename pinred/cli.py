@@ -10,13 +10,15 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from . import __version__, run_command
 from .bench.command import add_measurements
 from .errors import InputError, IntegrationError, PinredError
+from .plots import command as plot_command
 from .scene_keys import GROUPS
 from .stress import command as stress_command
+from .viz import command as play_command
 
 if TYPE_CHECKING:
     from .integrators.method import Method
@@ -104,6 +106,12 @@ def _parser() -> _Parser:
 
     sub = command("run", run_command.run, "simulate what a scene file says")
     run_command.add_arguments(sub)
+
+    sub = command("plot", plot_command.run, "draw a motion, or what bench accuracy measured")
+    plot_command.add_arguments(sub)
+
+    sub = command("play", play_command.run, "play a motion in a browser, or write it as a film")
+    play_command.add_arguments(sub)
 
     sub = command("robots", _robots, "list the robots that can be loaded by name")
     sub.add_argument("--check", action="store_true", help="load each and say what is refused")
@@ -211,15 +219,15 @@ def _scene(options: argparse.Namespace, system: System) -> Scene:
     return scene
 
 
-def _method(options: argparse.Namespace) -> Method | None:
-    """Return the integrator asked for; None is DOP853 at the scene's tolerance."""
+def _method(options: argparse.Namespace) -> Method | Literal["auto"]:
+    """Return the integrator asked for."""
     from .integrators.method import RKMK4
 
     if options.method not in (None, "DOP853", "RKMK4"):
         raise InputError(f"unknown method '{options.method}'; the methods are DOP853, RKMK4")
     if (options.method == "RKMK4") != (options.step is not None):
         raise InputError("--method RKMK4 and --step H go together")
-    return None if options.step is None else RKMK4(options.step)
+    return "auto" if options.step is None else RKMK4(options.step)
 
 
 def _inspect(options: argparse.Namespace) -> int:

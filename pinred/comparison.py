@@ -16,7 +16,6 @@ the endpoint says nothing, and the comparison fails rather than pass by default.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +25,7 @@ from .balance import energy_balance, momentum_balance
 from .errors import InputError
 from .full_state import Audit, FullMotion, FullState
 from .potential import pivot_weight
+from .progress import Progress, shown
 from .state import State
 from .trajectory import Trajectory
 
@@ -132,18 +132,45 @@ class Report:
         )
         return head + "\n".join(rows) + f"\n  verdict: {'PASSED' if self.passed else 'FAILED'}"
 
+    def _repr_html_(self) -> str:
+        from .html_parts import card, line, table, verdict
 
-def compare(traj: Trajectory, *, progress: Callable[[float], None] | None = None) -> Report:
+        about = (
+            f"{self.group} × {self.joints} joints, {self.duration:g} s, rtol {self.rtol:g}, "
+            f"atol {self.atol:g}; reduced equations against Pinocchio's ABA on the full state"
+        )
+        rows = [
+            (name, f"{value:.2e}", f"{bound:.1e}", verdict(value <= bound))
+            for name, (value, bound) in self.checks.items()
+        ]
+        return card(
+            self.robot,
+            about,
+            table("", ["", "value", "allowed", ""], rows),
+            line(
+                f"wall time: {self.wall_reduced:.5f} s reduced ({self.engine}), "
+                f"{self.wall_full:.3f} s full (ABA called from Python)"
+            ),
+            line("verdict:", verdict(self.passed, "PASSED")),
+        )
+
+
+def compare(traj: Trajectory, *, progress: Progress | bool | None = None) -> Report:
     """Judge a trajectory against the full simulation of the same scene.
 
-    progress: called with the part of the work that is done, 0 to 1.
+    progress: True for a progress bar; or a function that is called with the part of the work
+        that is done, 0 to 1.
     Raises IntegrationError if the full simulation cannot be followed.
     """
-    done = progress or (lambda _: None)
     if not isinstance(traj, Trajectory):
         raise InputError(
             f"compare takes a Trajectory, got {type(traj).__name__}; simulate makes one"
         )
+    with shown(progress, "full") as done:
+        return _judged(traj, done or (lambda _: None))
+
+
+def _judged(traj: Trajectory, done: Progress) -> Report:
     scene, start, rtol, atol = traj.scene, traj.scene.start, traj.scene.rtol, traj.scene.atol
     # Whatever times the scene reports, all of the motion is judged.
     times = np.union1d(traj.t, np.linspace(0.0, scene.end, SAMPLES))

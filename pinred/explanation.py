@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from .cyclic import cyclic_of
+from .engine.choice import choose
 from .flow import ReducedFlow
 from .potential import falling, pivot_weight, shape_gravity
 from .scene import Scene
@@ -16,7 +17,9 @@ def explain_scene(scene: Scene) -> str:
     system = scene.system
     lines = [f"skipped: {line}" for line in skipped(scene)]
     full = system.model.nq + system.n
-    return "\n".join([*lines, f"integrated: {full} → {reduced_size(scene)} numbers"])
+    lines.append(f"integrated: {full} → {reduced_size(scene)} numbers")
+    choice = choose(scene)
+    return "\n".join([*lines, f"method: {choice.method.name} ({choice.why})"])
 
 
 def reduced_size(scene: Scene) -> int:

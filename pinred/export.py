@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import BinaryIO
@@ -27,7 +27,8 @@ _POSE_LABELS = {
 def save(traj: Trajectory, path: str | Path) -> None:
     """Write the states of `traj` at its report times; the suffix, .npz or .csv, decides.
 
-    npz: one array per field of State, time first, with `robot`, `group` and `joints`.
+    npz: one array per field of State, time first, with `robot`, `group` and `joints`, and
+    what load() needs to find the robot again: `source`, `lock_joints`, `lock_values`, `gravity`.
     csv: a row per time, columns such as `pose.x`, `x.hinge`, `energy`.
     Either the whole file is written or none.  Raises InputError for another suffix or a
     folder that does not exist, OutputError if writing fails.
@@ -40,11 +41,11 @@ def save(traj: Trajectory, path: str | Path) -> None:
         raise OutputError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
-def check_path(path: str | Path) -> Path:
-    """Return `path` if a trajectory can be written there.  Raises InputError if not."""
+def check_path(path: str | Path, suffixes: Sequence[str] = (".npz", ".csv")) -> Path:
+    """Return `path` if a file can be written there.  Raises InputError or OutputError if not."""
     path = Path(path)
-    if path.suffix not in (".npz", ".csv"):
-        raise InputError(f"cannot write '{path}': the suffix must be .npz or .csv")
+    if path.suffix not in suffixes:
+        raise InputError(f"cannot write '{path}': the suffix must be {' or '.join(suffixes)}")
     try:
         if path.is_dir():
             raise InputError(f"cannot write '{path}': it is a folder")
@@ -57,7 +58,7 @@ def check_path(path: str | Path) -> Path:
         raise OutputError(f"cannot write '{path}': {error.strerror or error}") from None
 
 
-def write_atomic(path: Path, write: Callable[[BinaryIO], None]) -> None:
+def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file under a temporary name beside `path` and move it there when complete."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
@@ -74,11 +75,17 @@ def write_atomic(path: Path, write: Callable[[BinaryIO], None]) -> None:
 
 def _write_npz(traj: Trajectory, file: BinaryIO) -> None:
     arrays = {field.name: getattr(traj.outputs, field.name) for field in fields(traj.outputs)}
+    system = traj.system
+    lock = {} if system.origin is None else system.origin.lock
     np.savez_compressed(
         file,
-        robot=np.array(traj.system.name),
-        group=np.array(traj.system.group.name),
-        joints=np.array(traj.system.shape_names, dtype=str),
+        robot=np.array(system.name),
+        group=np.array(system.group.name),
+        joints=np.array(system.shape_names, dtype=str),
+        source=np.array("" if system.origin is None else system.origin.source),
+        lock_joints=np.array(list(lock), dtype=str),
+        lock_values=np.array(list(lock.values()), dtype=float),
+        gravity=system.gravity,
         **arrays,
     )
 

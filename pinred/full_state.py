@@ -226,7 +226,7 @@ class FullState:
     def _relative(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return body twist and momentum, (r,) each, as seen from the centre of mass."""
         data, r, k = self._data, self._r, self._linear
-        inside = self._momentum(q, v, np.zeros(3), about_pivot=not k)
+        inside = self.momentum(q, v, np.zeros(3), about_pivot=not k)
         body = data.oMi[1].rotation.T
         root = self._model.jointPlacements[1].rotation
         xi, mu = v[:r].copy(), np.zeros(r)
@@ -301,19 +301,17 @@ class FullState:
         body, spatial = np.empty_like(state.xi), np.empty_like(state.xi)
         rest = np.zeros(model.nv)
         for k, (t, q, v) in enumerate(zip(state.t, state.q, state.v, strict=True)):
-            kinetic = pin.computeKineticEnergy(self._bare, data, q, v)
-            kinetic += 0.5 * float(model.armature @ v**2)
-            height = pin.computePotentialEnergy(model, data, q)
+            kinetic = self.kinetic_energy(q, v)
+            height = self.potential_energy(q)
             if self._forces is not None:
                 height += self._forces.potential(state.x[k], self._numbers)
             energy.append(kinetic + height)
             body[k] = pin.rnea(self._weightless, data, q, rest, v)[:r]
-            spatial[k] = self._momentum(q, v, np.zeros(3), about_pivot=True)
+            spatial[k] = self.momentum(q, v, np.zeros(3), about_pivot=True)
             fall = data.Ig.mass * model.gravity.linear * t
-            conserved.append(self._momentum(q, v, fall, about_pivot=not self._linear))
-            carried = self._axes[:3].T @ model.jointPlacements[1].rotation.T @ data.hg.linear
+            conserved.append(self.momentum(q, v, fall, about_pivot=not self._linear))
             total.append(kinetic)
-            internal.append(kinetic - 0.5 * float(carried @ carried) / data.Ig.mass)
+            internal.append(kinetic - self.carried_energy(q, v))
         # A body that only falls has no internal motion to measure its changes by.
         most = max(internal) if max(internal) > 1e-9 * max(total) else max(total)
         scale = np.full(r, np.sqrt(2.0 * data.Ig.mass * most))
@@ -340,7 +338,23 @@ class FullState:
             fields=float(np.max(mismatch)),
         )
 
-    def _momentum(self, q: Array, v: Array, fall: Array, *, about_pivot: bool) -> Array:
+    def kinetic_energy(self, q: Array, v: Array) -> float:
+        """Return the kinetic energy, armature included [J]."""
+        rotors = 0.5 * float(self._model.armature @ v**2)
+        return float(pin.computeKineticEnergy(self._bare, self._data, q, v)) + rotors
+
+    def potential_energy(self, q: Array) -> float:
+        """Return the potential energy in the model's gravity [J]."""
+        return float(pin.computePotentialEnergy(self._model, self._data, q))
+
+    def carried_energy(self, q: Array, v: Array) -> float:
+        """Return the part of the kinetic energy that the centre of mass has along the group [J]."""
+        data, root = self._data, self._model.jointPlacements[1].rotation
+        pin.ccrba(self._model, data, q, v)
+        carried = self._axes[:3].T @ root.T @ data.hg.linear
+        return 0.5 * float(carried @ carried) / float(data.Ig.mass)
+
+    def momentum(self, q: Array, v: Array, fall: Array, *, about_pivot: bool) -> Array:
         """Return the momentum along the group's axes, (r,), in the root's fixed frame.
 
         Linear momentum is less `fall`; angular momentum is about the frame's origin, or

@@ -60,6 +60,29 @@ class Inspection:
         ]
         return "\n".join(lines)
 
+    def _repr_html_(self) -> str:
+        from .html_parts import card, line, matrix, number, numbers, table
+
+        system, at = self.system, self.at
+        twist, joints = system.group.twist_names, system.shape_names
+        size = "" if self.reduced_size is None else f" → {self.reduced_size}"
+        facts = [
+            *(("symmetry", text) for text in self.symmetries),
+            *(("skipped", text) for text in self.skipped),
+            ("integrated", f"{self.full_size}{size} numbers"),
+        ]
+        return card(
+            system.name,
+            f"group {system.group.name} (r = {system.r}) on joint '{system.root_name}', shape of "
+            f"{system.m} joints, {system.mass:g} kg, gravity {numbers(system.gravity)} m/s²",
+            table("", ["", ""], facts),
+            line(f"at x = {numbers(at.x)}:"),
+            matrix("locked inertia I", at.locked_inertia, twist, twist),
+            matrix("local connection A", at.local_connection, twist, joints),
+            matrix("reduced metric M", at.reduced_metric, joints, joints),
+            line(f"norm of the curvature B: {number(self.curvature_norm)}"),
+        )
+
 
 def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
     """Return what pinred sees in `system` at shape x, (m,), zero if not given.

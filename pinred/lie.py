@@ -69,6 +69,13 @@ class Group(ABC):
     def __repr__(self) -> str:
         return self.name
 
+    @property
+    def twist_names(self) -> tuple[str, ...]:
+        """Names of a twist's entries: v of translations, ω of rotations, with their axes."""
+        turns = self.dim - self.linear
+        v, w = (("",) if k == 1 else "123"[:k] for k in (self.linear, turns))
+        return (*(f"v{k}" for k in v), *(f"ω{k}" for k in w))
+
     @abstractmethod
     def identity(self) -> Array:
         """Return the pose of the identity, (size,)."""

@@ -19,7 +19,7 @@ from .errors import InputError, LoadError, ModelError
 from .joints import motion_group, root_joint
 from .lie import GROUPS, SE3, Group, group_named
 from .rebuild import rebuild
-from .system import InitialState, System
+from .system import InitialState, Origin, System
 from .urdf import mimic_joints, refuse_mimics
 
 _HUGE = 1e100  # m/s²; the square of what is far above overflows
@@ -55,9 +55,10 @@ def load(
     locked = _locked(lock)
     initial: InitialState | None = None
     name = str(source)
+    origin: Origin | None = Origin(name, locked)
     if isinstance(source, pin.Model):
         refuse_mimicking(source)
-        raw, name = source.copy(), source.name
+        raw, name, origin = source.copy(), source.name, None
     elif (robot := catalogue.bundled_robots().get(name)) is not None:
         raw = read_description(robot.path, locked)
         raw.gravity.linear = np.array(robot.gravity)
@@ -66,6 +67,7 @@ def load(
             initial = _initial_state(robot.initial)
     elif _is_path(name):
         raw, name = read_description(Path(source), locked), Path(source).stem
+        origin = Origin(str(Path(source).absolute()), locked)
     else:
         raw = _example(name, locked)
     model = _on_root(rebuild(raw, _frozen(raw, locked)), wanted)
@@ -74,7 +76,7 @@ def load(
         if np.abs(model.gravity.linear).max() > _HUGE:
             raise InputError(f"gravity must be below {_HUGE:g} m/s², got {gravity}")
     model.name = name
-    return System(model, name=name, initial=initial)
+    return System(model, name=name, initial=initial, origin=origin)
 
 
 def _initial_state(entry: Mapping[str, Any]) -> InitialState:

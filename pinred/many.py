@@ -54,6 +54,16 @@ class Trajectories:
     def __repr__(self) -> str:
         return f"Trajectories({len(self)} of {len(self.t)} times, {len(self.failures)} failed)"
 
+    def _repr_html_(self) -> str:
+        from .html_parts import card, table
+
+        rows = [(str(f.member), f.time, f.reason) for f in self.failures]
+        return card(
+            "Trajectories",
+            f"{len(self)} of {len(self.t)} times to {self.t[-1]:g} s, {len(self.failures)} failed",
+            table("members that did not come to their end", ["member", "t [s]", "reason"], rows),
+        )
+
     def __getitem__(self, member: int) -> State:
         """Return the states of one member, over the report times.
 

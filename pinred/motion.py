@@ -32,8 +32,9 @@ class Flow(Protocol):
 class Piece:
     """One run of an integrator.
 
-    knots: (K,) times of the ends of its steps, from its start on [s].  at: from times (T,)
-    within to reduced states (T, k).  numbers: those in the forces, during it.
+    knots: (K,) times of the ends of its steps, or of parts of long ones, from its start on [s].
+    at: from times (T,) within to reduced states (T, k).  numbers: those in the forces, during
+    it.
     """
 
     knots: Array

@@ -52,6 +52,23 @@ class ReducedShape(InertiaSplit):
         """V(x) + ½ μᵀ I⁻¹ μ [J] for body momentum mu (r,).  Raises SymmetryError, ShapeError."""
         return self.potential + self.locked_energy(mu)
 
+    def _repr_html_(self) -> str:
+        from .html_parts import card, line, matrix, number, numbers
+
+        r, m = self.local_connection.shape
+        twist, joints = ([str(k) for k in range(size)] for size in (r, m))
+        known = self._potential
+        V = "gravity breaks the symmetry" if isinstance(known, SymmetryError) else number(known)
+        return card(
+            "Reduction",
+            f"at x = {numbers(self.x)}",
+            matrix("locked inertia I", self.locked_inertia, twist, twist),
+            matrix("local connection A", self.local_connection, twist, joints),
+            matrix("reduced metric M", self.reduced_metric, joints, joints),
+            line(f"norm of the curvature B: {number(float(np.linalg.norm(self.curvature)))}"),
+            line(f"potential V [J]: {V}"),
+        )
+
 
 class Reduction:
     """The split of one system's mass matrix, at any shape.
@@ -78,6 +95,9 @@ class Reduction:
             self._potential = Potential(system, springs)
         except SymmetryError as error:
             self._potential = error
+
+    def __repr__(self) -> str:
+        return f"Reduction({self.system!r})"
 
     @property
     def group(self) -> Group:

@@ -24,12 +24,11 @@ if TYPE_CHECKING:
 
 OUTPUTS = ("all", "shape")
 DURATION = 2.0  # s, where neither scene nor robot says
-TIGHTEST = 1e-13  # relative tolerance; below it round-off decides the step
+TIGHTEST = 1e-14  # relative tolerance; below it round-off decides the step
 # Momenta are integrated, and rates are wanted: where a light joint sits beside heavy ones, a
 # small part of a large momentum is a ten times larger part of the light joint's rate.
 MOMENTUM_MARGIN = 10.0
 MOST_SAMPLES = 1_000_000  # of one controller; each ends a run of the integrator
-_LEAST = 2.3e-14  # what SciPy's and our DOP853 take as relative tolerance
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,8 +46,8 @@ class Scene:
     prescribed: {joint: Signal}, joints that follow a plan (see pinred.signals); their
     entries in x0 and xdot0 are not read, and torques on them only spare their drives that
     much.  outputs: "all", or "shape" to leave out the base.
-    method: an integrator of pinred.integrators with its own step or tolerance (DOP853 with
-    rtol and atol).
+    method: an integrator of pinred.integrators with its own step or tolerance, or "auto" for
+    one with rtol and atol that suits the scene (simulate(explain=True) says which and why).
 
     Raises InputError or ShapeError when built with what cannot be simulated.
     """
@@ -68,7 +67,7 @@ class Scene:
     forces: Sequence[Force] | Force = ()
     prescribed: Mapping[str, Signal] = field(default_factory=dict)
     outputs: Literal["all", "shape"] = "all"
-    method: Method | None = None
+    method: Method | Literal["auto"] = "auto"
 
     def __post_init__(self) -> None:
         checked_system(self.system, "a scene")
@@ -88,9 +87,9 @@ class Scene:
             checked_seed(self.seed)
         if self.outputs not in OUTPUTS:
             raise InputError(f"outputs must be one of {', '.join(OUTPUTS)}, got {self.outputs!r}")
-        if not (self.method is None or isinstance(self.method, Method)):
+        if not (self.method == "auto" or isinstance(self.method, Method)):
             names = " or ".join(f"{name}(…)" for name in METHODS)
-            raise InputError(f"method must be {names}, got {self.method!r}")
+            raise InputError(f"method must be 'auto' or {names}, got {self.method!r}")
         for name in ("rtol", "atol"):
             object.__setattr__(self, name, positive(getattr(self, name), name))
         if self.rtol < TIGHTEST:
@@ -100,6 +99,28 @@ class Scene:
         object.__setattr__(self, "_times", read_only(self._checked_times()))
         self._check_forces()
         object.__setattr__(self, "_given", self._resolve())
+
+    def _repr_html_(self) -> str:
+        from .html_parts import card, line, numbers, table
+
+        system, start = self.system, self.start
+        rows = zip(system.shape_names, start.x.tolist(), start.xdot.tolist(), strict=True)
+        forces: tuple[Force, ...] = vars(self)["forces"]
+        acting = [
+            *((f"spring {name}", str(spring)) for name, spring in self.springs.items()),
+            *((force.label, repr(force)) for force in forces),
+            *((f"prescribed {name}", repr(plan)) for name, plan in self.prescribed.items()),
+        ]
+        method = f", {self.method}" if self.method else ""
+        return card(
+            f"Scene of {system.name}",
+            f"{self.end:g} s, {len(self.report_times)} times, rtol {self.rtol:g}, "
+            f"atol {self.atol:g}{method}, outputs '{self.outputs}'",
+            table("start", ["joint", "x", "rate"], rows),
+            line(f"twist of the base: {numbers(start.xi)}"),
+            line(f"pose of the base: {numbers(start.pose)}"),
+            table("acting", ["", ""], acting),
+        )
 
     @cached_property
     def start(self) -> Start:
@@ -121,7 +142,7 @@ class Scene:
     @property
     def tolerance(self) -> tuple[float, float]:
         """What the integrator of the momenta gets as (rtol, atol), a tenth of those asked for."""
-        return max(self.rtol / MOMENTUM_MARGIN, _LEAST), self.atol / MOMENTUM_MARGIN
+        return self.rtol / MOMENTUM_MARGIN, self.atol / MOMENTUM_MARGIN
 
     @property
     def force_model(self) -> ForceModel | None:

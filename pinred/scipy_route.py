@@ -10,6 +10,7 @@ from scipy.integrate import DOP853, DenseOutput, OdeSolution
 from .arrays import Array
 from .errors import IntegrationError
 from .flow import ReducedFlow
+from .integrators.method import DOP853_LEAST
 from .motion import Piece, Solve
 from .scene import Scene
 
@@ -23,6 +24,7 @@ def solve(flow: ReducedFlow, scene: Scene, progress: Callable[[float], None] | N
     followed.
     """
     rtol, atol = scene.tolerance
+    rtol = max(rtol, DOP853_LEAST)
 
     def run(start: float, end: float, y0: Array) -> Piece:
         if y0.size == 0:  # one body that only translates: all of its motion is known

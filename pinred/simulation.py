@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal
 
 from .errors import InputError
 from .motion import follow
+from .progress import Progress, shown
 from .scene import Scene
 from .system import System, checked_system
 from .trajectory import Run, Trajectory
 
-Progress = Callable[[float], None]
 Engine = Literal["compiled", "pinocchio"]
 ENGINES: tuple[Engine, ...] = ("compiled", "pinocchio")
 
@@ -22,7 +21,7 @@ def simulate(
     scene: System | Scene,
     *,
     engine: Engine = "compiled",
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     explain: bool = False,
     **options: Any,
 ) -> Trajectory:
@@ -33,7 +32,8 @@ def simulate(
         method.
     engine: "compiled", machine code made for the robot and the kind of scene (and kept on
         disk), or "pinocchio", the same equations by Pinocchio's numbers under SciPy's DOP853.
-    progress: called now and then with the part of the time that is done, 0 to 1.
+    progress: True for a progress bar, in a terminal or a notebook; or a function that is
+        called now and then with the part of the time that is done, 0 to 1.
     explain: print what the scene lets the simulation skip, and how much is integrated.
 
     Raises InputError or ShapeError for a scene that makes no sense, SymmetryError if
@@ -43,13 +43,15 @@ def simulate(
     if engine not in ENGINES:
         raise InputError(f"unknown engine {engine!r}; the engines are {', '.join(ENGINES)}")
     scene = as_scene(scene, options, "simulate")
-    if engine == "pinocchio" and scene.method is not None:
+    if engine == "pinocchio" and scene.method != "auto":
         raise InputError("engine 'pinocchio' has SciPy's DOP853 for integrator; give no method")
     if explain:
         from .explanation import explain_scene
 
         print(explain_scene(scene))
-    return _compiled(scene, progress) if engine == "compiled" else _pinocchio(scene, progress)
+    route = _compiled if engine == "compiled" else _pinocchio
+    with shown(progress, "reduced") as done:
+        return route(scene, done)
 
 
 def as_scene(scene: System | Scene, options: dict[str, Any], what: str) -> Scene:

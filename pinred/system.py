@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from threading import get_ident
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
@@ -38,6 +38,18 @@ class InitialState:
 
 
 @dataclass(frozen=True)
+class Origin:
+    """Where a system was loaded from.
+
+    source: the robot's name, or the absolute path of its file.  lock: frozen joints and
+    their values [rad | m].
+    """
+
+    source: str
+    lock: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class Configuration:
     """A point of Q = G × B: pose (..., size) of the base, shape x (..., m)."""
 
@@ -58,12 +70,14 @@ class System:
     """A multibody system with symmetry: the root joint is the group, the others the shape.
 
     name: what the robot is called.  model: the pin.Model, root joint first.
-    initial: a generic initial state, where the robot comes with one.
+    initial: a generic initial state, where the robot comes with one.  origin: what was
+    loaded, where that is a name or a file.
     """
 
     model: pin.Model
     name: str = ""
     initial: InitialState | None = None
+    origin: Origin | None = None
     group: Group = field(init=False)
     shape_names: tuple[str, ...] = field(init=False)
     # Where the coordinates (pose, x) stand in Pinocchio's q: as they are, or as (cos, sin).
@@ -86,6 +100,22 @@ class System:
 
     def __repr__(self) -> str:
         return f"System({self.name!r}, group={self.group.name}, r={self.r}, m={self.m})"
+
+    def _repr_html_(self) -> str:
+        from .html_parts import card, table
+        from .joints import is_prismatic
+
+        kinds = (is_prismatic(self.model.joints[i]) for i in range(2, self.model.njoints))
+        rows = [
+            (name, *(("prismatic", "m") if slides else ("revolute", "rad")))
+            for name, slides in zip(self.shape_names, kinds, strict=True)
+        ]
+        about = (
+            f"group {self.group.name} (r = {self.r}) on joint '{self.root_name}', shape of "
+            f"{self.m} joints, {self.mass:g} kg, gravity "
+            f"({', '.join(f'{g:g}' for g in self.gravity)}) m/s²"
+        )
+        return card(self.name, about, table("shape", ["joint", "kind", "unit"], rows))
 
     @property
     def r(self) -> int:

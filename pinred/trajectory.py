@@ -14,6 +14,7 @@ from .errors import InputError, ShapeError
 from .state import ShapeState, State, with_base
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from matplotlib.figure import Figure
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from .motion import Motion
     from .scene import Scene
     from .system import System
+    from .viz.server import Player
 
 
 @dataclass(frozen=True)
@@ -149,6 +151,36 @@ class Trajectory:
             f"{self.run.steps} steps of {self.run.method}, {self.run.engine})"
         )
 
+    def _repr_html_(self) -> str:
+        from .html_parts import card, line, number, table
+
+        out, run = self.outputs, self.run
+        rows = [
+            (name, float(x[0]), float(x[-1]), float(x.min()), float(x.max()))
+            for name, x in zip(self.system.shape_names, out.x.T, strict=True)
+        ]
+        momenta = ""
+        lines = [f"energy [J]: {number(out.energy[0])} → {number(out.energy[-1])}"]
+        if isinstance(out, State):
+            group, (first, last) = self.system.group, out.pose[[0, -1]]
+            turned = float(group.error(first, last).rotation)
+            moved = float(np.linalg.norm((last - first)[: group.linear]))
+            lines.append(f"base: turned by {number(turned)} rad, moved by {number(moved)} m")
+            J = out.spatial_momentum
+            momenta = table(
+                "",
+                ["spatial momentum", *group.twist_names],
+                [["start", *J[0].tolist()], ["end", *J[-1].tolist()]],
+            )
+        return card(
+            self.system.name,
+            f"{len(self)} times to {self.scene.end:g} s, {run.steps} steps of {run.method} "
+            f"({run.engine}), {run.evaluations} evaluations in {run.wall:.3g} s",
+            table("shape [rad | m]", ["joint", "start", "end", "least", "greatest"], rows),
+            *map(line, lines),
+            momenta,
+        )
+
     def __call__(self, t: ArrayLike) -> State:
         """Return the state at time t, or states at times (T,), within the duration [s].
 
@@ -189,3 +221,52 @@ class Trajectory:
         from .export import save
 
         save(self, path)
+
+    def play(
+        self,
+        *,
+        port: int | None = None,
+        show: bool = True,
+        wait: bool | None = None,
+        **options: Any,
+    ) -> Player:
+        """Play the motion in a browser on this machine, and return what serves it.
+
+        port: any free one if None.  show: open the browser.  wait: serve until Ctrl-C (in a
+        script; where somebody types on, return at once).  options: ghost, speed, fps, pair,
+        meshes (see pinred.viz.view.View).  Raises InputError, OutputError.
+        """
+        from .viz.show import play
+        from .viz.view import as_view
+
+        return play(self, as_view(options, "play"), port=port, show=show, wait=wait)
+
+    def save_html(self, path: str | Path, **options: Any) -> int:
+        """Write the playback as one HTML file that needs no network; return its size in bytes.
+
+        options: as of `play`.  Raises InputError, OutputError.
+        """
+        from .viz.page import save_html
+        from .viz.view import as_view
+
+        return save_html(self, path, as_view(options, "save_html"))
+
+    def save_film(
+        self,
+        path: str | Path,
+        *,
+        size: tuple[int, int] = (960, 720),
+        progress: Callable[[float], None] | None = None,
+        **options: Any,
+    ) -> int:
+        """Write the playback as film.mp4 or film.gif, or as frames film_0000.png and so on.
+
+        size: width and height in pixels.  progress: called with the part that is done.
+        options: as of `play`, with 30 for fps.  Returns the number of frames.  Raises
+        InputError, OutputError.
+        """
+        from .viz.frames import FPS, save_film
+        from .viz.view import as_view
+
+        view = as_view({"fps": FPS, **options}, "save_film")
+        return save_film(self, path, view, size=size, progress=progress)

@@ -90,7 +90,7 @@ def test_a_method_has_its_own_tolerance() -> None:
 def test_methods_that_are_none() -> None:
     """A name is no method, and SciPy has DOP853 only."""
     system = pinred.load("falling_cat")
-    with pytest.raises(pinred.InputError, match=r"method must be DOP853\(…\) or RKMK4\("):
+    with pytest.raises(pinred.InputError, match=r"method must be 'auto' or DOP853\(…\) or RKMK4\("):
         pinred.simulate(system, method="RKMK4")
     with pytest.raises(pinred.InputError, match="pinocchio"):
         pinred.simulate(system, method=RKMK4(0.01), engine="pinocchio")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pinocchio as pin
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from pictures import measured
 
 import pinred
 from pinred import plots
@@ -260,6 +262,50 @@ def test_files_that_are_no_recordings(tmp_path: Path) -> None:
     np.savez(path, **good, x=np.full((2, 1), np.nan), xdot=np.zeros((2, 1)))
     with pytest.raises(pinred.LoadError, match="not finite"):
         plots.read_recording(path)
+
+
+def test_work_against_precision() -> None:
+    """Points are those measured: wall in ms, largest error; failures and unknown errors apart."""
+    figure = plots.work_precision(measured())
+    first = figure.axes[0]
+    for name, wall, power in (("fast", 0.1, 0.05), ("slow", 1.0, 0.1)):
+        error, work = drawn(first, name)
+        np.testing.assert_allclose(np.sort(error), np.logspace(-12, -2, 6))
+        np.testing.assert_allclose(work, wall * error**-power)
+    assert {(axes.get_xscale(), axes.get_yscale()) for axes in figure.axes} == {("log", "log")}
+    assert {axes.get_xlabel() for axes in figure.axes} == {"error [rad | m]"}
+    assert units(figure) == ["wall time [ms]"] * 2
+    (band,) = [patch for patch in first.patches if patch.get_label() == "not known"]
+    assert band.get_extents().transformed(first.transData.inverted()).x1 == pytest.approx(1e-11)
+    # A method looks the same in every panel.
+    colours = [{line.get_label(): line.get_color() for line in axes.lines} for axes in figure.axes]
+    assert colours[1]["slow"] == colours[0]["slow"] != colours[0]["fast"]
+    evaluations = plots.work_precision(measured()[0], against="evaluations")
+    error, work = drawn(evaluations.axes[0], "slow")
+    np.testing.assert_allclose(work, 100 * error**-0.1)
+    assert units(evaluations) == ["evaluations, or Taylor steps [1]"]
+    with pytest.raises(pinred.InputError, match="against must be one of wall, evaluations"):
+        plots.work_precision(measured(), against="time")  # type: ignore[arg-type]
+    with pytest.raises(pinred.InputError, match="takes one or more results"):
+        plots.work_precision([])
+
+
+def test_names_are_not_formulas(tmp_path: Path) -> None:
+    """Names with $, and names that begin with _, are drawn and stand in legends as they are."""
+    text = '<robot name="$a_$"><link name="base">{}</link>{}</robot>'
+    joints = "".join(
+        LINK.format(name) + JOINT.format(f"{name}$^", "revolute", "base", name)
+        for name in ("_", "b")
+    )
+    path = tmp_path / "odd.urdf"
+    path.write_text(text.format(LINK.format("x").split(">", 1)[1].rsplit("<", 1)[0], joints))
+    traj = pinred.simulate(pinred.load(path, gravity=(0, 0, 0)), seed=0, duration=0.1)
+    for kind in ("shape", "phase", "curvature", "sphere"):
+        figure = traj.plot(kind)
+        figure.savefig(BytesIO())
+    legend = plots.shape(traj).axes[0].get_legend()
+    assert legend is not None
+    assert [entry.get_text().strip() for entry in legend.get_texts()] == ["_$^", "b$^"]
 
 
 def test_refusals(cat: pinred.Trajectory) -> None:

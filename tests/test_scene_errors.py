@@ -118,7 +118,7 @@ MEANING = [
     ("[run]\ntimes = [1, 0]", InputError, "line 3: run.times: times must increase"),
     ("[run]\ntimes = [0, 3]\nduration = 2", InputError, "run.times: times must increase from 0 or later to the duration at most (2 s)"),
     ("[run]\ntimes = []", ShapeError, "run.times: times must be a vector"),
-    ("[run]\nrtol = 1e-20", InputError, "run.rtol: rtol must be at least 1e-13"),
+    ("[run]\nrtol = 1e-20", InputError, "run.rtol: rtol must be at least 1e-14"),
     ("[run]\nengine = 'pinocchio'\nmethod = { name = 'RKMK4', step = 0.1 }", InputError, "run.method: engine 'pinocchio' has an integrator of its own"),
     ("[start]\nx0 = [1, 2]", ShapeError, "line 3: start.x0: x0 must have shape (3,) (bend, sway, twist), got (2,)"),
     ("[start]\nx0 = { bends = 1 }", InputError, "start.x0.bends: unknown joint \"bends\"; did you mean 'bend'? the joints are bend, sway, twist"),

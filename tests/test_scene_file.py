@@ -304,7 +304,7 @@ def test_examples(
     report = pinred.compare(traj)
     assert report.passed
     # The other route is as near.
-    readable = pinred.simulate(traj.scene, method=None, engine="pinocchio")
+    readable = pinred.simulate(traj.scene, method="auto", engine="pinocchio")
     worst = max(report.shape_bound, report.rotation_bound, report.position_bound)
     scale = max(1.0, float(np.abs(traj.q).max()))
     np.testing.assert_allclose(readable.q, traj.q, rtol=0, atol=2 * worst * scale)

@@ -13,24 +13,41 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .accuracy import Point, WorkPrecision, bench_accuracy
+    from .accuracy import DEFAULT, FULL, QUICK, Effort, bench_accuracy
     from .kernels import KernelTiming, bench_kernels
     from .many import ManyTiming, bench_many
-    from .methods import METHODS, End, Method, Prepared
-    from .problems import Problem, default_problems
+    from .method import End, Method, Prepared
+    from .methods import METHODS
+    from .own import own_method
+    from .problems import Problem
+    from .record import read_record, write_record
+    from .reference import Reference, reference_of
     from .scaling import Scaling, bench_scaling
+    from .scenes import SCENES, problems_named
+    from .work_precision import Point, WorkPrecision
 
 _HOME = {
-    **dict.fromkeys(("Point", "WorkPrecision", "bench_accuracy"), "accuracy"),
+    **dict.fromkeys(("DEFAULT", "FULL", "QUICK", "Effort", "bench_accuracy"), "accuracy"),
     **dict.fromkeys(("KernelTiming", "bench_kernels"), "kernels"),
     **dict.fromkeys(("ManyTiming", "bench_many"), "many"),
-    **dict.fromkeys(("METHODS", "End", "Method", "Prepared"), "methods"),
-    **dict.fromkeys(("Problem", "default_problems"), "problems"),
+    **dict.fromkeys(("End", "Method", "Prepared"), "method"),
+    "METHODS": "methods",
+    "own_method": "own",
+    "Problem": "problems",
+    **dict.fromkeys(("read_record", "write_record"), "record"),
+    **dict.fromkeys(("Reference", "reference_of"), "reference"),
     **dict.fromkeys(("Scaling", "bench_scaling"), "scaling"),
+    **dict.fromkeys(("SCENES", "problems_named"), "scenes"),
+    **dict.fromkeys(("Point", "WorkPrecision"), "work_precision"),
 }
 
 __all__ = [
+    "DEFAULT",
+    "FULL",
     "METHODS",
+    "QUICK",
+    "SCENES",
+    "Effort",
     "End",
     "KernelTiming",
     "ManyTiming",
@@ -38,13 +55,18 @@ __all__ = [
     "Point",
     "Prepared",
     "Problem",
+    "Reference",
     "Scaling",
     "WorkPrecision",
     "bench_accuracy",
     "bench_kernels",
     "bench_many",
     "bench_scaling",
-    "default_problems",
+    "own_method",
+    "problems_named",
+    "read_record",
+    "reference_of",
+    "write_record",
 ]
 
 

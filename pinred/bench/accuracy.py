@@ -1,206 +1,205 @@
-"""Run time against error: each method at each tolerance, judged by ABA on the full state."""
+"""Run time against error: each method at each tolerance, in one run of alternating rounds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import InputError, IntegrationError, PinredError
+from ..errors import IntegrationError, PinredError
 from ..full_state import FullMotion
-from .methods import METHODS, Method, Prepared
-from .problems import Problem, Reference, default_problems
-from .timing import ROUNDS, alternating, repeated
+from .drift import drift
+from .method import Method, Prepared
+from .problems import Problem
+from .reference import Reference, reference_of
+from .scenes import problems_named
+from .timing import alternating, repeated
+from .work_precision import Point, WorkPrecision
 
-ERRORS = tuple(float(f"1e-{k}") for k in range(4, 13))
-
-
-@dataclass(frozen=True)
-class Point:
-    """One method at one tolerance, at the end of a problem.
-
-    wall: s of a run.  build: s before the first.  evaluations: of the vector field, or steps
-    of a Taylor method.  shape: largest |Δx| [rad | m]; rotation [rad] and position [m] of the
-    base: norms of the parts of log(g⁻¹ĝ).  failure: why it did not come to its end; then the
-    numbers are NaN.
-    """
-
-    method: str
-    tolerance: float
-    wall: float = np.nan
-    build: float = np.nan
-    evaluations: float = np.nan
-    shape: float = np.nan
-    rotation: float = np.nan
-    position: float = np.nan
-    failure: str = ""
-
-    @property
-    def error(self) -> float:
-        """The largest of the three errors [rad | m]; NaN stays."""
-        return float(np.max([self.shape, self.rotation, self.position]))
+Progress = Callable[[float], None]
+YARDSTICK = "pinred"  # measured in every run, so that each has ratios of its own
 
 
 @dataclass(frozen=True)
-class WorkPrecision:
-    """What accuracy costs on one problem.
+class Effort:
+    """How much time a measurement may take.
 
-    reference_error: how far the two references are apart [rad | m]; smaller errors of a
-    point say nothing.  about: method to what is timed of it.  missing: a line on each method
-    that could not run here.
+    rounds: of which the median counts.  patience: s; once a run of a method takes longer, it
+    is not refined any more.  budget: s of timing for one point.  every: of the tolerances,
+    which are measured.
     """
 
-    problem: str
-    joints: int
-    duration: float
-    reference_error: float
-    about: Mapping[str, str]
-    points: tuple[Point, ...]
-    missing: tuple[str, ...] = ()
-
-    def of(self, method: str) -> list[Point]:
-        """Return the points of a method that came to their end.  Raises InputError."""
-        if method not in self.about:
-            raise InputError(f"no method '{method}'; they are {', '.join(self.about)}")
-        return [p for p in self.points if p.method == method and not p.failure]
-
-    def wall_at(self, method: str, error: float) -> float:
-        """Return the seconds a method takes for an error [rad | m], NaN if it never gets there.
-
-        Between measured points, of which only those count that no other beats in both time
-        and error, the logarithms are interpolated.  Above the largest error measured it is
-        the time of the fastest point.
-        """
-        front: list[tuple[float, float]] = []  # (log error, log wall), errors falling
-        best = np.inf
-        for p in sorted(self.of(method), key=lambda p: (p.error, p.wall)):
-            if p.wall < best:
-                best = p.wall
-                front.append((np.log(max(p.error, self.reference_error)), np.log(p.wall)))
-        if not front or np.log(error) < front[0][0]:
-            return float("nan")
-        errors, walls = zip(*front, strict=True)
-        return float(np.exp(np.interp(np.log(error), errors, walls)))
-
-    def ratio_at(self, peer: str, error: float, method: str = "pinred") -> float:
-        """Return how many times longer a peer takes than a method at equal error."""
-        return self.wall_at(peer, error) / self.wall_at(method, error)
-
-    def __str__(self) -> str:
-        lines = [
-            f"{self.problem}: {self.joints} joint{'s' * (self.joints > 1)}, {self.duration:g} s; "
-            f"the end against ABA on the full state (two references agree to "
-            f"{self.reference_error:.0e})",
-            *(f"  {name}: {text}" for name, text in self.about.items()),
-            *(f"  {line}" for line in self.missing),
-            "",
-            f"{'method':<17} {'tolerance':>9} {'wall [ms]':>10} {'evaluations':>11} "
-            f"{'shape':>8} {'rotation':>8} {'position':>8} {'build [s]':>9}",
-            *(_row(p) for p in self.points),
-            "",
-            "wall time [ms] at equal error",
-            f"{'error':<7}" + "".join(f"{name:>18}" for name in self.about),
-            *(
-                f"{error:<7.0e}" + "".join(_cell(1e3 * self.wall_at(n, error)) for n in self.about)
-                for error in ERRORS
-            ),
-        ]
-        peers = [name for name in self.about if not name.startswith("pinred")]
-        for own in (name for name in self.about if name.startswith("pinred")):
-            if peers:
-                lines += ["", f"how many times faster {own} is", f"{'error':<7}"]
-                lines[-1] += "".join(f"{name:>18}" for name in peers)
-                for error in ERRORS:
-                    cells = (_cell(self.ratio_at(peer, error, own)) for peer in peers)
-                    lines.append(f"{error:<7.0e}" + "".join(cells))
-        return "\n".join(lines)
+    name: str
+    rounds: int
+    patience: float
+    budget: float
+    every: int = 1
 
 
-def _row(p: Point) -> str:
-    head = f"{p.method:<17} {p.tolerance:>9.0e} "
-    if p.failure:
-        return f"{head}failed: {p.failure}"
-    return head + (
-        f"{1e3 * p.wall:>10.4f} {p.evaluations:>11.0f} {p.shape:>8.1e} {p.rotation:>8.1e} "
-        f"{p.position:>8.1e} {p.build:>9.2f}"
-    )
+QUICK = Effort("quick", rounds=3, patience=0.1, budget=0.1, every=3)
+DEFAULT = Effort("default", rounds=7, patience=0.8, budget=1.0)
+FULL = Effort("full", rounds=15, patience=10.0, budget=30.0)
 
 
-def _cell(value: float) -> str:
-    return f"{'—' if np.isnan(value) else format(value, '.3g'):>18}"
+def run_name() -> str:
+    """Return a name for a run of this process, which no other has."""
+    return f"{time.strftime('%Y%m%dT%H%M%S')}-{os.getpid()}"
 
 
 def bench_accuracy(
     problems: Sequence[Problem] | None = None,
     *,
-    methods: Sequence[Method] = METHODS,
+    methods: Sequence[Method] | None = None,
     tolerances: Sequence[float] | None = None,
-    rounds: int = ROUNDS,
-    progress: Callable[[float], None] | None = None,
+    effort: Effort = DEFAULT,
+    progress: Progress | None = None,
 ) -> list[WorkPrecision]:
     """Return what accuracy costs on each problem, by each method.
 
-    problems: those of `default_problems` if None.  tolerances: each method's own if None.
-    rounds: of which the median counts.  progress: called with the part done, 0 to 1.
+    problems: those of `scenes.BARS` if None.  methods: those of `methods.METHODS` if None.
+    tolerances: of the methods that have one; each method's own if None.  progress: called
+    with the part done, 0 to 1.
     """
-    given = default_problems()[0] if problems is None else list(problems)
+    return list(
+        accuracy_by_scene(
+            problems,
+            methods=methods,
+            tolerances=tolerances,
+            effort=effort,
+            progress=progress,
+        )
+    )
+
+
+def accuracy_by_scene(
+    problems: Sequence[Problem] | None = None,
+    *,
+    methods: Sequence[Method] | None = None,
+    tolerances: Sequence[float] | None = None,
+    effort: Effort = DEFAULT,
+    progress: Progress | None = None,
+) -> Iterator[WorkPrecision]:
+    """Do what `bench_accuracy` does, and yield each problem's result when it is there."""
+    from .methods import METHODS
+
+    given = problems_named()[0] if problems is None else list(problems)
     done = progress or (lambda _: None)
-    found = []
+    run = run_name()
     for k, problem in enumerate(given):
 
         def part(inner: float, k: int = k) -> None:
             done((k + inner) / len(given))
 
-        found.append(_bench_problem(problem, methods, tolerances, rounds, part))
-    return found
+        yield bench_problem(
+            problem,
+            METHODS if methods is None else methods,
+            tolerances,
+            effort,
+            run=run,
+            progress=part,
+        )
 
 
-def _bench_problem(
+def bench_problem(
     problem: Problem,
     methods: Sequence[Method],
-    tolerances: Sequence[float] | None,
-    rounds: int,
-    progress: Callable[[float], None],
+    tolerances: Sequence[float] | None = None,
+    effort: Effort = DEFAULT,
+    *,
+    run: str = "",
+    progress: Progress | None = None,
 ) -> WorkPrecision:
-    able = [method for method in methods if not method.missing(problem)]
-    wanted = [(m, tol) for m in able for tol in tolerances or m.tolerances]
-    reference = problem.reference()
+    """Return what accuracy costs on one problem.  Raises IntegrationError without a reference."""
+    done = progress or (lambda _: None)
+    missing = {method.name: method.missing(problem) for method in methods}
+    able = [method for method in methods if not missing[method.name]]
+    truth = reference_of(problem)
+    done(0.1)
     points: list[Point] = []
     running: list[tuple[int, Prepared]] = []
-    for k, (method, tolerance) in enumerate(wanted):
-        try:
-            prepared = method.prepare(problem, tolerance)
-            points.append(_judged(problem, reference, method.name, tolerance, prepared))
-            running.append((k, prepared))
-        except PinredError as error:
-            points.append(Point(method.name, tolerance, failure=str(error)))
-        progress(0.5 * (k + 1) / len(wanted))
+    for k, method in enumerate(able):
+        for point, prepared in _first_runs(problem, truth, method, tolerances, effort):
+            if prepared is not None:
+                running.append((len(points), prepared))
+            points.append(point)
+        done(0.1 + 0.4 * (k + 1) / len(able))
     times = alternating(
         [repeated(prepared.run) for _, prepared in running],
-        rounds=rounds,
-        progress=lambda part: progress(0.5 + 0.5 * part),
+        rounds=effort.rounds,
+        budget=effort.budget,
+        progress=lambda part: done(0.5 + 0.5 * part),
     )
     for j, (k, _) in enumerate(running):
-        points[k] = replace(points[k], wall=float(np.median(times[:, j])))
+        points[k] = replace(points[k], wall=float(np.nanmedian(times[:, j])))
     return WorkPrecision(
-        problem=f"{problem.name} ({problem.about})",
+        problem=problem.name,
+        description=problem.about,
         joints=problem.system.m,
         duration=problem.start.duration,
-        reference_error=reference.error,
+        reference_error=truth.error,
+        reference=truth.about,
         about={method.name: method.about for method in able},
         points=tuple(points),
-        missing=tuple(line for method in methods if (line := method.missing(problem))),
+        missing={name: line for name, line in missing.items() if line},
+        run=run,
     )
+
+
+def _first_runs(
+    problem: Problem,
+    truth: Reference,
+    method: Method,
+    tolerances: Sequence[float] | None,
+    effort: Effort,
+) -> Iterator[tuple[Point, Prepared | None]]:
+    """Yield the points of a method, judged but not timed, with what runs them again."""
+    if tolerances is None or method.fixed:
+        wanted = method.tolerances[:: effort.every]
+    else:
+        wanted = tuple(sorted(tolerances, reverse=True))
+    slow = ""
+    for tolerance in wanted:
+        if slow:
+            yield Point(method.name, tolerance, failure=slow), None
+            continue
+        try:
+            prepared = method.prepare(problem, tolerance)
+            found, took = _timed(prepared)
+            if took > effort.patience:  # a first run may compile and load
+                found, took = _timed(prepared)
+            point = _judged(problem, truth, method.name, tolerance, prepared, found)
+        except PinredError as error:
+            yield Point(method.name, tolerance, failure=str(error)), None
+            continue
+        yield point, prepared
+        if took > effort.patience:
+            slow = f"not run: a coarser one took {took:.2g} s, and {effort.patience:g} s is all"
+
+
+def _timed(prepared: Prepared) -> tuple[object, float]:
+    began = time.perf_counter()
+    found = prepared.run()
+    return found, time.perf_counter() - began
 
 
 def _judged(
-    problem: Problem, reference: Reference, method: str, tolerance: float, prepared: Prepared
+    problem: Problem,
+    truth: Reference,
+    method: str,
+    tolerance: float,
+    prepared: Prepared,
+    found: object,
 ) -> Point:
     """Return the point of a first run, without its time.  Raises IntegrationError."""
-    end = prepared.end(prepared.run())
-    apart = problem.full.distance(reference.end, FullMotion(x=end.x[None], q=end.q[None]))
-    point = Point(
+    end = prepared.end(found)
+    if not all(np.isfinite(part).all() for part in (end.x, end.q, end.v)):
+        raise IntegrationError("the end is not finite")
+    apart = problem.full.distance(truth.end, FullMotion(x=end.x[None], q=end.q[None]))
+    changed = drift(problem, end.q, end.v)
+    return Point(
         method=method,
         tolerance=tolerance,
         build=prepared.build,
@@ -208,7 +207,6 @@ def _judged(
         shape=float(apart.shape[0]),
         rotation=float(apart.rotation[0]),
         position=float(apart.position[0]),
+        energy=changed.energy,
+        momentum=changed.momentum,
     )
-    if not np.isfinite(point.error):
-        raise IntegrationError("the end is not finite")
-    return point

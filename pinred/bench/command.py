@@ -8,13 +8,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any
 
-from ..errors import InputError, OutputError
+from ..errors import OutputError
 from ..progress import ProgressBar
-
-if TYPE_CHECKING:
-    from .accuracy import WorkPrecision
+from . import accuracy_command
 
 Row = dict[str, object]
 
@@ -31,9 +29,8 @@ def add_measurements(parser: argparse.ArgumentParser) -> None:
 
     sub = command("kernels", _kernels, "one evaluation against pin.aba")
     sub.add_argument("robots", nargs="*", metavar="ROBOT", help="robots; a few if none is named")
-    sub = command("accuracy", _accuracy, "run time against error, and against other integrators")
-    sub.add_argument("problems", nargs="*", metavar="PROBLEM", help="planar, solo12; both")
-    sub.add_argument("--slow", action="store_true", help="heyoka too where it compiles for minutes")
+    sub = command("accuracy", _accuracy, "run time against error, and against other tools")
+    accuracy_command.add_arguments(sub)
     command("scaling", _scaling, "one evaluation of chains of 5 to 100 joints")
     sub = command("many", _many, "simulate_many on one and two threads, and its memory")
     sub.add_argument("robot", nargs="?", default="solo12", metavar="ROBOT", help="(solo12)")
@@ -54,47 +51,7 @@ def _kernels(options: argparse.Namespace) -> int:
 
 
 def _accuracy(options: argparse.Namespace) -> int:
-    folder = _folder(options.out)
-    from .accuracy import bench_accuracy
-    from .methods import METHODS, SLOW_METHODS
-    from .problems import PROBLEMS, default_problems
-
-    if unknown := set(options.problems) - set(PROBLEMS):
-        raise InputError(f"no problem '{min(unknown)}'; they are {', '.join(PROBLEMS)}")
-    missing: list[str] = []
-    if options.problems:
-        problems = [PROBLEMS[name]() for name in options.problems]
-    else:
-        problems, missing = default_problems()
-    with ProgressBar("accuracy") as bar:
-        found = bench_accuracy(
-            problems, methods=SLOW_METHODS if options.slow else METHODS, progress=bar
-        )
-    print("\n\n".join([*map(str, found), *missing]))
-    points = [
-        {"problem": each.problem, **vars(point), "error": point.error}
-        for each in found
-        for point in each.points
-    ]
-    _write(folder, "accuracy", points)
-    _write(folder, "equal_error", [row for each in found for row in _equal_error(each)])
-    return 0
-
-
-def _equal_error(found: WorkPrecision) -> list[Row]:
-    from .accuracy import ERRORS
-
-    return [
-        {
-            "problem": found.problem,
-            "error": error,
-            "method": method,
-            "wall": found.wall_at(method, error),
-            "reference_error": found.reference_error,
-        }
-        for error in ERRORS
-        for method in found.about
-    ]
+    return accuracy_command.run(options, _folder(options.out))
 
 
 def _scaling(options: argparse.Namespace) -> int:
@@ -156,19 +113,12 @@ def _write(folder: Path | None, name: str, rows: Sequence[Row]) -> None:
     import csv
     from io import StringIO
 
-    from ..export import write_atomic
+    from .record import write_text
 
     text = StringIO()
     table = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     table.writeheader()
     table.writerows(rows)
-
-    def write(file: BinaryIO) -> None:
-        file.write(text.getvalue().encode())
-
     path = folder / f"{name}.csv"
-    try:
-        write_atomic(path, write)
-    except OSError as error:
-        raise OutputError(f"cannot write '{path}': {error.strerror or error}") from error
+    write_text(path, text.getvalue())
     print(f"written to {path}")

@@ -12,6 +12,7 @@ import casadi as ca
 
 from ..arrays import Array
 from ..errors import UnsupportedOperationError
+from .problems import Problem
 
 INSTALL = 'pip install "pinred[bench]"'
 
@@ -19,6 +20,15 @@ INSTALL = 'pip install "pinred[bench]"'
 def has_heyoka() -> bool:
     """Return whether heyoka is installed."""
     return find_spec("heyoka") is not None
+
+
+def reduced_graph(problem: Problem) -> ca.Function:
+    """Return the CasADi Function of the reduced vector field that pinred compiles."""
+    from ..engine.flow import CompiledFlow
+    from ..engine.symbolic import ReducedGraph
+
+    kernel = CompiledFlow(problem.scene(1e-10, 1e-12)).kernel
+    return ReducedGraph(problem.system, kernel.structure).rate()
 
 
 def taylor_expressions(function: ca.Function, parameters: Sequence[float]) -> list[tuple[Any, Any]]:

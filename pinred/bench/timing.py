@@ -13,6 +13,7 @@ from ..engine.kernel import Kernel
 
 ROUNDS = 15  # of which the median counts
 SPAN = 0.01  # s, at least, of one action in a round
+FEWEST = 3  # rounds in which even a slow action takes part
 
 
 class NoCache:
@@ -29,26 +30,30 @@ def alternating(
     actions: Sequence[Callable[[int], object]],
     *,
     rounds: int = ROUNDS,
+    budget: float = np.inf,
     progress: Callable[[float], None] | None = None,
 ) -> Array:
     """Return seconds per call, (rounds, actions), the actions taking turns.
 
     actions: each does its work as often as it is told.  It is called once before the clock
     runs, and then so often in each round that a round takes it at least SPAN.
+    budget: s an action may take in all; a slow one sits out some of the rounds, though never
+    so many that it has less than FEWEST, and its time there is NaN.
     """
     done = progress or (lambda _: None)
-    counts = []
+    counts, turns = [], []
     for j, action in enumerate(actions):
-        action(1)
-        count = 1
-        while _seconds(action, count) < SPAN:
+        first, count = _seconds(action, 1), 1
+        while (last := _seconds(action, count) if first < SPAN else first) < SPAN:
             count *= 2
         counts.append(count)
+        turns.append(int(min(rounds, max(FEWEST, budget / last))))
         done((j + 1) / len(actions) / (rounds + 1))
-    out = np.empty((rounds, len(actions)))
+    out = np.full((rounds, len(actions)), np.nan)
     for k in range(rounds):
         for j, (action, count) in enumerate(zip(actions, counts, strict=True)):
-            out[k, j] = _seconds(action, count) / count
+            if k * turns[j] // rounds < (k + 1) * turns[j] // rounds:
+                out[k, j] = _seconds(action, count) / count
         done((k + 2) / (rounds + 1))
     return out
 

@@ -1,18 +1,70 @@
-"""Which integrator a scene gets."""
+"""Which integrator a scene gets where it asks for none, and why.
+
+A sweep of AdaptiveGauss evaluates eight stages at once, in lanes.  Where limbs of one build are
+lanes already, that costs more of DOP853's evaluations; at tight tolerances it is worth more of
+them.  The two numbers below are fits to `pinred bench accuracy`: see docs/accuracy.md.
+"""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import dataclass
+from math import log10
 
-from ..integrators.method import DOP853, Method
+from ..integrators.method import DOP853, DOP853_LEAST, AdaptiveGauss, Method
+from ..motion import stops_of
 from ..scene import Scene
+from ..system import System
+from .frames import bodies_of
+from .lanes import Lanes, links_of
+
+_FEW = 3  # reports inside steps; each costs a step of AdaptiveGauss
+_SWEEP = 1.9  # evaluations that a sweep costs where no limbs are lanes
+_LOOSEST, _AT_LOOSEST, _PER_DIGIT = 4.0, 2.4, 0.33  # evaluations that a sweep is worth
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An integrator, and why it is this one."""
+
+    method: Method
+    why: str
 
 
 def method_of(scene: Scene) -> Method:
     """Return the integrator of a scene."""
-    return scene.method or _dop853(*scene.tolerance)
+    return choose(scene).method
 
 
-@lru_cache(maxsize=64)
-def _dop853(rtol: float, atol: float) -> DOP853:
-    return DOP853(rtol=rtol, atol=atol)
+def choose(scene: Scene) -> Choice:
+    """Return the integrator of a scene, chosen once, with the reason."""
+    made: Choice | None = vars(scene).get("_choice")
+    if made is None:
+        made = _asked(scene) or _chosen(scene)
+        object.__setattr__(scene, "_choice", made)
+    return made
+
+
+def _asked(scene: Scene) -> Choice | None:
+    return None if scene.method == "auto" else Choice(scene.method, "the scene asks for it")
+
+
+def _chosen(scene: Scene) -> Choice:
+    rtol, atol = scene.tolerance
+    dop853 = DOP853(max(rtol, DOP853_LEAST), atol)
+    inside = int((scene.report_times < scene.end).sum()) - int(scene.report_times[0] == 0.0)
+    if inside > _FEW:
+        return Choice(dop853, f"{inside} reports before the end cost it least")
+    if scene.force_model is not None and len(stops_of(scene)) > 1:
+        return Choice(dop853, "the scene is integrated in pieces")
+    cost = _SWEEP * scene.system.workspace("limbs as lanes", lambda: _limbs(scene.system))
+    worth = _AT_LOOSEST + _PER_DIGIT * max(0.0, -log10(scene.rtol) - _LOOSEST)
+    told = f"{cost:.1f} evaluations a sweep, worth {worth:.1f} at rtol = {scene.rtol:g}"
+    if cost < worth:
+        return Choice(AdaptiveGauss(rtol, atol), told)
+    return Choice(dop853, told)
+
+
+def _limbs(system: System) -> float:
+    """Return how many bodies there are for one that is computed on its own."""
+    bodies = bodies_of(system)
+    return len(bodies) / len(links_of(bodies, Lanes(), ()))

@@ -148,7 +148,7 @@ class CompiledFlows:
         forces, x, N = scene.force_model, given.x, len(given.x)
         self.scene, self.kernel = (
             scene,
-            kernel_for(scene, zero_momentum=zero, lifted=method_of(scene).lanes > 1),
+            kernel_for(scene, zero_momentum=zero, lifted=method_of(scene).symplectic),
         )
         layout = self.kernel.layout
         parts = layout.base

@@ -81,6 +81,9 @@ def solve(flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | 
     """
     method, quaternion = method_of(scene), flow.kernel.layout.quaternion
     asked, address = scene.report_times, flow.address(method)
+    # Between knots the power of a force is like a polynomial of degree 7; a step of eight
+    # stages is too long for that.
+    parts = max(1, method.order // 4) if method.lanes > 1 else 1
 
     def run(start: float, end: float, y0: Array) -> Piece:
         # The integrators' time begins at 0; what depends on the time has it in its state.
@@ -96,7 +99,7 @@ def solve(flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | 
             )
         except IntegrationError as stop:
             raise _explained(stop, flow, scene, start) from None
-        knots = found.knots + start
+        knots = _refined(found.knots + start, parts)
         knots[-1] = end  # whatever round-off says
 
         def at(t: Array) -> Array:
@@ -108,6 +111,12 @@ def solve(flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | 
         return Piece(knots, at, numbers, found.steps, found.evaluations)
 
     return run
+
+
+def _refined(knots: Array, parts: int) -> Array:
+    """Return knots with every step in so many parts."""
+    steps = np.arange(len(knots))
+    return np.asarray(np.interp(np.arange(parts * (len(knots) - 1) + 1) / parts, steps, knots))
 
 
 def _explained(

@@ -21,6 +21,9 @@ def lanes_of(stages: int) -> int:
     return 4 if stages <= 4 else 8
 
 
+DOP853_LEAST = 2.3e-14  # relative tolerance, ours and SciPy's: below it round-off decides
+
+
 @dataclass(frozen=True)
 class DOP853:
     """Dormand and Prince's Runge–Kutta method of order 8(5,3), in Hairer's form.

@@ -18,9 +18,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from .conserved import energy, momentum
+    from .curvature_field import curvature
     from .full_error import error
+    from .momentum_sphere import sphere
+    from .phase_portrait import phase
+    from .poincare_section import poincare
     from .recording import Recording, read_recording
     from .time_series import base, shape
+    from .work import work_precision
 
 INSTALL = 'pip install "pinred[plots]"'
 KINDS = {  # name of a function: the module it stands in
@@ -29,6 +34,11 @@ KINDS = {  # name of a function: the module it stands in
     "momentum": "conserved",
     "energy": "conserved",
     "error": "full_error",
+    "phase": "phase_portrait",
+    "sphere": "momentum_sphere",
+    "curvature": "curvature_field",
+    "poincare": "poincare_section",
+    "work_precision": "work",
 }
 _HOME = {**KINDS, **dict.fromkeys(("Recording", "read_recording"), "recording")}
 
@@ -37,12 +47,17 @@ __all__ = [
     "KINDS",
     "Recording",
     "base",
+    "curvature",
     "energy",
     "error",
     "momentum",
+    "phase",
     "plot",
+    "poincare",
     "read_recording",
     "shape",
+    "sphere",
+    "work_precision",
 ]
 
 
@@ -53,16 +68,20 @@ def plot(source: Any, kind: str, **options: Any) -> Figure:
     Raises InputError for a kind or option that there is not, listing those there are;
     MissingPackageError if matplotlib is not installed.
     """
-    if kind not in KINDS:
-        raise InputError(f"no plot of kind {kind!r}; the kinds are {', '.join(KINDS)}")
-    function = __getattr__(kind)
-    known = function.__wrapped__.__kwdefaults__ or {}
+    known = options_of(kind)
     for option in options:
         if option not in known:
             has = f"its options are {', '.join(known)}" if known else "it has none"
             raise InputError(f"plot '{kind}' has no option '{option}'; {has}")
-    figure: Figure = function(source, **options)
+    figure: Figure = __getattr__(kind)(source, **options)
     return figure
+
+
+def options_of(kind: str) -> tuple[str, ...]:
+    """Return the names of the options that a kind of plot takes.  Raises as `plot`."""
+    if kind not in KINDS:
+        raise InputError(f"no plot of kind {kind!r}; the kinds are {', '.join(KINDS)}")
+    return tuple(__getattr__(kind).__wrapped__.__kwdefaults__ or ())
 
 
 def __getattr__(name: str) -> Any:

@@ -7,6 +7,7 @@ estimated error that is little but round-off decides how long a step is.
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -25,7 +26,7 @@ _TIMES = np.linspace(0.0, 5.0, 21)
 
 
 def _cases(trial: Trial) -> Cases:
-    methods: list[Method | None] = [None, *(make(1e-2) for make in trial.fixed)]
+    methods: list[Method | Literal["auto"]] = ["auto", *(make(1e-2) for make in trial.fixed)]
     for name in trial.pick(("falling_cat",), ("falling_cat", "satellite_two_arms")):
         system = load(name)
         scene = Scene(system=system, times=_TIMES)
@@ -37,7 +38,7 @@ def _cases(trial: Trial) -> Cases:
         for method in methods:
             here = trial.simulate(system, times=_TIMES, method=method)
             bound = _ROUNDING * EPS * growth * math.sqrt(here.run.steps)
-            if method is None:
+            if method == "auto":
                 bound += scene.rtol
             who = f"{name}, {here.run.method}"
             world = max(_in_the_world(trial, here, frame) for frame in frames)

@@ -1,0 +1,1 @@
+"""What a motion looks like: playback in a browser, films, plots."""

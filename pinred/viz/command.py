@@ -1,0 +1,83 @@
+"""`pinred play`: a motion in a browser, as an HTML file, or as a film."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from ..trajectory import Trajectory
+    from .recording import Recording
+
+
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    sub.add_argument("motion", metavar="MOTION", help="traj.npz, or a scene file (.toml)")
+    sub.add_argument("--robot", metavar="R", help="the robot of an npz that does not name its own")
+    sub.add_argument("--ghost", action="store_true", help="beside it, full ABA (scenes only)")
+    sub.add_argument("--speed", metavar="S", type=float, default=1.0, help="to begin with (1)")
+    sub.add_argument("--pair", metavar="J1,J2", help="joints on the axes of the shape panel")
+    sub.add_argument("--no-meshes", action="store_true", help="draw bodies from their inertias")
+    sub.add_argument("--port", metavar="P", type=int, help="where to serve; any free port")
+    sub.add_argument("--no-open", action="store_true", help="do not open the browser")
+    sub.add_argument("--out", metavar="FILE", help="write FILE.html, .mp4, .gif or .png instead")
+    sub.add_argument("--fps", metavar="F", type=float, help="frames a second (60; films 30)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command.  Returns 0."""
+    from .view import View
+
+    pair = None if options.pair is None else tuple(options.pair.split(","))
+    out = None if options.out is None else Path(options.out)
+    fps = options.fps
+    if fps is None:
+        fps = 60.0 if out is None or out.suffix == ".html" else 30.0
+    view = View(
+        ghost=options.ghost, speed=options.speed, fps=fps, pair=pair, meshes=not options.no_meshes
+    )
+    if out is not None:
+        from ..export import check_path
+        from .frames import SUFFIXES
+
+        check_path(out, (".html", *SUFFIXES))  # before a long simulation
+    motion = _motion(options)
+    if out is None:
+        from .show import play
+
+        play(motion, view, port=options.port, show=not options.no_open, wait=True)
+    elif out.suffix == ".html":
+        from .page import save_html
+
+        print(f"written to {out} ({save_html(motion, out, view) / 1e6:.2f} MB)")
+    else:
+        from ..progress import ProgressBar
+        from .frames import save_film
+
+        with ProgressBar("film   ") as bar:
+            count = save_film(motion, out, view, progress=bar)
+        print(f"{count} frames written to {out}")
+    return 0
+
+
+def _motion(options: argparse.Namespace) -> Trajectory | Recording:
+    """Return the motion in a file.  Raises InputError for a file of another kind."""
+    suffix = Path(options.motion).suffix
+    if suffix == ".npz":
+        from .recording import read_recording
+
+        return read_recording(options.motion, options.robot)
+    if suffix != ".toml":
+        raise InputError(f"play takes a .npz or a scene file (.toml), got '{options.motion}'")
+    if options.robot is not None:
+        raise InputError("--robot is for .npz files; a scene names its robot itself")
+    from ..progress import ProgressBar
+    from ..scene_file import read_scene_file
+    from ..simulation import simulate
+
+    file = read_scene_file(options.motion)
+    with ProgressBar("reduced") as bar:
+        return simulate(file.scene, engine=file.engine, progress=bar)

@@ -1,0 +1,70 @@
+"""Which integrator a scene gets by itself: the rules, and that what it gets is right."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from trees import limbed_model
+
+import pinred
+from pinred import DOP853, AdaptiveGauss, Gauss
+from pinred.engine.choice import choose
+from pinred.forces import Controller, Torque
+from pinred.signals import Hold
+
+
+def scene(system: pinred.System, **options: Any) -> pinred.Scene:
+    """A scene with one report, at its end."""
+    given: dict[str, Any] = {"times": [1.0], "seed": 1} | options
+    return pinred.Scene(system=system, **given)
+
+
+def test_what_is_asked_for_is_taken() -> None:
+    """A method is a method."""
+    system = pinred.load("falling_cat")
+    for method in (Gauss(0.1), DOP853(1e-5, 1e-7)):
+        assert choose(scene(system, method=method)).method is method
+
+
+def test_a_chain_gets_lanes_over_stages() -> None:
+    """Where no limbs are lanes, eight stages at once pay off; with the scene's tolerance."""
+    for name in ("planar_chain5", "falling_cat"):
+        found = choose(scene(pinred.load(name), rtol=1e-9, atol=1e-11))
+        assert found.method == AdaptiveGauss(1e-10, 1e-12)
+        assert "evaluations a sweep" in found.why
+
+
+def test_limbs_of_one_build_keep_the_lanes() -> None:
+    """Four legs fill the lanes already; two arms leave room at tight tolerances."""
+    four = pinred.load(limbed_model("SE3", 4, 3, 1))
+    two = pinred.load(limbed_model("SE3", 2, 3, 1))
+    assert isinstance(choose(scene(four, rtol=1e-10)).method, DOP853)
+    assert isinstance(choose(scene(two, rtol=1e-4)).method, DOP853)
+    assert isinstance(choose(scene(two, rtol=1e-12)).method, AdaptiveGauss)
+
+
+def test_reports_and_pieces_ask_for_short_steps() -> None:
+    """With many reports, tables or controllers, DOP853 has less to do again."""
+    system = pinred.load("falling_cat")
+    joint = system.shape_names[0]
+    many = scene(system, times=np.linspace(0.0, 1.0, 50))
+    assert choose(many).method == DOP853(*many.tolerance)
+    assert "48 reports" in choose(many).why
+    few = scene(system, times=[0.0, 0.5, 1.0])
+    assert isinstance(choose(few).method, AdaptiveGauss)
+    stops: list[Any] = [
+        Controller(lambda t, x, xdot, mu: {joint: 0.1}, period=0.1),  # noqa: ARG005
+        Torque({joint: Hold([0.0, 0.5, 1.0], [0.0, 1.0, 0.0])}),
+    ]
+    for force in stops:
+        assert "in pieces" in choose(scene(system, forces=[force])).why
+
+
+def test_it_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    """explain= prints the method and the reason; the run says what it was."""
+    traj = pinred.simulate(pinred.load("planar_chain5"), seed=1, times=[0.5], explain=True)
+    assert "method: AdaptiveGauss (1.9 evaluations a sweep, worth 4.4" in capsys.readouterr().out
+    assert traj.run.method == "AdaptiveGauss"
+    assert pinred.compare(traj).passed

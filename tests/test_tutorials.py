@@ -1,0 +1,249 @@
+"""The tutorials run as a student would run them, and their numbers are those of other routes."""
+
+from __future__ import annotations
+
+import os
+import re
+import runpy
+import sys
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import nbformat
+import numpy as np
+import pinocchio as pin
+import pytest
+from nbclient import NotebookClient
+
+import pinred
+from pinred.arrays import Array
+from pinred.catalogue import has_example_robots
+
+ROOT = Path(__file__).parent.parent
+PATHS = sorted((ROOT / "examples/tutorials").glob("*.py"))
+NUMBER = r"(-?[\d.]+(?:e-?\d+)?)"
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a tutorial printed, and the names in it at its end."""
+
+    text: str
+    names: dict[str, Any]
+
+    def numbers(self, pattern: str) -> list[float]:
+        """Return the numbers in the one place where the text matches; N stands for each."""
+        (found,) = re.findall(pattern.replace("N", NUMBER), self.text)
+        return [float(text) for text in ([found] if isinstance(found, str) else found)]
+
+
+@pytest.fixture(scope="module")
+def tell(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Told]:
+    """Run a tutorial once, in an empty folder, where it leaves nothing."""
+    told: dict[str, Told] = {}
+
+    def run(start: str) -> Told:
+        (path,) = (path for path in PATHS if path.name.startswith(start))
+        if start == "04" and not has_example_robots():
+            pytest.skip("example-robot-data is not installed")
+        if start not in told:
+            folder, before = tmp_path_factory.mktemp("student"), Path.cwd()
+            os.chdir(folder)
+            try:
+                with redirect_stdout(StringIO()) as out:
+                    names = runpy.run_path(str(path), run_name="__main__")
+            finally:
+                os.chdir(before)
+            assert list(folder.iterdir()) == []
+            told[start] = Told(out.getvalue(), names)
+        return told[start]
+
+    return run
+
+
+def turned_by_momentum_map(
+    system: pinred.System, shape: Callable[[float], Array], duration: float, steps: int = 2000
+) -> Array:
+    """Return the rotation vector by which a prescribed shape turns the base, (3,) [rad].
+
+    By Pinocchio's centroidal momentum matrix, A_G v = 0, and the middle of each step.
+    """
+    model, data = system.model, system.model.createData()
+    q, h = pin.neutral(model), duration / steps
+    first = pin.Quaternion(q[3:7])
+    for k in range(steps):
+        before, middle, after = (shape((k + part) * h) for part in (0.0, 0.5, 1.0))
+        xdot = (after - before) / h
+        q = system.q(q[:7], middle)
+        map_ = pin.computeCentroidalMap(model, data, q)
+        xi = -np.linalg.solve(map_[:, :6], map_[:, 6:] @ xdot)
+        q = pin.integrate(model, q, h * np.concatenate([xi, xdot]))
+    return np.asarray(pin.log3((first.inverse() * pin.Quaternion(q[3:7])).matrix()))
+
+
+@pytest.mark.parametrize("path", PATHS, ids=lambda path: path.name)
+def test_form(path: Path) -> None:
+    """Short, in cells, with text first; and everything that is compared is checked."""
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 120
+    assert text.startswith(f"# %% [markdown]\n# # {int(path.name[:2])}. ")
+    assert text.count("# %% [markdown]") >= 4
+    assert "np.testing.assert_allclose(" in text
+    assert f"tutorials/{path.name}" in (ROOT / "docs/tutorials.md").read_text(encoding="utf-8")
+
+
+def test_there_are_six() -> None:
+    """Numbered from 1 to 6."""
+    assert [int(path.name[:2]) for path in PATHS] == list(range(1, 7))
+
+
+def test_elroys_beanie(tell: Callable[[str], Told]) -> None:
+    """I = 3, A = 1/3, M = 2/3; three periods of 2π/3 s at μ = 0.7; a turn of the propeller."""
+    told = tell("01")
+    for name, value in (("I", 3.0), ("A", 1 / 3), ("M", 2 / 3)):
+        assert told.numbers(rf"\n{name} +N +N\n") == pytest.approx([value, value], abs=1e-9)
+    turned = told.numbers(r"turned in three periods: N rad, by hand N rad")
+    assert turned == pytest.approx(2 * [0.7 * 3 * (2 * np.pi / 3) / 3], abs=1e-8)
+    assert told.numbers(r"turns the body by N rad") == pytest.approx([-2 * np.pi / 3], abs=1e-8)
+    assert told.text.count("verdict: PASSED") == 1
+
+
+def test_coupled_planar(tell: Callable[[str], Told]) -> None:
+    """A = (0, −1/30, 4/15) and M = 11/60; both bodies turn steadily; body 2 by ABA too."""
+    told = tell("02")
+    (row,) = re.findall(r"A by hand +\[(.*?)\] +by pinred \[(.*?)\]", told.text)
+    for entries in row:
+        np.testing.assert_allclose(
+            np.array(entries.split(), float), [0, -1 / 30, 4 / 15], atol=1e-8
+        )
+    assert told.numbers("M by hand +N +by pinred N") == pytest.approx(2 * [11 / 60], rel=1e-14)
+    assert told.numbers(r"x = N rad, by hand N rad") == pytest.approx(2 * [0.3 + 12.0], abs=1e-8)
+    system = pinred.load("coupled_planar")
+    v = np.array([0.4, -0.7, 0.9, 1.2])
+    vdot = pin.aba(
+        system.model, system.model.createData(), system.q(np.zeros(3), [0.3]), v, np.zeros(4)
+    )
+    # Pinocchio's planar joint has its linear velocity in the body, as ours: v̇ is ξ̇, ẍ.
+    np.testing.assert_allclose(told.names["vdot"], vdot, atol=1e-12)
+
+
+def test_falling_cat(tell: Callable[[str], Told]) -> None:
+    """The turn of the large loop by Pinocchio's centroidal map; half a turn at the end."""
+    told = tell("03")
+
+    def circle(t: float, radius: float = 1.2) -> Array:
+        return radius * np.array([np.cos(2 * np.pi * t), np.sin(2 * np.pi * t), 0.0])
+
+    turn = turned_by_momentum_map(pinred.load("falling_cat"), circle, 1.0)
+    size = float(np.linalg.norm(turn))
+    assert told.numbers("in 1 s +N rad") == pytest.approx([size], rel=1e-6)
+    assert told.numbers(r"in 0\.3 s +N rad") == pytest.approx([size], rel=1e-6)
+    assert told.numbers("backwards +N rad") == pytest.approx([size], rel=1e-6)
+    np.testing.assert_allclose(told.names["turned"](told.names["traj"]), turn, atol=1e-5)
+    assert told.numbers("the cat turns by N°") == pytest.approx([180.0], abs=0.02)
+    off = [float(text) for text in re.findall(r"([\d.]+)%", told.text)]
+    assert np.divide(off[:2], off[1:]) == pytest.approx([2.0, 2.0], rel=0.02)
+
+
+def test_quadruped_flight(tell: Callable[[str], Told]) -> None:
+    """Height and time of flight by Galileo, the pitch by Pinocchio's centroidal map."""
+    told = tell("04")
+    assert told.numbers("flight of N s, N m high") == pytest.approx(
+        [2 * 2.0 / 9.81, 2.0**2 / (2 * 9.81)], abs=6e-4
+    )
+    solo = pinred.load("solo12")
+    hips, knees = ([name.endswith(end) for name in solo.shape_names] for end in ("HFE", "KFE"))
+
+    def legs(t: float) -> Array:
+        hip, knee = 0.4 + 0.8 * np.sin(2 * np.pi * t), -1.4 + 0.9 * np.cos(2 * np.pi * t)
+        return np.asarray(hip * np.array(hips) + knee * np.array(knees))
+
+    pitch = np.degrees(turned_by_momentum_map(solo, legs, 1.0)[1])
+    assert told.numbers("the body pitches by N°, Stokes says N°") == pytest.approx(
+        [pitch, pitch], rel=1e-5
+    )
+    nodded, left = told.numbers("it nods by up to N°, in the end by N°")
+    assert nodded > 5.0
+    assert abs(left) < 1e-6
+
+
+def test_satellite_arms(tell: Callable[[str], Told]) -> None:
+    """One loop by Pinocchio's centroidal map; a quarter turn; drives that do no work."""
+    told = tell("05")
+    satellite = pinred.load("satellite_two_arms")
+
+    def arm(t: float) -> Array:
+        x = np.zeros(6)
+        x[:2] = 0.8 * np.cos(2 * np.pi * t), 0.8 * np.sin(2 * np.pi * t)
+        return x
+
+    turn = np.degrees(turned_by_momentum_map(satellite, arm, 1.0))
+    (row,) = re.findall(r"one loop turns the bus by \[(.*?)\]", told.text)
+    np.testing.assert_allclose(np.array(row.split(), float), turn, atol=1e-4)
+    wrong, right = told.numbers("wrong by N% and N")
+    assert wrong > 10.0
+    assert right < 1e-12
+    assert told.numbers("turn the bus by N°") == pytest.approx([90.0], abs=1e-5)
+    most, end = told.numbers(r"work of the drives: up to N J, in the end N J")
+    assert most > 1.0
+    assert abs(end) < 1e-9
+
+
+def test_integrators(tell: Callable[[str], Told]) -> None:
+    """RKMK4 has order 4 and 4 evaluations a step; errors are those against ABA."""
+    told = tell("06")
+    rows = [line.split() for line in told.text.splitlines()[1:]]
+    table = {(row[0], float(row[1])): list(map(float, row[2:])) for row in rows if len(row) == 7}
+    assert len(table) >= 6
+    assert all(momentum < 1e-13 for *_, momentum in table.values())
+    for step in (0.04, 0.02, 0.01):
+        assert table["RKMK4", step][0] == pytest.approx(4 / step, abs=1)
+    order = np.log2(table["RKMK4", 0.02][1] / table["RKMK4", 0.01][1])
+    assert order == pytest.approx(4.0, abs=0.3)
+    for tolerance in (1e-5, 1e-7, 1e-9):
+        assert tolerance / 10 < table["DOP853", tolerance][1] < tolerance * 10
+
+
+def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Figures are left out where they cannot be drawn; the rest runs."""
+    for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.chdir(tmp_path)
+    with redirect_stdout(StringIO()) as out:
+        names = runpy.run_path(str(PATHS[0]), run_name="__main__")
+    assert names["drawing"] is False
+    assert "verdict: PASSED" in out.getvalue()
+
+
+def as_notebook(text: str) -> Any:
+    """Return the notebook that editors make of a script in cells."""
+    v4: Any = nbformat.v4  # without types
+    cells = []
+    for part in re.split(r"^# %%", text, flags=re.MULTILINE)[1:]:
+        head, _, body = part.partition("\n")
+        if head.strip() == "[markdown]":
+            lines = [line.removeprefix("#").removeprefix(" ") for line in body.strip().splitlines()]
+            cells.append(v4.new_markdown_cell("\n".join(lines)))
+        else:
+            cells.append(v4.new_code_cell(body.strip()))
+    return v4.new_notebook(cells=cells)
+
+
+def test_as_a_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a real kernel, too, every cell runs, and the figures are shown as pictures."""
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path))
+    book = as_notebook(PATHS[0].read_text(encoding="utf-8"))
+    NotebookClient(
+        book, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(ROOT)}}
+    ).execute()
+    outputs = [output for cell in book.cells for output in cell.get("outputs", [])]
+    assert all(output["output_type"] in ("stream", "execute_result") for output in outputs)
+    pictures = [output["data"] for output in outputs if output["output_type"] == "execute_result"]
+    assert len(pictures) == 2
+    assert all("image/png" in data for data in pictures)
+    assert "".join(output.get("text", "") for output in outputs).count("verdict: PASSED") == 1
