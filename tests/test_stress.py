@@ -11,7 +11,9 @@ import pinocchio as pin
 import pytest
 
 import pinred
+from pinred import RKMK4
 from pinred.cli import main
+from pinred.forces import Damper, Wrench
 from pinred.stress.check import Case, Check, Trial
 from pinred.stress.suite import CHECKS, chosen, run_check, table
 
@@ -95,8 +97,11 @@ def test_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyP
     assert "0 of 1 checks passed" in out
 
 
-# Where invariance is the statement, a wrong robot keeps it; these have breaks of their own below.
-@pytest.mark.parametrize("name", [n for n in CHECKS if n not in ("reversal", "frames", "units")])
+# Where an invariance is the statement, a wrong robot keeps it; such checks are broken below.
+INVARIANT = ("reversal", "energy", "casimirs", "frames", "units")
+
+
+@pytest.mark.parametrize("name", [name for name in CHECKS if name not in INVARIANT])
 def test_a_wrong_constant_fails(name: str) -> None:
     """The check fails for a simulation of a robot whose constants are off by 1e-5."""
     wrong = replace(
@@ -105,3 +110,46 @@ def test_a_wrong_constant_fails(name: str) -> None:
         simulate_many=broken(pinred.simulate_many),
     )
     assert not run_check(CHECKS[name], wrong).passed
+
+
+def rubbed(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return simulate or simulate_many with a little that pushes on the base all the time."""
+
+    def run(system: pinred.System, **options: Any) -> Any:
+        return function(system, forces=[Wrench([1e-6] * system.r)], **options)
+
+    return run
+
+
+@pytest.mark.parametrize("name", ["energy", "casimirs", "frames"])
+def test_a_push_fails(name: str) -> None:
+    """The check fails where something pushes on the base, in its own frame, that should not."""
+    wrong = replace(
+        SHORT, simulate=rubbed(pinred.simulate), simulate_many=rubbed(pinred.simulate_many)
+    )
+    assert not run_check(CHECKS[name], wrong).passed
+
+
+def test_units_that_matter_fail() -> None:
+    """The check of units fails for a method that knows the second."""
+
+    def run(system: pinred.System, **options: Any) -> Any:
+        return pinred.simulate(system, **{**options, "method": RKMK4(0.5)})
+
+    assert not run_check(CHECKS["units"], replace(SHORT, simulate=run)).passed
+
+
+def test_a_method_that_loses_energy_is_not_symplectic(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The check of energy fails for a method that says it is symplectic, and is not."""
+    monkeypatch.setattr(RKMK4, "symplectic", True)
+    assert not run_check(CHECKS["energy"], replace(SHORT, fixed=(RKMK4,))).passed
+
+
+def test_friction_cannot_be_reversed() -> None:
+    """The check of reversal fails with a little friction."""
+
+    def run(system: pinred.System, **options: Any) -> Any:
+        friction = [Damper(name, 1e-4) for name in system.shape_names]
+        return pinred.simulate(system, forces=friction, **options)
+
+    assert not run_check(CHECKS["reversal"], replace(SHORT, simulate=run)).passed

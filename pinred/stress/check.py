@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from math import inf
 from typing import Literal, TypeAlias, TypeVar
 
-from ..integrators.method import DOP853, RKMK4, Gauss, Method
+from ..integrators.method import DOP853, RKMK4, AdaptiveGauss, Gauss, Method
 from ..many import Trajectories, simulate_many
+from ..scene import MOMENTUM_MARGIN
 from ..simulation import simulate
 from ..trajectory import Trajectory
 
 T = TypeVar("T")
+_TIGHT = 1e-8  # relative tolerances for which there are special methods
 Effort: TypeAlias = Literal["short", "usual", "full"]
 
 
@@ -21,13 +23,20 @@ class Trial:
     """What a check is given: how much to do, and what is under trial.
 
     simulate, simulate_many: take what those of pinred take.  fixed: from a step [s] to
-    methods of fixed step.
+    methods of fixed step.  adaptive: from relative and absolute tolerance to methods for
+    tight tolerances, beside DOP853.
     """
 
     effort: Effort = "usual"
     simulate: Callable[..., Trajectory] = simulate
     simulate_many: Callable[..., Trajectories] = simulate_many
     fixed: tuple[Callable[[float], Method], ...] = (RKMK4, Gauss)
+    adaptive: tuple[Callable[[float, float], Method], ...] = (AdaptiveGauss,)
+
+    def methods(self, rtol: float) -> list[Method | None]:
+        """Return the adaptive methods for a tolerance; None is what a scene takes by itself."""
+        others = self.adaptive if rtol <= _TIGHT else ()
+        return [None, *(make(*tight(rtol)) for make in others)]
 
     def pick(self, short: T, usual: T, full: T | None = None) -> T:
         """Return the value for this effort; the usual one where `full` has none of its own."""
@@ -106,6 +115,11 @@ class Outcome:
 def tolerance(rtol: float) -> dict[str, float]:
     """Return the options of a scene for a relative tolerance that is all there is."""
     return {"rtol": rtol, "atol": 1e-2 * rtol}
+
+
+def tight(rtol: float) -> tuple[float, float]:
+    """Return what an integrator gets for the tolerance of a scene: a tenth, as DOP853 does."""
+    return max(rtol / MOMENTUM_MARGIN, 2.3e-14), 1e-2 * rtol / MOMENTUM_MARGIN
 
 
 def dop853(rtol: float, atol: float) -> DOP853:

@@ -23,7 +23,7 @@ def _cases(trial: Trial) -> Cases:
             duration=0.5,
             **tolerance(_RTOL),
         )
-        found = defect(traj, system, steps=trial.pick(10, 40)) / _RTOL
+        found = defect(traj, system, steps=trial.pick(5, 20)) / _RTOL
         yield Case(f"{family}, {joints} joints", found, DEFECT)
 
 

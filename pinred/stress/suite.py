@@ -9,11 +9,15 @@ import numpy as np
 
 from ..errors import InputError, PinredError
 from . import (
+    between,
+    casimirs,
     chaos,
+    energy,
     flat_bodies,
     frames,
     long_chains,
     mass_ratios,
+    periods,
     reversal,
     singular_shapes,
     spins,
@@ -30,7 +34,11 @@ CHECKS: dict[str, Check] = {
     module.CHECK.name: module.CHECK
     for module in (
         tolerances,
+        between,
+        periods,
         reversal,
+        energy,
+        casimirs,
         mass_ratios,
         spins,
         flat_bodies,

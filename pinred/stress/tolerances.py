@@ -19,8 +19,10 @@ def _cases(trial: Trial) -> Cases:
         truth = truth_of(scene, times)
         for k in exponents:
             rtol = 10.0**-k
-            traj = trial.simulate(scene.system, **tolerance(rtol))
-            yield Case(f"{name}, {rtol:.0e}", truth.error(traj, times) / rtol, PER_GROWTH)
+            for method in trial.methods(rtol):
+                traj = trial.simulate(scene.system, method=method, **tolerance(rtol))
+                error = truth.error(traj, times) / rtol
+                yield Case(f"{name}, {traj.run.method}, {rtol:.0e}", error, PER_GROWTH)
 
 
 CHECK = Check("tolerances", "error by ABA over 10 s, relative, per tolerance", _cases)

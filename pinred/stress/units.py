@@ -17,7 +17,7 @@ from ..trajectory import Trajectory
 from .check import EPS, Case, Cases, Check, Trial, dop853
 from .truth import samples, truth_of
 
-_ROUNDING = 10.0  # of eps times the growth, and the root of the number of steps
+_ROUNDING = 50.0  # of eps times the growth, and the root of the number of steps
 _RTOL = 1e-11
 _NO_ATOL = 1e-30  # an absolute tolerance would be another one in other units
 # With none, an angle that begins at zero asks for a first step of nothing.
@@ -33,12 +33,16 @@ class Units:
     time: float
 
 
+_THOUSANDS = Units(1e3, 1e3, 1e3)  # g, mm, ms
+
+
 def _cases(trial: Trial) -> Cases:
-    named = [Units(1e3, 1e3, 1e3)]
     rng = np.random.default_rng(2)
-    drawn = [Units(*10.0 ** rng.uniform(-4.0, 4.0, 3)) for _ in range(trial.pick(2, 12, 99))]
+    every = [Units(*10.0 ** rng.uniform(-4.0, 4.0, 3)) for _ in range(99)]
     for name in trial.pick(("falling_cat",), tuple(_POSES)):
         system = load(name)
+        # Each needs a kernel of its own, and that of a cartpole is soon made.
+        drawn = every[: trial.pick(2, 99 if name == "cartpole" else 12, 99)]
         times = np.linspace(0.0, 2.0, 21)
         pose0 = _POSES[name]
         scene = Scene(system=system, times=times, pose0=pose0)
@@ -46,7 +50,7 @@ def _cases(trial: Trial) -> Cases:
         for method in (dop853(_RTOL, _NO_ATOL), *(make(1e-2) for make in trial.fixed)):
             here = trial.simulate(system, times=times, method=method, pose0=pose0)
             bound = _ROUNDING * EPS * growth * np.sqrt(here.run.steps)
-            worst = [_apart(here, trial, units) for units in named + drawn]
+            worst = [_apart(here, trial, units) for units in [_THOUSANDS, *drawn]]
             yield Case(f"{name}, {method.name}, g, mm, ms", worst[0], bound)
             yield Case(f"{name}, {method.name}, {len(drawn)} others", max(worst), bound)
 
