@@ -32,7 +32,9 @@ from .run import (
     RTOL,
     STEPS,
     T_END,
+    TANGENT,
     UNDERFLOW,
+    WANTED,
     Counts,
     H,
     T,
@@ -40,6 +42,7 @@ from .run import (
 from .stepper import registers, stepper_of, work_rows
 
 Progress = Callable[[float], None]
+Tangent = Callable[[], int]
 
 _FIRST_KNOTS = 128
 
@@ -62,6 +65,8 @@ class Solution:
     evaluations: int
     knots: Array
     states: Array
+    _stored: Array = field(repr=False)
+    _tangent: int = field(repr=False)
     _address: int = field(repr=False)
     _params: Array = field(repr=False)
     _quaternion: int = field(repr=False)
@@ -76,6 +81,7 @@ class Solution:
         n = self.states.shape[1]
         out = np.empty((len(asked), n))
         _, count = registers(self.method, n, 1.0, self._quaternion)
+        count[TANGENT] = self._tangent
         stepper_of(self.method).recall(
             self._address,
             self._params,
@@ -84,7 +90,7 @@ class Solution:
             read_only(asked[order]),
             out,
             self.knots,
-            self.states,
+            self._stored,
         )
         y = np.empty_like(out)
         y[order] = out
@@ -100,6 +106,7 @@ def integrate(
     times: ArrayLike,
     quaternion: int = -1,
     progress: Progress | None = None,
+    tangent: Tangent | None = None,
 ) -> Solution:
     """Integrate ẏ = f(y, params) from y0 (n,) at time 0 to t_end [s].
 
@@ -108,6 +115,8 @@ def integrate(
     quaternion: index of the first of the four numbers in y that are a quaternion
         (x, y, z, w), −1 for none; its rate is ½ q ω with the body's angular velocity ω.
     progress: called now and then with the part of the time that is done, 0 to 1.
+    tangent: gives the address of the kernel of ∂f/∂y (see call_tangent); called at most once,
+        when the method wants it.
 
     Raises InputError, and StepSizeUnderflow, NonFiniteState, NoConvergence or TooManySteps with
     the time and the state at which the run stopped.
@@ -118,7 +127,9 @@ def integrate(
     check_state(state, quaternion, "y0", 1)
     asked = checked_times(times, end, ordered=True)
     frozen = read_only(np.array(as_floats(params, "params")))
-    return integrate_checked(method, address, frozen, state, end, asked, quaternion, progress)
+    return integrate_checked(
+        method, address, frozen, state, end, asked, quaternion, progress, tangent
+    )
 
 
 def integrate_checked(
@@ -130,6 +141,7 @@ def integrate_checked(
     times: Array,
     quaternion: int,
     progress: Progress | None,
+    tangent: Tangent | None = None,
 ) -> Solution:
     """Integrate as `integrate` does, with arguments that are known to be right.
 
@@ -142,17 +154,20 @@ def integrate_checked(
     stepper = stepper_of(method)
     work[stepper.state, :n] = y0
     out = np.empty((len(times), n))
-    knots, states = np.empty(_FIRST_KNOTS), np.empty((_FIRST_KNOTS, n))
+    knots, states = np.empty(_FIRST_KNOTS), np.empty((_FIRST_KNOTS, stepper.kept * n))
     status = -1
     while status != DONE:
         status = stepper.advance(address, params, real, count, work, times, out, knots, states)
         if status == FULL:
             knots, states = _doubled(knots), _doubled(states)
+        elif status == WANTED:
+            count[TANGENT] = address_of(tangent, method)
         elif status >= UNDERFLOW:
             raise failure(status, real, count, work[stepper.state, :n].copy())
         if progress is not None:
             progress(real[T].item() / end)
     steps = count[STEPS].item()
+    stored = read_only(states[: steps + 1])
     return Solution(
         method=method,
         times=times,
@@ -161,7 +176,9 @@ def integrate_checked(
         rejected=count[REJECTED].item(),
         evaluations=count[EVALUATIONS].item(),
         knots=read_only(knots[: steps + 1]),
-        states=read_only(states[: steps + 1]),
+        states=stored[:, :n],
+        _stored=stored,
+        _tangent=count[TANGENT].item(),
         _address=address,
         _params=params,
         _quaternion=quaternion,
@@ -200,6 +217,15 @@ def check_kernel(address: int) -> None:
     """Check what can be checked of a kernel's address.  Raises InputError."""
     if isinstance(address, bool) or not isinstance(address, int) or address <= 0:
         raise InputError(f"address must be the address of a kernel, got {address!r}")
+
+
+def address_of(tangent: Tangent | None, method: Method) -> int:
+    """Return the address of the kernel of the derivative.  Raises InputError if there is none."""
+    if tangent is None:
+        raise InputError(f"{method.name} needs the derivative of the kernel; give tangent=")
+    address = tangent()
+    check_kernel(address)
+    return address
 
 
 def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:

@@ -6,6 +6,7 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
+from threading import Lock
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import Array, as_floats, freeze, positive, read_only
 from ..errors import InputError, ShapeError
 from . import dop853, rkmk4
-from .drive import check_kernel, check_state, checked_times
+from .drive import Tangent, address_of, check_kernel, check_state, checked_times
 from .kernel import compiled
 from .method import DOP853, RKMK4, Method
 from .run import (
@@ -25,8 +26,10 @@ from .run import (
     PAUSED,
     REJECTED,
     STEPS,
+    TANGENT,
     TOO_MANY,
     UNDERFLOW,
+    WANTED,
     Counts,
     N,
     T,
@@ -81,12 +84,13 @@ def integrate_many(
     times: ArrayLike,
     quaternion: int = -1,
     threads: int | None = None,
+    tangent: Tangent | None = None,
 ) -> Solutions:
     """Integrate ẏ = f(y, params[i]) from y0[i] for every i, each as `integrate` would.
 
     params: (N, p).  y0: (N, n).  times: (T,) sorted, within [0, t_end].
     threads: as many as there are processors if None; the numbers do not depend on it.
-    params and y0 are not to be changed meanwhile.
+    params and y0 are not to be changed meanwhile.  tangent: as for `integrate`.
     A run that fails has a status and leaves the others alone.  Raises InputError.
     """
     end = positive(t_end, "t_end")
@@ -110,12 +114,20 @@ def integrate_many(
     loops = {DOP853: 0, RKMK4: 1}
     family = loops.get(type(method), -1)
 
+    lock, found = Lock(), np.zeros(1, dtype=np.int64)
+
+    def derivative() -> int:
+        with lock:  # what makes a kernel is not for several threads
+            if found[0] == 0:
+                found[0] = address_of(tangent, method)
+        return int(found[0])
+
     def share(first: int, last: int) -> None:
         work = work_rows(method, n)
         if family < 0:
             _one_by_one(
-                stepper_of(method), address, frozen, start, first, last, real, count, work,
-                asked, y, reached, tally, stop,
+                stepper_of(method), derivative, address, frozen, start, first, last, real, count,
+                work, asked, y, reached, tally, stop,
             )  # fmt: skip
             return
         members(
@@ -149,6 +161,7 @@ def integrate_many(
 
 def _one_by_one(
     stepper: Stepper,
+    derivative: Tangent,
     address: int,
     params: Array,
     y0: Array,
@@ -171,9 +184,11 @@ def _one_by_one(
         work[:] = clean
         work[stepper.state, : count[N]] = y0[member]
         status = PAUSED
-        while status == PAUSED:
+        while status in (PAUSED, WANTED):
             if stop[0] != 0:
                 return
+            if status == WANTED:
+                count[TANGENT] = derivative()
             status = stepper.advance(
                 address, params[member], real, count, work, times, y[member], no_times, no_states
             )

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Array
-from . import dop853, gauss, gauss_adaptive, implicit, rkmk4
+from . import dop853, gauss, gauss_adaptive, implicit, radau, radau_dense, rkmk4
 from .kernel import LANES as WHOLE
-from .method import DOP853, RKMK4, AdaptiveGauss, Gauss, Method
+from .kernel import SEEDS
+from .method import DOP853, RKMK4, AdaptiveGauss, Gauss, Method, Radau
 from .run import (
     ATOL,
     BUDGET,
@@ -39,12 +40,14 @@ EVALUATIONS_BETWEEN_PAUSES = 4096  # at most some milliseconds: Ctrl-C and progr
 class Stepper:
     """The compiled functions of a method.
 
-    advance, recall: see dop853.py.  state: the row of `work` with the state.
+    advance, recall: see dop853.py.  state: the row of `work` with the state.  kept: numbers at
+    a knot for one in the state.
     """
 
     advance: Callable[..., int]
     recall: Callable[..., None]
     state: int
+    kept: int = 1
 
 
 _STEPPERS: dict[type[Any], Stepper] = {
@@ -52,6 +55,7 @@ _STEPPERS: dict[type[Any], Stepper] = {
     RKMK4: Stepper(rkmk4.advance, rkmk4.recall, rkmk4.Y),
     Gauss: Stepper(gauss.advance, gauss.recall, implicit.Y),
     AdaptiveGauss: Stepper(gauss_adaptive.advance, gauss_adaptive.recall, implicit.Y),
+    Radau: Stepper(radau.advance, radau_dense.recall, radau_dense.Y, radau_dense.KEPT),
 }
 
 
@@ -64,6 +68,8 @@ def work_rows(method: Method, n: int) -> Array:
     """Return the rows that a stepper works on, padded to whole vectors."""
     if isinstance(method, (Gauss, AdaptiveGauss)):
         return implicit.work_rows(method.stages, n)
+    if isinstance(method, Radau):
+        return np.zeros((radau.MATRIX + 4 * n, -(-n // SEEDS) * SEEDS))
     rows = dop853.ROWS if isinstance(method, DOP853) else rkmk4.ROWS
     return np.zeros((rows, -(-n // WHOLE) * WHOLE))
 
@@ -76,7 +82,7 @@ def registers(method: Method, n: int, t_end: float, quaternion: int) -> tuple[Ar
     count[ENTRY], count[BUDGET] = -1, EVALUATIONS_BETWEEN_PAUSES
     if isinstance(method, (Gauss, AdaptiveGauss)):
         count[STAGES], count[LANES] = method.stages, method.lanes
-    if isinstance(method, (DOP853, AdaptiveGauss)):
+    if isinstance(method, (DOP853, AdaptiveGauss, Radau)):
         real[RTOL], real[ATOL], real[MAX_STEP] = method.rtol, method.atol, method.max_step
         count[MAX_STEPS] = method.max_steps
     else:
