@@ -114,7 +114,13 @@ _METHODS = {
     "DOP853": _controlled("1e-10", "1e-12", "Dormand and Prince's method of order 8"),
     "RKMK4": Table({"step": _STEP}, "Munthe-Kaas's form of RK4, with fixed steps"),
     "Gauss": Table(
-        {"step": _STEP, "order": Key(Whole(2, 16), "order, an even number", default="6")},
+        {
+            "step": _STEP,
+            "order": Key(Whole(2, 16), "order, an even number", default="6"),
+            "solver": Key(
+                Text(("auto", "fixed point", "Newton")), "how stages are found", default="auto"
+            ),
+        },
         "Gauss–Legendre collocation with fixed steps, symplectic",
     ),
     "AdaptiveGauss": _controlled(

@@ -18,7 +18,7 @@ from ..errors import (
     StepSizeUnderflow,
     TooManySteps,
 )
-from .method import Method
+from .method import AUTO, FIXED_POINT, Gauss, Method
 from .run import (
     DIVERGED,
     DONE,
@@ -30,6 +30,7 @@ from .run import (
     NOT_FINITE,
     REJECTED,
     RTOL,
+    SOLVER,
     STEPS,
     T_END,
     TANGENT,
@@ -161,7 +162,7 @@ def integrate_checked(
         if status == FULL:
             knots, states = _doubled(knots), _doubled(states)
         elif status == WANTED:
-            count[TANGENT] = address_of(tangent, method)
+            want(tangent, method, count)
         elif status >= UNDERFLOW:
             raise failure(status, real, count, work[stepper.state, :n].copy())
         if progress is not None:
@@ -200,7 +201,7 @@ def failure(status: int, real: Array, count: Counts, state: Array) -> Integratio
         )
     if status == DIVERGED:
         return NoConvergence(
-            f"the implicit step of {real[H]:.3g} s has no solution by fixed-point iteration after "
+            f"the implicit step of {real[H]:.3g} s has no solution that could be found after "
             f"{where}: take shorter steps",
             time,
             state,
@@ -219,13 +220,19 @@ def check_kernel(address: int) -> None:
         raise InputError(f"address must be the address of a kernel, got {address!r}")
 
 
-def address_of(tangent: Tangent | None, method: Method) -> int:
-    """Return the address of the kernel of the derivative.  Raises InputError if there is none."""
-    if tangent is None:
+def want(tangent: Tangent | None, method: Method, count: Counts) -> None:
+    """Give a run the kernel of the derivative; without one it has to do by fixed points.
+
+    Raises InputError if it cannot.
+    """
+    if tangent is not None:
+        address = tangent()
+        check_kernel(address)
+        count[TANGENT] = address
+    elif count[SOLVER] == AUTO and isinstance(method, Gauss):
+        count[SOLVER] = FIXED_POINT
+    else:
         raise InputError(f"{method.name} needs the derivative of the kernel; give tangent=")
-    address = tangent()
-    check_kernel(address)
-    return address
 
 
 def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:

@@ -14,6 +14,8 @@ from ..arrays import positive
 from ..errors import InputError
 
 STAGES = 8  # of Gauss's methods, at most
+AUTO, FIXED_POINT, NEWTON = range(3)
+SOLVERS = {"auto": AUTO, "fixed point": FIXED_POINT, "Newton": NEWTON}
 
 
 def lanes_of(stages: int) -> int:
@@ -71,11 +73,13 @@ class Gauss:
 
     step: longest step [s]; the end time is met by making all steps equal.  order: 2, 4, …, 16.
     Angular momenta and Casimirs are kept to round-off, the energy stays near its value for
-    exponentially long times.  The stages are found by fixed-point iteration to round-off.
+    exponentially long times.  solver: how the stages are found, to round-off: "fixed point",
+    "Newton" with the exact Jacobian, or "auto", the first as long as it converges well.
     """
 
     step: float
     order: int = 6
+    solver: str = "auto"
 
     symplectic: ClassVar[bool] = True
     adaptive: ClassVar[bool] = False
@@ -87,6 +91,8 @@ class Gauss:
             raise InputError(
                 f"order must be one of {', '.join(map(str, orders))}, got {self.order!r}"
             )
+        if self.solver not in SOLVERS:
+            raise InputError(f"solver must be one of {', '.join(SOLVERS)}, got {self.solver!r}")
 
     @property
     def name(self) -> str:

@@ -1,6 +1,6 @@
 """The state of a run, held in arrays so that it can stop and go on, and its small helpers.
 
-real (12,) and count (17,) are indexed by the names below; a stepper's `advance` works on
+real (12,) and count (19,) are indexed by the names below; a stepper's `advance` works on
 them and returns one of the codes.
 """
 
@@ -30,12 +30,14 @@ REALS = 12
 # the last trial was rejected; limit on trials; entry that was not finite or −1; whether
 # knots are kept; evaluations before a pause; number of steps if it is known beforehand;
 # stages that are lanes of one evaluation, and lanes; the kernel of the derivative or 0;
-# whether the Jacobian is that of the state.
+# whether the Jacobian is that of the state; how implicit steps are solved, and how many more
+# by Newton's method.
 (
     N, QUATERNION, STEPS, REJECTED, EVALUATIONS, NEXT, BEGUN, AGAIN, MAX_STEPS, ENTRY, KEEP,
     BUDGET, TOTAL, STAGES, LANES, TANGENT, FRESH,
-) = range(17)  # fmt: skip
-COUNTS = 17
+    SOLVER, REMAINING,
+) = range(19)  # fmt: skip
+COUNTS = 19
 
 # What `advance` returns.
 # WANTED: the kernel of the derivative.

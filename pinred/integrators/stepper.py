@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Array
-from . import dop853, gauss, gauss_adaptive, implicit, radau, radau_dense, rkmk4
+from . import dop853, gauss, gauss_adaptive, gauss_newton, implicit, radau, radau_dense, rkmk4
 from .kernel import LANES as WHOLE
 from .kernel import SEEDS
-from .method import DOP853, RKMK4, AdaptiveGauss, Gauss, Method, Radau
+from .method import DOP853, FIXED_POINT, RKMK4, SOLVERS, AdaptiveGauss, Gauss, Method, Radau
 from .run import (
     ATOL,
     BUDGET,
@@ -25,6 +25,7 @@ from .run import (
     QUATERNION,
     REALS,
     RTOL,
+    SOLVER,
     STAGES,
     T_END,
     TOTAL,
@@ -67,7 +68,11 @@ def stepper_of(method: Method) -> Stepper:
 def work_rows(method: Method, n: int) -> Array:
     """Return the rows that a stepper works on, padded to whole vectors."""
     if isinstance(method, (Gauss, AdaptiveGauss)):
-        return implicit.work_rows(method.stages, n)
+        behind = gauss_newton.room(n, method.stages) if isinstance(method, Gauss) else 0
+        work = implicit.work_rows(method.stages, n, behind)
+        if isinstance(method, Gauss):
+            gauss_newton.fill(work, method.stages)
+        return work
     if isinstance(method, Radau):
         return np.zeros((radau.MATRIX + 4 * n, -(-n // SEEDS) * SEEDS))
     rows = dop853.ROWS if isinstance(method, DOP853) else rkmk4.ROWS
@@ -82,6 +87,9 @@ def registers(method: Method, n: int, t_end: float, quaternion: int) -> tuple[Ar
     count[ENTRY], count[BUDGET] = -1, EVALUATIONS_BETWEEN_PAUSES
     if isinstance(method, (Gauss, AdaptiveGauss)):
         count[STAGES], count[LANES] = method.stages, method.lanes
+        count[SOLVER] = FIXED_POINT
+    if isinstance(method, Gauss):
+        count[SOLVER] = SOLVERS[method.solver]
     if isinstance(method, (DOP853, AdaptiveGauss, Radau)):
         real[RTOL], real[ATOL], real[MAX_STEP] = method.rtol, method.atol, method.max_step
         count[MAX_STEPS] = method.max_steps
