@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     )
     from .grid import ShapeField
     from .inspection import Inspection, inspect
-    from .integrators.method import DOP853, RKMK4, AdaptiveGauss, Gauss
+    from .integrators.method import DOP853, RKMK4, AdaptiveGauss, Gauss, Radau
     from .loading import load
     from .many import Failure, Trajectories, simulate_many
     from .reduction import ReducedShape, Reduction
@@ -76,7 +76,7 @@ _HOME = {
     **dict.fromkeys(("ShapeState", "State"), "state"),
     "Trajectory": "trajectory",
     **dict.fromkeys(("EnergyBalance", "MomentumBalance"), "balance"),
-    **dict.fromkeys(("DOP853", "RKMK4", "AdaptiveGauss", "Gauss"), "integrators.method"),
+    **dict.fromkeys(("DOP853", "RKMK4", "AdaptiveGauss", "Gauss", "Radau"), "integrators.method"),
 }
 _MODULES = ("equations", "forces", "lie", "plots", "signals")
 
@@ -99,6 +99,7 @@ __all__ = [
     "MomentumBalance",
     "OutputError",
     "PinredError",
+    "Radau",
     "ReducedShape",
     "Reduction",
     "Report",

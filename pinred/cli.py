@@ -145,8 +145,9 @@ def _add_scene(sub: argparse.ArgumentParser) -> None:
         "--engine", metavar="E", default="compiled", help="compiled (default), pinocchio"
     )
     sub.add_argument("--outputs", metavar="O", default="all", help="all (default), shape")
-    sub.add_argument("--method", metavar="M", help="DOP853, or RKMK4 with --step")
-    sub.add_argument("--step", metavar="H", type=float, help="longest step of RKMK4 [s]")
+    sub.add_argument("--method", metavar="M", help="DOP853 (default), RKMK4, Gauss, …")
+    sub.add_argument("--step", metavar="H", type=float, help="of methods with fixed steps [s]")
+    sub.add_argument("--order", metavar="P", type=int, help="of Gauss (6)")
     sub.add_argument("--rtol", metavar="TOL", type=float, default=1e-10, help="(1e-10)")
     sub.add_argument("--atol", metavar="TOL", type=float, default=1e-12, help="(1e-12)")
     for name, text in (
@@ -221,13 +222,12 @@ def _scene(options: argparse.Namespace, system: System) -> Scene:
 
 def _method(options: argparse.Namespace) -> Method | Literal["auto"]:
     """Return the integrator asked for."""
-    from .integrators.method import RKMK4
+    from .integrators.method import method_named
 
-    if options.method not in (None, "DOP853", "RKMK4"):
-        raise InputError(f"unknown method '{options.method}'; the methods are DOP853, RKMK4")
-    if (options.method == "RKMK4") != (options.step is not None):
-        raise InputError("--method RKMK4 and --step H go together")
-    return "auto" if options.step is None else RKMK4(options.step)
+    name, step, order = options.method, options.step, options.order
+    if name in (None, "auto") and step is None and order is None:
+        return "auto"
+    return method_named(name or "DOP853", step, order, options.rtol, options.atol)
 
 
 def _inspect(options: argparse.Namespace) -> int:

@@ -19,7 +19,7 @@ from .errors import InputError, LoadError, PinredError
 from .expressions import parse
 from .force import Force, Limit
 from .force_model import remembered_model
-from .integrators.method import DOP853, RKMK4, Method
+from .integrators.method import METHODS
 from .loading import load
 from .place import Place, naming, one_line, unknown
 from .scene import DURATION, Scene
@@ -30,7 +30,6 @@ from .simulation import Engine
 from .system import System
 
 _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+\s*\.\s*){50}""")
-_METHODS: dict[str, Callable[..., Method]] = {"DOP853": DOP853, "RKMK4": RKMK4}
 _FORCES: dict[str, Callable[..., Force]] = {
     "spring": acting.Spring,
     "damper": acting.Damper,
@@ -114,7 +113,7 @@ class _Builder:
                 (place / "method").fail("engine 'pinocchio' has an integrator of its own")
             method = dict(run["method"])
             with naming(place / "method"):
-                run["method"] = _METHODS[method.pop("name")](**method)
+                run["method"] = METHODS[method.pop("name")](**method)
         prescribed = self._by_joint(
             self.document.get("prescribed", {}), self.place / "prescribed", self.signals.motion
         )

@@ -94,20 +94,39 @@ START = Table(
     "the initial state",
     apart=(("xi0", "momentum"), *((name, "seed") for name in _STATE)),
 )
-_METHODS = {
-    "DOP853": Table(
+_STEP = Key(POSITIVE, "longest step [s]", required=True)
+
+
+def _controlled(rtol: str, atol: str, title: str) -> Table:
+    """A method with step control."""
+    return Table(
         {
-            "rtol": Key(POSITIVE, "relative tolerance of a step", default="1e-10"),
-            "atol": Key(POSITIVE, "absolute tolerance of a step", default="1e-12"),
+            "rtol": Key(POSITIVE, "relative tolerance of a step", default=rtol),
+            "atol": Key(POSITIVE, "absolute tolerance of a step", default=atol),
             "max_steps": Key(Whole(1), "largest number of trial steps", default="1000000"),
             "max_step": Key(POSITIVE, "longest step [s]", default="none"),
         },
-        "Dormand and Prince's method of order 8",
+        title,
+    )
+
+
+_METHODS = {
+    "DOP853": _controlled("1e-10", "1e-12", "Dormand and Prince's method of order 8"),
+    "RKMK4": Table({"step": _STEP}, "Munthe-Kaas's form of RK4, with fixed steps"),
+    "Gauss": Table(
+        {
+            "step": _STEP,
+            "order": Key(Whole(2, 16), "order, an even number", default="6"),
+            "solver": Key(
+                Text(("auto", "fixed point", "Newton")), "how stages are found", default="auto"
+            ),
+        },
+        "Gauss–Legendre collocation with fixed steps, symplectic",
     ),
-    "RKMK4": Table(
-        {"step": Key(POSITIVE, "longest step [s]", required=True)},
-        "Munthe-Kaas's form of RK4, with fixed steps",
+    "AdaptiveGauss": _controlled(
+        "1e-12", "1e-14", "Gauss–Legendre collocation of order 16, for tight tolerances"
     ),
+    "Radau": _controlled("1e-8", "1e-10", "Radau IIA of order 5, for hard springs and dampers"),
 }
 RUN = Table(
     {

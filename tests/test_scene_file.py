@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from pinred.catalogue import has_example_robots
 from pinred.cli import main
 from pinred.force import Force, Limit
 from pinred.forces import PD, ComputedTorque, Damper, PotentialEnergy, Spring, Torque, Wrench
-from pinred.integrators.method import DOP853, RKMK4
+from pinred.integrators.method import DOP853, METHODS, RKMK4, AdaptiveGauss, Gauss, Radau
 from pinred.lie import GROUPS
 from pinred.scene_file import _FORCES, read_scene_file
 from pinred.scene_keys import _METHODS, ENDS, FORCES, LOAD, RUN, START
@@ -212,6 +212,9 @@ def test_springs_and_joints_by_name(tmp_path: Path) -> None:
     [
         ("{ name = 'RKMK4', step = 0.01 }", RKMK4(0.01)),
         ("{ name = 'DOP853', rtol = 1e-8, max_step = 0.05 }", DOP853(rtol=1e-8, max_step=0.05)),
+        ("{ name = 'Gauss', step = 0.01, order = 4 }", Gauss(0.01, 4)),
+        ("{ name = 'AdaptiveGauss' }", AdaptiveGauss()),
+        ("{ name = 'Radau', atol = 1e-7 }", Radau(atol=1e-7)),
     ],
 )
 def test_methods(text: str, method: Any, tmp_path: Path) -> None:
@@ -279,8 +282,15 @@ def test_keys_are_those_of_python() -> None:
         wanted = {entry.name for entry in fields(_FORCES[name])}  # type: ignore[arg-type]
         assert set(table.keys) - {"smooth"} == wanted
         assert ("smooth" in table.keys) == ("limit" in wanted)
-    for method in (DOP853, RKMK4):
-        assert set(_METHODS[method.name].keys) == {entry.name for entry in fields(method)}
+    assert set(_METHODS) == set(METHODS)
+    for name, method in METHODS.items():
+        assert set(_METHODS[name].keys) == {entry.name for entry in fields(method)}
+        for entry in fields(method):  # the defaults are as the tables say
+            said = _METHODS[name].keys[entry.name].default
+            if entry.default is MISSING:
+                assert said == ""
+            elif said != "none":
+                assert said == entry.default or float(said) == entry.default
     assert ENDS == _ENDS
     assert tuple(GROUPS) == GROUP_KEYS
 
@@ -400,7 +410,9 @@ def test_methods_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     for wrong, words in (
         (["--method", "RKMK4"], "go together"),
         (["--step", "0.1"], "go together"),
-        (["--method", "Euler"], "the methods are DOP853, RKMK4"),
+        (["--method", "Euler"], f"the methods are {', '.join(METHODS)}"),
+        (["--method", "Radau", "--order", "4"], "--order P goes with --method Gauss"),
+        (["--method", "Gauss", "--step", "0.1", "--order", "5"], "order must be one of 2"),
         (["--outputs", "base"], "outputs must be one of all, shape"),
         ([*extra, "--engine", "pinocchio"], "give no method"),
     ):

@@ -17,6 +17,7 @@ from .choice import method_of
 from .evaluate import evaluate
 from .kernel import Kernel, kernel_for
 from .starting import Starts, start_kernel
+from .tangent import tangent_of
 from .wide import wide_rate
 
 _AT_ONCE = 512  # members that are set up together
@@ -87,6 +88,10 @@ class CompiledFlow:
         """Address of the vector field, in the form in which a method takes it."""
         lanes = method.lanes
         return (self.kernel.rate if lanes == 1 else wide_rate(self.kernel, lanes)).address
+
+    def tangent(self) -> int:
+        """Address of the derivative of the vector field, made when first asked for."""
+        return tangent_of(self.kernel).address
 
     def shape(self, t: float, y: Array) -> Array:
         """Return the shape (m,) in a reduced state."""

@@ -295,11 +295,12 @@ def lower(
     *,
     fma: bool,
     wide: int = 1,
+    wide_inputs: Sequence[int] = (0,),
 ) -> str:
     """Return the IR of a Function.
 
     marks: of a Function made by `Lanes`, whose last input and first output are their symbols
-    and their operands.  wide: how many values the first input and the output have of every
+    and their operands.  wide: how many values the wide inputs and the output have of every
     number, in lanes: the function is evaluated at so many places at once.  fma: whether the
     CPU has a fused multiply-add.
 
@@ -324,7 +325,7 @@ def lower(
             elif (which, entry) in loads:
                 new = loads[which, entry]
             else:
-                lanes = wide if which == 0 else 1
+                lanes = wide if which in wide_inputs else 1
                 at = f"getelementptr double, ptr %in{which}, i64 {lanes * entry}"
                 low.put(f"%p{k}", 1, at)
                 new = low.put(f"%r{k}", lanes, f"load {vector(lanes)}, ptr %p{k}, align 8")

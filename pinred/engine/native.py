@@ -39,21 +39,26 @@ class NativeCode:
 
 
 def compile_object(
-    function: ca.Function, name: str, marks: Sequence[Mark] | None = None, *, wide: int = 1
+    function: ca.Function,
+    name: str,
+    marks: Sequence[Mark] | None = None,
+    *,
+    wide: int = 1,
+    wide_inputs: Sequence[int] = (0,),
 ) -> bytes:
     """Return object code of `void name(const double *in0, …, double *out)` for this CPU.
 
     function: an SX Function of any number of dense columns with one dense column as its
     output.  No pointer may overlap `out`; one to an empty column may be anything.  marks: of
     a Function made by `Lanes`; what it has more of than that has no pointer.  wide: at how
-    many places at once it is evaluated; then in0 and out hold so many values of a number,
-    one after another, for every number.
+    many places at once it is evaluated; then the wide inputs and out hold so many values of a
+    number, one after another, for every number.
 
     Raises InputError if the function is not such, or `name` not the name of a function, and
     UnsupportedOperationError if it holds an operation that has no machine code.
     """
     _check(function, name, outputs=1 if marks is None else 2)
-    text = lower(function, name, marks, fma=_has_fma(), wide=wide)
+    text = lower(function, name, marks, fma=_has_fma(), wide=wide, wide_inputs=wide_inputs)
     with _LOCK:
         context = llvm.create_context()
         module = llvm.parse_assembly(text, context)

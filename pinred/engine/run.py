@@ -48,6 +48,7 @@ def integrate_many(flows: CompiledFlows, scene: Scene, threads: int | None) -> M
         scene.report_times,
         kernel.layout.quaternion,
         threads,
+        CompiledFlow.of(flows, 0).tangent,
     )
     failures = []
     for k in np.flatnonzero(~found.ok).tolist():
@@ -95,7 +96,7 @@ def solve(flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | 
         y0 = y0 if y0.size else np.zeros(1)
         try:
             found = integrate_checked(
-                method, address, parameters, y0, end - start, times, quaternion, done
+                method, address, parameters, y0, end - start, times, quaternion, done, flow.tangent
             )
         except IntegrationError as stop:
             raise _explained(stop, flow, scene, start) from None

@@ -18,7 +18,7 @@ from ..errors import (
     StepSizeUnderflow,
     TooManySteps,
 )
-from .method import Method
+from .method import AUTO, FIXED_POINT, Gauss, Method
 from .run import (
     DIVERGED,
     DONE,
@@ -30,9 +30,12 @@ from .run import (
     NOT_FINITE,
     REJECTED,
     RTOL,
+    SOLVER,
     STEPS,
     T_END,
+    TANGENT,
     UNDERFLOW,
+    WANTED,
     Counts,
     H,
     T,
@@ -40,6 +43,7 @@ from .run import (
 from .stepper import registers, stepper_of, work_rows
 
 Progress = Callable[[float], None]
+Tangent = Callable[[], int]
 
 _FIRST_KNOTS = 128
 
@@ -62,6 +66,8 @@ class Solution:
     evaluations: int
     knots: Array
     states: Array
+    _stored: Array = field(repr=False)
+    _tangent: int = field(repr=False)
     _address: int = field(repr=False)
     _params: Array = field(repr=False)
     _quaternion: int = field(repr=False)
@@ -76,6 +82,7 @@ class Solution:
         n = self.states.shape[1]
         out = np.empty((len(asked), n))
         _, count = registers(self.method, n, 1.0, self._quaternion)
+        count[TANGENT] = self._tangent
         stepper_of(self.method).recall(
             self._address,
             self._params,
@@ -84,7 +91,7 @@ class Solution:
             read_only(asked[order]),
             out,
             self.knots,
-            self.states,
+            self._stored,
         )
         y = np.empty_like(out)
         y[order] = out
@@ -100,6 +107,7 @@ def integrate(
     times: ArrayLike,
     quaternion: int = -1,
     progress: Progress | None = None,
+    tangent: Tangent | None = None,
 ) -> Solution:
     """Integrate ẏ = f(y, params) from y0 (n,) at time 0 to t_end [s].
 
@@ -108,6 +116,8 @@ def integrate(
     quaternion: index of the first of the four numbers in y that are a quaternion
         (x, y, z, w), −1 for none; its rate is ½ q ω with the body's angular velocity ω.
     progress: called now and then with the part of the time that is done, 0 to 1.
+    tangent: gives the address of the kernel of ∂f/∂y (see call_tangent); called at most once,
+        when the method wants it.
 
     Raises InputError, and StepSizeUnderflow, NonFiniteState, NoConvergence or TooManySteps with
     the time and the state at which the run stopped.
@@ -118,7 +128,9 @@ def integrate(
     check_state(state, quaternion, "y0", 1)
     asked = checked_times(times, end, ordered=True)
     frozen = read_only(np.array(as_floats(params, "params")))
-    return integrate_checked(method, address, frozen, state, end, asked, quaternion, progress)
+    return integrate_checked(
+        method, address, frozen, state, end, asked, quaternion, progress, tangent
+    )
 
 
 def integrate_checked(
@@ -130,6 +142,7 @@ def integrate_checked(
     times: Array,
     quaternion: int,
     progress: Progress | None,
+    tangent: Tangent | None = None,
 ) -> Solution:
     """Integrate as `integrate` does, with arguments that are known to be right.
 
@@ -142,17 +155,20 @@ def integrate_checked(
     stepper = stepper_of(method)
     work[stepper.state, :n] = y0
     out = np.empty((len(times), n))
-    knots, states = np.empty(_FIRST_KNOTS), np.empty((_FIRST_KNOTS, n))
+    knots, states = np.empty(_FIRST_KNOTS), np.empty((_FIRST_KNOTS, stepper.kept * n))
     status = -1
     while status != DONE:
         status = stepper.advance(address, params, real, count, work, times, out, knots, states)
         if status == FULL:
             knots, states = _doubled(knots), _doubled(states)
+        elif status == WANTED:
+            want(tangent, method, count)
         elif status >= UNDERFLOW:
             raise failure(status, real, count, work[stepper.state, :n].copy())
         if progress is not None:
             progress(real[T].item() / end)
     steps = count[STEPS].item()
+    stored = read_only(states[: steps + 1])
     return Solution(
         method=method,
         times=times,
@@ -161,7 +177,9 @@ def integrate_checked(
         rejected=count[REJECTED].item(),
         evaluations=count[EVALUATIONS].item(),
         knots=read_only(knots[: steps + 1]),
-        states=read_only(states[: steps + 1]),
+        states=stored[:, :n],
+        _stored=stored,
+        _tangent=count[TANGENT].item(),
         _address=address,
         _params=params,
         _quaternion=quaternion,
@@ -183,7 +201,7 @@ def failure(status: int, real: Array, count: Counts, state: Array) -> Integratio
         )
     if status == DIVERGED:
         return NoConvergence(
-            f"the implicit step of {real[H]:.3g} s has no solution by fixed-point iteration after "
+            f"the implicit step of {real[H]:.3g} s has no solution that could be found after "
             f"{where}: take shorter steps",
             time,
             state,
@@ -200,6 +218,21 @@ def check_kernel(address: int) -> None:
     """Check what can be checked of a kernel's address.  Raises InputError."""
     if isinstance(address, bool) or not isinstance(address, int) or address <= 0:
         raise InputError(f"address must be the address of a kernel, got {address!r}")
+
+
+def want(tangent: Tangent | None, method: Method, count: Counts) -> None:
+    """Give a run the kernel of the derivative; without one it has to do by fixed points.
+
+    Raises InputError if it cannot.
+    """
+    if tangent is not None:
+        address = tangent()
+        check_kernel(address)
+        count[TANGENT] = address
+    elif count[SOLVER] == AUTO and isinstance(method, Gauss):
+        count[SOLVER] = FIXED_POINT
+    else:
+        raise InputError(f"{method.name} needs the derivative of the kernel; give tangent=")
 
 
 def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:

@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..arrays import Array
+from .gauss_newton import MAIN, prepare, refine
+from .gauss_newton import SUB as OTHER
 from .implicit import (
     CARRY,
     GUESS,
@@ -17,6 +19,7 @@ from .implicit import (
     NEW,
     NEXT_CARRY,
     OLD,
+    RATE,
     ROUND_OFF,
     SCALE,
     SUB,
@@ -30,7 +33,8 @@ from .implicit import (
     start_evenly,
 )
 from .implicit import DIVERGED as NO_SOLUTION
-from .kernel import compiled
+from .kernel import SEEDS, compiled
+from .method import AUTO, FIXED_POINT, NEWTON
 from .run import (
     BEFORE,
     BEGUN,
@@ -39,6 +43,7 @@ from .run import (
     DONE,
     ENTRY,
     EVALUATIONS,
+    FACTORED,
     FULL,
     KEEP,
     LANES,
@@ -46,10 +51,15 @@ from .run import (
     NOT_FINITE,
     PAUSED,
     QUATERNION,
+    REALS,
+    REMAINING,
+    SOLVER,
     STAGES,
     STEPS,
     T_END,
+    TANGENT,
     TOTAL,
+    WANTED,
     Counts,
     H,
     N,
@@ -59,6 +69,7 @@ from .run import (
     unit_alone,
 )
 
+_STAY = 64  # steps by Newton's method before fixed-point iteration is tried again
 _SLACK = 1e-6  # of the largest number: an iteration that stops further off has not converged
 
 
@@ -79,6 +90,7 @@ def advance(
     Arguments as in dop853.advance; the kernel at `address` evaluates all stages at once.
     """
     n, lanes, stages = count[N], count[LANES], count[STAGES]
+    limit = _turns_worth_newton(n, stages)
     if not count[BEGUN]:
         unit_alone(work[Y], count[QUATERNION])
         keep(count, work[Y], 0.0, knots_t, knots_y)
@@ -89,6 +101,10 @@ def advance(
             return PAUSED
         if count[KEEP] and count[STEPS] + 1 >= knots_t.shape[0]:
             return FULL
+        auto = count[SOLVER] == AUTO
+        newton = count[SOLVER] == NEWTON or (auto and count[REMAINING] > 0)
+        if newton and count[TANGENT] == 0:
+            return WANTED
         k = count[STEPS] + 1
         t_new = real[T_END] if k == count[TOTAL] else k * real[H]
         # The steps are of one length to the last bit: round-off in the clock does not count.
@@ -103,13 +119,31 @@ def advance(
             prepare_guess(work, lanes, stages, GUESS, 1.0, 1.0)
         else:
             guess(work, n, lanes, GUESS, OLD, L)
-        turns = solve(address, params, work, n, lanes, L, h)
+        if newton:
+            turns = solve_by_newton(
+                address, params, real, count, work, L, MAIN, abs(h - real[FACTORED]) > 0.0, h
+            )
+        else:
+            turns = solve(address, params, work, n, lanes, L, h)
+        if turns == NO_SOLUTION and auto and not newton:
+            count[EVALUATIONS] += stages
+            count[REMAINING] = _STAY  # and begin the step anew
+            continue
         if turns == NO_SOLUTION:
-            count[ENTRY] = entry_of(work, n, lanes)
-            return NOT_FINITE if count[ENTRY] >= 0 else DIVERGED
+            row = RATE if newton else L
+            count[ENTRY] = first_not_finite(work[row], n * lanes)
+            if count[ENTRY] >= 0:
+                count[ENTRY] //= lanes
+                return NOT_FINITE
+            return DIVERGED
+        if auto and not newton and turns > limit:
+            count[REMAINING] = _STAY
+        elif count[REMAINING] > 0:
+            count[REMAINING] -= 1
         count[EVALUATIONS] += turns * stages
         finish(work, n, lanes, L)
-        report(address, params, real, count, work, times, out, t_new)
+        if not report(address, params, real, count, work, times, out, t_new):
+            return WANTED
         count[STEPS] += 1
         keep(count, work[NEW], t_new, knots_t, knots_y)
         for i in range(n):
@@ -124,7 +158,50 @@ def advance(
 
 @compiled
 def solve(address: int, params: Array, work: Array, n: int, lanes: int, row: int, h: float) -> int:
-    """Solve a step to round-off; return the turns, or NO_SOLUTION."""
+    """Solve a step to round-off by fixed-point iteration; return the turns, or NO_SOLUTION."""
+    _measure(work, n, lanes, row)
+    work[INFO, 0] = _SLACK
+    return iterate(address, params, work, n, lanes, row, h, ROUND_OFF)
+
+
+@compiled
+def solve_by_newton(
+    address: int, params: Array, real: Array, count: Counts, work: Array, row: int, which: int,
+    fresh: bool, h: float,
+) -> int:  # fmt: skip
+    """Solve a step to round-off by Newton's method; return the turns, or NO_SOLUTION.
+
+    which, fresh: whose factors, and whether they have to be made.
+    """
+    n, lanes, stages = count[N], count[LANES], count[STAGES]
+    _measure(work, n, lanes, row)
+    made = (n + SEEDS - 1) // SEEDS
+    if fresh:
+        count[EVALUATIONS] += made
+        if not prepare(count[TANGENT], params, work, n, stages, which, h):
+            return NO_SOLUTION
+    turns = refine(address, count[TANGENT], params, work, n, lanes, stages, row, which, fresh, h)
+    if which == MAIN:
+        real[FACTORED] = 0.0 if turns == NO_SOLUTION else h
+    if turns != NO_SOLUTION and turns < 0:
+        count[EVALUATIONS] += made
+        turns = -turns
+    return turns
+
+
+@compiled
+def _turns_worth_newton(n: int, stages: int) -> int:
+    """Return about how many turns of the fixed point take as long as Newton's method.
+
+    Measured on the bundled robots.  So many are rare: Newton's method is for steps at which
+    fixed-point iteration hardly converges, or does not.
+    """
+    return 40 + n * ((stages + 1) // 2)
+
+
+@compiled
+def _measure(work: Array, n: int, lanes: int, row: int) -> None:
+    """Fill SCALE with the inverse of the largest number."""
     largest = 0.0
     for i in range(n):
         largest = max(largest, abs(work[Y, i]))
@@ -133,15 +210,6 @@ def solve(address: int, params: Array, work: Array, n: int, lanes: int, row: int
     inverse = 1.0 / largest if largest > 0.0 else 0.0
     for i in range(n):
         work[SCALE, i] = inverse
-    work[INFO, 0] = _SLACK
-    return iterate(address, params, work, n, lanes, row, h, ROUND_OFF)
-
-
-@compiled
-def entry_of(work: Array, n: int, lanes: int) -> int:
-    """Return which number is not finite in the stages of a step, −1 for none."""
-    entry = first_not_finite(work[L], n * lanes)
-    return entry // lanes if entry >= 0 else -1
 
 
 @compiled
@@ -154,8 +222,11 @@ def report(
     times: Array,
     out: Array,
     t_new: float,
-) -> None:
-    """Write the states at the times that lie in a step from real[T] to t_new."""
+) -> bool:
+    """Write the states at the times that lie in a step from real[T] to t_new.
+
+    False, and no more of them, if Newton's method is needed and there is no derivative.
+    """
     while count[NEXT] < times.shape[0] and times[count[NEXT]] <= t_new:
         j = count[NEXT]
         time, t = times[j], real[T]
@@ -163,33 +234,44 @@ def report(
             ratio = (time - t) / (t_new - t)
             prepare_guess(work, count[LANES], count[STAGES], WITHIN, 0.0, ratio)
             guess(work, count[N], count[LANES], WITHIN, L, SUB)
-        state(address, params, count, work, time, t, t_new, out[j])
+        done = state(address, params, real, count, work, time, t, t_new, out[j])
+        if not done and count[SOLVER] == AUTO and count[TANGENT] == 0:
+            return False
         count[NEXT] += 1
+    return True
 
 
 @compiled
 def state(
     address: int,
     params: Array,
+    real: Array,
     count: Counts,
     work: Array,
     time: float,
     t: float,
     t_new: float,
     out: Array,
-) -> None:
+) -> bool:
     """Write the state at a time in the step from t to t_new, (n,), its quaternion of length 1.
 
-    Between the ends it is that of a shorter step from the begin, with a first guess in SUB.
+    Between the ends it is that of a shorter step from the begin, with a first guess in SUB;
+    False, and NaN, if that has no solution.
     """
     n, lanes = count[N], count[LANES]
+    turns = 1
     if time <= t or time >= t_new:
         row = Y if time <= t else NEW
         for i in range(n):
             out[i] = work[row, i]
     else:
         h = time - t
-        turns = solve(address, params, work, n, lanes, SUB, h)
+        turns = NO_SOLUTION
+        if count[SOLVER] != NEWTON:
+            turns = solve(address, params, work, n, lanes, SUB, h)
+        if turns == NO_SOLUTION and count[SOLVER] != FIXED_POINT and count[TANGENT] != 0:
+            start_evenly(address, params, work, n, lanes, SUB, h)
+            turns = solve_by_newton(address, params, real, count, work, SUB, OTHER, True, h)
         count[EVALUATIONS] += turns * count[STAGES]
         for i in range(n):
             total = 0.0
@@ -199,6 +281,7 @@ def state(
             if turns == NO_SOLUTION:
                 out[i] = np.nan
     unit_alone(out, count[QUATERNION])
+    return bool(turns != NO_SOLUTION)
 
 
 @compiled
@@ -213,7 +296,7 @@ def recall(
     knots_y: Array,
 ) -> None:
     """Fill out (T, n) with the states at sorted times (T,) by steps from the knots before them."""
-    n = count[N]
+    n, real = count[N], np.zeros(REALS)
     k, begun = 0, -1
     for j in range(times.shape[0]):
         while k + 1 < knots_t.shape[0] - 1 and times[j] > knots_t[k + 1]:
@@ -226,4 +309,4 @@ def recall(
         time, t = times[j], knots_t[k]
         if t < time < knots_t[k + 1]:
             start_evenly(address, params, work, n, count[LANES], SUB, time - t)
-        state(address, params, count, work, time, t, knots_t[k + 1], out[j])
+        state(address, params, real, count, work, time, t, knots_t[k + 1], out[j])

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..arrays import Array
 from .dop853 import TURN
-from .gauss import entry_of, recall, report
+from .gauss import recall, report
 from .implicit import (
     CARRY,
     GUESS,
@@ -162,7 +162,9 @@ def advance(
             count[AGAIN] = 1
             shrink = _HALF
             if turns == NO_SOLUTION:
-                count[ENTRY] = entry_of(work, n, lanes)
+                count[ENTRY] = first_not_finite(work[L], n * lanes)
+                if count[ENTRY] >= 0:
+                    count[ENTRY] //= lanes
                 real[BEFORE] = 0.0 if count[ENTRY] >= 0 else real[BEFORE]
             elif error < np.inf:
                 shrink = min(_growth(error), _SAFETY)

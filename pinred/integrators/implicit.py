@@ -29,10 +29,14 @@ _multiply4, _multiply8 = product(4), product(8)
 _refresh4, _refresh8 = refreshment(4), refreshment(8)
 
 
-def work_rows(stages: int, n: int) -> Array:
-    """Return the rows that a step of so many stages works on, tables filled in."""
+def work_rows(stages: int, n: int, behind: int) -> Array:
+    """Return the rows that a step of so many stages works on, tables filled in.
+
+    behind: how many numbers are to have room behind the rows.
+    """
     lanes = lanes_of(stages)
-    work = np.zeros((ROWS, max((n + 1) * lanes, lanes * lanes)))
+    stride = max((n + 1) * lanes, lanes * lanes)
+    work = np.zeros((ROWS + -(-behind // stride), stride))
     method = tables(stages)
     work[MU, : lanes * lanes] = method.mu.T.ravel()
     for row, numbers in (
@@ -40,6 +44,15 @@ def work_rows(stages: int, n: int) -> Array:
     ):  # fmt: skip
         work[row, :lanes] = numbers
     return work
+
+
+@compiled
+def multiply(work: Array, out: int, base: int, table: int, row: int, n: int, lanes: int) -> None:
+    """Fill row `out` with row `base`, or nothing for −1, and a table times row `row`."""
+    if lanes == 4:
+        _multiply4(work, out, base, table, row, n)
+    else:
+        _multiply8(work, out, base, table, row, n)
 
 
 @compiled
@@ -79,10 +92,7 @@ def prepare_guess(
 @compiled
 def guess(work: Array, n: int, lanes: int, table: int, source: int, row: int) -> None:
     """Fill `row` from the L in `source` by a table of prepare_guess."""
-    if lanes == 4:
-        _multiply4(work, row, -1, table, source, n)
-    else:
-        _multiply8(work, row, -1, table, source, n)
+    multiply(work, row, -1, table, source, n, lanes)
 
 
 @compiled

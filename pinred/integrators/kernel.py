@@ -20,6 +20,7 @@ from numba.extending import intrinsic
 SOURCES = sha256(
     b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
 ).hexdigest()
+SEEDS = 8  # directions that a tangent kernel takes at once
 LANES = 4  # rows are padded with zeros to a multiple of this
 _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -50,7 +51,28 @@ def call(typing: Any, address: Any, y: Any, params: Any, dydt: Any) -> Any:  # n
 
     y (n,), params (p,) and dydt (n,) are contiguous arrays of float64.
     """
-    for array in (y, params, dydt):
+    return _calling(y, params, dydt)
+
+
+@make_intrinsic
+def call_tangent(  # type: ignore[no-untyped-def]
+    typing: Any,  # noqa: ARG001
+    address: Any,  # noqa: ARG001
+    y: Any,
+    params: Any,
+    directions: Any,
+    out: Any,
+):
+    """Let the tangent kernel at `address` (int64) fill `out` with the derivatives of ẏ.
+
+    directions, out: SEEDS values an entry, one after another: out = ∂ẏ/∂y directions.
+    """
+    return _calling(y, params, directions, out)
+
+
+def _calling(*arrays: Any) -> Any:
+    """Return signature and instructions of a call with the data of arrays."""
+    for array in arrays:
         if not (isinstance(array, types.Array) and array.layout == "C"):
             raise TypeError("a kernel takes contiguous arrays")
         if array.dtype != types.float64:
@@ -65,7 +87,7 @@ def call(typing: Any, address: Any, y: Any, params: Any, dydt: Any) -> Any:  # n
         builder.call(builder.inttoptr(arguments[0], kernel.as_pointer()), pointers)
         return context.get_dummy_value()
 
-    return types.void(types.int64, y, params, dydt), generate
+    return types.void(types.int64, *arrays), generate
 
 
 def combination(out: int, base: int | None, weights: Sequence[float]) -> Callable[..., None]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
+from threading import Lock
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import Array, as_floats, freeze, positive, read_only
 from ..errors import InputError, ShapeError
 from . import dop853, rkmk4
-from .drive import check_kernel, check_state, checked_times
+from .drive import Tangent, check_kernel, check_state, checked_times, want
 from .kernel import compiled
 from .method import DOP853, RKMK4, Method
 from .run import (
@@ -27,11 +29,12 @@ from .run import (
     STEPS,
     TOO_MANY,
     UNDERFLOW,
+    WANTED,
     Counts,
     N,
     T,
 )
-from .stepper import Stepper, registers, stepper_of, work_rows
+from .stepper import registers, stepper_of, work_rows
 
 STATUS = {
     DONE: "done",
@@ -81,12 +84,13 @@ def integrate_many(
     times: ArrayLike,
     quaternion: int = -1,
     threads: int | None = None,
+    tangent: Tangent | None = None,
 ) -> Solutions:
     """Integrate ẏ = f(y, params[i]) from y0[i] for every i, each as `integrate` would.
 
     params: (N, p).  y0: (N, n).  times: (T,) sorted, within [0, t_end].
     threads: as many as there are processors if None; the numbers do not depend on it.
-    params and y0 are not to be changed meanwhile.
+    params and y0 are not to be changed meanwhile.  tangent: as for `integrate`.
     A run that fails has a status and leaves the others alone.  Raises InputError.
     """
     end = positive(t_end, "t_end")
@@ -110,14 +114,20 @@ def integrate_many(
     loops = {DOP853: 0, RKMK4: 1}
     family = loops.get(type(method), -1)
 
+    lock = Lock()
+
+    def derivative(count: Counts) -> None:
+        with lock:  # what makes a kernel is not for several threads
+            want(tangent, method, count)
+
     def share(first: int, last: int) -> None:
-        work = work_rows(method, n)
         if family < 0:
             _one_by_one(
-                stepper_of(method), address, frozen, start, first, last, real, count, work,
+                method, derivative, address, frozen, start, first, last, real, count,
                 asked, y, reached, tally, stop,
             )  # fmt: skip
             return
+        work = work_rows(method, n)
         members(
             family, address, frozen, start, first, last, real.copy(), count.copy(), real, count,
             work, asked, y, reached, tally, stop,
@@ -148,7 +158,8 @@ def integrate_many(
 
 
 def _one_by_one(
-    stepper: Stepper,
+    method: Method,
+    derivative: Callable[[Counts], None],
     address: int,
     params: Array,
     y0: Array,
@@ -156,7 +167,6 @@ def _one_by_one(
     last: int,
     fresh_real: Array,
     fresh_count: Counts,
-    work: Array,
     times: Array,
     y: Array,
     reached: Array,
@@ -165,15 +175,17 @@ def _one_by_one(
 ) -> None:
     """Run members as `members` does, in a loop of Python's; a run is compiled all the same."""
     no_times, no_states = reached[:0], y[0, :0]
-    clean = work.copy()
+    stepper, n = stepper_of(method), y0.shape[1]
     for member in range(first, last):
         real, count = fresh_real.copy(), fresh_count.copy()
-        work[:] = clean
-        work[stepper.state, : count[N]] = y0[member]
+        work = work_rows(method, n)
+        work[stepper.state, :n] = y0[member]
         status = PAUSED
-        while status == PAUSED:
+        while status in (PAUSED, WANTED):
             if stop[0] != 0:
                 return
+            if status == WANTED:
+                derivative(count)
             status = stepper.advance(
                 address, params[member], real, count, work, times, y[member], no_times, no_states
             )

@@ -6,14 +6,16 @@ lanes: how many states the kernel of the method evaluates at once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import inf
-from typing import ClassVar, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 from ..arrays import positive
 from ..errors import InputError
 
 STAGES = 8  # of Gauss's methods, at most
+AUTO, FIXED_POINT, NEWTON = range(3)
+SOLVERS = {"auto": AUTO, "fixed point": FIXED_POINT, "Newton": NEWTON}
 
 
 def lanes_of(stages: int) -> int:
@@ -74,11 +76,13 @@ class Gauss:
 
     step: longest step [s]; the end time is met by making all steps equal.  order: 2, 4, …, 16.
     Angular momenta and Casimirs are kept to round-off, the energy stays near its value for
-    exponentially long times.  The stages are found by fixed-point iteration to round-off.
+    exponentially long times.  solver: how the stages are found, to round-off: "fixed point",
+    "Newton" with the exact Jacobian, or "auto", the first as long as it converges well.
     """
 
     step: float
     order: int = 6
+    solver: str = "auto"
 
     symplectic: ClassVar[bool] = True
     adaptive: ClassVar[bool] = False
@@ -90,6 +94,8 @@ class Gauss:
             raise InputError(
                 f"order must be one of {', '.join(map(str, orders))}, got {self.order!r}"
             )
+        if self.solver not in SOLVERS:
+            raise InputError(f"solver must be one of {', '.join(SOLVERS)}, got {self.solver!r}")
 
     @property
     def name(self) -> str:
@@ -136,7 +142,32 @@ class AdaptiveGauss:
         _check_control(self)
 
 
-def _check_control(method: DOP853 | AdaptiveGauss) -> None:
+@dataclass(frozen=True)
+class Radau:
+    """Radau IIA of order 5 with step control, in Hairer and Wanner's form: for stiff systems.
+
+    rtol, atol, max_steps, max_step: as for DOP853.  Where hard springs or strong dampers
+    would keep DOP853 at tiny steps, this goes on in those of the slow motion, damping what it
+    does not resolve; elsewhere it is slower.  Newton's method takes the exact Jacobian.
+    """
+
+    rtol: float = 1e-8
+    atol: float = 1e-10
+    max_steps: int = 1_000_000
+    max_step: float = inf
+
+    name: ClassVar[str] = "Radau"
+    lanes: ClassVar[int] = 1
+    order: ClassVar[int] = 5
+    dense_order: ClassVar[int] = 3
+    symplectic: ClassVar[bool] = False
+    adaptive: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        _check_control(self)
+
+
+def _check_control(method: DOP853 | AdaptiveGauss | Radau) -> None:
     positive(method.rtol, "rtol")
     positive(method.atol, "atol")
     if method.max_step != inf:
@@ -147,7 +178,27 @@ def _check_control(method: DOP853 | AdaptiveGauss) -> None:
         raise InputError(f"max_steps must be at least 1, got {method.max_steps}")
 
 
-Method: TypeAlias = DOP853 | RKMK4 | Gauss | AdaptiveGauss
+Method: TypeAlias = DOP853 | RKMK4 | Gauss | AdaptiveGauss | Radau
 METHODS: dict[str, type[Method]] = {
-    kind.__name__: kind for kind in (DOP853, RKMK4, Gauss, AdaptiveGauss)
+    kind.__name__: kind for kind in (DOP853, RKMK4, Gauss, AdaptiveGauss, Radau)
 }
+
+
+def method_named(
+    name: str, step: float | None, order: int | None, rtol: float, atol: float
+) -> Method:
+    """Return a method by its name, as on the command line: with its step, or tolerances.
+
+    Raises InputError for a name that is none, and where step or order do not go with it.
+    """
+    if name not in METHODS:
+        raise InputError(f"unknown method '{name}'; the methods are {', '.join(METHODS)}")
+    kind = METHODS[name]
+    wanted = {entry.name for entry in fields(kind)}
+    if ("step" in wanted) != (step is not None):
+        with_steps = [key for key, value in METHODS.items() if not value.adaptive]
+        raise InputError(f"--step H and --method {' or '.join(with_steps)} go together")
+    if order is not None and "order" not in wanted:
+        raise InputError("--order P goes with --method Gauss")
+    given: dict[str, Any] = {"step": step, "order": order, "rtol": rtol, "atol": atol}
+    return kind(**{k: v for k, v in given.items() if k in wanted and v is not None})

@@ -1,6 +1,6 @@
 """The state of a run, held in arrays so that it can stop and go on, and its small helpers.
 
-real (7,) and count (15,) are indexed by the names below; a stepper's `advance` works on
+real (12,) and count (19,) are indexed by the names below; a stepper's `advance` works on
 them and returns one of the codes.
 """
 
@@ -18,22 +18,30 @@ from .kernel import compiled
 Counts: TypeAlias = NDArray[np.int64]
 
 # Entries of `real`: time, next step, end time, longest step, tolerances, the step before.
-T, H, T_END, MAX_STEP, RTOL, ATOL, BEFORE = range(7)
-REALS = 7
+# Of Newton's method: the step that has been factored; by what it converges, and what it then
+# leaves of a change; by what a step is cut where it fails.  The error of the step before.
+(
+    T, H, T_END, MAX_STEP, RTOL, ATOL, BEFORE, FACTORED, CONTRACTION, CONVERGENCE, CUT, ERROR,
+) = range(12)  # fmt: skip
+REALS = 12
 
 # Entries of `count`: numbers in the state; first of the quaternion's four or −1; accepted
 # and rejected steps; evaluations; next time to report; whether the run has begun; whether
 # the last trial was rejected; limit on trials; entry that was not finite or −1; whether
 # knots are kept; evaluations before a pause; number of steps if it is known beforehand;
-# stages that are lanes of one evaluation, and lanes.
+# stages that are lanes of one evaluation, and lanes; the kernel of the derivative or 0;
+# whether the Jacobian is that of the state; how implicit steps are solved, and how many more
+# by Newton's method.
 (
     N, QUATERNION, STEPS, REJECTED, EVALUATIONS, NEXT, BEGUN, AGAIN, MAX_STEPS, ENTRY, KEEP,
-    BUDGET, TOTAL, STAGES, LANES,
-) = range(15)  # fmt: skip
-COUNTS = 15
+    BUDGET, TOTAL, STAGES, LANES, TANGENT, FRESH,
+    SOLVER, REMAINING,
+) = range(19)  # fmt: skip
+COUNTS = 19
 
 # What `advance` returns.
-DONE, PAUSED, FULL, UNDERFLOW, NOT_FINITE, TOO_MANY, DIVERGED = range(7)
+# WANTED: the kernel of the derivative.
+DONE, PAUSED, FULL, WANTED, UNDERFLOW, NOT_FINITE, TOO_MANY, DIVERGED = range(8)
 
 
 @compiled

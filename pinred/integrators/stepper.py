@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Array
-from . import dop853, gauss, gauss_adaptive, implicit, rkmk4
+from . import dop853, gauss, gauss_adaptive, gauss_newton, implicit, radau, radau_dense, rkmk4
 from .kernel import LANES as WHOLE
-from .method import DOP853, RKMK4, AdaptiveGauss, Gauss, Method
+from .kernel import SEEDS
+from .method import DOP853, FIXED_POINT, RKMK4, SOLVERS, AdaptiveGauss, Gauss, Method, Radau
 from .run import (
     ATOL,
     BUDGET,
@@ -24,6 +25,7 @@ from .run import (
     QUATERNION,
     REALS,
     RTOL,
+    SOLVER,
     STAGES,
     T_END,
     TOTAL,
@@ -39,12 +41,14 @@ EVALUATIONS_BETWEEN_PAUSES = 4096  # at most some milliseconds: Ctrl-C and progr
 class Stepper:
     """The compiled functions of a method.
 
-    advance, recall: see dop853.py.  state: the row of `work` with the state.
+    advance, recall: see dop853.py.  state: the row of `work` with the state.  kept: numbers at
+    a knot for one in the state.
     """
 
     advance: Callable[..., int]
     recall: Callable[..., None]
     state: int
+    kept: int = 1
 
 
 _STEPPERS: dict[type[Any], Stepper] = {
@@ -52,6 +56,7 @@ _STEPPERS: dict[type[Any], Stepper] = {
     RKMK4: Stepper(rkmk4.advance, rkmk4.recall, rkmk4.Y),
     Gauss: Stepper(gauss.advance, gauss.recall, implicit.Y),
     AdaptiveGauss: Stepper(gauss_adaptive.advance, gauss_adaptive.recall, implicit.Y),
+    Radau: Stepper(radau.advance, radau_dense.recall, radau_dense.Y, radau_dense.KEPT),
 }
 
 
@@ -63,7 +68,13 @@ def stepper_of(method: Method) -> Stepper:
 def work_rows(method: Method, n: int) -> Array:
     """Return the rows that a stepper works on, padded to whole vectors."""
     if isinstance(method, (Gauss, AdaptiveGauss)):
-        return implicit.work_rows(method.stages, n)
+        behind = gauss_newton.room(n, method.stages) if isinstance(method, Gauss) else 0
+        work = implicit.work_rows(method.stages, n, behind)
+        if isinstance(method, Gauss):
+            gauss_newton.fill(work, method.stages)
+        return work
+    if isinstance(method, Radau):
+        return np.zeros((radau.MATRIX + 4 * n, -(-n // SEEDS) * SEEDS))
     rows = dop853.ROWS if isinstance(method, DOP853) else rkmk4.ROWS
     return np.zeros((rows, -(-n // WHOLE) * WHOLE))
 
@@ -76,7 +87,10 @@ def registers(method: Method, n: int, t_end: float, quaternion: int) -> tuple[Ar
     count[ENTRY], count[BUDGET] = -1, EVALUATIONS_BETWEEN_PAUSES
     if isinstance(method, (Gauss, AdaptiveGauss)):
         count[STAGES], count[LANES] = method.stages, method.lanes
-    if isinstance(method, (DOP853, AdaptiveGauss)):
+        count[SOLVER] = FIXED_POINT
+    if isinstance(method, Gauss):
+        count[SOLVER] = SOLVERS[method.solver]
+    if isinstance(method, (DOP853, AdaptiveGauss, Radau)):
         real[RTOL], real[ATOL], real[MAX_STEP] = method.rtol, method.atol, method.max_step
         count[MAX_STEPS] = method.max_steps
     else:
