@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -138,6 +139,39 @@ def test_bad_input_is_one_line_and_exit_two(
     assert err.count("\n") == 1
     assert words in err
     assert os.listdir(tmp_path) == []
+
+
+DOCUMENT = (Path(__file__).parent.parent / "docs/plots.md").read_text(encoding="utf-8")
+COMMANDS = re.findall(r"^\$ pinred plot (?!measured)(.*)$", DOCUMENT, re.MULTILINE)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_of_the_document(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    command: str,
+) -> None:
+    """Every command of docs/plots.md runs as it stands and writes a file a kind."""
+    if command.startswith("talos"):
+        pytest.importorskip("example_robot_data")
+    monkeypatch.chdir(tmp_path)
+    words = command.split()
+    assert run(capsys, *words)[0] == 0
+    kinds = words[words.index("--kind") + 1].split(",")
+    assert len(os.listdir(tmp_path)) == len(kinds)
+
+
+def test_document_names_kinds_and_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The table of docs/plots.md has all kinds with all their options; its example runs."""
+    rows = re.findall(r"^\| `(\w+)` \|.*\| (.*) ?\|$", DOCUMENT, re.MULTILINE)
+    assert {kind: tuple(re.findall(r"`(\w+)`", options)) for kind, options in rows} == {
+        kind: plots.options_of(kind) for kind in plots.KINDS
+    }
+    monkeypatch.chdir(tmp_path)
+    (code,) = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
+    exec(compile(code, "plots.md", "exec"), {})
+    assert sorted(os.listdir(tmp_path)) == ["curvature.svg", "phase.pdf", "shape.png"]
 
 
 def test_what_was_there_stays(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -287,6 +288,24 @@ def test_work_against_precision() -> None:
         plots.work_precision(measured(), against="time")  # type: ignore[arg-type]
     with pytest.raises(pinred.InputError, match="takes one or more results"):
         plots.work_precision([])
+
+
+def test_names_are_not_formulas(tmp_path: Path) -> None:
+    """Names with $, and names that begin with _, are drawn and stand in legends as they are."""
+    text = '<robot name="$a_$"><link name="base">{}</link>{}</robot>'
+    joints = "".join(
+        LINK.format(name) + JOINT.format(f"{name}$^", "revolute", "base", name)
+        for name in ("_", "b")
+    )
+    path = tmp_path / "odd.urdf"
+    path.write_text(text.format(LINK.format("x").split(">", 1)[1].rsplit("<", 1)[0], joints))
+    traj = pinred.simulate(pinred.load(path, gravity=(0, 0, 0)), seed=0, duration=0.1)
+    for kind in ("shape", "phase", "curvature", "sphere"):
+        figure = traj.plot(kind)
+        figure.savefig(BytesIO())
+    legend = plots.shape(traj).axes[0].get_legend()
+    assert legend is not None
+    assert [entry.get_text().strip() for entry in legend.get_texts()] == ["_$^", "b$^"]
 
 
 def test_refusals(cat: pinred.Trajectory) -> None:

@@ -79,6 +79,27 @@ def test_portrait_counts_springs_and_momentum() -> None:
     assert (x[0], x[-1]) == (-1.0, 1.0)
 
 
+def test_energy_of_the_portrait_is_pinocchio_s() -> None:
+    """In the plane, it is Pinocchio's kinetic energy less that of the centre of mass."""
+    system = pinred.load("planar_chain5", lock=["joint2", "joint3", "joint4", "joint5"])
+    traj = pinred.simulate(system, x0=[0.7], xdot0=[0.9], xi0=[1.0, -2.0, 0.8], duration=5.0)
+    model, data = system.model, system.model.createData()
+    figure = plots.phase(traj, when=2.0)
+    top, portrait = figure.axes
+    state = traj(2.0)
+    pin.ccrba(model, data, state.q, state.v)
+    carried = 0.5 * data.hg.linear @ data.hg.linear / system.mass
+    expected = pin.computeKineticEnergy(model, data, state.q, state.v) - carried
+    assert drawn(top, "energy")[1] == pytest.approx(expected, rel=1e-9)
+    # Where the joint turns, all of this energy is potential.
+    x, potential = drawn(top, "amended potential")
+    still, rate = drawn(portrait, "path")
+    for k in np.flatnonzero(rate[:-1] * rate[1:] < 0.0):
+        assert np.interp(still[k], x, potential) == pytest.approx(expected, rel=1e-2)
+    assert carried > 0.1 * expected
+    assert ", potential for" not in figure.get_suptitle()
+
+
 def test_portrait_of_two_joints_is_pinocchio_s() -> None:
     """½ L·I⁻¹L with Pinocchio's centroidal inertia at every shape that is drawn."""
     system = pinred.load("falling_cat")
@@ -142,6 +163,9 @@ def test_portraits_without_potential(tmp_path: Path) -> None:
     figure = plots.phase(pinred.simulate(top, seed=0, duration=0.5))
     assert "gravity turns the pivot" in figure.get_suptitle()
     assert not any(contours(axes) for axes in figure.axes)
+    cat = pinred.load("falling_cat")
+    still = pinred.simulate(cat, x0=[0.1, 0.2, 0.3], xdot0=[1, 0, 0], momentum=0, duration=0.5)
+    assert "is 0 J everywhere" in plots.phase(still).get_suptitle()
 
 
 def curvature_by_differences(system: pinred.System, x: Array, a: int, b: int) -> Array:
@@ -294,7 +318,7 @@ def test_spheres_that_are_none(tmp_path: Path) -> None:
 
 
 def test_crossings_in_closed_form() -> None:
-    """The beanie, 0.4 cos(ωt), is zero at (k + ½)π/ω, where it falls and rises in turn."""
+    """The beanie, 0.4 cos(ωt), is zero at (k + ½)π/ω."""
     traj, _ = beanie()
     omega = np.sqrt(1.5)
 
@@ -303,11 +327,7 @@ def test_crossings_in_closed_form() -> None:
 
     expected = (np.arange(2) + 0.5) * np.pi / omega
     np.testing.assert_allclose(crossings(traj, height), expected, atol=1e-9)
-    np.testing.assert_allclose(crossings(traj, height, -1), expected[:1], atol=1e-9)
-    np.testing.assert_allclose(crossings(traj, height, 1), expected[1:], atol=1e-9)
     assert not crossings(traj, lambda t: height(t) - 1.0).size
-    with pytest.raises(pinred.InputError, match="direction"):
-        crossings(traj, height, 2)
 
 
 def two_pendulums() -> list[pinred.Trajectory]:
@@ -339,7 +359,7 @@ def test_section_is_where_the_full_simulation_crosses() -> None:
     start = np.concatenate([traj.pose[0], traj.x[0], traj.xi[0], traj.xdot[0]])
     full = solve_ivp(rate, (0, 20), start, "DOP853", events=height, rtol=1e-11, atol=1e-12)
     expected = full.y_events[0][:, [2, n + 2]]
-    figure = plots.poincare(traj)
+    figure = plots.poincare(traj, value=0.0)
     x, xdot = drawn(figure.axes[0], f"motion 1: {len(expected)} crossings")
     np.testing.assert_allclose(np.stack([x, xdot], axis=1), expected, atol=1e-6)
     assert len(expected) > 5
@@ -351,7 +371,14 @@ def test_section_is_where_the_full_simulation_crosses() -> None:
 def test_sections_of_several_motions_and_turns() -> None:
     """Each motion has its mark; a joint that turns crosses once a turn."""
     motions = two_pendulums()
-    assert len(plots.poincare(motions, direction=0).axes[0].lines) == 2
+    assert len(plots.poincare(motions, value=0.0, direction=0).axes[0].lines) == 2
+    up, down, both = (
+        np.column_stack(plots.poincare(motions[0], direction=way).axes[0].lines[0].get_data())
+        for way in (1, -1, 0)
+    )
+    assert len(up) + len(down) == len(both)
+    assert sorted([*up.tolist(), *down.tolist()]) == sorted(both.tolist())
+    assert abs(len(up) - len(down)) <= 1
     system = pinred.load("reaction_wheel_satellite")
     traj = pinred.simulate(system, duration=5.0)
     wheel = traj.x[:, 1]
@@ -359,6 +386,19 @@ def test_sections_of_several_motions_and_turns() -> None:
     turns = np.floor((wheel[-1] - 1.0) / (2 * np.pi)) - np.floor((wheel[0] - 1.0) / (2 * np.pi))
     assert turns > 10
     assert len(figure.axes[0].lines[0].get_xdata()) == turns  # type: ignore[arg-type]
+
+
+def test_section_in_the_middle_of_the_motion() -> None:
+    """Without a value, the section lies where the joint passes most often: between its ends."""
+    traj = two_pendulums()[0]
+    t = np.linspace(0.0, 20.0, 20001)
+    x = traj.at(t).x[:, 0]
+    figure = plots.poincare(traj)
+    middle = 0.5 * (x.min() + x.max())
+    title = figure.get_suptitle()
+    assert float(title.split("= ")[1].split(" rad")[0]) == pytest.approx(middle, abs=1e-4)
+    upwards = ((x[:-1] < middle) & (x[1:] >= middle)).sum()
+    assert f"motion 1: {upwards} crossings" in str(figure.axes[0].lines[0].get_label())
 
 
 def test_sections_that_are_none() -> None:

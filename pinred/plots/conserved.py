@@ -108,3 +108,4 @@ def _log_lines(axes: Axes, t: Array, series: dict[str, Array]) -> None:
     axes.set_yscale("log")
     if not any(values.any() for values in series.values()):
         axes.set_ylim(1e-17, 1e-7)
+        axes.text(0.5, 0.3, "exactly zero", transform=axes.transAxes, ha="center")

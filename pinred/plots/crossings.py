@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 
 from ..arrays import Array
-from ..errors import InputError
 from ..trajectory import Trajectory
 
 _PARTS = 8  # in which each step of the integrator is searched for a change of sign
@@ -22,24 +21,18 @@ def fine_times(traj: Trajectory) -> Array:
     return np.append((knots[:-1, None] + parts * np.diff(knots)[:, None]).ravel(), knots[-1])
 
 
-def crossings(traj: Trajectory, function: Callable[[Array], Array], direction: int = 0) -> Array:
+def crossings(traj: Trajectory, function: Callable[[Array], Array]) -> Array:
     """Return the times at which a function of time changes its sign, (K,) [s].
 
-    function: from times (T,) to values (T,), smooth.  direction: 1 for upwards only, −1 for
-    downwards, 0 for both.  The times are bisected to round-off on the dense output.  Two
-    crossings within an eighth of a step of the integrator are not seen.
-    Raises InputError for another direction.
+    function: from times (T,) to values (T,), continuous.  The times are bisected to round-off on
+    the dense output.  Two crossings within an eighth of a step of the integrator are not seen.
     """
-    if direction not in (-1, 0, 1):
-        raise InputError(f"direction must be 1 (upwards), -1 (downwards) or 0, got {direction!r}")
     t = fine_times(traj)
     # A zero counts as the sign before it, so that one hit exactly is found once.
     signs = np.sign(function(t))
     for k in np.flatnonzero(signs == 0.0):
         signs[k] = signs[k - 1] if k else 0.0
     change = signs[:-1] * signs[1:] < 0.0
-    if direction:
-        change &= signs[1:] == direction
     low, high, sign = t[:-1][change], t[1:][change], signs[:-1][change]
     if not low.size:
         return low

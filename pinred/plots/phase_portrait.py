@@ -19,6 +19,7 @@ from .style import BLACK, BLUE, FIELD, RED, StyledFigure, figure, legend, line, 
 from .time_series import require_joints
 
 _LEVELS = 14
+_FLAT = 1e-9  # relative, or J; a potential that changes by less is constant
 
 
 @styled
@@ -122,7 +123,13 @@ def _remark(names: Labels, landscape: _Landscape | None, values: Array | None) -
         return " (a file has no robot, hence no potential)"
     if values is None:
         return f" (gravity turns the pivot: no potential on the shape of {names.group} alone)"
+    if _is_flat(values):
+        return f" (the amended potential is {values.flat[0]:.4g} J everywhere)"
     return "" if landscape.is_exact else f", potential for μ of t = {landscape.time:g} s"
+
+
+def _is_flat(values: Array) -> bool:
+    return bool(np.ptp(values) <= _FLAT * max(_FLAT, float(np.abs(values).max())))
 
 
 def _one(
@@ -168,12 +175,9 @@ def _two(
     grid = made.add_gridspec(2, 2, width_ratios=[3, 2])
     main = made.add_subplot(grid[:, 0])
     a, b = shapes.joints
-    if landscape is not None and values is not None:
-        flat = np.ptp(values) <= 1e-9 * max(1e-12, float(np.abs(values).max()))
-        levels = _LEVELS if not flat else values.flat[0] + np.array([-1.0, 0.0, 1.0])
-        field = main.contourf(*shapes.axes, values, levels=levels, cmap=FIELD)
-        if not flat:
-            main.contour(*shapes.axes, values, levels=levels, colors=BLACK, linewidths=0.3)
+    if landscape is not None and values is not None and not _is_flat(values):
+        field = main.contourf(*shapes.axes, values, levels=_LEVELS, cmap=FIELD)
+        main.contour(*shapes.axes, values, levels=_LEVELS, colors=BLACK, linewidths=0.3)
         bar = made.colorbar(field, ax=main, location="left", pad=0.02)
         bar.set_label("amended potential [J]")
         energy = landscape.energy()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,6 +11,7 @@ from ..arrays import Array, as_floats
 from ..errors import InputError
 from ..trajectory import Trajectory
 from .crossings import crossings
+from .fine_path import fine_path
 from .motion_labels import labels, labels_of
 from .style import dots, figure, legend, styled
 from .time_series import require_joints
@@ -22,13 +22,14 @@ def poincare(
     motions: Trajectory | Sequence[Trajectory],
     *,
     joints: Sequence[str | int] | None = None,
-    value: float = 0.0,
+    value: float | None = None,
     direction: int = 1,
 ) -> Figure:
     """Draw shape against rate of one joint at each crossing of another, each motion by its mark.
 
     joints: the one that crosses and the one that is drawn, the first two if None.  value:
-    where it crosses [rad | m]; of a turning joint, whole turns more or less count as well.
+    where it crosses [rad | m], the middle of its motion if None; of a turning joint, whole turns
+    more or less count as well.
     direction: 1 where its rate is positive, −1 where it is negative, 0 both.
     Raises InputError for fewer than two joints, motions of several robots, or if no motion
     crosses.
@@ -44,7 +45,12 @@ def poincare(
     if len(pair) != 2:
         raise InputError(f"joints must be two for a Poincaré section, got {len(pair)}")
     crossed, shown = pair
+    if direction not in (-1, 0, 1):
+        raise InputError(f"direction must be 1, -1 or 0 for both, got {direction!r}")
     unit = names.units[crossed]
+    if value is None:
+        x = fine_path(every[0]).x[:, crossed]
+        value = 0.5 * float(x.min() + x.max())
     where = float(as_floats(value, "value"))
     if not np.isfinite(where):
         raise InputError(f"value must be finite, got {value}")
@@ -58,7 +64,7 @@ def poincare(
         )
     sense = {1: ", upwards", -1: ", downwards", 0: ""}[direction]
     made = figure(
-        f"{names.robot}: Poincaré section at {names.joints[crossed]} = {where:g} {unit}{sense}",
+        f"{names.robot}: Poincaré section at {names.joints[crossed]} = {where:.4g} {unit}{sense}",
         height=4.2,
     )
     axes = made.subplots()
@@ -81,22 +87,14 @@ def section(
 
     turns: whether whole turns more or less than `value` count.
     """
-    levels = np.array([value])
-    if turns:
-        x = traj.at(traj.motion.knots).x[:, joint]
-        turn = 2.0 * np.pi
-        first, last = np.floor((x.min() - value) / turn), np.ceil((x.max() - value) / turn)
-        levels = value + turn * np.arange(first, last + 1.0)
 
-    def height(t: Array, level: float) -> Array:
-        return traj.at(t).x[:, joint] - level
+    def height(t: Array) -> Array:
+        apart = traj.at(t).x[:, joint] - value
+        return np.sin(0.5 * apart) if turns else apart
 
-    t = np.sort(
-        np.concatenate(
-            [crossings(traj, partial(height, level=level), direction) for level in levels.tolist()]
-        )
-    )
+    t = crossings(traj, height)
     if not t.size:
         return np.empty((0, 2))
     state = traj.at(t)
-    return np.stack([state.x[:, shown], state.xdot[:, shown]], axis=1)
+    points = np.stack([state.x[:, shown], state.xdot[:, shown]], axis=1)
+    return points if not direction else points[np.sign(state.xdot[:, joint]) == direction]

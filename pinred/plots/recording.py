@@ -11,7 +11,7 @@ import numpy as np
 
 from ..arrays import Array, as_floats, read_only
 from ..errors import InputError, LoadError
-from ..lie import group_named
+from ..lie import GROUPS
 
 _TIME_FIRST = (
     *("x", "xdot", "energy", "pose", "xi", "q", "v", "body_momentum", "spatial_momentum"),
@@ -99,7 +99,9 @@ def read_recording(path: str | Path) -> Recording:
         if name in content
     }
     joints = tuple(map(str, np.atleast_1d(content["joints"])))
-    times, group = arrays["t"], group_named(str(content["group"]))
+    if str(content["group"]) not in GROUPS:
+        raise LoadError(f"'{path}': unknown group '{content['group']}'")
+    times, group = arrays["t"], GROUPS[str(content["group"])]
     widths = {"x": len(joints), "xdot": len(joints), "pose": group.size, "xi": group.dim}
     widths |= dict.fromkeys(("body_momentum", "spatial_momentum"), group.dim)
     for name, array in arrays.items():

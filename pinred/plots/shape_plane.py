@@ -105,5 +105,7 @@ def title_at(names: Labels, joints: Sequence[int], at: Array) -> str:
     if not others:
         return ""
     if len(others) > 3:
-        return f"the other {len(others)} joints stand still"
-    return ", ".join(f"{names.joints[k]} = {at[k]:.3g} {names.units[k]}" for k in others)
+        return f"drawn with the other {len(others)} joints frozen"
+    return "drawn for " + ", ".join(
+        f"{names.joints[k]} = {at[k]:.3g} {names.units[k]}" for k in others
+    )

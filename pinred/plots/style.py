@@ -8,22 +8,22 @@ so that a grey print can be read too.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from functools import wraps
 from io import BytesIO
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec
 
 import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from ..arrays import Array
 
 P = ParamSpec("P")
-T = TypeVar("T")
 
 BLACK, RED, SKY, BLUE = "#000000", "#D55E00", "#56B4E9", "#0072B2"
 ORANGE, GREEN, PURPLE = "#E69F00", "#009E73", "#CC79A7"
@@ -90,22 +90,34 @@ class StyledFigure(Figure):
         return stream.getvalue()
 
 
-def styled(function: Callable[P, T]) -> Callable[P, T]:
+def styled(function: Callable[P, Figure]) -> Callable[P, Figure]:
     """Make a function that builds a figure build it in pinred's style."""
 
     @wraps(function)
-    def build(*arguments: P.args, **options: P.kwargs) -> T:
+    def build(*arguments: P.args, **options: P.kwargs) -> Figure:
         with _worn():
-            return function(*arguments, **options)
+            made = function(*arguments, **options)
+        for text in _named(made):
+            text.set_parse_math(False)  # a name with $ in it is no formula
+        return made
 
     return build
+
+
+def _named(made: Figure) -> Iterator[Text]:
+    """Give the texts of a figure that may hold names: all but the labels of ticks."""
+    keys = [*made.legends, *(axes.get_legend() for axes in made.axes)]
+    for key in keys:
+        yield from key.get_texts() if key is not None else ()
+    for axes in made.axes:
+        yield from (axes.xaxis.label, axes.yaxis.label)
 
 
 def figure(title: str, *, width: float = WIDTH, height: float) -> StyledFigure:
     """Return an empty figure with a title; sizes in inches."""
     made = StyledFigure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(made)
-    made.suptitle(title, x=0.01, ha="left")
+    made.suptitle(title, x=0.01, ha="left", parse_math=False)
     return made
 
 
@@ -139,6 +151,11 @@ def dots(k: int) -> dict[str, Any]:
     return {"color": PALETTE[n], "marker": MARKERS[(n + turn) % len(MARKERS)]}
 
 
+def shown(name: str) -> str:
+    """Return a name as legends show it; those that begin with _ they would leave out."""
+    return f" {name}" if name.startswith("_") else name
+
+
 def legend(axes: Axes, *, title: str | None = None) -> None:
     """Put a legend beside the axes, where it hides nothing, if there is more than one thing."""
     if len(axes.get_legend_handles_labels()[1]) > 1 or title:
@@ -166,8 +183,3 @@ def on_log(values: Array) -> Array:
     """Return magnitudes for a logarithmic axis, which has no place for an exact zero."""
     size = np.abs(values)
     return np.where(size > 0.0, size, np.nan)
-
-
-def equally_scaled(axes: Axes) -> None:
-    """Draw both directions of a plane to one scale."""
-    axes.set_aspect("equal", adjustable="datalim")

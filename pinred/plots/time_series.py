@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from ..arrays import Array
 from ..errors import InputError
 from .motion_labels import Labels, Motion, labels
-from .style import legend, line, over_time, steady, styled
+from .style import legend, line, over_time, shown, steady, styled
 
 _BASE: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
     "R": (("position [m]", ("s",)),),
@@ -37,7 +37,7 @@ def shape(motion: Motion, *, joints: Sequence[str | int] | None = None) -> Figur
     figure, every = over_time(f"{names.robot}: shape", len(panels))
     for axes, panel in zip(every, panels, strict=True):
         for k, joint in enumerate(panel):
-            axes.plot(motion.t, motion.x[:, joint], label=names.joints[joint], **line(k))
+            axes.plot(motion.t, motion.x[:, joint], label=shown(names.joints[joint]), **line(k))
         steady(axes, motion.x[:, panel])
         axes.set_ylabel(
             f"{names.joints[panel[0]]} [{names.units[panel[0]]}]"

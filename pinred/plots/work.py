@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..bench.work_precision import WorkPrecision
 from ..errors import InputError
-from .style import WIDTH, dots, figure, legend, line, styled
+from .style import WIDTH, dots, figure, legend, line, shown, styled
 
 _AGAINST = {
     "wall": ("wall time [ms]", 1e3),
@@ -51,10 +52,10 @@ def _panel(axes: Axes, found: WorkPrecision, names: list[str], against: str) -> 
         if name not in found.about:
             continue
         points = sorted(found.of(name), key=lambda point: point.tolerance)
-        series = [(p.error, factor * getattr(p, against)) for p in points if p.error > 0.0]
+        series = [(p.error, factor * getattr(p, against)) for p in points if 0.0 < p.error < np.inf]
         if series:
             x, y = zip(*series, strict=True)
-            axes.plot(x, y, label=name, **{**line(k), **dots(k)}, markerfacecolor="white")
+            axes.plot(x, y, label=shown(name), **{**line(k), **dots(k)}, markerfacecolor="white")
             errors += x
     axes.set(xscale="log", yscale="log", xlabel="error [rad | m]", ylabel=label)
     if errors and found.reference_error > 0.0:
@@ -66,5 +67,5 @@ def _panel(axes: Axes, found: WorkPrecision, names: list[str], against: str) -> 
         axes.set_xlim(low, max(errors) * 3.0)
     if not errors:
         axes.text(0.5, 0.5, "no method came to its end", transform=axes.transAxes, ha="center")
-    axes.set_title(found.problem, loc="left")
+    axes.set_title(found.problem, loc="left", parse_math=False)
     legend(axes)
