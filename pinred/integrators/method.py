@@ -156,7 +156,7 @@ class Radau:
     name: ClassVar[str] = "Radau"
     lanes: ClassVar[int] = 1
     order: ClassVar[int] = 5
-    dense_order: ClassVar[int] = 3
+    dense_order: ClassVar[int] = 5
     symplectic: ClassVar[bool] = False
     adaptive: ClassVar[bool] = True
 

@@ -97,7 +97,7 @@ def work_rows(method: Method, n: int) -> Array:
             gauss_newton.fill(work, method.stages)
         return work
     if isinstance(method, Radau):
-        return np.zeros((radau.MATRIX + 4 * n, -(-n // SEEDS) * SEEDS))
+        return np.zeros((radau_dense.MATRIX + 5 * n, -(-n // SEEDS) * SEEDS))
     rows = {DOP853: dop853.ROWS, RKMK4: rkmk4.ROWS, Variational: variational.ROWS}
     return np.zeros((rows[type(method)], -(-n // WHOLE) * WHOLE))
 
