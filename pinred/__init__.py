@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     )
     from .grid import ShapeField
     from .inspection import Inspection, inspect
-    from .integrators.method import DOP853, RKMK4, AdaptiveGauss, Gauss, Radau
+    from .integrators.method import DOP853, RKMK4, AdaptiveGauss, Gauss, Radau, Variational
     from .loading import load
     from .many import Failure, Trajectories, simulate_many
     from .reduction import ReducedShape, Reduction
@@ -76,7 +76,9 @@ _HOME = {
     **dict.fromkeys(("ShapeState", "State"), "state"),
     "Trajectory": "trajectory",
     **dict.fromkeys(("EnergyBalance", "MomentumBalance"), "balance"),
-    **dict.fromkeys(("DOP853", "RKMK4", "AdaptiveGauss", "Gauss", "Radau"), "integrators.method"),
+    **dict.fromkeys(
+        ("DOP853", "RKMK4", "AdaptiveGauss", "Gauss", "Radau", "Variational"), "integrators.method"
+    ),
 }
 _MODULES = ("equations", "forces", "lie", "plots", "signals")
 
@@ -113,6 +115,7 @@ __all__ = [
     "System",
     "Trajectories",
     "Trajectory",
+    "Variational",
     "Velocity",
     "compare",
     "equations",

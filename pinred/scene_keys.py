@@ -127,6 +127,7 @@ _METHODS = {
         "1e-12", "1e-14", "Gauss–Legendre collocation of order 16, for tight tolerances"
     ),
     "Radau": _controlled("1e-8", "1e-10", "Radau IIA of order 5, for hard springs and dampers"),
+    "Variational": Table({"step": _STEP}, "discrete Lagrange–Poincaré equations of order 2"),
 }
 RUN = Table(
     {

@@ -14,7 +14,7 @@ from math import nan
 import numpy as np
 
 import pinred
-from pinred import DOP853, RKMK4, Gauss, plots
+from pinred import DOP853, RKMK4, AdaptiveGauss, Radau, plots
 from pinred.bench import Point, WorkPrecision
 from pinred.integrators.method import Method
 
@@ -41,7 +41,7 @@ METHODS: list[Method] = [
 
 def knob(method: Method) -> float:
     """Return what makes a method more accurate when it gets smaller: a tolerance or a step."""
-    return method.step if isinstance(method, (RKMK4, Gauss)) else method.rtol
+    return method.rtol if isinstance(method, DOP853 | AdaptiveGauss | Radau) else method.step
 
 
 # %% [markdown]

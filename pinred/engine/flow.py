@@ -6,8 +6,9 @@ import numpy as np
 
 from ..arrays import Array
 from ..base import into_body, root_of
+from ..errors import InputError
 from ..flow import entry_name
-from ..integrators.method import Method
+from ..integrators.method import Method, Variational
 from ..potential import pivot_weight
 from ..scene import Scene
 from ..start import Given, finite_start
@@ -151,12 +152,16 @@ class CompiledFlows:
 
     def _begin(self, scene: Scene, given: Given, start: Starts, *, zero: bool) -> None:
         forces, x, N = scene.force_model, given.x, len(given.x)
-        self.scene, self.kernel = (
-            scene,
-            kernel_for(scene, zero_momentum=zero, lifted=method_of(scene).symplectic),
-        )
+        method = method_of(scene)
+        self.scene = scene
+        self.kernel = kernel_for(scene, zero_momentum=zero, lifted=method.symplectic)
         layout = self.kernel.layout
         parts = layout.base
+        if isinstance(method, Variational) and parts.momentum:
+            raise InputError(
+                "Variational needs a constant angular momentum, and here gravity or a wrench "
+                "changes it; Gauss and the others take that"
+            )
         active, cyclic = list(layout.active), list(layout.cyclic)
         attitude = given.pose[:, scene.system.group.linear :]
         pieces = [x[:, active], start.pi[:, active], x[:, cyclic], attitude[:, : parts.attitude]]

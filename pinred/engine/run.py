@@ -49,6 +49,7 @@ def integrate_many(flows: CompiledFlows, scene: Scene, threads: int | None) -> M
         kernel.layout.quaternion,
         threads,
         CompiledFlow.of(flows, 0).tangent,
+        kernel.layout.canonical,
     )
     failures = []
     for k in np.flatnonzero(~found.ok).tolist():
@@ -80,7 +81,7 @@ def solve(flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | 
 
     That raises an IntegrationError with time and shape.
     """
-    method, quaternion = method_of(scene), flow.kernel.layout.quaternion
+    method, layout = method_of(scene), flow.kernel.layout
     asked, address = scene.report_times, flow.address(method)
     # Between knots the power of a force is like a polynomial of degree 7; a step of eight
     # stages is too long for that.
@@ -96,7 +97,16 @@ def solve(flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | 
         y0 = y0 if y0.size else np.zeros(1)
         try:
             found = integrate_checked(
-                method, address, parameters, y0, end - start, times, quaternion, done, flow.tangent
+                method,
+                address,
+                parameters,
+                y0,
+                end - start,
+                times,
+                layout.quaternion,
+                done,
+                flow.tangent,
+                layout.canonical,
             )
         except IntegrationError as stop:
             raise _explained(stop, flow, scene, start) from None

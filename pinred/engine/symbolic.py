@@ -95,6 +95,11 @@ class Layout:
         """Index of the first of four quaternion entries in y, or −1."""
         return self.base_at if self.base.attitude == 4 else -1
 
+    @property
+    def canonical(self) -> tuple[int, int]:
+        """Number of positions with momenta behind them, and of constant angular momenta."""
+        return len(self.active), self.base.spin
+
 
 @dataclass(frozen=True)
 class Outputs:

@@ -44,6 +44,7 @@ from .stepper import registers, stepper_of, work_rows
 
 Progress = Callable[[float], None]
 Tangent = Callable[[], int]
+Canonical = tuple[int, int]
 
 _FIRST_KNOTS = 128
 
@@ -71,6 +72,7 @@ class Solution:
     _address: int = field(repr=False)
     _params: Array = field(repr=False)
     _quaternion: int = field(repr=False)
+    _canonical: Canonical = field(repr=False)
 
     def at(self, times: ArrayLike) -> Array:
         """Return the states (T, n) at times (T,) in any order, as if they had been asked for.
@@ -81,7 +83,7 @@ class Solution:
         order = np.argsort(asked, kind="stable")
         n = self.states.shape[1]
         out = np.empty((len(asked), n))
-        _, count = registers(self.method, n, 1.0, self._quaternion)
+        _, count = registers(self.method, n, 1.0, self._quaternion, self._canonical)
         count[TANGENT] = self._tangent
         stepper_of(self.method).recall(
             self._address,
@@ -108,6 +110,7 @@ def integrate(
     quaternion: int = -1,
     progress: Progress | None = None,
     tangent: Tangent | None = None,
+    canonical: Canonical = (0, 0),
 ) -> Solution:
     """Integrate ẏ = f(y, params) from y0 (n,) at time 0 to t_end [s].
 
@@ -118,6 +121,8 @@ def integrate(
     progress: called now and then with the part of the time that is done, 0 to 1.
     tangent: gives the address of the kernel of ∂f/∂y (see call_tangent); called at most once,
         when the method wants it.
+    canonical: how many of y are positions, with as many momenta behind them, and how many
+        parameters are the constant momentum J with q̄ J q in the equations: for Variational.
 
     Raises InputError, and StepSizeUnderflow, NonFiniteState, NoConvergence or TooManySteps with
     the time and the state at which the run stopped.
@@ -129,7 +134,7 @@ def integrate(
     asked = checked_times(times, end, ordered=True)
     frozen = read_only(np.array(as_floats(params, "params")))
     return integrate_checked(
-        method, address, frozen, state, end, asked, quaternion, progress, tangent
+        method, address, frozen, state, end, asked, quaternion, progress, tangent, canonical
     )
 
 
@@ -143,13 +148,14 @@ def integrate_checked(
     quaternion: int,
     progress: Progress | None,
     tangent: Tangent | None = None,
+    canonical: Canonical = (0, 0),
 ) -> Solution:
     """Integrate as `integrate` does, with arguments that are known to be right.
 
     params and times are not changed by anybody afterwards.
     """
     n = y0.shape[0]
-    real, count = registers(method, n, end, quaternion)
+    real, count = registers(method, n, end, quaternion, canonical)
     count[KEEP] = 1
     work = work_rows(method, n)
     stepper = stepper_of(method)
@@ -183,6 +189,7 @@ def integrate_checked(
         _address=address,
         _params=params,
         _quaternion=quaternion,
+        _canonical=canonical,
     )
 
 

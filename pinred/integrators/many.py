@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import Array, as_floats, freeze, positive, read_only
 from ..errors import InputError, ShapeError
 from . import dop853, rkmk4
-from .drive import Tangent, check_kernel, check_state, checked_times, want
+from .drive import Canonical, Tangent, check_kernel, check_state, checked_times, want
 from .kernel import compiled
 from .method import DOP853, RKMK4, Method
 from .run import (
@@ -85,12 +85,14 @@ def integrate_many(
     quaternion: int = -1,
     threads: int | None = None,
     tangent: Tangent | None = None,
+    canonical: Canonical = (0, 0),
 ) -> Solutions:
     """Integrate ẏ = f(y, params[i]) from y0[i] for every i, each as `integrate` would.
 
     params: (N, p).  y0: (N, n).  times: (T,) sorted, within [0, t_end].
     threads: as many as there are processors if None; the numbers do not depend on it.
-    params and y0 are not to be changed meanwhile.  tangent: as for `integrate`.
+    params and y0 are not to be changed meanwhile.  tangent, canonical: as for
+    `integrate`.
     A run that fails has a status and leaves the others alone.  Raises InputError.
     """
     end = positive(t_end, "t_end")
@@ -107,7 +109,7 @@ def integrate_many(
     if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
         raise InputError(f"threads must be a whole number above zero, got {threads!r}")
 
-    real, count = registers(method, n, end, quaternion)
+    real, count = registers(method, n, end, quaternion, canonical)
     y = np.full((size, len(asked), n), np.nan)
     reached, tally = np.zeros(size), np.zeros((size, 5), dtype=np.int64)
     stop = np.zeros(1, dtype=np.int64)

@@ -17,7 +17,21 @@ from ..arrays import Array
 from .dop853 import TURN
 from .kernel import SEEDS, call, compiled
 from .newton import factor, factor_complex, jacobian, solve, solve_complex
-from .radau_dense import NEW, Y, Z, between, keep, report
+from .radau_dense import (
+    ALONG,
+    END_RATE,
+    GAMMA,
+    MATRIX,
+    NEW,
+    PIVOTS,
+    RATE,
+    SLOPES,
+    Y,
+    Z,
+    between,
+    keep,
+    report,
+)
 from .run import (
     AGAIN,
     ATOL,
@@ -59,14 +73,11 @@ from .run import (
 # Rows of `work` besides those of radau_dense.py.  W: stages in the coordinates in which the
 # matrix of the method is diagonal; F: rates at the stages, then what is solved; OLD: Z of the
 # step before.
-RATE, SCALE, STAGE, W, F, OLD, MISS, PIVOTS, ALONG = 2, 3, 4, 8, 11, 14, 17, 18, 20
-SLOPES = ALONG + SEEDS
-MATRIX = SLOPES + SEEDS  # the Jacobian, the real system, and the parts of the complex one
+SCALE, STAGE, W, F, OLD, MISS = 3, END_RATE, 8, 11, 14, 17
 
 _C1, _C2 = float(tableau.C[0]), float(tableau.C[1])
 _T, _TI = tableau.T, tableau.TI
 _E1, _E2, _E3 = (float(e) for e in tableau.E)
-_GAMMA = float(tableau.MU_REAL)
 _ALPHA, _BETA = float(tableau.MU_COMPLEX.real), float(tableau.MU_COMPLEX.imag)
 _EPS = float(np.finfo(float).eps)
 
@@ -105,7 +116,7 @@ def advance(
             return NOT_FINITE
         real[H], real[CONVERGENCE] = _first_step(real, count, work), 1.0
         count[BEGUN] = 1
-        report(real, count, work, times, out, 0.0)
+        report(params, real, count, work, times, out, 0.0)
     pause = count[EVALUATIONS] + count[BUDGET]
     while real[T] < real[T_END]:
         if count[EVALUATIONS] >= pause:
@@ -141,7 +152,7 @@ def advance(
                 count[ENTRY] = entry
                 _reject(real, count, h * _CRASH)
                 continue
-            report(real, count, work, times, out, t_new)
+            report(params, real, count, work, times, out, t_new)
             count[STEPS] += 1
             keep(count, work, t_new, knots_t, knots_y)
             for i in range(n):
@@ -195,7 +206,7 @@ def _prepare(params: Array, real: Array, count: Counts, work: Array, h: float) -
         for j in range(n):
             slope = -h * work[MATRIX + i, j]
             work[one + i, j], work[parts + i, j], work[imag + i, j] = slope, slope, 0.0
-        work[one + i, i] += _GAMMA
+        work[one + i, i] += GAMMA
         work[parts + i, i] += _ALPHA
         work[imag + i, i] = _BETA
     real[FACTORED] = h
@@ -284,7 +295,7 @@ def _residual(work: Array, n: int, h: float) -> None:
     for i in range(n):
         a, b, c = h * work[F, i], h * work[F + 1, i], h * work[F + 2, i]
         u, v, w = work[W, i], work[W + 1, i], work[W + 2, i]
-        work[F, i] = _TI[0, 0] * a + _TI[0, 1] * b + _TI[0, 2] * c - _GAMMA * u
+        work[F, i] = _TI[0, 0] * a + _TI[0, 1] * b + _TI[0, 2] * c - GAMMA * u
         work[F + 1, i] = _TI[1, 0] * a + _TI[1, 1] * b + _TI[1, 2] * c - _ALPHA * v + _BETA * w
         work[F + 2, i] = _TI[2, 0] * a + _TI[2, 1] * b + _TI[2, 2] * c - _BETA * v - _ALPHA * w
 

@@ -1,6 +1,6 @@
 """The state of a run, held in arrays so that it can stop and go on, and its small helpers.
 
-real (12,) and count (19,) are indexed by the names below; a stepper's `advance` works on
+real (12,) and count (21,) are indexed by the names below; a stepper's `advance` works on
 them and returns one of the codes.
 """
 
@@ -31,13 +31,13 @@ REALS = 12
 # knots are kept; evaluations before a pause; number of steps if it is known beforehand;
 # stages that are lanes of one evaluation, and lanes; the kernel of the derivative or 0;
 # whether the Jacobian is that of the state; how implicit steps are solved, and how many more
-# by Newton's method.
+# by Newton's method; positions, and constant momenta, as drive.Canonical has them.
 (
     N, QUATERNION, STEPS, REJECTED, EVALUATIONS, NEXT, BEGUN, AGAIN, MAX_STEPS, ENTRY, KEEP,
     BUDGET, TOTAL, STAGES, LANES, TANGENT, FRESH,
-    SOLVER, REMAINING,
-) = range(19)  # fmt: skip
-COUNTS = 19
+    SOLVER, REMAINING, PAIRS, SPIN,
+) = range(21)  # fmt: skip
+COUNTS = 21
 
 # What `advance` returns.
 # WANTED: the kernel of the derivative.

@@ -10,10 +10,30 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Array
-from . import dop853, gauss, gauss_adaptive, gauss_newton, implicit, radau, radau_dense, rkmk4
+from . import (
+    dop853,
+    gauss,
+    gauss_adaptive,
+    gauss_newton,
+    implicit,
+    radau,
+    radau_dense,
+    rkmk4,
+    variational,
+)
 from .kernel import LANES as WHOLE
 from .kernel import SEEDS
-from .method import DOP853, FIXED_POINT, RKMK4, SOLVERS, AdaptiveGauss, Gauss, Method, Radau
+from .method import (
+    DOP853,
+    FIXED_POINT,
+    RKMK4,
+    SOLVERS,
+    AdaptiveGauss,
+    Gauss,
+    Method,
+    Radau,
+    Variational,
+)
 from .run import (
     ATOL,
     BUDGET,
@@ -22,10 +42,12 @@ from .run import (
     LANES,
     MAX_STEP,
     MAX_STEPS,
+    PAIRS,
     QUATERNION,
     REALS,
     RTOL,
     SOLVER,
+    SPIN,
     STAGES,
     T_END,
     TOTAL,
@@ -56,6 +78,7 @@ _STEPPERS: dict[type[Any], Stepper] = {
     RKMK4: Stepper(rkmk4.advance, rkmk4.recall, rkmk4.Y),
     Gauss: Stepper(gauss.advance, gauss.recall, implicit.Y),
     AdaptiveGauss: Stepper(gauss_adaptive.advance, gauss_adaptive.recall, implicit.Y),
+    Variational: Stepper(variational.advance, variational.recall, variational.Y),
     Radau: Stepper(radau.advance, radau_dense.recall, radau_dense.Y, radau_dense.KEPT),
 }
 
@@ -74,16 +97,19 @@ def work_rows(method: Method, n: int) -> Array:
             gauss_newton.fill(work, method.stages)
         return work
     if isinstance(method, Radau):
-        return np.zeros((radau.MATRIX + 4 * n, -(-n // SEEDS) * SEEDS))
-    rows = dop853.ROWS if isinstance(method, DOP853) else rkmk4.ROWS
-    return np.zeros((rows, -(-n // WHOLE) * WHOLE))
+        return np.zeros((radau_dense.MATRIX + 5 * n, -(-n // SEEDS) * SEEDS))
+    rows = {DOP853: dop853.ROWS, RKMK4: rkmk4.ROWS, Variational: variational.ROWS}
+    return np.zeros((rows[type(method)], -(-n // WHOLE) * WHOLE))
 
 
-def registers(method: Method, n: int, t_end: float, quaternion: int) -> tuple[Array, Counts]:
+def registers(
+    method: Method, n: int, t_end: float, quaternion: int, canonical: tuple[int, int]
+) -> tuple[Array, Counts]:
     """Return `real` and `count` of run.py for a run that has not begun."""
     real, count = np.zeros(REALS), np.zeros(COUNTS, dtype=np.int64)
     real[T_END] = t_end
     count[N], count[QUATERNION] = n, quaternion
+    count[PAIRS], count[SPIN] = canonical
     count[ENTRY], count[BUDGET] = -1, EVALUATIONS_BETWEEN_PAUSES
     if isinstance(method, (Gauss, AdaptiveGauss)):
         count[STAGES], count[LANES] = method.stages, method.lanes

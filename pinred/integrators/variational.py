@@ -1,0 +1,293 @@
+"""A discrete Lagrange–Poincaré integrator on shape, momentum and attitude, of order 2.
+
+The discrete Lagrangian of a step takes the trapezoidal rule and Cayley's map on SO(3): with
+u = cay⁻¹(R₀ᵀ R₁) and stage velocities whose means are (x₁ − x₀)/h and u/h,
+
+    L_d = h/2 [ℓ(x₀, v₀, Ω₀) + ℓ(x₁, v₁, Ω₁)], made stationary in the differences of the stages.
+
+Both stages then have the same momenta p of the shape and m of the attitude, and the discrete
+Euler–Lagrange and Euler–Poincaré equations become, with Hamilton's function H(x, p, m),
+
+    p = π₀ − h/2 ∂H/∂x(x₀),   x₁ = x₀ + h/2 (∂H/∂p(x₀) + ∂H/∂p(x₁)),   π₁ = p − h/2 ∂H/∂x(x₁),
+    u = h/2 (∂H/∂m(x₀) + ∂H/∂m(x₁)),   (dcay⁻¹_u)* m = R₀ᵀ J,   R₁ = R₀ cay u,
+
+which keeps J, is symplectic and its own adjoint, and without an attitude is the method of
+Störmer and Verlet.  J. E. Marsden, S. Pekarsky, S. Shkoller, Discrete Euler–Poincaré and
+Lie–Poisson equations, Nonlinearity 12 (1999) 1647–1662; N. Bou-Rabee, J. E. Marsden,
+Hamilton–Pontryagin integrators on Lie groups I, Found. Comput. Math. 9 (2009) 197–219.
+
+Forces that have no potential act in both stages, as in the principle of Lagrange and
+d'Alembert.  Reports between the ends of steps are steps of their own.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from ..arrays import Array
+from .kernel import call, compiled
+from .run import (
+    BEGUN,
+    BUDGET,
+    DIVERGED,
+    DONE,
+    ENTRY,
+    EVALUATIONS,
+    FULL,
+    KEEP,
+    NEXT,
+    NOT_FINITE,
+    PAIRS,
+    PAUSED,
+    QUATERNION,
+    SPIN,
+    STEPS,
+    T_END,
+    TOTAL,
+    Counts,
+    H,
+    N,
+    T,
+    first_not_finite,
+    keep,
+    unit_alone,
+)
+
+# Rows of `work`: the state, and what a step and one for a report work on each: the two stages
+# with p and a quaternion for m, their rates, the end of the step, and u.
+Y, MAIN, SUB = 0, 1, 7
+BEGIN, STOP, BEGIN_RATE, STOP_RATE, END, TURN = range(6)
+ROWS = 13
+NEW = MAIN + END
+
+_MOST = 100  # turns of the iteration
+_STALLED, _SLOWEST = 0.5, 0.95  # quotients of changes
+_SMALL, _SLACK = 1e-14, 1e-11  # of the largest number
+
+
+@compiled
+def advance(
+    address: int,
+    params: Array,
+    real: Array,
+    count: Counts,
+    work: Array,
+    times: Array,
+    out: Array,
+    knots_t: Array,
+    knots_y: Array,
+) -> int:
+    """Integrate until the end, a pause, a full store of knots or a failure; return which.
+
+    Arguments as in dop853.advance.
+    """
+    n = count[N]
+    if not count[BEGUN]:
+        unit_alone(work[Y], count[QUATERNION])
+        keep(count, work[Y], 0.0, knots_t, knots_y)
+        _begin(address, params, count, work, MAIN, real[H])
+        count[ENTRY] = first_not_finite(work[MAIN + BEGIN_RATE], n)
+        if count[ENTRY] >= 0:
+            return NOT_FINITE
+        count[BEGUN] = 1
+    pause = count[EVALUATIONS] + count[BUDGET]
+    while count[STEPS] < count[TOTAL]:
+        if count[EVALUATIONS] >= pause:
+            return PAUSED
+        if count[KEEP] and count[STEPS] + 1 >= knots_t.shape[0]:
+            return FULL
+        k = count[STEPS] + 1
+        t_new = real[T_END] if k == count[TOTAL] else k * real[H]
+        status = _step(address, params, count, work, MAIN, real[H])
+        if status != DONE:
+            if status == NOT_FINITE:
+                count[ENTRY] = first_not_finite(work[MAIN + BEGIN_RATE], n)
+                if count[ENTRY] < 0:
+                    count[ENTRY] = first_not_finite(work[MAIN + STOP_RATE], n)
+            return status
+        while count[NEXT] < times.shape[0] and times[count[NEXT]] <= t_new:
+            j = count[NEXT]
+            _state(address, params, count, work, times[j], real[T], t_new, out[j])
+            count[NEXT] += 1
+        count[STEPS] += 1
+        keep(count, work[NEW], t_new, knots_t, knots_y)
+        for i in range(n):
+            work[Y, i] = work[NEW, i]
+        real[T] = t_new
+    return DONE
+
+
+@compiled
+def recall(
+    address: int,
+    params: Array,
+    count: Counts,
+    work: Array,
+    times: Array,
+    out: Array,
+    knots_t: Array,
+    knots_y: Array,
+) -> None:
+    """Fill out (T, n) with the states at sorted times (T,) by steps from the knots before them."""
+    k, begun = 0, -1
+    for j in range(times.shape[0]):
+        while k + 1 < knots_t.shape[0] - 1 and times[j] > knots_t[k + 1]:
+            k += 1
+        if begun != k:
+            begun = k
+            for i in range(count[N]):
+                work[Y, i] = knots_y[k, i]
+                work[NEW, i] = knots_y[k + 1, i]
+        _state(address, params, count, work, times[j], knots_t[k], knots_t[k + 1], out[j])
+
+
+@compiled
+def _state(
+    address: int,
+    params: Array,
+    count: Counts,
+    work: Array,
+    time: float,
+    t: float,
+    t_new: float,
+    out: Array,
+) -> None:
+    """Write the state at a time in the step from t to t_new, (n,)."""
+    row, good = (Y if time <= t else NEW), True
+    if t < time < t_new:
+        row = SUB + END
+        _begin(address, params, count, work, SUB, time - t)
+        good = _step(address, params, count, work, SUB, time - t) == DONE
+    for i in range(count[N]):
+        out[i] = work[row, i] if good else np.nan
+
+
+@compiled
+def _begin(address: int, params: Array, count: Counts, work: Array, first: int, h: float) -> None:
+    """Fill rates and turn of a step with those at its begin, for a first guess."""
+    n, quaternion = count[N], count[QUATERNION]
+    call(address, work[Y], params, work[first + BEGIN_RATE])
+    count[EVALUATIONS] += 1
+    for i in range(n):
+        work[first + STOP_RATE, i] = work[first + BEGIN_RATE, i]
+    if quaternion >= 0:
+        _body_rate(work[Y], work[first + BEGIN_RATE], quaternion, h, work[first + TURN])
+
+
+@compiled
+def _step(address: int, params: Array, count: Counts, work: Array, first: int, h: float) -> int:
+    """Make a step from row Y to row END; return DONE, or why its equations were not solved.
+
+    Rates and turn of the step before are the first guess.
+    """
+    n, pairs, quaternion, half = count[N], count[PAIRS], count[QUATERNION], 0.5 * h
+    y, end, u = work[Y], work[first + END], work[first + TURN]
+    begin, stop = work[first + BEGIN], work[first + STOP]
+    rate, last = work[first + BEGIN_RATE], work[first + STOP_RATE]
+    for i in range(n):
+        begin[i], stop[i] = y[i], y[i]
+    for i in range(pairs):
+        begin[pairs + i] = stop[pairs + i] = y[pairs + i] + half * last[pairs + i]
+        stop[i] = y[i] + h * last[i]
+    before, stalls = np.inf, 0
+    for turn in range(_MOST):
+        largest = size = 0.0
+        if quaternion >= 0 and count[SPIN]:
+            _place(y, u, params, begin, quaternion)
+        call(address, begin, params, rate)
+        for i in range(pairs, 2 * pairs):
+            new = y[i] + half * rate[i]
+            size = max(size, abs(new - begin[i]))
+            largest = max(largest, abs(new), abs(y[i]))
+            begin[i] = stop[i] = new
+        for i in range(2 * pairs, n):
+            # A clock is at its end; nothing depends on the others, but for a quaternion.
+            turned = quaternion >= 0 and 0 <= i - quaternion < 4
+            stop[i] = begin[i] if turned else y[i] + h * rate[i]
+        call(address, stop, params, last)
+        count[EVALUATIONS] += 2
+        for i in range(pairs):
+            new = y[i] + half * (rate[i] + last[i])
+            size = max(size, abs(new - stop[i]))
+            largest = max(largest, abs(new))
+            stop[i] = new
+        if quaternion >= 0:
+            _body_rate(begin, rate, quaternion, half, end)
+            a, b, c = end[0], end[1], end[2]
+            _body_rate(stop, last, quaternion, half, end)
+            for i, new in enumerate((a + end[0], b + end[1], c + end[2])):
+                size = max(size, abs(new - u[i]))
+                u[i] = new
+            largest = max(largest, 1.0)
+        if not size < np.inf or first_not_finite(last, n) >= 0:
+            # What is finite to begin with grows only in an iteration that diverges.
+            return NOT_FINITE if turn == 0 else DIVERGED
+        if turn > 0 and size > 10.0 * before and size > _SLACK * largest:
+            return DIVERGED
+        stalls += size >= _SLOWEST * before
+        if size == 0.0 or (size <= _SMALL * largest and size >= _STALLED * before):
+            break
+        if stalls > 2 and size <= _SLACK * largest:
+            break
+        before = size
+    else:
+        return DIVERGED
+    for i in range(pairs):
+        end[i], end[pairs + i] = stop[i], begin[pairs + i] + half * last[pairs + i]
+    for i in range(2 * pairs, n):
+        end[i] = y[i] + half * (rate[i] + last[i])
+    if quaternion >= 0:
+        _turn(y, 0.5 * u[0], 0.5 * u[1], 0.5 * u[2], 1.0, end, quaternion)
+        unit_alone(end, quaternion)
+    return DONE
+
+
+@compiled
+def _body_rate(y: Array, rate: Array, quaternion: int, h: float, out: Array) -> None:
+    """Write h times the body's angular velocity, (3,), out of a quaternion and its rate ½ q ω."""
+    a, b, c, w = y[quaternion], y[quaternion + 1], y[quaternion + 2], y[quaternion + 3]
+    p, q, r, s = (
+        rate[quaternion], rate[quaternion + 1], rate[quaternion + 2], rate[quaternion + 3],
+    )  # fmt: skip
+    factor = 2.0 * h / (a * a + b * b + c * c + w * w)
+    out[0] = factor * (w * p - s * a - b * r + c * q)
+    out[1] = factor * (w * q - s * b - c * p + a * r)
+    out[2] = factor * (w * r - s * c - a * q + b * p)
+
+
+@compiled
+def _turn(y: Array, a: float, b: float, c: float, w: float, out: Array, quaternion: int) -> None:
+    """Write the product of the quaternion of y and (a, b, c, w)."""
+    p, q, r, s = y[quaternion], y[quaternion + 1], y[quaternion + 2], y[quaternion + 3]
+    out[quaternion] = s * a + w * p + q * c - r * b
+    out[quaternion + 1] = s * b + w * q + r * a - p * c
+    out[quaternion + 2] = s * c + w * r + p * b - q * a
+    out[quaternion + 3] = s * w - p * a - q * b - r * c
+
+
+@compiled
+def _place(y: Array, u: Array, params: Array, out: Array, quaternion: int) -> None:
+    """Write a quaternion whose lift q̄ J q is m, with (dcay⁻¹_u)* m = Rᵀ J.
+
+    That is m = (μ − ½ u × μ) / (1 + ¼ |u|²) with μ = Rᵀ J.  Of all quaternions the one that
+    turns m into μ on the shortest way.  J is the first three parameters.
+    """
+    x, s, z, w = y[quaternion], y[quaternion + 1], y[quaternion + 2], y[quaternion + 3]
+    a, b, c = params[0], params[1], params[2]
+    # Rᵀ J for a quaternion of length one.
+    p, q, r = 2.0 * (b * z - c * s), 2.0 * (c * x - a * z), 2.0 * (a * s - b * x)
+    a, b, c = a + w * p + q * z - r * s, b + w * q + r * x - p * z, c + w * r + p * s - q * x
+    factor = 1.0 / (1.0 + 0.25 * (u[0] * u[0] + u[1] * u[1] + u[2] * u[2]))
+    p = factor * (a - 0.5 * (u[1] * c - u[2] * b))
+    q = factor * (b - 0.5 * (u[2] * a - u[0] * c))
+    r = factor * (c - 0.5 * (u[0] * b - u[1] * a))
+    whole, part = sqrt(a * a + b * b + c * c), sqrt(p * p + q * q + r * r)
+    # The quaternion (m × μ, |m| |μ| + m · μ), at a length whose square is |m| / |μ|.
+    d = whole * part + p * a + q * b + r * c
+    scale = sqrt(part / whole) / sqrt(2.0 * whole * part * d)
+    _turn(
+        y, scale * (q * c - r * b), scale * (r * a - p * c), scale * (p * b - q * a), scale * d,
+        out, quaternion,
+    )  # fmt: skip
