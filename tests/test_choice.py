@@ -9,10 +9,11 @@ import pytest
 from trees import limbed_model
 
 import pinred
-from pinred import DOP853, AdaptiveGauss, Gauss
+from pinred import DOP853, AdaptiveGauss, Gauss, Radau
 from pinred.engine.choice import choose
-from pinred.forces import Controller, Torque
+from pinred.forces import Controller, Damper, Spring, Torque
 from pinred.signals import Hold
+from pinred.stiffness import rates_near_rest
 
 
 def scene(system: pinred.System, **options: Any) -> pinred.Scene:
@@ -60,6 +61,39 @@ def test_reports_and_pieces_ask_for_short_steps() -> None:
     ]
     for force in stops:
         assert "in pieces" in choose(scene(system, forces=[force])).why
+
+
+@pytest.mark.parametrize("damping", [1.0, 300.0])
+def test_stiff_forces_get_radau(damping: float) -> None:
+    """Where stability alone would make steps short; the motion is ABA's all the same."""
+    cat = pinred.load("falling_cat")
+    joint = cat.shape_names[0]
+    forces = [Spring(joint, 5 * damping), Damper(joint, damping)]
+    hard = scene(cat, forces=forces, rtol=1e-8, atol=1e-10)
+    stiff = damping > 10
+    assert isinstance(choose(hard).method, Radau) == stiff
+    assert ("come to rest" in choose(hard).why) == stiff
+    traj = pinred.simulate(hard)
+    other = pinred.simulate(hard, method=DOP853(1e-10, 1e-12))
+    np.testing.assert_allclose(traj.x, other.x, atol=1e-7)
+    assert pinred.compare(pinred.simulate(hard, times=[0.002])).passed
+    # A spring alone swings, and has to be followed.
+    swinging = scene(cat, forces=[Spring(joint, 1e6)], rtol=1e-8)
+    assert not isinstance(choose(swinging).method, Radau)
+
+
+def test_rates_of_a_damped_joint() -> None:
+    """One joint: λ² M + λ D + K = 0, with the reduced metric I1 I2 / (I1 + I2) of the beanie."""
+    beanie = pinred.load("elroys_beanie")
+    M = float(pinred.Reduction(beanie).reduced_metric([0.0])[0, 0])
+    K, D = 3.0, 50.0
+    forces = [Spring("beanie", K), Damper("beanie", D)]
+    found = rates_near_rest(scene(beanie, forces=forces))
+    assert found.decay == pytest.approx((D + np.sqrt(D * D - 4 * M * K)) / (2 * M), rel=1e-6)
+    assert found.oscillation == 0.0
+    weak = rates_near_rest(scene(beanie, forces=[Spring("beanie", K), Damper("beanie", 0.1)]))
+    assert weak.decay == pytest.approx(0.1 / (2 * M), rel=1e-6)
+    assert weak.oscillation == pytest.approx(np.sqrt(K / M - (0.05 / M) ** 2), rel=1e-6)
 
 
 def test_it_is_said(capsys: pytest.CaptureFixture[str]) -> None:

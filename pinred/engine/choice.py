@@ -10,14 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import log10
 
-from ..integrators.method import DOP853, DOP853_LEAST, AdaptiveGauss, Method
+from ..integrators.method import DOP853, DOP853_LEAST, AdaptiveGauss, Method, Radau
 from ..motion import stops_of
 from ..scene import Scene
+from ..stiffness import rates_near_rest
 from ..system import System
 from .frames import bodies_of
 from .lanes import Lanes, links_of
 
 _FEW = 3  # reports inside steps; each costs a step of AdaptiveGauss
+_STABLE = 4.0  # decay over a step of DOP853 at the bound of its stability
+_APART = 100.0  # decay over oscillation, which Radau must follow too
+_MANY = 1000.0  # steps of DOP853 that Radau beats, for six joints; it solves linear systems
 _SWEEP = 1.9  # evaluations that a sweep costs where no limbs are lanes
 _LOOSEST, _AT_LOOSEST, _PER_DIGIT = 4.0, 2.4, 0.33  # evaluations that a sweep is worth
 
@@ -51,6 +55,14 @@ def _asked(scene: Scene) -> Choice | None:
 def _chosen(scene: Scene) -> Choice:
     rtol, atol = scene.tolerance
     dop853 = DOP853(max(rtol, DOP853_LEAST), atol)
+    rates = rates_near_rest(scene)
+    steps = rates.decay * scene.end / _STABLE
+    if (
+        rates.decay > _APART * rates.oscillation
+        and steps > _MANY * max(1.0, scene.system.m / 6) ** 2
+    ):
+        told = f"forces come to rest at {rates.decay:.0e}/s: stability alone takes {steps:.0f} steps"
+        return Choice(Radau(max(rtol, DOP853_LEAST), atol), told)
     inside = int((scene.report_times < scene.end).sum()) - int(scene.report_times[0] == 0.0)
     if inside > _FEW:
         return Choice(dop853, f"{inside} reports before the end cost it least")
