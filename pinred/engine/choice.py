@@ -61,7 +61,7 @@ def _chosen(scene: Scene) -> Choice:
         rates.decay > _APART * rates.oscillation
         and steps > _MANY * max(1.0, scene.system.m / 6) ** 2
     ):
-        told = f"forces come to rest at {rates.decay:.0e}/s: stability alone takes {steps:.0f} steps"
+        told = f"forces decay at {rates.decay:.0e}/s: stability alone takes {steps:.0f} steps"
         return Choice(Radau(max(rtol, DOP853_LEAST), atol), told)
     inside = int((scene.report_times < scene.end).sum()) - int(scene.report_times[0] == 0.0)
     if inside > _FEW:
