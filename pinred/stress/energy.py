@@ -25,7 +25,7 @@ _RTOL = 1e-11
 _SAMPLES = 500
 _SIGMAS = 4.0
 _DRIFTING = 10_000  # periods
-_STEPS = 59.3  # in a period: were it a whole number, steps and motion would resonate
+_STEPS = 59.3  # in a period; no whole number, lest steps and motion resonate
 _ROUNDING = 10.0  # of eps times the root of the number of steps
 
 
