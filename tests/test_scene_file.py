@@ -20,7 +20,15 @@ from pinred.catalogue import has_example_robots
 from pinred.cli import main
 from pinred.force import Force, Limit
 from pinred.forces import PD, ComputedTorque, Damper, PotentialEnergy, Spring, Torque, Wrench
-from pinred.integrators.method import DOP853, METHODS, RKMK4, AdaptiveGauss, Gauss, Radau
+from pinred.integrators.method import (
+    DOP853,
+    METHODS,
+    RKMK4,
+    AdaptiveGauss,
+    Gauss,
+    Radau,
+    Variational,
+)
 from pinred.lie import GROUPS
 from pinred.scene_file import _FORCES, read_scene_file
 from pinred.scene_keys import _METHODS, ENDS, FORCES, LOAD, RUN, START
@@ -214,6 +222,7 @@ def test_springs_and_joints_by_name(tmp_path: Path) -> None:
         ("{ name = 'DOP853', rtol = 1e-8, max_step = 0.05 }", DOP853(rtol=1e-8, max_step=0.05)),
         ("{ name = 'Gauss', step = 0.01, order = 4 }", Gauss(0.01, 4)),
         ("{ name = 'AdaptiveGauss' }", AdaptiveGauss()),
+        ("{ name = 'Variational', step = 0.02 }", Variational(0.02)),
         ("{ name = 'Radau', atol = 1e-7 }", Radau(atol=1e-7)),
     ],
 )
@@ -407,6 +416,18 @@ def test_methods_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     with np.load(out) as file:
         np.testing.assert_array_equal(file["x"], traj.x)
         assert "pose" not in file
+    for given, method in (
+        (["--method", "Gauss", "--step", "0.01", "--order", "4"], Gauss(0.01, 4)),
+        (["--method", "Variational", "--step", "0.01"], Variational(0.01)),
+        (["--method", "Radau", "--rtol", "1e-6"], Radau(1e-6, 1e-12)),
+    ):
+        assert main([*arguments, *given]) == 0
+        assert method.name in capsys.readouterr().out
+        found = pinred.simulate(
+            pinred.load("falling_cat"), times=np.linspace(0, 0.5, 5), method=method
+        )
+        with np.load(out) as file:
+            np.testing.assert_array_equal(file["x"], found.x)
     for wrong, words in (
         (["--method", "RKMK4"], "go together"),
         (["--step", "0.1"], "go together"),

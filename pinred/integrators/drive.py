@@ -40,7 +40,7 @@ from .run import (
     H,
     T,
 )
-from .stepper import registers, stepper_of, work_rows
+from .stepper import registers, stepper_of, with_tangent, work_rows
 
 Progress = Callable[[float], None]
 Tangent = Callable[[], int]
@@ -89,7 +89,7 @@ class Solution:
             self._address,
             self._params,
             count,
-            work_rows(self.method, n),
+            work_rows(self.method, n, tangent=self._tangent > 0),
             read_only(asked[order]),
             out,
             self.knots,
@@ -169,6 +169,7 @@ def integrate_checked(
             knots, states = _doubled(knots), _doubled(states)
         elif status == WANTED:
             want(tangent, method, count)
+            work = with_tangent(method, n, work)
         elif status >= UNDERFLOW:
             raise failure(status, real, count, work[stepper.state, :n].copy())
         if progress is not None:

@@ -34,7 +34,7 @@ from .run import (
     N,
     T,
 )
-from .stepper import registers, stepper_of, work_rows
+from .stepper import registers, stepper_of, with_tangent, work_rows
 
 STATUS = {
     DONE: "done",
@@ -188,6 +188,7 @@ def _one_by_one(
                 return
             if status == WANTED:
                 derivative(count)
+                work = with_tangent(method, n, work)
             status = stepper.advance(
                 address, params[member], real, count, work, times, y[member], no_times, no_states
             )

@@ -88,18 +88,28 @@ def stepper_of(method: Method) -> Stepper:
     return _STEPPERS[type(method)]
 
 
-def work_rows(method: Method, n: int) -> Array:
-    """Return the rows that a stepper works on, padded to whole vectors."""
+def work_rows(method: Method, n: int, *, tangent: bool = False) -> Array:
+    """Return the rows that a stepper works on, padded to whole vectors.
+
+    tangent: with what Newton's method takes besides, where it is not always used.
+    """
     if isinstance(method, (Gauss, AdaptiveGauss)):
-        behind = gauss_newton.room(n, method.stages) if isinstance(method, Gauss) else 0
+        behind = gauss_newton.room(n, method.stages) if tangent else 0
         work = implicit.work_rows(method.stages, n, behind)
-        if isinstance(method, Gauss):
+        if tangent:
             gauss_newton.fill(work, method.stages)
         return work
     if isinstance(method, Radau):
         return np.zeros((radau_dense.MATRIX + 5 * n, -(-n // SEEDS) * SEEDS))
     rows = {DOP853: dop853.ROWS, RKMK4: rkmk4.ROWS, Variational: variational.ROWS}
     return np.zeros((rows[type(method)], -(-n // WHOLE) * WHOLE))
+
+
+def with_tangent(method: Method, n: int, work: Array) -> Array:
+    """Return rows that hold what `work` does, with room for Newton's method."""
+    larger = work_rows(method, n, tangent=True)
+    larger[: len(work)] = work
+    return larger
 
 
 def registers(

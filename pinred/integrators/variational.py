@@ -56,7 +56,7 @@ from .run import (
 )
 
 # Rows of `work`: the state, and what a step and one for a report work on each: the two stages
-# with p and a quaternion for m, their rates, the end of the step, and u.
+# with p and a quaternion for m, their rates, the end of the step, and u with half of h Ω₁.
 Y, MAIN, SUB = 0, 1, 7
 BEGIN, STOP, BEGIN_RATE, STOP_RATE, END, TURN = range(6)
 ROWS = 13
@@ -65,6 +65,7 @@ NEW = MAIN + END
 _MOST = 100  # turns of the iteration
 _STALLED, _SLOWEST = 0.5, 0.95  # quotients of changes
 _SMALL, _SLACK = 1e-14, 1e-11  # of the largest number
+_NOTHING = 1e-17  # of it: what is still to come does not count
 
 
 @compiled
@@ -180,7 +181,7 @@ def _begin(address: int, params: Array, count: Counts, work: Array, first: int, 
 def _step(address: int, params: Array, count: Counts, work: Array, first: int, h: float) -> int:
     """Make a step from row Y to row END; return DONE, or why its equations were not solved.
 
-    Rates and turn of the step before are the first guess.
+    Rates and turn of the step before, gone on with, are the first guess.
     """
     n, pairs, quaternion, half = count[N], count[PAIRS], count[QUATERNION], 0.5 * h
     y, end, u = work[Y], work[first + END], work[first + TURN]
@@ -190,7 +191,7 @@ def _step(address: int, params: Array, count: Counts, work: Array, first: int, h
         begin[i], stop[i] = y[i], y[i]
     for i in range(pairs):
         begin[pairs + i] = stop[pairs + i] = y[pairs + i] + half * last[pairs + i]
-        stop[i] = y[i] + h * last[i]
+        stop[i] = y[i] + h * (1.5 * last[i] - 0.5 * rate[i])
     before, stalls = np.inf, 0
     for turn in range(_MOST):
         largest = size = 0.0
@@ -215,9 +216,9 @@ def _step(address: int, params: Array, count: Counts, work: Array, first: int, h
             stop[i] = new
         if quaternion >= 0:
             _body_rate(begin, rate, quaternion, half, end)
-            a, b, c = end[0], end[1], end[2]
-            _body_rate(stop, last, quaternion, half, end)
-            for i, new in enumerate((a + end[0], b + end[1], c + end[2])):
+            _body_rate(stop, last, quaternion, half, u[3:])
+            for i in range(3):
+                new = end[i] + u[3 + i]
                 size = max(size, abs(new - u[i]))
                 u[i] = new
             largest = max(largest, 1.0)
@@ -228,6 +229,8 @@ def _step(address: int, params: Array, count: Counts, work: Array, first: int, h
             return DIVERGED
         stalls += size >= _SLOWEST * before
         if size == 0.0 or (size <= _SMALL * largest and size >= _STALLED * before):
+            break
+        if turn > 0 and size * size <= _NOTHING * largest * before:
             break
         if stalls > 2 and size <= _SLACK * largest:
             break
@@ -241,6 +244,8 @@ def _step(address: int, params: Array, count: Counts, work: Array, first: int, h
     if quaternion >= 0:
         _turn(y, 0.5 * u[0], 0.5 * u[1], 0.5 * u[2], 1.0, end, quaternion)
         unit_alone(end, quaternion)
+        for i in range(3):
+            u[i] = 4.0 * u[3 + i] - u[i]  # a guess for the next
     return DONE
 
 
