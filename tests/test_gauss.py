@@ -288,6 +288,19 @@ def test_order_sixteen() -> None:
     assert measured(errors, counts) > 12  # DOP853: 8
 
 
+@pytest.mark.parametrize("robot", ["falling_cat", "rigid_body"])
+@pytest.mark.parametrize("rtol", [1e-2, 1e-4, 1e-6])
+def test_every_time_in_a_long_step_is_reached(robot: str, rtol: float) -> None:
+    """Loose steps are so long that a step without a first guess has no solution: it is cut."""
+    system = pinred.load(robot)
+    traj = pinred.simulate(system, method=AdaptiveGauss(rtol, rtol / 100))
+    times = np.random.default_rng(0).uniform(0.0, traj.t[-1], 2000)
+    exact = pinred.simulate(system, times=np.unique(times), rtol=1e-12)
+    found = traj(np.unique(times))
+    assert np.abs(found.q - exact.q).max() < 100 * rtol
+    assert np.abs(found.v - exact.v).max() < 1000 * rtol
+
+
 def test_pauses_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     """A run that pauses at every step and grows its store is the same."""
     for method in (Gauss(0.1), AdaptiveGauss(1e-9, 1e-11)):

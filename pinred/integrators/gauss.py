@@ -70,6 +70,7 @@ from .run import (
 )
 
 _STAY = 64  # steps by Newton's method before fixed-point iteration is tried again
+_PIECES = 64  # at most, of a step up to a report
 _SLACK = 1e-6  # of the largest number: an iteration that stops further off has not converged
 
 
@@ -272,16 +273,54 @@ def state(
         if turns == NO_SOLUTION and count[SOLVER] != FIXED_POINT and count[TANGENT] != 0:
             start_evenly(address, params, work, n, lanes, SUB, h)
             turns = solve_by_newton(address, params, real, count, work, SUB, OTHER, True, h)
-        count[EVALUATIONS] += turns * count[STAGES]
-        for i in range(n):
-            total = 0.0
-            for j in range(lanes):
-                total += work[SUB, i * lanes + j]
-            out[i] = work[Y, i] + total
-            if turns == NO_SOLUTION:
-                out[i] = np.nan
+        if turns == NO_SOLUTION:
+            turns = _in_pieces(address, params, count, work, h, out)
+        else:
+            for i in range(n):
+                out[i] = work[Y, i] + _sum(work, SUB, i, lanes)
+        count[EVALUATIONS] += max(turns, 1) * count[STAGES]
     unit_alone(out, count[QUATERNION])
     return bool(turns != NO_SOLUTION)
+
+
+@compiled
+def _in_pieces(
+    address: int, params: Array, count: Counts, work: Array, h: float, out: Array
+) -> int:
+    """Write the state after h from row Y, by as few shorter steps as have solutions.
+
+    A long step whose first guess was good can be beyond one that begins without. Return the
+    turns, or NO_SOLUTION with NaN in out.
+    """
+    n, lanes, pieces = count[N], count[LANES], 2
+    for i in range(n):
+        out[i] = work[Y, i]
+    turns, total = NO_SOLUTION, 0
+    while turns == NO_SOLUTION and pieces <= _PIECES:
+        for _ in range(pieces):
+            start_evenly(address, params, work, n, lanes, SUB, h / pieces)
+            turns = solve(address, params, work, n, lanes, SUB, h / pieces)
+            if turns == NO_SOLUTION:
+                break
+            total += turns + 1
+            for i in range(n):
+                work[Y, i] += _sum(work, SUB, i, lanes)
+        for i in range(n):
+            end = work[Y, i] if turns != NO_SOLUTION else np.nan
+            work[Y, i] = out[i]
+            if turns != NO_SOLUTION or pieces == _PIECES:
+                out[i] = end
+        pieces *= 2
+    return total if turns != NO_SOLUTION else NO_SOLUTION
+
+
+@compiled
+def _sum(work: Array, row: int, i: int, lanes: int) -> float:
+    """Return what a step adds to entry i."""
+    total = 0.0
+    for j in range(lanes):
+        total += work[row, i * lanes + j]
+    return total
 
 
 @compiled
