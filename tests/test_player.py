@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import signal
 import socket
@@ -108,10 +109,17 @@ def test_ctrl_c_ends_the_command(tmp_path: Path) -> None:
     """`pinred play` serves until Ctrl-C, and then ends at once with exit code 0."""
     path = tmp_path / "traj.npz"
     assert main(["simulate", "elroys_beanie", "--time", "0.5", "--out", str(path)]) == 0
-    command = [sys.executable, "-m", "pinred", "play", str(path), "--no-open"]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    # A job that a shell has put in the background ignores Ctrl-C, and so would its children.
+    begin = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    program = f"{begin}; from pinred.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", program, "play", str(path), "--no-open"]
+    with (
+        subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as process,
+        contextlib.ExitStack() as stack,
+    ):
+        stack.callback(process.kill)
         assert process.stdout is not None
         said = process.stdout.readline()
         port = int(said.split(":")[2].split("/")[0])
