@@ -304,6 +304,15 @@ def test_pauses_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
         assert len(parts) >= whole.steps
 
 
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-9, 1e-13])
+def test_reports_change_no_step(tolerance: float) -> None:
+    """The steps are those of a run without reports, to the last bit."""
+    method = AdaptiveGauss(tolerance, tolerance / 100)
+    alone, many = (run("kepler", method, ORBIT, 20.0, np.linspace(0, 20, k)) for k in (1, 201))
+    assert (alone.knots == many.knots).all()
+    assert (alone.states == many.states).all()
+
+
 def test_many_are_as_one() -> None:
     """Members of a batch are bit for bit single runs; one that fails disturbs no other."""
     rng = np.random.default_rng(5)
