@@ -38,6 +38,7 @@ def code(name: str, lanes: int) -> NativeCode:
         "kepler": ca.vertcat(y[2], y[3], -p * y[0] / r3, -p * y[1] / r3),
         "edge": ca.vertcat(1.0, p, 0.0, ca.sqrt(0.5 - y[0])),
         "stiff": ca.vertcat(-p * (y[0] - ca.cos(y[3])), 0.0, 0.0, 1.0),
+        "spring": ca.vertcat(y[1] * (1.0 + p * y[0]), -y[0], 0.0, 0.0),
     }
     function = ca.Function("f", [y, p], [ca.densify(fields[name])])
     return load_object(compile_object(function, "f", wide=lanes), "f")
@@ -316,6 +317,15 @@ def test_pauses_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
         assert len(parts) >= whole.steps
 
 
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-9, 1e-13])
+def test_reports_change_no_step(tolerance: float) -> None:
+    """The steps are those of a run without reports, to the last bit."""
+    method = AdaptiveGauss(tolerance, tolerance / 100)
+    alone, many = (run("kepler", method, ORBIT, 20.0, np.linspace(0, 20, k)) for k in (1, 201))
+    assert (alone.knots == many.knots).all()
+    assert (alone.states == many.states).all()
+
+
 def test_many_are_as_one() -> None:
     """Members of a batch are bit for bit single runs; one that fails disturbs no other."""
     rng = np.random.default_rng(5)
@@ -345,6 +355,25 @@ def test_failures_are_told() -> None:
         run("kepler", AdaptiveGauss(max_steps=3), ORBIT, 30.0)
     with pytest.raises(pinred.InputError, match="order must be one of 2, 4"):
         Gauss(0.1, 5)
+
+
+@pytest.mark.parametrize("order", [2, 4, 8, 16])
+@pytest.mark.parametrize("start", [(1.0, 0.0), (0.0, 1.0), (1.0, 1e-9)])
+@pytest.mark.parametrize("coupling", [0.0, 1e-12, 1e-6, 1e-3])
+def test_steps_from_rest_are_solved_to_round_off(
+    order: int, start: tuple[float, float], coupling: float
+) -> None:
+    """Where position and momentum change by turns, a turn without a change is not the last."""
+    x0, v0 = start
+    method = tables(order // 2)
+    mu, b = method.mu[: order // 2, : order // 2], method.b[: order // 2]
+    for h in (0.01, 0.03, 0.3):
+        x, v = np.full(len(b), x0), np.full(len(b), v0)
+        for _ in range(100):
+            dx, dv = h * b * v * (1.0 + coupling * x), -h * b * x
+            x, v = x0 + mu @ dx, v0 + mu @ dv
+        found = run("spring", Gauss(h, order), [x0, v0, 0.0, 0.0], h, p=coupling).y[0, :2]
+        np.testing.assert_allclose(found, [x0 + dx.sum(), v0 + dv.sum()], rtol=0, atol=1e-15)
 
 
 def test_a_stiff_decay_is_followed_by_shorter_steps() -> None:

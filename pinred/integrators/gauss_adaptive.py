@@ -140,6 +140,7 @@ def advance(
             finish(work, n, lanes, L)
             error = _error(real, work, n, lanes)
         if error <= 1.0:
+            quotient = work[INFO, 1]  # reports write theirs there
             report(address, params, real, count, work, times, out, t_new)
             count[STEPS] += 1
             keep(count, work[NEW], t_new, knots_t, knots_y)
@@ -152,8 +153,8 @@ def advance(
             growth = _growth(error)
             if count[AGAIN]:
                 growth = min(growth, 1.0)
-            if turns > 2 and work[INFO, 1] > 0.0:
-                growth = min(growth, max(_SHRINK, _FASTEST / work[INFO, 1]))
+            if turns > 2 and quotient > 0.0:
+                growth = min(growth, max(_SHRINK, _FASTEST / quotient))
             count[AGAIN], count[ENTRY] = 0, -1
             real[T] = t_new
             real[H] = min(max(real[H], h) * growth, real[MAX_STEP])

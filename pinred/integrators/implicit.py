@@ -15,11 +15,12 @@ from .lanes import product, refreshment
 from .method import lanes_of
 
 # Rows of `work`.  L and OLD are h b f of this step and the one before; SUB that of a step for
-# a report; CARRY what the sum of the steps has rounded away.  SCALE holds an inverse for each
-# number, INFO what change round-off may leave, and the quotient of the last two changes.
-Y, NEW, CARRY, NEXT_CARRY, STAGE, RATE, L, OLD, SUB, BEST, SCALE = range(11)
-MU, GUESS, WITHIN, B, C, LAST, BARY, INFO = range(11, 19)
-ROWS = 19
+# a report; CARRY what the sum of the steps has rounded away; CHANGE and BEST see `refreshment`.
+# SCALE holds an inverse for each number, INFO what change round-off may leave, and the quotient
+# of the last two changes.
+Y, NEW, CARRY, NEXT_CARRY, STAGE, RATE, L, OLD, SUB, CHANGE, BEST, SCALE = range(12)
+MU, GUESS, WITHIN, B, C, LAST, BARY, INFO = range(12, 20)
+ROWS = 20
 
 MOST = 100  # turns of the iteration
 ROUND_OFF = 0.0  # as a limit: go on until nothing improves
@@ -102,32 +103,30 @@ def iterate(
     """Bring the L in `row` from a guess to the solution; return the turns it took.
 
     limit: on what is still to come, by SCALE; ROUND_OFF to go on until no number changes by
-    less than before.  DIVERGED if that does not come about.
+    less than before in two turns.  DIVERGED if that does not come about.
     """
-    best = work[BEST]
+    change, best = work[CHANGE], work[BEST]
     for i in range(n * lanes):
-        best[i] = np.inf
+        change[i] = best[i] = np.inf
     before = np.inf
     for turn in range(1, MOST + 1):
         if lanes == 4:
             _multiply4(work, STAGE, Y, MU, row, n)
             call(address, work[STAGE], params, work[RATE])
-            size = np.sqrt(_refresh4(work, row, RATE, BEST, SCALE, B, n, h))
+            size = np.sqrt(_refresh4(work, row, RATE, CHANGE, BEST, SCALE, B, n, h))
         else:
             _multiply8(work, STAGE, Y, MU, row, n)
             call(address, work[STAGE], params, work[RATE])
-            size = np.sqrt(_refresh8(work, row, RATE, BEST, SCALE, B, n, h))
+            size = np.sqrt(_refresh8(work, row, RATE, CHANGE, BEST, SCALE, B, n, h))
         if not size < np.inf or (turn > 3 and size > 10.0 * before and size > work[INFO, 0]):
             return DIVERGED
         improved = 0.0
         for j in range(lanes):
             improved += best[n * lanes + j]
         # Round-off goes to and fro; an iteration that does not converge does so by far.
-        if improved == 0.0 and size <= max(limit, work[INFO, 0]):
+        if size == 0.0 or (turn > 2 and improved == 0.0 and size <= max(limit, work[INFO, 0])):
             return turn
         if turn > 1 and size <= before:
-            if size == 0.0:
-                return turn
             part = size / before
             work[INFO, 1] = part
             if limit > 0.0 and size * part <= limit * (1.0 - part):

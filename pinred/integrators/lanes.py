@@ -110,21 +110,22 @@ def product(lanes: int) -> Callable[..., None]:
 
 
 def refreshment(lanes: int) -> Callable[..., float]:
-    """Return refresh(work, row, rate, best, scale, weights, n, h).
+    """Return refresh(work, row, rate, last, best, scale, weights, n, h).
 
     It puts h weights · rate into `row`, over stages, and returns Σ (change / scale)², the
-    entries of `scale` being inverse.  best: the least changes so far, over stages; its entry
-    after all stages says how many of them have become less.
+    entries of `scale` being inverse.  last: the changes of the turn before.  best: the least
+    that two turns have had so far; its entry after all stages says for how many numbers that
+    is these two.  One turn says little, as positions and momenta may change by turns.
     """
 
     @make_intrinsic
     def refresh(  # type: ignore[no-untyped-def]
-        typing: Any, work: Any, row: Any, rate: Any, best: Any, scale: Any, weights: Any,
-        n: Any, h: Any,
+        typing: Any, work: Any, row: Any, rate: Any, last: Any, best: Any, scale: Any,
+        weights: Any, n: Any, h: Any,
     ):  # fmt: skip
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             rows = _Rows(context, builder, signature.args[0], arguments[0], lanes)
-            row, rate, best, scale, weights, n, h = arguments[1:]
+            row, rate, last, best, scale, weights, n, h = arguments[1:]
             integer, T = n.type, rows.vector
             zero, one = ir.Constant(T, [0.0] * lanes), ir.Constant(T, [1.0] * lanes)
             factor = builder.fmul(rows.splat(h), rows.load(weights, integer(0)))
@@ -135,9 +136,13 @@ def refreshment(lanes: int) -> Callable[..., float]:
                 new = builder.fmul(factor, rows.load(rate, first))
                 change = builder.call(fabs, [builder.fsub(new, rows.load(row, first))])
                 rows.store(new, row, first)
-                least = rows.load(best, first)
-                improved = builder.fcmp_ordered("<", change, least)
-                rows.store(builder.select(improved, change, least), best, first)
+                before, least = rows.load(last, first), rows.load(best, first)
+                rows.store(change, last, first)
+                more = builder.select(builder.fcmp_ordered(">", change, before), change, before)
+                improved = builder.and_(
+                    builder.fcmp_ordered("<", more, least), builder.fcmp_ordered(">", more, zero)
+                )
+                rows.store(builder.select(improved, more, least), best, first)
                 counted = builder.fadd(builder.load(less), builder.select(improved, one, zero))
                 builder.store(counted, less)
                 relative = builder.fmul(change, rows.number(scale, loop.index))
@@ -151,7 +156,7 @@ def refreshment(lanes: int) -> Callable[..., float]:
             return parts[0]
 
         whole = types.int64
-        kinds = (work, whole, whole, whole, whole, whole, whole, types.float64)
+        kinds = (work, *(whole,) * 7, types.float64)
         return types.float64(*kinds), generate
 
     return refresh
