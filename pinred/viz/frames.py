@@ -11,10 +11,10 @@ from pathlib import Path
 
 from ..errors import InputError, OutputError
 from ..export import check_path, write_atomic
+from ..recording import Recording
 from ..trajectory import Trajectory
 from .browser import browser
 from .page import page
-from .recording import Recording
 from .view import View
 
 SIZE, FPS = (960, 720), 30.0
