@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import pinred
 from pinred.arrays import Array
 from pinred.rotations import rotation
 from pinred.viz.bodies import bodies_of
+from pinred.viz.frames import write_frames
 from pinred.viz.framing import frame
 from pinred.viz.playback import Playback, playback
 from pinred.viz.shape_panel import shape_panel
@@ -263,3 +265,26 @@ def test_framing() -> None:
     arm = np.linalg.norm(swung.com - swung.momentum.tail, axis=1).max()
     assert framing.radius + arm < framing.reach
     assert not frame(film("rigid_body"), bodies_of(pinred.load("rigid_body"))).follow
+
+
+def test_frames_are_written_all_or_none(tmp_path: Path) -> None:
+    """A film that fails on the way leaves what was there, and nothing of its own."""
+    (tmp_path / "film_0000.png").write_bytes(b"old")
+
+    def shots(fail: bool) -> Iterator[bytes]:
+        yield b"first"
+        assert (tmp_path / "film_0000.png").read_bytes() == b"old"
+        if fail:
+            raise pinred.OutputError("the browser is gone")
+        yield b"second"
+
+    with pytest.raises(pinred.OutputError, match="is gone"):
+        write_frames(tmp_path / "film.png", shots(fail=True))
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [
+        ("film_0000.png", b"old")
+    ]
+    assert write_frames(tmp_path / "film.png", shots(fail=False)) == 2
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
+        "film_0000.png": b"first",
+        "film_0001.png": b"second",
+    }
