@@ -24,13 +24,6 @@ from .time_series import require_joints
 
 Source: TypeAlias = System | Reduction | Motion
 
-COMPONENTS = {
-    "R": ("v",),
-    "SO2": ("ω",),
-    "SE2": ("v1", "v2", "ω"),
-    "SO3": ("ω1", "ω2", "ω3"),
-    "SE3": ("v1", "v2", "v3", "ω1", "ω2", "ω3"),
-}
 _NONE = 1e-12  # a curvature below it is round-off
 _LEVELS = 20
 
@@ -76,7 +69,7 @@ def curvature(
     values = B[..., which]
     most = float(np.abs(values).max())
     flat = most < _NONE
-    label = COMPONENTS[system.group.name][which]
+    label = system.group.twist_names[which]
     a, b = (names.joints[k] for k in pair)
     rest = title_at(names, pair, stands)
     made = figure(
@@ -115,7 +108,7 @@ def _system(source: Source) -> System:
 
 def _component(system: System, component: str | int | None, B: Array) -> int:
     """Return the index of a component of the body twist.  Raises InputError."""
-    known, linear = COMPONENTS[system.group.name], system.group.linear
+    known, linear = system.group.twist_names, system.group.linear
     if component is None:
         size = np.abs(B).reshape(-1, len(known)).max(axis=0)
         first = linear if linear < len(known) else 0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from ..errors import InputError, LoadError
-from ..joints import is_prismatic
+from ..joints import shape_units
 from ..recording import Recording
 from ..system import System
 from ..trajectory import Trajectory
@@ -104,9 +104,8 @@ def robot_of(motion: Motion) -> System | None:
 
 def labels_of(system: System) -> Labels:
     """Return the labels of a system."""
-    model, names = system.model, system.shape_names
-    units = tuple("m" if is_prismatic(model.joints[i]) else "rad" for i in range(2, model.njoints))
-    return Labels(system.name, system.group.name, names, units, _limbs(system))
+    units = shape_units(system.model)
+    return Labels(system.name, system.group.name, system.shape_names, units, _limbs(system))
 
 
 def _limbs(system: System) -> tuple[tuple[int, ...], ...]:
