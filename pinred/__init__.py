@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from .integrators.method import DOP853, RKMK4, AdaptiveGauss, Gauss, Radau, Variational
     from .loading import load
     from .many import Failure, Trajectories, simulate_many
+    from .recording import Recording, read_recording
     from .reduction import ReducedShape, Reduction
     from .scene import Scene
     from .scene_file import load_scene
@@ -67,6 +68,7 @@ _HOME = {
     **dict.fromkeys(("Inspection", "inspect"), "inspection"),
     "load": "loading",
     **dict.fromkeys(("Failure", "Trajectories", "simulate_many"), "many"),
+    **dict.fromkeys(("Recording", "read_recording"), "recording"),
     **dict.fromkeys(("ReducedShape", "Reduction"), "reduction"),
     "Scene": "scene",
     "load_scene": "scene_file",
@@ -102,6 +104,7 @@ __all__ = [
     "OutputError",
     "PinredError",
     "Radau",
+    "Recording",
     "ReducedShape",
     "Reduction",
     "Report",
@@ -125,6 +128,7 @@ __all__ = [
     "load",
     "load_scene",
     "plots",
+    "read_recording",
     "scene_schema",
     "signals",
     "simulate",

@@ -36,6 +36,11 @@ def is_prismatic(joint: pin.JointModel) -> bool:
     return joint.shortname() in _PRISMATIC
 
 
+def shape_units(model: pin.Model) -> tuple[str, ...]:
+    """Return the unit of each shape coordinate: m of those that slide, rad of those that turn."""
+    return tuple("m" if is_prismatic(model.joints[i]) else "rad" for i in range(2, model.njoints))
+
+
 def root_joint(group: Group) -> pin.JointModel:
     """Return the joint that makes a body float in `group`.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,6 +78,73 @@ def with_base(state: State | ShapeState, name: str) -> State:
         f"the scene of '{name}' has outputs='shape', which leaves out the base; "
         "simulate with outputs='all'"
     )
+
+
+class OverTime(ABC):
+    """Fields of State over the times of a motion, of what has `outputs`.
+
+    Those that need the base raise InputError if it was left out.
+    """
+
+    @property
+    @abstractmethod
+    def outputs(self) -> State | ShapeState:
+        """All that is known, time first."""
+
+    @property
+    @abstractmethod
+    def _name(self) -> str:
+        """What a message calls it."""
+
+    @property
+    def states(self) -> State:
+        """The states.  Raises InputError if the base was left out."""
+        return with_base(self.outputs, self._name)
+
+    @property
+    def x(self) -> Array:
+        """Shape, (T, m) [rad | m]."""
+        return self.outputs.x
+
+    @property
+    def xdot(self) -> Array:
+        """Shape rate, (T, m)."""
+        return self.outputs.xdot
+
+    @property
+    def xi(self) -> Array:
+        """Body twist of the base, (T, r) [linear; angular]."""
+        return self.states.xi
+
+    @property
+    def pose(self) -> Array:
+        """Pose of the base, (T, size)."""
+        return self.states.pose
+
+    @property
+    def q(self) -> Array:
+        """Pinocchio's configuration, (T, nq)."""
+        return self.states.q
+
+    @property
+    def v(self) -> Array:
+        """Pinocchio's velocity, (T, n)."""
+        return self.states.v
+
+    @property
+    def body_momentum(self) -> Array:
+        """Body momentum μ, (T, r)."""
+        return self.states.body_momentum
+
+    @property
+    def spatial_momentum(self) -> Array:
+        """Spatial momentum J = Ad*_{g⁻¹} μ, (T, r)."""
+        return self.states.spatial_momentum
+
+    @property
+    def energy(self) -> Array:
+        """Total energy, (T,) [J]; without the base, that about the centre of mass."""
+        return self.outputs.energy
 
 
 def full_state(

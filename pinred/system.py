@@ -103,12 +103,11 @@ class System:
 
     def _repr_html_(self) -> str:
         from .html_parts import card, table
-        from .joints import is_prismatic
+        from .joints import shape_units
 
-        kinds = (is_prismatic(self.model.joints[i]) for i in range(2, self.model.njoints))
         rows = [
-            (name, *(("prismatic", "m") if slides else ("revolute", "rad")))
-            for name, slides in zip(self.shape_names, kinds, strict=True)
+            (name, "prismatic" if unit == "m" else "revolute", unit)
+            for name, unit in zip(self.shape_names, shape_units(self.model), strict=True)
         ]
         about = (
             f"group {self.group.name} (r = {self.r}) on joint '{self.root_name}', shape of "

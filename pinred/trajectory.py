@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .arrays import Array, as_floats
 from .errors import InputError, ShapeError
-from .state import ShapeState, State, with_base
+from .state import OverTime, ShapeState, State, with_base
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,7 +41,7 @@ class Run:
     wall: float
 
 
-class Trajectory:
+class Trajectory(OverTime):
     """The motion of a scene.  Fields of State over the report times; call it for any time."""
 
     def __init__(self, scene: Scene, motion: Motion, run: Run) -> None:
@@ -61,59 +61,13 @@ class Trajectory:
         return self.motion.states(self.scene.report_times)
 
     @property
-    def states(self) -> State:
-        """The states at the report times.  Raises InputError if the base was left out."""
-        return with_base(self.outputs, self.system.name)
+    def _name(self) -> str:
+        return self.system.name
 
     @property
     def t(self) -> Array:
         """Report times, (T,) [s]."""
         return self.scene.report_times
-
-    @property
-    def x(self) -> Array:
-        """Shape, (T, m) [rad | m]."""
-        return self.outputs.x
-
-    @property
-    def xdot(self) -> Array:
-        """Shape rate, (T, m)."""
-        return self.outputs.xdot
-
-    @property
-    def xi(self) -> Array:
-        """Body twist of the base, (T, r) [linear; angular]."""
-        return self.states.xi
-
-    @property
-    def pose(self) -> Array:
-        """Pose of the base, (T, size)."""
-        return self.states.pose
-
-    @property
-    def q(self) -> Array:
-        """Pinocchio's configuration, (T, nq)."""
-        return self.states.q
-
-    @property
-    def v(self) -> Array:
-        """Pinocchio's velocity, (T, n)."""
-        return self.states.v
-
-    @property
-    def body_momentum(self) -> Array:
-        """Body momentum μ, (T, r)."""
-        return self.states.body_momentum
-
-    @property
-    def spatial_momentum(self) -> Array:
-        """Spatial momentum J = Ad*_{g⁻¹} μ, (T, r)."""
-        return self.states.spatial_momentum
-
-    @property
-    def energy(self) -> Array:
-        """Total energy, (T,) [J]; without the base, that about the centre of mass."""
-        return self.outputs.energy
 
     @cached_property
     def energy_balance(self) -> EnergyBalance:

@@ -89,15 +89,16 @@ def _pendulum() -> pinred.Trajectory:
     return pinred.simulate(system, x0=[0.3, 0.1, 0.0], xdot0=[0, 0.5, 0.2], xi0=[1], duration=60.0)
 
 
-def recorded() -> plots.Recording:
+def recorded() -> pinred.Recording:
     """A made-up recording: drifts of known size, which no rounding decides."""
     t = np.linspace(0.0, 4.0, 81)
     J = np.array([1.0, -0.4, 0.6]) + 1e-9 * np.stack([t, t**2, t**3], axis=1)
-    arrays = {
-        "t": t, "x": np.zeros((81, 0)), "xdot": np.zeros((81, 0)),
-        "spatial_momentum": J, "energy": 2.0 + 1e-9 * np.expm1(t),
-    }  # fmt: skip
-    return plots.Recording(Path("made_up.npz"), "made_up", "SE2", (), arrays)
+    none, zero = np.zeros((81, 0)), np.zeros((81, 3))
+    states = pinred.State(
+        t=t, x=none, xdot=none, xi=zero, pose=zero, q=zero, v=zero, body_momentum=zero,
+        spatial_momentum=J, energy=2.0 + 1e-9 * np.expm1(t),
+    )  # fmt: skip
+    return pinred.Recording(Path("made_up.npz"), "made_up", "SE2", (), states, {})
 
 
 def report() -> pinred.Report:

@@ -1,9 +1,8 @@
-"""Playback: its numbers against closed forms and sums over bodies, and the files it reads."""
+"""Playback: its numbers against closed forms and sums over bodies."""
 
 from __future__ import annotations
 
-import contextlib
-import pickle
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +15,9 @@ import pinred
 from pinred.arrays import Array
 from pinred.rotations import rotation
 from pinred.viz.bodies import bodies_of
+from pinred.viz.frames import write_frames
 from pinred.viz.framing import frame
 from pinred.viz.playback import Playback, playback
-from pinred.viz.recording import read_recording
 from pinred.viz.shape_panel import shape_panel
 from pinred.viz.view import View
 
@@ -268,87 +267,24 @@ def test_framing() -> None:
     assert not frame(film("rigid_body"), bodies_of(pinred.load("rigid_body"))).follow
 
 
-@pytest.mark.parametrize("options", [{}, {"lock": {"sway": 0.4}, "gravity": [0.0, 0.0, -1.0]}])
-def test_file_and_back(tmp_path: Path, options: dict[str, Any]) -> None:
-    """A file is played as the trajectory was, robot, locked joints and gravity included."""
-    system = pinred.load("falling_cat", **options)
-    traj = pinred.simulate(system, seed=3, times=np.linspace(0.0, 1.0, 61))
-    traj.save(tmp_path / "traj.npz")
-    recording = read_recording(tmp_path / "traj.npz")
-    np.testing.assert_array_equal(recording.system.gravity, system.gravity)
-    ours, theirs = playback(recording, View()), playback(traj, View())
-    for name in ("t", "x", "placements", "com", "ellipsoid"):
-        np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), atol=1e-9)
-    with pytest.raises(pinred.InputError, match="holds no forces"):
-        playback(recording, View(ghost=True))
+def test_frames_are_written_all_or_none(tmp_path: Path) -> None:
+    """A film that fails on the way leaves what was there, and nothing of its own."""
+    (tmp_path / "film_0000.png").write_bytes(b"old")
 
+    def shots(fail: bool) -> Iterator[bytes]:
+        yield b"first"
+        assert (tmp_path / "film_0000.png").read_bytes() == b"old"
+        if fail:
+            raise pinred.OutputError("the browser is gone")
+        yield b"second"
 
-def test_file_of_a_robot_that_moved(tmp_path: Path) -> None:
-    """A robot's own file is found where it was, or beside the motion, or where one says."""
-    text = (pinred.catalogue.bundled_folder() / "falling_cat.urdf").read_text(encoding="utf-8")
-    for folder in ("here", "there", "motion"):
-        (tmp_path / folder).mkdir()
-    (tmp_path / "here/cat.urdf").write_text(text, encoding="utf-8")
-    traj = pinred.simulate(pinred.load(tmp_path / "here/cat.urdf"), seed=0, duration=0.1)
-    path = tmp_path / "motion/traj.npz"
-    traj.save(path)
-    assert read_recording(path).system.name == "cat"
-    (tmp_path / "here/cat.urdf").rename(tmp_path / "there/cat.urdf")
-    with pytest.raises(pinred.LoadError, match=r"no such file.*--robot"):
-        read_recording(path)
-    assert read_recording(path, str(tmp_path / "there/cat.urdf")).system.name == "cat"
-    (tmp_path / "there/cat.urdf").rename(tmp_path / "motion/cat.urdf")
-    assert read_recording(path).system.name == "cat"
-    with pytest.raises(pinred.InputError, match="name the right robot"):
-        read_recording(path, "solo12")
-
-
-def test_files_that_are_no_motion(tmp_path: Path) -> None:
-    """Whatever is wrong with a file is said; nothing in it is executed."""
-    traj = pinred.simulate(pinred.load("rigid_body"), duration=0.1)
-    traj.save(tmp_path / "good.npz")
-    with np.load(tmp_path / "good.npz") as file:
-        good = dict(file)
-    mark = tmp_path / "mark"
-
-    class Evil:
-        def __reduce__(self) -> tuple[object, ...]:
-            return Path.touch, (mark,)
-
-    def refused(error: type[Exception], words: str, **changed: Any) -> None:
-        arrays = {name: value for name, value in (good | changed).items() if value is not None}
-        np.savez(tmp_path / "bad.npz", **arrays)
-        with pytest.raises(error, match=words):
-            read_recording(tmp_path / "bad.npz")
-
-    refused(pinred.LoadError, "no .npz file of plain arrays", q=np.array([Evil()], dtype=object))
-    assert not mark.exists()
-    pickle.loads(pickle.dumps(Evil()))
-    assert mark.exists()  # it would have worked
-    refused(pinred.LoadError, "has no array 'joints'", joints=None)
-    refused(pinred.InputError, r"outputs='shape'", q=None)
-    refused(pinred.InputError, "does not say where its robot", source=np.array(""))
-    refused(pinred.LoadError, "unknown robot 'nobody'", source=np.array("nobody"))
-    refused(pinred.LoadError, "cannot be loaded", gravity=np.array(["a"]))
-    refused(pinred.InputError, r"group SO3 and the joints knee, but", joints=np.array(["knee"]))
-    refused(pinred.InputError, r"'q' must be finite numbers of shape \(201, 7\)", group="SE3")
-    refused(pinred.InputError, "'q' must be finite", q=np.full_like(good["q"], np.nan))
-    refused(pinred.InputError, "'v' must be", v=good["v"][:-1])
-    refused(pinred.InputError, "increasing", t=good["t"][::-1])
-    refused(pinred.InputError, "is not the configuration", q=2.0 * good["q"])
-    refused(pinred.LoadError, "cannot be loaded", lock_joints=np.array(["a"]))
-    # However a file is damaged, the error is one of ours.
-    whole, rng = (tmp_path / "good.npz").read_bytes(), np.random.default_rng(0)
-    for _ in range(200):
-        damaged = bytearray(whole)
-        for at in rng.integers(len(whole), size=4):
-            damaged[at] ^= 1 << int(rng.integers(8))
-        (tmp_path / "bad.npz").write_bytes(bytes(damaged[: rng.integers(1, len(whole) + 1)]))
-        with contextlib.suppress(pinred.PinredError):
-            read_recording(tmp_path / "bad.npz")
-    (tmp_path / "text.npz").write_text("hello")
-    np.save(tmp_path / "array.npy", good["q"])
-    (tmp_path / "array.npy").rename(tmp_path / "array.npz")
-    for name in ("text.npz", "array.npz", "gone.npz"):
-        with pytest.raises(pinred.LoadError, match=name):
-            read_recording(tmp_path / name)
+    with pytest.raises(pinred.OutputError, match="is gone"):
+        write_frames(tmp_path / "film.png", shots(fail=True))
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [
+        ("film_0000.png", b"old")
+    ]
+    assert write_frames(tmp_path / "film.png", shots(fail=False)) == 2
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
+        "film_0000.png": b"first",
+        "film_0001.png": b"second",
+    }

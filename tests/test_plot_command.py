@@ -81,7 +81,7 @@ def test_the_same_figure_as_in_python(capsys: pytest.CaptureFixture[str], tmp_pa
     out = tmp_path / "out.png"
     assert run(capsys, str(scene), "--kind", "energy", "--out", str(out))[0] == 0
     np.testing.assert_array_equal(imread(out), expected)
-    recording = plots.read_recording(tmp_path / "traj.npz")
+    recording = pinred.read_recording(tmp_path / "traj.npz")
     plots.shape(recording).savefig(tmp_path / "python.png")
     assert run(capsys, str(tmp_path / "traj.npz"), "--kind", "shape", "--out", str(out))[0] == 0
     np.testing.assert_array_equal(imread(out), imread(tmp_path / "python.png"))

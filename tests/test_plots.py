@@ -214,56 +214,6 @@ def test_error_against_the_full_simulation() -> None:
     assert not [line for line in axes.lines if "position" in str(line.get_label())]
 
 
-def test_recordings_know_numbers_and_names(cat: pinred.Trajectory, tmp_path: Path) -> None:
-    """What is read back is drawn like the motion; what needs the robot says so."""
-    path = tmp_path / "cat.npz"
-    cat.save(path)
-    recording = plots.read_recording(path)
-    for kind in ("shape", "base", "momentum", "energy"):
-        found, expected = plots.plot(recording, kind), cat.plot(kind)
-        assert len(found.axes) == len(expected.axes)
-        for ours, theirs in zip(found.axes[:1], expected.axes[:1], strict=True):
-            for line in theirs.lines:
-                np.testing.assert_array_equal(
-                    drawn(ours, str(line.get_label()))[1], line.get_ydata()
-                )
-    assert units(plots.shape(recording)) == ["shape [rad | m]"]
-    assert units(plots.energy(recording))[1] == "change since start\n[J]"
-    with pytest.raises(pinred.InputError, match="holds no full simulation"):
-        plots.error(recording)  # type: ignore[arg-type]
-    traj = pinred.simulate(cat.system, duration=0.1, outputs="shape")
-    traj.save(path)
-    assert len(plots.shape(plots.read_recording(path)).axes[0].lines) == 3
-    with pytest.raises(pinred.InputError, match="outputs='shape'"):
-        plots.base(plots.read_recording(path))
-
-
-def test_files_that_are_no_recordings(tmp_path: Path) -> None:
-    """Each is refused with its name and what is wrong."""
-    with pytest.raises(pinred.LoadError, match="no such file"):
-        plots.read_recording(tmp_path / "no.npz")
-    path = tmp_path / "bad.npz"
-    path.write_bytes(b"PK\x03\x04 no")
-    with pytest.raises(pinred.LoadError, match=r"bad\.npz"):
-        plots.read_recording(path)
-    np.savez(path, a=np.zeros(3))
-    with pytest.raises(pinred.LoadError, match="not a motion that pinred wrote"):
-        plots.read_recording(path)
-    good: dict[str, Any] = {
-        "robot": "r",
-        "group": "SO2",
-        "joints": ["a"],
-        "t": [0.0, 1.0],
-        "energy": [1.0, 1.0],
-    }
-    np.savez(path, **good, x=np.zeros((2, 2)), xdot=np.zeros((2, 1)))
-    with pytest.raises(pinred.LoadError, match=r"'x' has shape \(2, 2\), expected \(2, 1\)"):
-        plots.read_recording(path)
-    np.savez(path, **good, x=np.full((2, 1), np.nan), xdot=np.zeros((2, 1)))
-    with pytest.raises(pinred.LoadError, match="not finite"):
-        plots.read_recording(path)
-
-
 def test_work_against_precision() -> None:
     """Points are those measured: wall in ms, largest error; failures and unknown errors apart."""
     figure = plots.work_precision(measured())

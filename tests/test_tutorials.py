@@ -194,7 +194,7 @@ def test_satellite_arms(tell: Callable[[str], Told]) -> None:
 
 
 def test_integrators(tell: Callable[[str], Told]) -> None:
-    """RKMK4 has order 4 and 4 evaluations a step; errors are those against ABA."""
+    """Orders 2, 4 and 6; errors against ABA; energy grows by RKMK4 and not by Gauss."""
     told = tell("06")
     rows = [line.split() for line in told.text.splitlines()[1:]]
     table = {(row[0], float(row[1])): list(map(float, row[2:])) for row in rows if len(row) == 7}
@@ -206,6 +206,19 @@ def test_integrators(tell: Callable[[str], Told]) -> None:
     assert order == pytest.approx(4.0, abs=0.3)
     for tolerance in (1e-5, 1e-7, 1e-9):
         assert tolerance / 10 < table["DOP853", tolerance][1] < tolerance * 10
+    for name, expected in (("Gauss2", 2.0), ("Gauss6", 6.0)):
+        order = np.log2(table[name, 0.02][1] / table[name, 0.01][1])
+        assert order == pytest.approx(expected, abs=0.3)
+    drift = {
+        name: told.numbers(rf"{name} .*drift of energy N by 50 s, N by 100 s")
+        for name in ("RKMK4", "Gauss2", "Gauss6")
+    }
+    assert drift["RKMK4"][1] > 1.7 * drift["RKMK4"][0]
+    for name in ("Gauss2", "Gauss6"):
+        assert drift[name][1] < 1.2 * drift[name][0]
+    assert drift["Gauss6"][1] < 1e-4 * drift["RKMK4"][1]
+    explicit, implicit = told.numbers(r"stiff: N evaluations of DOP853, N evaluations of Radau")
+    assert explicit > 30 * implicit
 
 
 def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

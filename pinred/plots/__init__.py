@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from .momentum_sphere import sphere
     from .phase_portrait import phase
     from .poincare_section import poincare
-    from .recording import Recording, read_recording
     from .time_series import base, shape
     from .work import work_precision
 
@@ -40,12 +39,10 @@ KINDS = {  # name of a function: the module it stands in
     "poincare": "poincare_section",
     "work_precision": "work",
 }
-_HOME = {**KINDS, **dict.fromkeys(("Recording", "read_recording"), "recording")}
 
 __all__ = [
     "INSTALL",
     "KINDS",
-    "Recording",
     "base",
     "curvature",
     "energy",
@@ -54,7 +51,6 @@ __all__ = [
     "phase",
     "plot",
     "poincare",
-    "read_recording",
     "shape",
     "sphere",
     "work_precision",
@@ -85,10 +81,10 @@ def options_of(kind: str) -> tuple[str, ...]:
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name not in KINDS:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     try:
-        value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+        value = getattr(import_module(f"{__name__}.{KINDS[name]}"), name)
     except ModuleNotFoundError as missing:
         if (missing.name or "").split(".")[0] not in ("matplotlib", "mpl_toolkits"):
             raise

@@ -37,6 +37,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         "--out", metavar="FILE", required=True,
         help="FILE.png, .pdf or .svg; of several kinds, FILE_KIND.png",
     )  # fmt: skip
+    sub.add_argument("--robot", metavar="R", help="the robot of an npz that does not name its own")
     sub.add_argument("--joints", metavar="J1,J2,…", help="joints to draw, by name")
     sub.add_argument("--component", metavar="C", help="of the curvature: v1 … w3")
     sub.add_argument("--value", metavar="X", type=float, help="of a Poincaré section [rad | m]")
@@ -104,7 +105,7 @@ def _paths(out: str, kinds: list[str]) -> dict[str, Path]:
 def _source(options: argparse.Namespace, kinds: list[str]) -> Any:
     """Return what a plot takes: of a file, a scene or a robot."""
     read: dict[str, Callable[[], Any]] = {
-        ".npz": lambda: _recording(options.source),
+        ".npz": lambda: _recording(options.source, options.robot),
         ".csv": lambda: _measurements(options.source),
         ".toml": lambda: _simulated_file(options.source),
     }
@@ -117,6 +118,8 @@ def _source(options: argparse.Namespace, kinds: list[str]) -> Any:
         )
     if suffix == ".csv" and not measured:
         raise InputError(f"'{options.source}' can be drawn as work_precision only; motions are npz")
+    if options.robot is not None and suffix != ".npz":
+        raise InputError(f"--robot is for .npz files; '{options.source}' names its robot itself")
     if suffix not in read:
         return _simulated(_robot_scene(options))
     for name in ("time", "seed", "group"):
@@ -125,10 +128,10 @@ def _source(options: argparse.Namespace, kinds: list[str]) -> Any:
     return read[suffix]()
 
 
-def _recording(path: str) -> Any:
-    from .recording import read_recording
+def _recording(path: str, robot: str | None) -> Any:
+    from ..recording import read_recording
 
-    return read_recording(path)
+    return read_recording(path, robot)
 
 
 def _measurements(path: str) -> Any:

@@ -13,13 +13,7 @@ from ..trajectory import Trajectory
 from .motion_labels import Motion, labels
 from .style import legend, line, on_log, over_time, steady, styled
 
-_COMPONENTS = {
-    "R": ("p",),
-    "SO2": ("L",),
-    "SE2": ("p1", "p2", "L"),
-    "SO3": ("L1", "L2", "L3"),
-    "SE3": ("p1", "p2", "p3", "L1", "L2", "L3"),
-}
+_OF_TWISTS = str.maketrans("vω", "pL")  # what momenta are called, by the twists they go with
 LINEAR, ANGULAR = "linear [N·s]", "angular [N·m·s]"
 
 
@@ -35,8 +29,9 @@ def momentum(motion: Motion) -> Figure:
     Raises InputError if the base was left out.
     """
     names = labels(motion)
-    linear = group_named(names.group).linear
-    entries, values = _COMPONENTS[names.group], motion.spatial_momentum
+    group = group_named(names.group)
+    linear, values = group.linear, motion.spatial_momentum
+    entries = [name.translate(_OF_TWISTS) for name in group.twist_names]
     parts = [(LINEAR, range(linear)), (ANGULAR, range(linear, len(entries)))]
     parts = [(quantity, part) for quantity, part in parts if len(part)]
     figure, every = over_time(f"{names.robot}: spatial momentum", len(parts) + 1)

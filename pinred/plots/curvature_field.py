@@ -12,24 +12,18 @@ from numpy.typing import ArrayLike
 
 from ..arrays import Array, vector
 from ..errors import InputError
+from ..recording import Recording
 from ..reduction import Reduction
 from ..system import System, checked_system
 from ..trajectory import Trajectory
 from .fine_path import fine_path
-from .motion_labels import labels_of
+from .motion_labels import Motion, labels_of
 from .shape_plane import Limits, around, checked_path, draw_path, plane, reach, title_at
 from .style import BLACK, FIELD, figure, legend, styled
 from .time_series import require_joints
 
-Source: TypeAlias = System | Reduction | Trajectory
+Source: TypeAlias = System | Reduction | Motion
 
-COMPONENTS = {
-    "R": ("v",),
-    "SO2": ("ω",),
-    "SE2": ("v1", "v2", "ω"),
-    "SO3": ("ω1", "ω2", "ω3"),
-    "SE3": ("v1", "v2", "v3", "ω1", "ω2", "ω3"),
-}
 _NONE = 1e-12  # a curvature below it is round-off
 _LEVELS = 20
 
@@ -49,8 +43,9 @@ def curvature(
     joints: two names or indices, the first two if None.  component: v1 … ω3 (or w3), or its
     index in the body twist; the rotation that is largest if None.  limits: (low, high) of each
     joint; around the path, or all they can do.  at: (m,) where the other joints stand, that of
-    the start or zero.  path: (T, m) shapes to draw over it, those of a Trajectory if None.
-    Raises InputError for fewer than two joints, or names that are not there.
+    the start or zero.  path: (T, m) shapes to draw over it, those of a motion if None.
+    Raises InputError for fewer than two joints, or names that are not there; LoadError if the
+    robot of a file cannot be loaded.
     """
     system = _system(source)
     names = labels_of(system)
@@ -61,7 +56,7 @@ def curvature(
     drawn: Array | None = None
     if path is not None:
         drawn = checked_path(path, system.m)
-    elif isinstance(source, Trajectory):
+    elif isinstance(source, (Trajectory, Recording)):
         drawn = fine_path(source).x
     start = np.zeros(system.m) if drawn is None else drawn[0]
     stands = start if at is None else vector(at, system.m, "at", system.shape_names)
@@ -74,7 +69,7 @@ def curvature(
     values = B[..., which]
     most = float(np.abs(values).max())
     flat = most < _NONE
-    label = COMPONENTS[system.group.name][which]
+    label = system.group.twist_names[which]
     a, b = (names.joints[k] for k in pair)
     rest = title_at(names, pair, stands)
     made = figure(
@@ -106,14 +101,14 @@ def curvature(
 
 
 def _system(source: Source) -> System:
-    if isinstance(source, (Trajectory, Reduction)):
+    if isinstance(source, (Trajectory, Recording, Reduction)):
         return source.system
-    return checked_system(source, "a plot of the curvature (a Reduction or Trajectory does, too)")
+    return checked_system(source, "a plot of the curvature (a Reduction or a motion does, too)")
 
 
 def _component(system: System, component: str | int | None, B: Array) -> int:
     """Return the index of a component of the body twist.  Raises InputError."""
-    known, linear = COMPONENTS[system.group.name], system.group.linear
+    known, linear = system.group.twist_names, system.group.linear
     if component is None:
         size = np.abs(B).reshape(-1, len(known)).max(axis=0)
         first = linear if linear < len(known) else 0

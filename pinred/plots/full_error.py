@@ -6,6 +6,7 @@ from matplotlib.figure import Figure
 
 from ..comparison import Report, compare
 from ..errors import InputError
+from ..recording import Recording
 from ..trajectory import Trajectory
 from .style import legend, line, on_log, over_time, styled
 
@@ -19,10 +20,15 @@ def error(compared: Report | Trajectory) -> Figure:
     """
     if isinstance(compared, Trajectory):
         compared = compare(compared)
+    if isinstance(compared, Recording):
+        raise InputError(
+            f"{compared.path} holds no forces, so the full simulation cannot be made from it; "
+            "plot the error of the robot or of its scene file"
+        )
     if not isinstance(compared, Report):
         raise InputError(
             f"a plot of the error takes the Report of compare, or a Trajectory, "
-            f"got {type(compared).__name__}; a file holds no full simulation to compare with"
+            f"got {type(compared).__name__}"
         )
     figure, (axes,) = over_time(f"{compared.robot}: reduced equations against full ABA", 1)
     series = [

@@ -12,11 +12,10 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from ..arrays import Array
 from ..errors import InputError
 from ..reduction import Reduction
-from ..state import ShapeState, with_base
-from ..trajectory import Trajectory
-from .fine_path import Path, fine_path
-from .motion_labels import Motion, labels
-from .recording import Recording
+from ..state import with_base
+from ..system import System
+from .fine_path import Path, about_com, fine_path, state_at
+from .motion_labels import Motion, labels, robot_of
 from .style import BLACK, RED, figure, styled
 
 _NONE = 1e-12  # of moment of inertia times 1 rad/s: no momentum to draw
@@ -31,16 +30,18 @@ def sphere(motion: Motion, *, when: float = 0.0) -> Figure:
 
     The momentum is about the pivot (SO3), or about the centre of mass (SE3).  Thin curves are
     levels of the energy ½ Lᵀ I⁻¹ L with the shape frozen as it is at the time `when` [s]; a
-    rigid body stays on one of them.  A file has no inertia, so it has no levels, and SE3 needs
-    the robot.
-    Raises InputError for another group or where there is no momentum.
+    rigid body stays on one of them.  Of a file, the time is the nearest in it; without its robot
+    there are no levels.
+    Raises InputError for another group or where there is no momentum, LoadError if SE3 needs
+    the robot of a file and it cannot be loaded.
     """
     names = labels(motion)
     L = angular_momentum(motion, fine_path(motion))
     size = float(np.linalg.norm(L[0]))
     inertia = None
-    if isinstance(motion, Trajectory):
-        inertia = _frozen_inertia(motion, motion.at(when).x)
+    if (system := robot_of(motion)) is not None:
+        frozen_at = state_at(motion, when)
+        inertia = _frozen_inertia(system, frozen_at.x)
     least = _NONE * (1.0 if inertia is None else float(np.trace(inertia)))
     if size <= least:
         raise InputError(f"'{names.robot}' has no angular momentum, so there is no sphere")
@@ -58,7 +59,7 @@ def sphere(motion: Motion, *, when: float = 0.0) -> Figure:
     axes.view_init(*angles)
     _ball(axes, size, view)
     if inertia is not None:
-        frozen = "" if not names.joints else f", shape of t = {when:g} s"
+        frozen = "" if not names.joints else f", shape of t = {float(frozen_at.t):g} s"
         curves = level_curves(inertia, size)
         for k, curve in enumerate(curves):
             _draw(axes, curve, view, f"levels of the energy{frozen}" if k == 0 else "",
@@ -75,23 +76,14 @@ def sphere(motion: Motion, *, when: float = 0.0) -> Figure:
 def angular_momentum(motion: Motion, path: Path) -> Array:
     """Return the angular momentum in the body's frame along a path of a motion, (T, 3) [N·m·s].
 
-    Raises InputError for groups other than SO3 and SE3, or a file of SE3.
+    Raises InputError for groups other than SO3 and SE3; LoadError if SE3 needs the robot of a file
+    and it cannot be loaded.
     """
     group = labels(motion).group
     if group not in ("SO3", "SE3"):
         raise InputError(f"the body momentum moves on a sphere for SO3 and SE3, not for {group}")
-    if isinstance(path, ShapeState):
-        path = with_base(path, labels(motion).robot)
-    mu = path.body_momentum
-    if group == "SO3":
-        return mu
-    if isinstance(motion, Recording):
-        raise InputError(
-            f"'{motion.path}' does not hold the robot, so the centre of mass is not known; "
-            "plot from the robot or its scene file"
-        )
-    com = Reduction(motion.system).grid(path.x).com
-    return np.asarray(mu[:, 3:] - np.cross(com, mu[:, :3]))
+    mu = with_base(path, labels(motion).robot).body_momentum
+    return mu if group == "SO3" else about_com(mu, Reduction(motion.system).grid(path.x).com)
 
 
 def level_curves(inertia: Array, size: float) -> list[Array]:
@@ -128,9 +120,9 @@ def level_curves(inertia: Array, size: float) -> list[Array]:
     return curves
 
 
-def _frozen_inertia(traj: Trajectory, x: Array) -> Array:
+def _frozen_inertia(system: System, x: Array) -> Array:
     """Return the rotational inertia with the joints frozen, about pivot or centre of mass."""
-    I = Reduction(traj.system).locked_inertia(x)
+    I = Reduction(system).locked_inertia(x)
     return I if len(I) == 3 else np.asarray(np.linalg.inv(np.linalg.inv(I)[3:, 3:]))
 
 

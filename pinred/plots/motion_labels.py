@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from ..errors import InputError
-from ..joints import is_prismatic
+from ..errors import InputError, LoadError
+from ..joints import shape_units
+from ..recording import Recording
 from ..system import System
 from ..trajectory import Trajectory
-from .recording import Recording
 
 Motion: TypeAlias = Trajectory | Recording
 
@@ -82,17 +82,30 @@ def labels(motion: Motion) -> Labels:
             f"a plot over time takes a Trajectory, or what read_recording makes of a npz file, "
             f"got {type(motion).__name__}"
         )
+    system = robot_of(motion)
+    if system is not None:
+        return labels_of(system)
     row = tuple(range(len(motion.joints)))
     limbs = tuple(row[i : i + MOST] for i in range(0, len(row), MOST))
-    units = ("rad | m",) * len(row)  # the file does not say which
+    units = ("rad | m",) * len(row)  # only the robot says which
     return Labels(motion.robot, motion.group, motion.joints, units, limbs)
+
+
+def robot_of(motion: Motion) -> System | None:
+    """Return the robot of a motion, or None if that of a file cannot be found.
+
+    Raises InputError if it is not the one that moved.
+    """
+    try:
+        return motion.system
+    except LoadError:
+        return None
 
 
 def labels_of(system: System) -> Labels:
     """Return the labels of a system."""
-    model, names = system.model, system.shape_names
-    units = tuple("m" if is_prismatic(model.joints[i]) else "rad" for i in range(2, model.njoints))
-    return Labels(system.name, system.group.name, names, units, _limbs(system))
+    units = shape_units(system.model)
+    return Labels(system.name, system.group.name, system.shape_names, units, _limbs(system))
 
 
 def _limbs(system: System) -> tuple[tuple[int, ...], ...]:

@@ -5,20 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pinocchio as pin
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..arrays import Array
 from ..errors import InputError, SymmetryError
 from ..reduction import Reduction
+from ..state import State, with_base
+from ..system import System
 from ..trajectory import Trajectory
-from .fine_path import Path, fine_path
-from .motion_labels import Labels, Motion, labels
+from .fine_path import Path, about_com, fine_path, state_at
+from .motion_labels import Labels, Motion, labels, robot_of
 from .shape_plane import Limits, Plane, around, draw_path, plane, title_at
 from .style import BLACK, BLUE, FIELD, RED, StyledFigure, figure, legend, line, styled
 from .time_series import require_joints
 
 _LEVELS = 14
+_TRIED = 50  # states of a file whose energy is looked at
+_CLOSE = 1e-7  # relative; energies that differ by less are the same
 _FLAT = 1e-9  # relative, or J; a potential that changes by less is constant
 
 
@@ -39,7 +44,9 @@ def phase(
 
     μ is the momentum about the centre of mass where the group translates.  On SO3 and SE3 it
     turns in the body, so that away from `when` the potential is another one.  Potentials of
-    forces count, torques do not.  A file has no potential, and neither has a pivot in gravity.
+    forces count, torques do not.  A pivot in gravity has no potential; nor has a file whose
+    robot is not found, or whose energy has more in it than the robot's, as it holds no forces;
+    of the others, `when` is the nearest time in it.
     Raises InputError for a robot without joints, or names that are not there.
     """
     names = labels(motion)
@@ -51,11 +58,13 @@ def phase(
     path = fine_path(motion)
     if limits is None:
         limits = around(path.x[:, chosen], units)
-    landscape = _Landscape(motion, when) if isinstance(motion, Trajectory) else None
+    system = robot_of(motion)
+    lack = _lack(motion, system)
+    landscape = None if system is None or lack else _Landscape(motion, system, when)
     at = motion.x[0] if landscape is None else landscape.x
     shapes = plane(chosen, limits, at)
     values = None if landscape is None else landscape.potential(shapes.shapes)
-    title = f"{names.robot}: phase portrait" + _remark(names, landscape, values)
+    title = f"{names.robot}: phase portrait" + (lack or _remark(names, landscape, values))
     rest = title_at(names, chosen, at)
     if rest and values is not None:
         title += f"\n{rest}"
@@ -65,20 +74,21 @@ def phase(
 
 
 class _Landscape:
-    """The amended potential of a trajectory at one of its times."""
+    """The amended potential of a motion at one of its times."""
 
-    def __init__(self, traj: Trajectory, time: float) -> None:
+    def __init__(self, motion: Motion, system: System, time: float) -> None:
         """Take the momentum and the shape at a time."""
-        self._traj, self.time = traj, time
-        state = traj(time)
-        self.x = state.x
-        self._reduction = Reduction(traj.system)
-        group = traj.system.group
+        state = with_base(state_at(motion, time), system.name)
+        self.x, self.time = state.x, float(state.t)
+        self._forces = motion.scene.force_model if isinstance(motion, Trajectory) else None
+        self._reduction = Reduction(system)
+        group = system.group
         self.mu = np.zeros(group.dim)
         if group.name in ("SO2", "SO3"):
             self.mu[:] = state.body_momentum
         elif group.linear > 1:
-            self.mu[group.linear :] = _about_com(traj, time)
+            com = self._reduction.grid(state.x).com
+            self.mu[group.linear :] = about_com(state.body_momentum, com)
         # Constant in the body: one number, or nothing.
         self.is_exact = group.name in ("R", "SO2", "SE2") or not self.mu.any()
         self._xdot = state.xdot
@@ -90,10 +100,9 @@ class _Landscape:
             values = np.array(field.amended_potential(self.mu))
         except SymmetryError:
             return None
-        forces = self._traj.scene.force_model
-        if forces is not None:
+        if self._forces is not None:
             flat = shapes.reshape(-1, shapes.shape[-1])
-            extra = [forces.potential(x, forces.numbers) for x in flat]
+            extra = [self._forces.potential(x, self._forces.numbers) for x in flat]
             values += np.reshape(extra, values.shape)
         return values
 
@@ -108,20 +117,35 @@ class _Landscape:
         return rest + 0.5 * float(self._xdot @ self.metric(self.x[None])[0] @ self._xdot)
 
 
-def _about_com(traj: Trajectory, time: float) -> Array:
-    """Return the angular momentum about the centre of mass in the body's frame, (1,) or (3,)."""
-    state = traj(np.array([time]))
-    com = Reduction(traj.system).grid(state.x).com[0]
-    mu = state.body_momentum[0]
-    if len(mu) == 3:
-        return np.array([mu[2] - com[0] * mu[1] + com[1] * mu[0]])
-    return np.asarray(mu[3:] - np.cross(com, mu[:3]))
+def _lack(motion: Motion, system: System | None) -> str:
+    """Return why a motion read from a file has no potential, "" if it has."""
+    if isinstance(motion, Trajectory):
+        return ""
+    if system is None:
+        return " (the robot of the file is not found, hence no potential)"
+    if not isinstance(motion.outputs, State):
+        return " (the file leaves out the base, hence no potential)"
+    if not _is_all_energy(motion.outputs, system):
+        return " (the file does not hold its forces, hence no potential)"
+    return ""
+
+
+def _is_all_energy(states: State, system: System) -> bool:
+    """Return whether the energy is that of Pinocchio's model alone, forces aside."""
+    model, data = system.model, system.model.createData()
+    off, size = [], 0.0
+    for k in np.linspace(0, len(states.t) - 1, _TRIED).astype(int):
+        H = pin.crba(model, data, states.q[k])
+        H = np.triu(H) + np.triu(H, 1).T
+        kinetic = 0.5 * float(states.v[k] @ H @ states.v[k])
+        potential = float(pin.computePotentialEnergy(model, data, states.q[k]))
+        off.append(abs(states.energy[k] - kinetic - potential))
+        size = max(size, kinetic + abs(potential))
+    return bool(max(off) <= _CLOSE * size)
 
 
 def _remark(names: Labels, landscape: _Landscape | None, values: Array | None) -> str:
-    if landscape is None:
-        return " (a file has no robot, hence no potential)"
-    if values is None:
+    if landscape is None or values is None:
         return f" (gravity turns the pivot: no potential on the shape of {names.group} alone)"
     if _is_flat(values):
         return f" (the amended potential is {values.flat[0]:.4g} J everywhere)"

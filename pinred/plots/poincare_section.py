@@ -9,17 +9,18 @@ from matplotlib.figure import Figure
 
 from ..arrays import Array, as_floats
 from ..errors import InputError
+from ..recording import Recording
 from ..trajectory import Trajectory
 from .crossings import crossings
-from .fine_path import fine_path
-from .motion_labels import labels, labels_of
+from .fine_path import fine_path, shape_path
+from .motion_labels import Motion, labels
 from .style import dots, figure, legend, styled
 from .time_series import require_joints
 
 
 @styled
 def poincare(
-    motions: Trajectory | Sequence[Trajectory],
+    motions: Motion | Sequence[Motion],
     *,
     joints: Sequence[str | int] | None = None,
     value: float | None = None,
@@ -31,14 +32,15 @@ def poincare(
     where it crosses [rad | m], the middle of its motion if None; of a turning joint, whole turns
     more or less count as well.
     direction: 1 where its rate is positive, −1 where it is negative, 0 both.
+    Of a file, the motion between two report times is the cubic that shapes and rates give.
     Raises InputError for fewer than two joints, motions of several robots, or if no motion
     crosses.
     """
-    every = [motions] if isinstance(motions, Trajectory) else list(motions)
-    if not every or not all(isinstance(each, Trajectory) for each in every):
-        raise InputError("a Poincaré section takes one or more Trajectories; files have no steps")
+    every = [motions] if isinstance(motions, (Trajectory, Recording)) else list(motions)
+    if not every:
+        raise InputError("a Poincaré section takes one or more motions, got none")
     names = labels(every[0])
-    if any(labels_of(each.system) != names for each in every):
+    if any(labels(each) != names for each in every):
         raise InputError("a Poincaré section takes motions of one robot only")
     require_joints(names, 2, "a Poincaré section")
     pair = names.indices(joints if joints is not None else (0, 1))
@@ -81,20 +83,21 @@ def poincare(
 
 
 def section(
-    traj: Trajectory, joint: int, value: float, direction: int, *, turns: bool, shown: int
+    motion: Motion, joint: int, value: float, direction: int, *, turns: bool, shown: int
 ) -> Array:
     """Return (shape, rate) of a joint at the crossings of another, in order of time, (K, 2).
 
     turns: whether whole turns more or less than `value` count.
     """
+    path = shape_path(motion)
 
     def height(t: Array) -> Array:
-        apart = traj.at(t).x[:, joint] - value
+        apart = path(t)[0][:, joint] - value
         return np.sin(0.5 * apart) if turns else apart
 
-    t = crossings(traj, height)
+    t = crossings(motion, height)
     if not t.size:
         return np.empty((0, 2))
-    state = traj.at(t)
-    points = np.stack([state.x[:, shown], state.xdot[:, shown]], axis=1)
-    return points if not direction else points[np.sign(state.xdot[:, joint]) == direction]
+    x, xdot = path(t)
+    points = np.stack([x[:, shown], xdot[:, shown]], axis=1)
+    return points if not direction else points[np.sign(xdot[:, joint]) == direction]

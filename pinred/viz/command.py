@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from ..errors import InputError
 
 if TYPE_CHECKING:
+    from ..recording import Recording
     from ..trajectory import Trajectory
-    from .recording import Recording
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -67,7 +67,7 @@ def _motion(options: argparse.Namespace) -> Trajectory | Recording:
     """Return the motion in a file.  Raises InputError for a file of another kind."""
     suffix = Path(options.motion).suffix
     if suffix == ".npz":
-        from .recording import read_recording
+        from ..recording import read_recording
 
         return read_recording(options.motion, options.robot)
     if suffix != ".toml":

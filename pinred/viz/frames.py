@@ -11,10 +11,10 @@ from pathlib import Path
 
 from ..errors import InputError, OutputError
 from ..export import check_path, write_atomic
+from ..recording import Recording
 from ..trajectory import Trajectory
 from .browser import browser
 from .page import page
-from .recording import Recording
 from .view import View
 
 SIZE, FPS = (960, 720), 30.0
@@ -50,7 +50,7 @@ def save_film(
     shots = _shots(content, pixels, view, progress or (lambda _: None))
     try:
         if path.suffix == ".png":
-            return _write_frames(path, shots)
+            return write_frames(path, shots)
         if path.suffix == ".gif":
             return write_gif(path, shots, view.fps)
         return _write_mp4(path, shots, view.fps, encoder)
@@ -93,10 +93,17 @@ def _shots(content: bytes, size: Sequence[int], view: View, progress: Progress) 
             progress((k + 1) / count)
 
 
-def _write_frames(path: Path, shots: Iterator[bytes]) -> int:
-    count = 0
-    for count, shot in enumerate(shots, start=1):
-        (path.parent / f"{path.stem}_{count - 1:04d}.png").write_bytes(shot)
+def write_frames(path: Path, shots: Iterator[bytes]) -> int:
+    """Write PNG pictures as film_0000.png and so on, all or none, and return their number.
+
+    They are moved into place when the last of them is there.
+    """
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
+        count = 0
+        for count, shot in enumerate(shots, start=1):
+            Path(folder, f"{path.stem}_{count - 1:04d}.png").write_bytes(shot)
+        for frame in sorted(Path(folder).iterdir()):
+            frame.replace(path.parent / frame.name)
     return count
 
 

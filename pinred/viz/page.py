@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from ..errors import LoadError, OutputError
 from ..export import check_path, write_atomic
+from ..recording import Recording
 from ..trajectory import Trajectory
 from .bodies import Bodies, bodies_of
 from .framing import frame
 from .playback import Playback, playback
-from .recording import Recording
 from .shape_panel import ShapePanel, shape_panel
 from .view import View
 

@@ -14,11 +14,12 @@ import pinocchio as pin
 from ..arrays import Array, freeze
 from ..errors import InputError
 from ..full_state import FullState
+from ..recording import Recording
 from ..scene import Scene
+from ..state import State
 from ..system import System
 from ..trajectory import Trajectory
 from .momentum import Momentum, conserved_momentum
-from .recording import Recording, recorded
 from .view import View
 
 MOST_FRAMES = 100_000
@@ -68,32 +69,35 @@ def playback(source: Trajectory | Recording, view: View) -> Playback:
     """Return what is to be drawn of a trajectory or of a recorded one.
 
     Raises InputError if the base was left out, if there would be more than MOST_FRAMES
-    frames, or if a ghost is asked for of a recording, which holds no forces.
+    frames or fewer than two, or if a ghost is asked for of a recording, which holds no forces;
+    LoadError if the robot of a recording cannot be loaded.
     """
-    recording = _recording(source, view)
-    if len(recording.t) > MOST_FRAMES:
-        raise _too_many(len(recording.t))
+    states = _frames(source, view)
     ghost = None
-    placements = _placements(recording.system, recording.q)
+    placements = _placements(source.system, states.q)
     if view.ghost:
         if not isinstance(source, Trajectory):
             raise InputError(
                 "a file of a motion holds no forces, so the full simulation cannot be made from "
                 "it; play the trajectory or its scene file with ghost=True"
             )
-        ghost = _ghost(source.scene, recording.t, placements)
-    return _drawn(recording, placements, ghost)
+        ghost = _ghost(source.scene, states.t, placements)
+    return _drawn(source.system, states, placements, ghost)
 
 
-def _recording(source: Trajectory | Recording, view: View) -> Recording:
+def _frames(source: Trajectory | Recording, view: View) -> State:
     """Return the states at the times of the frames, at least two."""
     if isinstance(source, Recording):
-        return source
+        if len(source.t) > MOST_FRAMES:
+            raise _too_many(len(source.t))
+        if len(source.t) < 2:
+            raise InputError(f"{source.path} holds one time only; a film needs two at least")
+        return source.states
     end = source.scene.end
     count = round(end / view.speed * view.fps) + 1
     if count > MOST_FRAMES:
         raise _too_many(count)
-    return recorded(source, np.linspace(0.0, end, max(count, 2)))
+    return source(np.linspace(0.0, end, max(count, 2)))
 
 
 def _too_many(count: int) -> InputError:
@@ -127,8 +131,8 @@ def _ghost(scene: Scene, t: Array, placements: Array) -> Ghost:
     return Ghost(placements=seen, apart=apart.max(axis=1))
 
 
-def _drawn(recording: Recording, placements: Array, ghost: Ghost | None) -> Playback:
-    system, q, v = recording.system, recording.q, recording.v
+def _drawn(system: System, states: State, placements: Array, ghost: Ghost | None) -> Playback:
+    q, v = states.q, states.v
     model, data = system.model, system.model.createData()
     com, ellipsoid = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
     for k in range(len(q)):
@@ -137,9 +141,9 @@ def _drawn(recording: Recording, placements: Array, ghost: Ghost | None) -> Play
         ellipsoid[k] = _ellipsoid(data.Ig.inertia, data.Ig.mass)
     return Playback(
         system=system,
-        t=recording.t.copy(),
-        x=recording.x.copy(),
-        xdot=recording.xdot.copy(),
+        t=states.t.copy(),
+        x=states.x.copy(),
+        xdot=states.xdot.copy(),
         placements=placements,
         com=com,
         ellipsoid=ellipsoid,

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import Array, freeze
 from ..errors import InputError
-from ..joints import is_prismatic
+from ..joints import shape_units
 from ..reduction import Reduction
 from ..system import System
 
@@ -48,7 +48,7 @@ def shape_panel(
     pair: the joints on the axes; if None the two that move the most, but do not spin if possible.
     Raises InputError for joints that there are not.
     """
-    names, units = system.shape_names, _units(system)
+    names, units = system.shape_names, shape_units(system.model)
     for name in pair or ():
         if name not in names:
             raise InputError(f"pair: no joint '{name}'; the joints are {', '.join(names)}")
@@ -75,11 +75,6 @@ def shape_panel(
     field = np.moveaxis(Reduction(system).grid(shapes).curvature[..., a, b], -1, 0)
     components = _strongest_first(system, field, f"({units[a]}·{units[b]})")
     return ShapePanel(labels, path, low, high, *components)
-
-
-def _units(system: System) -> list[str]:
-    joints = [system.model.joints[i] for i in range(2, system.model.njoints)]
-    return ["m" if is_prismatic(joint) else "rad" for joint in joints]
 
 
 def _range(path: Array) -> tuple[Array, Array]:

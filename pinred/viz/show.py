@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 
+from ..recording import Recording
 from ..trajectory import Trajectory
 from .page import page
-from .recording import Recording
 from .server import Player
 from .view import View
 
