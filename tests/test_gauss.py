@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from math import sqrt
 from typing import Any
@@ -361,6 +362,39 @@ def test_steps_from_rest_are_solved_to_round_off(
             x, v = x0 + mu @ dx, v0 + mu @ dv
         found = run("spring", Gauss(h, order), [x0, v0, 0.0, 0.0], h, p=coupling).y[0, :2]
         np.testing.assert_allclose(found, [x0 + dx.sum(), v0 + dv.sum()], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("order", "rate"), [(4, 16.0), (4, 24.0), (4, 26.0), (6, 32.0), (16, 80.0)]
+)
+def test_slow_iterations_come_to_round_off(order: int, rate: float) -> None:
+    """Changes that fall in waves: steps, and states between their ends, by linear solution."""
+    times, h = np.linspace(0.0, 1.0, 333), 0.1
+    method = Gauss(h, order, "fixed point")
+    found = run("stiff", method, [1.0, 0.0, 0.0, 0.0], 1.0, times, p=rate)
+    table, s = tables(order // 2), order // 2
+    A, b, c = table.mu[:s, :s] * table.b[:s], table.b[:s], table.c[:s]
+
+    def stepped(k: int, length: float) -> float:
+        y, t = found.states[k, 0], found.states[k, 3]
+        f = -rate * (y - np.cos(t + length * c))
+        return float(y + length * b @ np.linalg.solve(np.eye(s) + length * rate * A, f))
+
+    before = np.minimum(np.searchsorted(found.knots, times, side="right") - 1, 9)
+    exact = [stepped(k, t - found.knots[k]) for k, t in zip(before, times, strict=True)]
+    for y in (found.y, found.at(times)):
+        np.testing.assert_allclose(y[:, 0], exact, rtol=0, atol=3e-13)
+    ends = [stepped(k, h) for k in range(10)]
+    np.testing.assert_allclose(found.states[1:, 0], ends, rtol=0, atol=3e-13)
+
+
+def test_a_state_without_a_solution_is_an_error() -> None:
+    """Nobody gets NaN for a state at a time."""
+    found = replace(run("kepler", Gauss(0.1), ORBIT, 1.0), _params=np.array([np.nan]))
+    assert (found.at([0.0, 0.5]) == found.states[[0, 5]]).all()
+    with pytest.raises(NoConvergence, match=r"t = 0.55 s, within a step.*shorter") as stopped:
+        found.at([0.95, 0.55])
+    assert (stopped.value.state == found.states[5]).all()
 
 
 def test_a_stiff_decay_is_followed_by_shorter_steps() -> None:
