@@ -17,8 +17,11 @@ from test_methods import ROBOTS, errors_at_the_end, measured
 import pinred
 from pinred import DOP853, AdaptiveGauss, Gauss
 from pinred.arrays import Array
+from pinred.engine import tangent, wide
 from pinred.engine.flow import CompiledFlow
+from pinred.engine.kernel import Kernel
 from pinred.engine.native import NativeCode, compile_object, load_object
+from pinred.engine.tangent import tangent_of
 from pinred.engine.wide import wide_rate
 from pinred.errors import NoConvergence, NonFiniteState, TooManySteps
 from pinred.full_state import FullMotion, FullState
@@ -411,6 +414,27 @@ def test_wide_kernels_are_judged() -> None:
         flow = flow_of(robot, Gauss(0.1), seed=2)
         for lanes in (4, 8):
             assert wide_rate(flow.kernel, lanes) is wide_rate(flow.kernel, lanes)
+
+
+@pytest.mark.parametrize(
+    ("module", "make"), [(wide, lambda k: wide_rate(k, 4)), (tangent, tangent_of)]
+)
+def test_code_that_two_threads_make_is_one(
+    module: Any, make: Callable[[Kernel], NativeCode], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who is second takes what is there: the first may be running it, and nothing else holds it."""
+    system = pinred.load("coupled_planar")
+    kernel = CompiledFlow(pinred.Scene(system=system, seed=1, times=[1.0])).kernel
+    found: list[NativeCode] = []
+
+    def load(code: bytes, name: str) -> NativeCode:
+        monkeypatch.undo()
+        found.append(make(kernel))  # what another thread does meanwhile
+        return load_object(code, name)
+
+    monkeypatch.setattr(module, "load_object", load)
+    assert make(kernel) is found[0]
+    assert make(kernel) is found[0]
 
 
 def test_the_module_says_what_it_is() -> None:
