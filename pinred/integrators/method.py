@@ -122,7 +122,8 @@ class Gauss:
 class AdaptiveGauss:
     """Gauss–Legendre collocation of order 16 with step control, for tight tolerances.
 
-    rtol, atol, max_steps, max_step: as for DOP853.
+    Only for smooth fields: where a force has a kink or a jump, the error of a step is far above
+    what it is estimated to be.  rtol, atol, max_steps, max_step: as for DOP853.
     """
 
     rtol: float = 1e-12
