@@ -344,8 +344,16 @@ def test_failures_are_told() -> None:
         run("edge", AdaptiveGauss(), np.zeros(4), 1.0)
     with pytest.raises(TooManySteps):
         run("kepler", AdaptiveGauss(max_steps=3), ORBIT, 30.0)
-    with pytest.raises(pinred.InputError, match="order must be one of 2, 4"):
-        Gauss(0.1, 5)
+    orders: list[Any] = [5, 6.0, True, "6"]
+    for order in orders:
+        with pytest.raises(pinred.InputError, match="order must be one of 2, 4"):
+            Gauss(0.1, order)
+    solver: Any = ["auto"]
+    with pytest.raises(pinred.InputError, match="solver must be one of auto"):
+        Gauss(0.1, 6, solver)
+    for step in (1e-13, 1e-300, 5e-324):
+        with pytest.raises(pinred.InputError, match="take longer ones"):
+            run("kepler", Gauss(step), ORBIT, 1.0)
 
 
 @pytest.mark.parametrize("order", [2, 4, 8, 16])
