@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -20,6 +21,11 @@ from .signals import Signal
 from .system import System
 
 _REMEMBERED = 16  # models of one system
+_KINKS = {
+    ca.OP_FABS, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO,
+    ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER,
+    ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -139,6 +145,14 @@ class ForceModel:
     def prescribed(self, t: float, numbers: Array) -> Prescribed:
         """Return the motion of the prescribed joints at a time."""
         return Prescribed(*(value[:, 0] for value in self._prescribed(t, numbers)))
+
+    @cached_property
+    def has_kinks(self) -> bool:
+        """Whether something that acts is made of pieces: limits, signs, conditions."""
+        functions = (self.acting_function, self.prescribed_function)
+        return any(
+            f.instruction_id(k) in _KINKS for f in functions for k in range(f.n_instructions())
+        )
 
     def breaks(self, end: float) -> Array:
         """Return the times before `end` at which a function of time is not smooth, sorted [s]."""

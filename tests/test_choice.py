@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from trees import limbed_model
@@ -11,7 +12,8 @@ from trees import limbed_model
 import pinred
 from pinred import DOP853, AdaptiveGauss, Gauss, Radau
 from pinred.engine.choice import choose
-from pinred.forces import Controller, Damper, Spring, Torque
+from pinred.forces import PD, Controller, Damper, Limit, Spring, Torque
+from pinred.full_state import FullMotion, FullState
 from pinred.signals import Hold
 from pinred.stiffness import rates_near_rest
 
@@ -94,6 +96,39 @@ def test_rates_of_a_damped_joint() -> None:
     weak = rates_near_rest(scene(beanie, forces=[Spring("beanie", K), Damper("beanie", 0.1)]))
     assert weak.decay == pytest.approx(0.1 / (2 * M), rel=1e-6)
     assert weak.oscillation == pytest.approx(np.sqrt(K / M - (0.05 / M) ** 2), rel=1e-6)
+
+
+@pytest.mark.parametrize("limit", [Limit(0.5), Limit(0.5, smooth=True)])
+def test_kinks_ask_for_short_steps(limit: Limit) -> None:
+    """Long steps do not see a kink, and their error is not what it is estimated to be."""
+    system = pinred.load("falling_cat")
+    forces = [PD({system.shape_names[0]: 0.5}, kp=2.0, kd=0.1, limit=limit)]
+    asked = scene(system, times=[2.0], forces=forces, rtol=1e-8, atol=1e-10)
+    assert isinstance(choose(asked).method, AdaptiveGauss if limit.smooth else DOP853)
+    assert ("kinks" in choose(asked).why) != limit.smooth
+    traj, start = pinred.simulate(asked), asked.start
+    full = FullState(asked)
+    y0 = full.state(start.pose, start.x, start.xi, start.xdot)
+    truth = full.run(y0, asked.report_times, 1e-12, 1e-14)
+    found = full.distance(truth, FullMotion(x=traj.x, q=traj.q))
+    assert max(found.shape.max(), found.rotation.max()) < 1e-7
+
+
+@pytest.mark.parametrize(
+    "force",
+    [
+        lambda x: ca.fabs(x), lambda x: ca.fmax(x, 0.1), lambda x: ca.sign(x),
+        lambda x: ca.if_else(x > 0.1, x, 0.1), lambda x: ca.floor(x), lambda x: ca.fmod(x, 0.3),
+    ],
+)  # fmt: skip
+def test_every_kind_of_kink_is_seen(force: Any) -> None:
+    """Whatever of CasADi's functions is made of pieces."""
+    system = pinred.load("falling_cat")
+    joint = system.shape_names[0]
+    torque = Torque(lambda t, x, xdot, mu: {joint: force(x[0])})  # noqa: ARG005
+    assert "kinks" in choose(scene(system, forces=[torque])).why
+    smooth = Torque(lambda t, x, xdot, mu: {joint: ca.tanh(x[0]) + ca.exp(-t)})  # noqa: ARG005
+    assert "kinks" not in choose(scene(system, forces=[smooth])).why
 
 
 def test_it_is_said(capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from math import sqrt
 from typing import Any
@@ -16,8 +17,11 @@ from test_methods import ROBOTS, errors_at_the_end, measured
 import pinred
 from pinred import DOP853, AdaptiveGauss, Gauss
 from pinred.arrays import Array
+from pinred.engine import tangent, wide
 from pinred.engine.flow import CompiledFlow
+from pinred.engine.kernel import Kernel
 from pinred.engine.native import NativeCode, compile_object, load_object
+from pinred.engine.tangent import tangent_of
 from pinred.engine.wide import wide_rate
 from pinred.errors import NoConvergence, NonFiniteState, TooManySteps
 from pinred.full_state import FullMotion, FullState
@@ -353,8 +357,16 @@ def test_failures_are_told() -> None:
         run("edge", AdaptiveGauss(), np.zeros(4), 1.0)
     with pytest.raises(TooManySteps):
         run("kepler", AdaptiveGauss(max_steps=3), ORBIT, 30.0)
-    with pytest.raises(pinred.InputError, match="order must be one of 2, 4"):
-        Gauss(0.1, 5)
+    orders: list[Any] = [5, 6.0, True, "6"]
+    for order in orders:
+        with pytest.raises(pinred.InputError, match="order must be one of 2, 4"):
+            Gauss(0.1, order)
+    solver: Any = ["auto"]
+    with pytest.raises(pinred.InputError, match="solver must be one of auto"):
+        Gauss(0.1, 6, solver)
+    for step in (1e-13, 1e-300, 5e-324):
+        with pytest.raises(pinred.InputError, match="take longer ones"):
+            run("kepler", Gauss(step), ORBIT, 1.0)
 
 
 @pytest.mark.parametrize("order", [2, 4, 8, 16])
@@ -376,6 +388,39 @@ def test_steps_from_rest_are_solved_to_round_off(
         np.testing.assert_allclose(found, [x0 + dx.sum(), v0 + dv.sum()], rtol=0, atol=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("order", "rate"), [(4, 16.0), (4, 24.0), (4, 26.0), (6, 32.0), (16, 80.0)]
+)
+def test_slow_iterations_come_to_round_off(order: int, rate: float) -> None:
+    """Changes that fall in waves: steps, and states between their ends, by linear solution."""
+    times, h = np.linspace(0.0, 1.0, 333), 0.1
+    method = Gauss(h, order, "fixed point")
+    found = run("stiff", method, [1.0, 0.0, 0.0, 0.0], 1.0, times, p=rate)
+    table, s = tables(order // 2), order // 2
+    A, b, c = table.mu[:s, :s] * table.b[:s], table.b[:s], table.c[:s]
+
+    def stepped(k: int, length: float) -> float:
+        y, t = found.states[k, 0], found.states[k, 3]
+        f = -rate * (y - np.cos(t + length * c))
+        return float(y + length * b @ np.linalg.solve(np.eye(s) + length * rate * A, f))
+
+    before = np.minimum(np.searchsorted(found.knots, times, side="right") - 1, 9)
+    exact = [stepped(k, t - found.knots[k]) for k, t in zip(before, times, strict=True)]
+    for y in (found.y, found.at(times)):
+        np.testing.assert_allclose(y[:, 0], exact, rtol=0, atol=3e-13)
+    ends = [stepped(k, h) for k in range(10)]
+    np.testing.assert_allclose(found.states[1:, 0], ends, rtol=0, atol=3e-13)
+
+
+def test_a_state_without_a_solution_is_an_error() -> None:
+    """Nobody gets NaN for a state at a time."""
+    found = replace(run("kepler", Gauss(0.1), ORBIT, 1.0), _params=np.array([np.nan]))
+    assert (found.at([0.0, 0.5]) == found.states[[0, 5]]).all()
+    with pytest.raises(NoConvergence, match=r"t = 0.55 s, within a step.*shorter") as stopped:
+        found.at([0.95, 0.55])
+    assert (stopped.value.state == found.states[5]).all()
+
+
 def test_a_stiff_decay_is_followed_by_shorter_steps() -> None:
     """Where the iteration does not converge, the step is cut and not the answer."""
     found = run("stiff", AdaptiveGauss(1e-9, 1e-11), [1.0, 0.0, 0.0, 0.0], 0.5, p=200.0)
@@ -390,6 +435,27 @@ def test_wide_kernels_are_judged() -> None:
         flow = flow_of(robot, Gauss(0.1), seed=2)
         for lanes in (4, 8):
             assert wide_rate(flow.kernel, lanes) is wide_rate(flow.kernel, lanes)
+
+
+@pytest.mark.parametrize(
+    ("module", "make"), [(wide, lambda k: wide_rate(k, 4)), (tangent, tangent_of)]
+)
+def test_code_that_two_threads_make_is_one(
+    module: Any, make: Callable[[Kernel], NativeCode], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who is second takes what is there: the first may be running it, and nothing else holds it."""
+    system = pinred.load("coupled_planar")
+    kernel = CompiledFlow(pinred.Scene(system=system, seed=1, times=[1.0])).kernel
+    found: list[NativeCode] = []
+
+    def load(code: bytes, name: str) -> NativeCode:
+        monkeypatch.undo()
+        found.append(make(kernel))  # what another thread does meanwhile
+        return load_object(code, name)
+
+    monkeypatch.setattr(module, "load_object", load)
+    assert make(kernel) is found[0]
+    assert make(kernel) is found[0]
 
 
 def test_the_module_says_what_it_is() -> None:

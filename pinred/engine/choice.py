@@ -68,6 +68,8 @@ def _chosen(scene: Scene) -> Choice:
         return Choice(dop853, f"{inside} reports before the end cost it least")
     if scene.force_model is not None and len(stops_of(scene)) > 1:
         return Choice(dop853, "the scene is integrated in pieces")
+    if scene.force_model is not None and scene.force_model.has_kinks:
+        return Choice(dop853, "a force has kinks, which long steps do not see")
     cost = _SWEEP * scene.system.workspace("limbs as lanes", lambda: _limbs(scene.system))
     worth = _AT_LOOSEST + _PER_DIGIT * max(0.0, -log10(scene.rtol) - _LOOSEST)
     told = f"{cost:.1f} evaluations a sweep, worth {worth:.1f} at rtol = {scene.rtol:g}"

@@ -48,7 +48,8 @@ def tangent_of(kernel: Kernel, cache: KernelStore | None = None) -> NativeCode:
             cache.put(key, code)
         native = load_object(code, "tangent")
         _judge(kernel, native)
-        ready["tangent"] = native
+        # Another thread may have been faster, and its address may be in use.
+        return ready.setdefault("tangent", native)
     return ready["tangent"]
 
 

@@ -42,7 +42,8 @@ def wide_rate(kernel: Kernel, lanes: int, cache: KernelStore | None = None) -> N
             cache.put(key, code)
         native = load_object(code, "rate")
         _judge(kernel, native, lanes)
-        ready[lanes] = native
+        # Another thread may have been faster, and its address may be in use.
+        return ready.setdefault(lanes, native)
     return ready[lanes]
 
 

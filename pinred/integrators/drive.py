@@ -77,7 +77,8 @@ class Solution:
     def at(self, times: ArrayLike) -> Array:
         """Return the states (T, n) at times (T,) in any order, as if they had been asked for.
 
-        Only the steps around these times are computed again.  Raises InputError.
+        Only the steps around these times are computed again.  Raises InputError, and NoConvergence
+        if an implicit step to one of them has no solution that could be found.
         """
         asked = checked_times(times, float(self.knots[-1]), ordered=False)
         order = np.argsort(asked, kind="stable")
@@ -95,6 +96,16 @@ class Solution:
             self.knots,
             self._stored,
         )
+        lost = np.flatnonzero(np.isnan(out).any(axis=1))
+        if lost.size:
+            time = float(asked[order][lost[0]])
+            before = self.states[np.searchsorted(self.knots, time) - 1]
+            raise NoConvergence(
+                f"the state at t = {time:g} s, within a step, has no solution that could be "
+                "found: take shorter steps",
+                time,
+                before,
+            )
         y = np.empty_like(out)
         y[order] = out
         return y

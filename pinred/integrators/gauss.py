@@ -143,8 +143,9 @@ def advance(
             count[REMAINING] -= 1
         count[EVALUATIONS] += turns * stages
         finish(work, n, lanes, L)
-        if not report(address, params, real, count, work, times, out, t_new):
-            return WANTED
+        reported = report(address, params, real, count, work, times, out, t_new)
+        if reported != DONE:
+            return reported
         count[STEPS] += 1
         keep(count, work[NEW], t_new, knots_t, knots_y)
         for i in range(n):
@@ -223,10 +224,11 @@ def report(
     times: Array,
     out: Array,
     t_new: float,
-) -> bool:
-    """Write the states at the times that lie in a step from real[T] to t_new.
+) -> int:
+    """Write the states at the times that lie in a step from real[T] to t_new; return DONE.
 
-    False, and no more of them, if Newton's method is needed and there is no derivative.
+    If one has no solution, no more of them, and DIVERGED, or WANTED where there is no derivative
+    yet for Newton's method.
     """
     while count[NEXT] < times.shape[0] and times[count[NEXT]] <= t_new:
         j = count[NEXT]
@@ -235,11 +237,10 @@ def report(
             ratio = (time - t) / (t_new - t)
             prepare_guess(work, count[LANES], count[STAGES], WITHIN, 0.0, ratio)
             guess(work, count[N], count[LANES], WITHIN, L, SUB)
-        done = state(address, params, real, count, work, time, t, t_new, out[j])
-        if not done and count[SOLVER] == AUTO and count[TANGENT] == 0:
-            return False
+        if not state(address, params, real, count, work, time, t, t_new, out[j]):
+            return WANTED if count[SOLVER] == AUTO and count[TANGENT] == 0 else DIVERGED
         count[NEXT] += 1
-    return True
+    return DONE
 
 
 @compiled

@@ -139,9 +139,10 @@ def advance(
         if turns != NO_SOLUTION:
             finish(work, n, lanes, L)
             error = _error(real, work, n, lanes)
+        quotient = work[INFO, 1]  # reports write theirs there
+        if error <= 1.0 and report(address, params, real, count, work, times, out, t_new) != DONE:
+            error = np.inf
         if error <= 1.0:
-            quotient = work[INFO, 1]  # reports write theirs there
-            report(address, params, real, count, work, times, out, t_new)
             count[STEPS] += 1
             keep(count, work[NEW], t_new, knots_t, knots_y)
             for i in range(n):

@@ -22,7 +22,9 @@ Y, NEW, CARRY, NEXT_CARRY, STAGE, RATE, L, OLD, SUB, CHANGE, BEST, SCALE = range
 MU, GUESS, WITHIN, B, C, LAST, BARY, INFO = range(12, 20)
 ROWS = 20
 
-MOST = 100  # turns of the iteration
+MOST, MOST_WITHIN = 100, 300  # turns of the iteration; for a report, which is guessed worse
+_PATIENCE = 8  # turns without improvement, where round-off is far and so is convergence
+_FAST, _NEAR = 0.3, 1e-8  # quotient of changes; part of INFO: neither asks for patience
 ROUND_OFF = 0.0  # as a limit: go on until nothing improves
 DIVERGED = -1
 
@@ -108,8 +110,9 @@ def iterate(
     change, best = work[CHANGE], work[BEST]
     for i in range(n * lanes):
         change[i] = best[i] = np.inf
-    before = np.inf
-    for turn in range(1, MOST + 1):
+    before = expected = np.inf
+    idle = 0
+    for turn in range(1, (MOST_WITHIN if row == SUB else MOST) + 1):
         if lanes == 4:
             _multiply4(work, STAGE, Y, MU, row, n)
             call(address, work[STAGE], params, work[RATE])
@@ -123,9 +126,16 @@ def iterate(
         improved = 0.0
         for j in range(lanes):
             improved += best[n * lanes + j]
-        # Round-off goes to and fro; an iteration that does not converge does so by far.
-        if size == 0.0 or (turn > 2 and improved == 0.0 and size <= max(limit, work[INFO, 0])):
+        if size == 0.0:
             return turn
+        # Round-off goes to and fro; an iteration that does not converge does so by far, and one
+        # that converges slowly may do it in waves.
+        idle = idle + 1 if turn > 2 and improved == 0.0 else 0
+        expected = size if turn == 1 else _FAST * expected
+        if idle > 0 and size <= max(limit, work[INFO, 0]):
+            patient = size > expected and size > _NEAR * work[INFO, 0]
+            if idle >= (_PATIENCE if patient else 1):
+                return turn
         if turn > 1 and size <= before:
             part = size / before
             work[INFO, 1] = part

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Array
+from ..errors import InputError
 from . import (
     dop853,
     gauss,
@@ -56,6 +57,7 @@ from .run import (
     N,
 )
 
+MOST_STEPS = 1e12  # of one length; the clock counts them
 EVALUATIONS_BETWEEN_PAUSES = 4096  # at most some milliseconds: Ctrl-C and progress come through
 
 
@@ -130,6 +132,11 @@ def registers(
         real[RTOL], real[ATOL], real[MAX_STEP] = method.rtol, method.atol, method.max_step
         count[MAX_STEPS] = method.max_steps
     else:
+        if not t_end <= MOST_STEPS * method.step:
+            raise InputError(
+                f"steps of {method.step:g} s are more than {MOST_STEPS:.0e} in {t_end:g} s, which "
+                "no run comes to the end of: take longer ones"
+            )
         # The part of a step that round-off adds to the quotient is no step.
         total = max(1, ceil(t_end / method.step * (1.0 - 1e-12)))
         count[TOTAL], real[H] = total, t_end / total
