@@ -87,6 +87,18 @@ def test_the_same_figure_as_in_python(capsys: pytest.CaptureFixture[str], tmp_pa
     np.testing.assert_array_equal(imread(out), imread(tmp_path / "python.png"))
 
 
+def test_robot_of_a_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """--robot names the robot of a file that does not; the wrong one is refused."""
+    path, out = str(tmp_path / "traj.npz"), str(tmp_path / "a.png")
+    pinred.simulate(pinred.load(pinred.load("falling_cat").model), seed=0, duration=0.5).save(path)
+    arguments = (path, "--kind", "curvature", "--out", out)
+    assert "--robot" in run(capsys, *arguments)[2]
+    assert "name the right robot" in run(capsys, *arguments, "--robot", "rigid_body")[2]
+    assert os.listdir(tmp_path) == ["traj.npz"]
+    assert run(capsys, *arguments, "--robot", "falling_cat")[0] == 0
+    assert imread(out).std() > 0.01
+
+
 def test_random_state_is_said(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """A seed is printed, so that anyone can repeat the figure."""
     out = str(tmp_path / "a.png")
@@ -120,6 +132,7 @@ def test_measurements_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Pa
         (("no.npz", "--kind", "shape", "--out", "a.png"), "no such file"),
         (("no.toml", "--kind", "shape", "--out", "a.png"), "no such scene file"),
         (("a.npz", "--kind", "shape", "--seed", "1", "--out", "a.png"), "--seed is for robots"),
+        (("cartpole", "--robot", "ur5", "--kind", "shape", "--out", "a.png"), "--robot is for"),
         (("falling_cat", "--kind", "shape"), "--out"),
         (("falling_cat", "--out", "a.png"), "--kind"),
     ],
