@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import subprocess
 import sys
-import time
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -98,24 +99,25 @@ def test_commands_write_csv(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 def test_slow_actions_sit_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is slow takes part in some rounds, spread over them; the rest in all."""
+    clock, calls = SimpleNamespace(now=0.0), {"slow": 0, "fast": 0}
+    monkeypatch.setattr(timing, "time", SimpleNamespace(perf_counter=lambda: clock.now))
     monkeypatch.setattr(timing, "SPAN", 1e-3)
-    calls = {"slow": 0, "fast": 0}
 
-    def slow(count: int) -> None:
-        calls["slow"] += count
-        time.sleep(0.01 * count)
+    def takes(name: str, seconds: float) -> Callable[[int], None]:
+        def action(count: int) -> None:
+            # A first call loads what it needs.
+            clock.now += count * seconds + (0.0 if calls[name] else 1.0)
+            calls[name] += count
 
-    def fast(count: int) -> None:
-        calls["fast"] += count
-        time.sleep(0.002 * count)
+        return action
 
-    times = timing.alternating([slow, fast], rounds=8, budget=0.0401)
-    assert np.isfinite(times[:, 1]).all()
+    actions = [takes("slow", 0.01), takes("fast", 0.0004)]
+    times = timing.alternating(actions, rounds=8, budget=0.0401)
+    np.testing.assert_allclose(times[:, 1], 0.0004)
     there = np.flatnonzero(np.isfinite(times[:, 0]))
-    assert len(there) == calls["slow"] - 1
-    assert 3 <= len(there) <= 4
+    assert len(there) == calls["slow"] - 2 == 4
     assert np.diff(there).max() <= 3
-    assert (times[there, 0] >= 0.01).all()
+    np.testing.assert_allclose(times[there, 0], 0.01)
 
 
 def test_commands_refuse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,7 @@ from ..engine.kernel import Kernel
 
 ROUNDS = 15  # of which the median counts
 SPAN = 0.01  # s, at least, of one action in a round
+LOADING = 20.0  # s, at most, that a first call may take to compile or load what it needs
 FEWEST = 3  # rounds in which even a slow action takes part
 
 
@@ -35,7 +36,7 @@ def alternating(
 ) -> Array:
     """Return seconds per call, (rounds, actions), the actions taking turns.
 
-    actions: each does its work as often as it is told.  It is called once before the clock
+    actions: each does its work as often as it is told.  It is called once or twice before the clock
     runs, and then so often in each round that a round takes it at least SPAN.
     budget: s an action may take in all; a slow one sits out some of the rounds, though never
     so many that it has less than FEWEST, and its time there is NaN.
@@ -44,6 +45,8 @@ def alternating(
     counts, turns = [], []
     for j, action in enumerate(actions):
         first, count = _seconds(action, 1), 1
+        if SPAN <= first < LOADING:
+            first = _seconds(action, 1)
         while (last := _seconds(action, count) if first < SPAN else first) < SPAN:
             count *= 2
         counts.append(count)
