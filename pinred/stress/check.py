@@ -33,10 +33,10 @@ class Trial:
     fixed: tuple[Callable[[float], Method], ...] = (RKMK4, Gauss)
     adaptive: tuple[Callable[[float, float], Method], ...] = (AdaptiveGauss,)
 
-    def methods(self, rtol: float) -> list[Method | None]:
-        """Return the adaptive methods for a tolerance; None is what a scene takes by itself."""
+    def methods(self, rtol: float) -> list[Method | Literal["auto"]]:
+        """Return the adaptive methods for a tolerance, and what a scene takes by itself."""
         others = self.adaptive if rtol <= _TIGHT else ()
-        return [None, *(make(*tight(rtol)) for make in others)]
+        return ["auto", *(make(*tight(rtol)) for make in others)]
 
     def pick(self, short: T, usual: T, full: T | None = None) -> T:
         """Return the value for this effort; the usual one where `full` has none of its own."""
