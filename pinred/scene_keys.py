@@ -143,7 +143,7 @@ RUN = Table(
         "method": Key(
             Tagged("name", _METHODS, "an integrator {name = …}"),
             "an integrator of the compiled engine",
-            default="DOP853 with rtol and atol",
+            default="one that suits the scene",
         ),
     },
     "how to simulate",

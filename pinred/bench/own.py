@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ..integrators.method import DOP853, RKMK4, AdaptiveGauss, Gauss, Variational
+from ..integrators.method import DOP853, RKMK4, AdaptiveGauss, Gauss
 from ..integrators.method import Method as Integrator
 from ..state import State, with_base
 from .method import ATOL, End, Method, Prepared, decades, halvings
@@ -94,14 +94,7 @@ OWN = (
         "pinred-gauss6",
         "simulate() with Gauss of order 6, equal steps, whole call",
         lambda step: Gauss(step, 6),
-        tolerances=halvings(50, 10),
-        fixed=True,
-    ),
-    own_method(
-        "pinred-variational",
-        "simulate() with Variational, equal steps, whole call",
-        Variational,
-        tolerances=halvings(50, 12),
+        tolerances=halvings(50, 8),
         fixed=True,
     ),
     own_method(

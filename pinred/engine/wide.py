@@ -10,6 +10,7 @@ from dataclasses import asdict
 
 import numpy as np
 
+from ..errors import KernelMismatch
 from .cache import ObjectCache, cache_key
 from .evaluate import evaluate
 from .identity import model_bytes
@@ -18,7 +19,7 @@ from .kernel import Kernel, KernelStore
 from .native import NativeCode, compile_object, load_object
 from .symbolic import ReducedGraph
 
-_TRIALS = 3
+_TRIALS, _MOST = 3, 80
 
 
 def wide_rate(kernel: Kernel, lanes: int, cache: KernelStore | None = None) -> NativeCode:
@@ -52,10 +53,16 @@ def _judge(kernel: Kernel, native: NativeCode, lanes: int) -> None:
     rng, size = np.random.default_rng(0), kernel.layout.size
     parameters = rng.normal(size=kernel.layout.parameters)
     who = f"the kernel of '{kernel.system.name}' at {lanes} states at once"
-    for _ in range(_TRIALS):
-        y = rng.normal(size=(lanes, size))
+    judged = np.zeros(lanes)
+    for trial in range(_MOST):
+        # Where a force is not defined everywhere, as a barrier is, smaller states are tried.
+        y = rng.normal(size=(lanes, size)) * 0.9 ** max(0, trial - _TRIALS)
         expected = evaluate(kernel.rate.address, parameters, y, size)
         found = evaluate(native.address, parameters, y.T.reshape(1, -1), size * lanes)
-        for one, all_lanes in zip(expected, found.reshape(size, lanes).T, strict=True):
-            defined = np.isfinite(one)
-            agree(who, "the rate", all_lanes[defined], one[defined])
+        for lane, one in enumerate(expected):
+            if np.isfinite(one).all():
+                agree(who, "the rate", found.reshape(size, lanes)[:, lane], one)
+                judged[lane] += 1
+        if judged.min() >= _TRIALS:
+            return
+    raise KernelMismatch(f"{who} is finite at too few of {_MOST} random states to be judged")
