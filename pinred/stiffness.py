@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arrays import Array
+from .errors import SingularInertiaError
 from .force_model import ForceModel
 from .reduction import Reduction
 from .scene import Scene
@@ -39,7 +40,10 @@ def rates_near_rest(scene: Scene) -> Rates:
     known: dict[bytes, Rates] = vars(forces).setdefault("_rates", {})
     key = numbers.tobytes()
     if key not in known:
-        known[key] = _rates(scene.system, forces, numbers)
+        try:
+            known[key] = _rates(scene.system, forces, numbers)
+        except SingularInertiaError:  # at shape zero, where the scene need not be
+            known[key] = Rates(0.0, 0.0)
     return known[key]
 
 
@@ -59,10 +63,11 @@ def _rates(system: System, forces: ForceModel, numbers: Array) -> Rates:
         K[:, k] = (torque(-e, rest) - torque(e, rest)) / (2.0 * _STEP)
         D[:, k] = (torque(rest, -e) - torque(rest, e)) / (2.0 * _STEP)
     free = np.setdiff1d(np.arange(m), list(forces.joints))
-    if not np.isfinite([K, D]).all():
-        return Rates(0.0, 0.0)
     K, D, M = (matrix[np.ix_(free, free)] for matrix in (K, D, at.reduced_metric))
-    slope = np.linalg.solve(M, np.hstack([-K, -D]))
+    with np.errstate(over="ignore", invalid="ignore"):
+        slope = np.linalg.solve(M, np.hstack([-K, -D]))
+    if not np.isfinite(slope).all():
+        return Rates(0.0, 0.0)
     values = np.linalg.eigvals(np.vstack([np.hstack([np.zeros_like(M), np.eye(len(free))]), slope]))
     swinging = np.abs(values.imag) > np.abs(values.real)
     return Rates(
