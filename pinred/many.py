@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .arrays import Array, as_floats, vectors
 from .errors import InputError, IntegrationError, ShapeError
 from .motion import stops_of
+from .progress import Progress, shown
 from .scene import Scene, checked_seed, random_state
 from .simulation import as_scene
 from .start import Given
@@ -104,6 +105,7 @@ def simulate_many(
     *,
     threads: int | None = None,
     seeds: Sequence[int] | None = None,
+    progress: Progress | bool | None = None,
     **options: Any,
 ) -> Trajectories:
     """Simulate one system from many initial states, with one kernel, over threads.
@@ -111,6 +113,7 @@ def simulate_many(
     options: those of Scene; of x0, xdot0, xi0, momentum and pose0, what has a leading axis
         (N, …) differs between members, and the rest is common.
     seeds: (N,) one random state each instead.  threads: as many as processors if None.
+    progress: as in `simulate`; the part of the members that is done.
 
     The numbers are bit for bit those of `simulate` one at a time.  A member that fails is
     reported in `failures` and disturbs no other.
@@ -128,7 +131,8 @@ def simulate_many(
     scene = as_scene(system, common | first, "simulate_many")
     _refuse_stops(scene)
     given = _given(scene, varying, count) if seeds is None else _drawn(scene, seeds)
-    return _run(scene, given, threads)
+    with shown(progress, f"simulating {count} of {system.name}") as done:
+        return _run(scene, given, threads, done)
 
 
 def _refuse_stops(scene: Scene) -> None:
@@ -197,13 +201,19 @@ def _drawn(scene: Scene, seeds: Sequence[int]) -> Given:
     return Given(np.repeat(scene.given.pose, len(states), axis=0), x, xdot, xi, None)
 
 
-def _run(scene: Scene, given: Given, threads: int | None) -> Trajectories:
+def _run(
+    scene: Scene, given: Given, threads: int | None, progress: Progress | None
+) -> Trajectories:
     from .engine.flow import CompiledFlow, flows_of
     from .engine.run import integrate_many
 
     t, count = scene.report_times, len(given.x)
     kinds = flows_of(scene, given)  # members without momentum have a kernel of their own
-    runs = [integrate_many(flows, scene, threads) for _, flows in kinds]
+    runs, before = [], 0
+    for members, flows in kinds:
+        done = progress and partial(_part, progress, before / count, len(members) / count)
+        runs.append(integrate_many(flows, scene, threads, done))
+        before += len(members)
     y = runs[0].y  # the results are there once, if all members are of one kind
     if len(runs) > 1:
         y = np.full((count, len(t), max(run.y.shape[2] for run in runs)), np.nan)
@@ -216,3 +226,8 @@ def _run(scene: Scene, given: Given, threads: int | None) -> Trajectories:
     ]
     batches = [Batch(members, partial(CompiledFlow.of, flows)) for members, flows in kinds]
     return Trajectories(t, y, batches, sorted(failures, key=lambda failure: failure.member))
+
+
+def _part(progress: Progress, before: float, share: float, part: float) -> None:
+    """Tell how much of the whole is done, of which a share is at work."""
+    progress(before + share * part)

@@ -63,6 +63,10 @@ def shown(progress: Progress | bool | None, title: str) -> AbstractContextManage
     return nullcontext(progress if callable(progress) else None)
 
 
+def quiet(part: float) -> None:
+    """Show nothing."""
+
+
 class _Screen(Protocol):
     """Where a bar is drawn."""
 

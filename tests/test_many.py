@@ -70,3 +70,29 @@ def test_bad_members() -> None:
         pinred.simulate_many(system, x0=np.zeros((2, 1)), speed=1.0)
     with pytest.raises(pinred.InputError, match="not both"):
         pinred.simulate_many(system, seeds=[1], seed=2)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "AdaptiveGauss"])
+def test_progress_counts_members(method: str) -> None:
+    """The part that is done grows, whatever takes the steps; what it raises ends the call."""
+    system = pinred.load("satellite_two_arms")
+    parts: list[float] = []
+    options = {"seeds": range(400), "duration": 60.0, "method": getattr(pinred, method)()}
+    pinred.simulate_many(system, progress=parts.append, threads=2, **options)
+    assert len(parts) > 1
+    assert 0.0 <= parts[0] < parts[-1] <= 1.0
+    assert parts == sorted(parts)
+    # The part is a number of members.
+    np.testing.assert_allclose(np.mod(400 * np.array(parts) + 0.5, 1.0), 0.5, atol=1e-9)
+
+    def enough(part: float) -> None:
+        raise KeyboardInterrupt(part)
+
+    with pytest.raises(KeyboardInterrupt):
+        pinred.simulate_many(system, progress=enough, **options)
+
+
+def test_progress_that_cannot_be_told() -> None:
+    """What is no function is refused before any work."""
+    with pytest.raises(pinred.InputError, match="progress must be True or a function"):
+        pinred.simulate_many(pinred.load("falling_cat"), seeds=[0], progress="bar")

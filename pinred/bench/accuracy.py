@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..errors import IntegrationError, PinredError
 from ..full_state import FullMotion
+from ..progress import Progress, quiet, shown
 from .drift import drift
 from .method import Method, Prepared
 from .problems import Problem
@@ -19,7 +20,6 @@ from .scenes import problems_named
 from .timing import alternating, repeated
 from .work_precision import Point, WorkPrecision
 
-Progress = Callable[[float], None]
 YARDSTICK = "pinred"  # measured in every run, so that each has ratios of its own
 
 
@@ -55,52 +55,30 @@ def bench_accuracy(
     methods: Sequence[Method] | None = None,
     tolerances: Sequence[float] | None = None,
     effort: Effort = DEFAULT,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
 ) -> list[WorkPrecision]:
     """Return what accuracy costs on each problem, by each method.
 
     problems: those of `scenes.BARS` if None.  methods: those of `methods.METHODS` if None.
-    tolerances: of the methods that have one; each method's own if None.  progress: called
-    with the part done, 0 to 1.
+    tolerances: of the methods that have one; each method's own if None.  progress: as for
+    `simulate`.
     """
-    return list(
-        accuracy_by_scene(
-            problems,
-            methods=methods,
-            tolerances=tolerances,
-            effort=effort,
-            progress=progress,
-        )
-    )
-
-
-def accuracy_by_scene(
-    problems: Sequence[Problem] | None = None,
-    *,
-    methods: Sequence[Method] | None = None,
-    tolerances: Sequence[float] | None = None,
-    effort: Effort = DEFAULT,
-    progress: Progress | None = None,
-) -> Iterator[WorkPrecision]:
-    """Do what `bench_accuracy` does, and yield each problem's result when it is there."""
     from .methods import METHODS
 
-    given = problems_named()[0] if problems is None else list(problems)
-    done = progress or (lambda _: None)
-    run = run_name()
-    for k, problem in enumerate(given):
+    problems = problems_named()[0] if problems is None else problems
+    methods = METHODS if methods is None else methods
+    run, found = run_name(), []
+    with shown(progress, "accuracy") as bar:
+        done = bar or quiet
+        for k, problem in enumerate(problems):
 
-        def part(inner: float, k: int = k) -> None:
-            done((k + inner) / len(given))
+            def part(inner: float, k: int = k) -> None:
+                done((k + inner) / len(problems))
 
-        yield bench_problem(
-            problem,
-            METHODS if methods is None else methods,
-            tolerances,
-            effort,
-            run=run,
-            progress=part,
-        )
+            found.append(
+                bench_problem(problem, methods, tolerances, effort, run=run, progress=part)
+            )
+    return found
 
 
 def bench_problem(
@@ -110,14 +88,13 @@ def bench_problem(
     effort: Effort = DEFAULT,
     *,
     run: str = "",
-    progress: Progress | None = None,
+    progress: Progress = quiet,
 ) -> WorkPrecision:
     """Return what accuracy costs on one problem.  Raises IntegrationError without a reference."""
-    done = progress or (lambda _: None)
     missing = {method.name: method.missing(problem) for method in methods}
     able = [method for method in methods if not missing[method.name]]
     truth = reference_of(problem)
-    done(0.1)
+    progress(0.1)
     points: list[Point] = []
     running: list[tuple[int, Prepared]] = []
     for k, method in enumerate(able):
@@ -125,12 +102,12 @@ def bench_problem(
             if prepared is not None:
                 running.append((len(points), prepared))
             points.append(point)
-        done(0.1 + 0.4 * (k + 1) / len(able))
+        progress(0.1 + 0.4 * (k + 1) / len(able))
     times = alternating(
         [repeated(prepared.run) for _, prepared in running],
         rounds=effort.rounds,
         budget=effort.budget,
-        progress=lambda part: done(0.5 + 0.5 * part),
+        progress=lambda part: progress(0.5 + 0.5 * part),
     )
     for j, (k, _) in enumerate(running):
         points[k] = replace(points[k], wall=float(np.nanmedian(times[:, j])))

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import OutputError
-from ..progress import ProgressBar
 from . import accuracy_command
 
 Row = dict[str, object]
@@ -43,8 +42,7 @@ def _kernels(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
     from .kernels import KernelTiming, bench_kernels
 
-    with ProgressBar("kernels") as bar:
-        timings = bench_kernels(options.robots, progress=bar)
+    timings = bench_kernels(options.robots, progress=True)
     print(KernelTiming.header())
     for timing in timings:
         print(timing)
@@ -60,8 +58,7 @@ def _evaluations(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
     from .evaluations import ERRORS, SCENES, bench_evaluations
 
-    with ProgressBar("evaluations") as bar:
-        found = bench_evaluations(options.scenes or SCENES, progress=bar)
+    found = bench_evaluations(options.scenes or SCENES, progress=True)
     print("\n\n".join(map(str, found)))
     rows: list[Row] = [
         {"problem": each.problem, "method": name, "error": error, "evaluations": count}
@@ -77,8 +74,7 @@ def _scaling(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
     from .scaling import bench_scaling
 
-    with ProgressBar("scaling") as bar:
-        found = bench_scaling(progress=bar)
+    found = bench_scaling(progress=True)
     print("\n\n".join(map(str, found)))
     names = ("joints", "instructions", "build", "kernel")
     rows = [
@@ -96,8 +92,7 @@ def _many(options: argparse.Namespace) -> int:
     from .many import bench_many
 
     system = load(options.robot, gravity=(0.0, 0.0, 0.0))
-    with ProgressBar("many") as bar:
-        found = bench_many(system, members=options.members, progress=bar)
+    found = bench_many(system, members=options.members, progress=True)
     print(found)
     rows: list[Row] = [
         {"robot": found.robot, "members": found.members, "threads": k + 1, "wall": wall}

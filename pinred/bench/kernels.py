@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from ..cyclic import cyclic_joints
 from ..engine.kernel import build_kernel
 from ..engine.symbolic import Structure
 from ..loading import load
+from ..progress import Progress, quiet, shown
 from ..reduction import Reduction
 from .timing import NoCache, alternating, evaluations, repeated
 
@@ -53,18 +54,20 @@ class KernelTiming:
 
 
 def bench_kernels(
-    robots: Sequence[str] = (), *, progress: Callable[[float], None] | None = None
+    robots: Sequence[str] = (), *, progress: Progress | bool | None = None
 ) -> list[KernelTiming]:
     """Return what the kernel of each robot costs, with momentum and without forces.
 
     robots: names or files; the bundled ones and, if there, ur5, solo12 and talos by default.
+    progress: as for `simulate`.
     """
     names = list(robots) or [*BUNDLED, *(EXAMPLES if has_example_robots() else ())]
     found = []
-    for k, name in enumerate(names):
-        if progress is not None:
-            progress(k / len(names))
-        found.append(_bench_kernel(name))
+    with shown(progress, "kernels") as bar:
+        done = bar or quiet
+        for k, name in enumerate(names):
+            done(k / len(names))
+            found.append(_bench_kernel(name))
     return found
 
 

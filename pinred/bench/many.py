@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..arrays import Array, freeze
 from ..errors import InputError
 from ..many import Trajectories, simulate_many
+from ..progress import Progress, quiet, shown
 from ..scene import random_state
 from ..system import System
 from .timing import alternating
@@ -71,18 +72,23 @@ def bench_many(
     members: int = MEMBERS,
     duration: float = DURATION,
     rounds: int = ROUNDS,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | bool | None = None,
 ) -> ManyTiming:
     """Return what many random states of a system cost on one thread and on two.
 
     members: at least 4; memory is watched with all of them and with a quarter.  rounds: of
-    which the median counts.  progress: called with the part done, 0 to 1.
+    which the median counts.  progress: as for `simulate`.
     Memory is what Python and numpy ask for; the compiled code asks for none of its own.
     """
     if members < 4:
         raise InputError(f"members must be at least 4, got {members}")
-    done = progress or (lambda _: None)
+    with shown(progress, "many") as bar:
+        return _measured(system, members, duration, rounds, bar or quiet)
 
+
+def _measured(
+    system: System, members: int, duration: float, rounds: int, done: Progress
+) -> ManyTiming:
     drawn = [random_state(system, seed) for seed in range(members)]
     x0, xdot0, xi0 = (np.array([getattr(s, name) for s in drawn]) for name in ("x", "xdot", "xi"))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from ..cyclic import cyclic_joints
 from ..engine.kernel import build_kernel
 from ..engine.symbolic import Structure
 from ..errors import InputError
+from ..progress import Progress, quiet, shown
 from ..reduction import Reduction
 from .chains import FAMILIES, chain
 from .timing import ROUNDS, NoCache, alternating, evaluations
@@ -77,16 +78,20 @@ def bench_scaling(
     joints: Sequence[int] = JOINTS,
     *,
     rounds: int = ROUNDS,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | bool | None = None,
 ) -> list[Scaling]:
     """Return what chains of so many joints cost, planar and spatial.
 
-    joints: increasing.  rounds: of which the median counts.  progress: called with the part
-    done, 0 to 1.  Raises InputError.
+    joints: increasing.  rounds: of which the median counts.  progress: as for
+    `simulate`.  Raises InputError.
     """
     if not joints or (np.diff(joints) <= 0).any():
         raise InputError(f"joints must be increasing numbers, got {tuple(joints)}")
-    done = progress or (lambda _: None)
+    with shown(progress, "scaling") as bar:
+        return _measured(joints, rounds, bar or quiet)
+
+
+def _measured(joints: Sequence[int], rounds: int, done: Progress) -> list[Scaling]:
     cases = [(family, n) for family in FAMILIES for n in joints]
     kernels, builds = [], []
     for k, (family, n) in enumerate(cases):

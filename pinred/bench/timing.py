@@ -10,6 +10,7 @@ import numpy as np
 from ..arrays import Array
 from ..engine.evaluate import repeat
 from ..engine.kernel import Kernel
+from ..progress import Progress, quiet
 
 ROUNDS = 15  # of which the median counts
 SPAN = 0.01  # s, at least, of one action in a round
@@ -32,7 +33,7 @@ def alternating(
     *,
     rounds: int = ROUNDS,
     budget: float = np.inf,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = quiet,
 ) -> Array:
     """Return seconds per call, (rounds, actions), the actions taking turns.
 
@@ -41,7 +42,6 @@ def alternating(
     budget: s an action may take in all; a slow one sits out some of the rounds, though never
     so many that it has less than FEWEST, and its time there is NaN.
     """
-    done = progress or (lambda _: None)
     counts, turns = [], []
     for j, action in enumerate(actions):
         first, count = _seconds(action, 1), 1
@@ -51,13 +51,13 @@ def alternating(
             count *= 2
         counts.append(count)
         turns.append(int(min(rounds, max(FEWEST, budget / last))))
-        done((j + 1) / len(actions) / (rounds + 1))
+        progress((j + 1) / len(actions) / (rounds + 1))
     out = np.full((rounds, len(actions)), np.nan)
     for k in range(rounds):
         for j, (action, count) in enumerate(zip(actions, counts, strict=True)):
             if k * turns[j] // rounds < (k + 1) * turns[j] // rounds:
                 out[k, j] = _seconds(action, count) / count
-        done((k + 2) / (rounds + 1))
+        progress((k + 2) / (rounds + 1))
     return out
 
 

@@ -34,7 +34,12 @@ class ManyRuns:
     failures: list[tuple[int, float, str]]
 
 
-def integrate_many(flows: CompiledFlows, scene: Scene, threads: int | None) -> ManyRuns:
+def integrate_many(
+    flows: CompiledFlows,
+    scene: Scene,
+    threads: int | None,
+    progress: Callable[[float], None] | None,
+) -> ManyRuns:
     """Integrate flows of one kernel, with the times and tolerance of one scene, over threads."""
     kernel, method = flows.kernel, method_of(scene)
     # One body that only translates carries a zero, which costs nothing.
@@ -50,6 +55,7 @@ def integrate_many(flows: CompiledFlows, scene: Scene, threads: int | None) -> M
         threads,
         CompiledFlow.of(flows, 0).tangent,
         kernel.layout.canonical,
+        progress,
     )
     failures = []
     for k in np.flatnonzero(~found.ok).tolist():

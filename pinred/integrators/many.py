@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from itertools import pairwise
 from threading import Lock
@@ -43,6 +43,7 @@ STATUS = {
     NOT_FINITE: "not finite",
     TOO_MANY: "too many steps",
 }
+_LOOK = 0.1  # s between looks at how far the threads are
 _SHARES_PER_THREAD = 8  # so that threads with short runs take over from those with long ones
 
 
@@ -86,13 +87,14 @@ def integrate_many(
     threads: int | None = None,
     tangent: Tangent | None = None,
     canonical: Canonical = (0, 0),
+    progress: Callable[[float], None] | None = None,
 ) -> Solutions:
     """Integrate ẏ = f(y, params[i]) from y0[i] for every i, each as `integrate` would.
 
     params: (N, p).  y0: (N, n).  times: (T,) sorted, within [0, t_end].
     threads: as many as there are processors if None; the numbers do not depend on it.
     params and y0 are not to be changed meanwhile.  tangent, canonical: as for
-    `integrate`.
+    `integrate`.  progress: called with the part of the members that is done.
     A run that fails has a status and leaves the others alone.  Raises InputError.
     """
     end = positive(t_end, "t_end")
@@ -111,7 +113,7 @@ def integrate_many(
 
     real, count = registers(method, n, end, quaternion, canonical)
     y = np.full((size, len(asked), n), np.nan)
-    reached, tally = np.zeros(size), np.zeros((size, 5), dtype=np.int64)
+    reached, tally = np.zeros(size), np.full((size, 5), PAUSED, dtype=np.int64)
     stop = np.zeros(1, dtype=np.int64)
     loops = {DOP853: 0, RKMK4: 1}
     family = loops.get(type(method), -1)
@@ -140,7 +142,12 @@ def integrate_many(
     with ThreadPoolExecutor(threads) as pool:
         futures = [pool.submit(share, int(a), int(b)) for a, b in pairwise(bounds)]
         try:
-            for future in futures:
+            look = None if progress is None else _LOOK
+            ended, running = wait(futures, look, FIRST_EXCEPTION)
+            while running and progress is not None and not any(f.exception() for f in ended):
+                progress(float(np.mean(tally[:, 0] != PAUSED)))
+                ended, running = wait(futures, look, FIRST_EXCEPTION)
+            for future in ended:
                 future.result()
         except BaseException:
             stop[0] = 1  # the threads see it at their next pause
