@@ -109,11 +109,12 @@ class _Builder:
             end = run.get("duration", DURATION if initial is None else initial.duration)
             run["times"] = np.linspace(0.0, end, run.pop("samples"))
         if "method" in run:
-            if engine != "compiled":
-                (place / "method").fail("engine 'pinocchio' has an integrator of its own")
             method = dict(run["method"])
+            name = method.pop("name")
+            if name != "auto" and engine != "compiled":
+                (place / "method").fail("engine 'pinocchio' has an integrator of its own")
             with naming(place / "method"):
-                run["method"] = METHODS[method.pop("name")](**method)
+                run["method"] = name if name == "auto" else METHODS[name](**method)
         prescribed = self._by_joint(
             self.document.get("prescribed", {}), self.place / "prescribed", self.signals.motion
         )

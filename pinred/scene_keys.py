@@ -111,6 +111,7 @@ def _controlled(rtol: str, atol: str, title: str) -> Table:
 
 
 _METHODS = {
+    "auto": Table({}, "one that suits the scene and its tolerance"),
     "DOP853": _controlled("1e-10", "1e-12", "Dormand and Prince's method of order 8"),
     "RKMK4": Table({"step": _STEP}, "Munthe-Kaas's form of RK4, with fixed steps"),
     "Gauss": Table(
@@ -143,7 +144,7 @@ RUN = Table(
         "method": Key(
             Tagged("name", _METHODS, "an integrator {name = …}"),
             "an integrator of the compiled engine",
-            default="one that suits the scene",
+            default="auto",
         ),
     },
     "how to simulate",

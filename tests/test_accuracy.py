@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 
 import pinred
+from pinred.arrays import Array
 from pinred.bench import (
     METHODS,
     QUICK,
@@ -371,3 +372,22 @@ def test_scenes_can_be_posed(name: str) -> None:
     )
     if name[-1].isdigit() and "-" in name:
         assert problem.system.m == int(name.split("-")[1])
+
+
+def test_satellite_is_chaotic() -> None:
+    """By ABA, neighbours part e-fold every 2 to 3 s; those of a regular motion hardly do."""
+    (satellite,), _ = problems_named(["satellite"])
+    (planar,), _ = problems_named(["planar1"])
+    times = np.array([10.0, 20.0, 30.0, 40.0])
+
+    def grown(problem: Problem) -> Array:
+        full, y0 = problem.full, problem.full_start()
+        there = full.run(y0, times, 1e-13, 1e-15)
+        beside = full.run(full.kick(y0, 40.0, 1e-11), times, 1e-13, 1e-15)
+        return np.asarray(np.abs(beside.x - there.x).max(axis=1) / 1e-11)
+
+    wild = grown(satellite)
+    rates = np.diff(np.log(wild)) / 10.0
+    assert (rates > 0.25).all(), wild
+    assert wild[-1] > 1e6, wild
+    assert grown(planar).max() < 1e3

@@ -95,4 +95,4 @@ def test_progress_counts_members(method: str) -> None:
 def test_progress_that_cannot_be_told() -> None:
     """What is no function is refused before any work."""
     with pytest.raises(pinred.InputError, match="progress must be True or a function"):
-        pinred.simulate_many(pinred.load("falling_cat"), seeds=[0], progress="bar")
+        pinred.simulate_many(pinred.load("falling_cat"), seeds=[0], progress="bar")  # type: ignore[arg-type]

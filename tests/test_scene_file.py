@@ -218,6 +218,7 @@ def test_springs_and_joints_by_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "method"),
     [
+        ("{ name = 'auto' }", "auto"),
         ("{ name = 'RKMK4', step = 0.01 }", RKMK4(0.01)),
         ("{ name = 'DOP853', rtol = 1e-8, max_step = 0.05 }", DOP853(rtol=1e-8, max_step=0.05)),
         ("{ name = 'Gauss', step = 0.01, order = 4 }", Gauss(0.01, 4)),
@@ -291,7 +292,7 @@ def test_keys_are_those_of_python() -> None:
         wanted = {entry.name for entry in fields(_FORCES[name])}  # type: ignore[arg-type]
         assert set(table.keys) - {"smooth"} == wanted
         assert ("smooth" in table.keys) == ("limit" in wanted)
-    assert set(_METHODS) == set(METHODS)
+    assert set(_METHODS) == {"auto", *METHODS}
     for name, method in METHODS.items():
         assert set(_METHODS[name].keys) == {entry.name for entry in fields(method)}
         for entry in fields(method):  # the defaults are as the tables say

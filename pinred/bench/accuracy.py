@@ -40,7 +40,7 @@ class Effort:
 
 
 QUICK = Effort("quick", rounds=3, patience=0.1, budget=0.1, every=3)
-DEFAULT = Effort("default", rounds=7, patience=0.8, budget=1.0)
+DEFAULT = Effort("default", rounds=7, patience=0.4, budget=0.5)
 FULL = Effort("full", rounds=15, patience=10.0, budget=30.0)
 
 

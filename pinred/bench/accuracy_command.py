@@ -67,6 +67,7 @@ def _measure(
 ) -> None:
     from .accuracy import YARDSTICK, bench_problem, run_name
     from .methods import methods_named
+    from .overview import overview
     from .record import NAME, read_record, write_record
 
     asked = effort.name
@@ -91,6 +92,7 @@ def _measure(
         results.append(found)
         if path is not None:
             write_record(path, asked, results)
+    print(overview(results), end="\n\n")
     if path is not None and folder is not None:
         _write_equal_error(folder, results)
         _draw(folder, results)
