@@ -37,6 +37,7 @@ from pinred.bench import (
 )
 from pinred.bench.drift import drift
 from pinred.bench.methods import methods_named
+from pinred.bench.overview import overview
 from pinred.bench.reference import _quadruple
 from pinred.cli import main
 from pinred.errors import InputError, IntegrationError, LoadError
@@ -314,6 +315,7 @@ def test_resumed(
         scenes = ("coupled_planar", "coupled_planar_2", "rigid_body", "rigid_body_2")
         figures = {f"{name}{end}.png" for name in scenes for end in ("", "_all")}
         assert {path.name for path in folder.glob("*.png")} == figures
+    assert (folder / "overview.txt").read_text(encoding="utf-8") == overview(found) + "\n"
     with (folder / "equal_error.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     for row in rows:

@@ -68,7 +68,7 @@ def _measure(
     from .accuracy import YARDSTICK, bench_problem, run_name
     from .methods import methods_named
     from .overview import overview
-    from .record import NAME, read_record, write_record
+    from .record import NAME, read_record, write_record, write_text
 
     asked = effort.name
     if tolerances is not None:
@@ -92,8 +92,10 @@ def _measure(
         results.append(found)
         if path is not None:
             write_record(path, asked, results)
-    print(overview(results), end="\n\n")
+    tables = overview(results)
+    print(tables, end="\n\n")
     if path is not None and folder is not None:
+        write_text(folder / "overview.txt", tables + "\n")
         _write_equal_error(folder, results)
         _draw(folder, results)
         print(f"written to {path}")

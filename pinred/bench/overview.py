@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 
 from .accuracy import YARDSTICK
 from .work_precision import WorkPrecision
 
+Table: TypeAlias = tuple[str, list[tuple[str, list[str]]]]  # a title, and rows with their names
+
 ERRORS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-13)
 LOOSEST, TIGHTEST = 1e-4, 1e-13  # tolerances between which errors are held against them
 FOLLOWING = (YARDSTICK, "pinred-dop853", "pinred-gauss")  # the methods for which that is said
-_NAME, _CELL, _SIDE_BY_SIDE = 20, 14, 6  # characters, characters, scenes
+_SIDE_BY_SIDE = 6  # scenes
 
 
 def overview(results: Sequence[WorkPrecision]) -> str:
@@ -29,22 +33,29 @@ def overview(results: Sequence[WorkPrecision]) -> str:
 def _tables(results: Sequence[WorkPrecision], scenes: list[str]) -> str:
     names = list(dict.fromkeys(n for each in results if each.problem in scenes for n in each.about))
     runs = {name: [_run(results, scene, name) for scene in scenes] for name in names}
-    head, lines = _row("", scenes), []
-    for error in ERRORS:
-        lines += [
+
+    def table(title: str, told: Callable[[WorkPrecision, str], str]) -> Table:
+        rows = {n: [told(each, n) if each else "—" for each in found] for n, found in runs.items()}
+        return title, [(name, cells) for name, cells in rows.items() if set(cells) != {"—"}]
+
+    tables = [
+        table(
             f"error {error:.0e}: {YARDSTICK} [ms], and how many times longer others take",
-            head,
-        ]
-        for name, found in runs.items():
-            cells = [_time(each, name, error) if each else "—" for each in found]
-            if set(cells) != {"—"}:
-                lines.append(_row(name, cells))
-        lines.append("")
-    lines += [f"error / tolerance, for tolerances of {LOOSEST:.0e} … {TIGHTEST:.0e}", head]
-    for name in FOLLOWING:
-        cells = [_following(each, name) if each else "—" for each in runs.get(name, [])]
-        lines += [_row(name, cells)] if cells else []
-    return "\n".join(lines)
+            partial(_time, error),
+        )
+        for error in ERRORS
+    ]
+    tables.append(
+        table(f"error / tolerance, for tolerances of {LOOSEST:.0e} … {TIGHTEST:.0e}", _following)
+    )
+    first = max(map(len, names))
+    columns = zip(scenes, *(cells for _, rows in tables for _, cells in rows), strict=True)
+    wide = [2 + max(map(len, column)) for column in columns]
+    texts = []
+    for title, rows in tables:
+        lines = [_row(name, cells, first, wide) for name, cells in [("", scenes), *rows]]
+        texts += ["\n".join([title, *lines])] if rows else []
+    return "\n\n".join(texts)
 
 
 def _run(results: Sequence[WorkPrecision], scene: str, method: str) -> WorkPrecision | None:
@@ -55,7 +66,7 @@ def _run(results: Sequence[WorkPrecision], scene: str, method: str) -> WorkPreci
     return None
 
 
-def _time(found: WorkPrecision, name: str, error: float) -> str:
+def _time(error: float, found: WorkPrecision, name: str) -> str:
     """Return pinred's milliseconds, or how many times longer another method takes."""
     own = name == YARDSTICK
     value = 1e3 * found.wall_at(name, error) if own else found.ratio_at(name, error)
@@ -64,6 +75,8 @@ def _time(found: WorkPrecision, name: str, error: float) -> str:
 
 def _following(found: WorkPrecision, method: str) -> str:
     """Return the least and the largest error over tolerance, of errors that are known."""
+    if method not in FOLLOWING:
+        return "—"
     ratios = [
         point.error / point.tolerance
         for point in found.of(method)
@@ -73,5 +86,6 @@ def _following(found: WorkPrecision, method: str) -> str:
     return f"{min(ratios):.2g} … {max(ratios):.2g}" if ratios else "—"
 
 
-def _row(name: str, cells: Iterable[str]) -> str:
-    return f"{name:<{_NAME}}" + "".join(f"{cell:>{_CELL}}" for cell in cells)
+def _row(name: str, cells: list[str], first: int, wide: list[int]) -> str:
+    ends = (f"{cell:>{width}}" for cell, width in zip(cells, wide, strict=True))
+    return f"{name:<{first}}" + "".join(ends)
