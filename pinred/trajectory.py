@@ -123,7 +123,7 @@ class Trajectory(OverTime):
             J = out.spatial_momentum
             momenta = table(
                 "",
-                ["spatial momentum", *group.twist_names],
+                ["spatial momentum [N·s | N·m·s]", *group.twist_names],
                 [["start", *J[0].tolist()], ["end", *J[-1].tolist()]],
             )
         return card(

@@ -272,7 +272,7 @@ def test_record_round_trip(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="was measured as 'quick', not 'full'"):
         read_record(path, "full")
     path.write_text("a,b\n1,2\n")
-    with pytest.raises(LoadError, match="of `pinred bench accuracy`: 'problem'"):
+    with pytest.raises(LoadError, match="it has no column 'problem'"):
         read_record(path, "quick")
 
 

@@ -147,7 +147,8 @@ def test_trajectory() -> None:
     turn = np.linalg.norm(pin.log3(a.rotation.T @ b.rotation))
     way = np.linalg.norm(b.translation - a.translation)
     assert f"turned by {turn:.6g} rad, moved by {way:.6g} m" in seen.text
-    assert seen.tables[1][0] == ["spatial momentum", "v1", "v2", "v3", "ω1", "ω2", "ω3"]
+    units = "spatial momentum [N·s | N·m·s]"
+    assert seen.tables[1][0] == [units, "v1", "v2", "v3", "ω1", "ω2", "ω3"]
     pin.computeCentroidalMomentum(model, data, traj.q[0], traj.v[0])
     about_origin = data.hg.angular + np.cross(data.com[0], data.hg.linear)
     expected = np.concatenate([data.hg.linear, about_origin])

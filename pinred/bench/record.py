@@ -66,8 +66,9 @@ def read_record(path: Path, effort: str | None = None) -> list[WorkPrecision]:
         others = {row["effort"] for row in rows} - {effort}
         results = [_result(group) for group in groups.values()]
     except (KeyError, ValueError, TypeError) as error:
+        told = f"it has no column {error}" if isinstance(error, KeyError) else error
         raise LoadError(
-            f"'{path}' is not accuracy.csv of `pinred bench accuracy`: {error}"
+            f"'{path}' is not accuracy.csv of `pinred bench accuracy`: {told}"
         ) from None
     if effort is not None and others:
         raise InputError(
