@@ -103,6 +103,8 @@ def work_rows(method: Method, n: int, *, tangent: bool = False) -> Array:
         return work
     if isinstance(method, Radau):
         return np.zeros((radau_dense.MATRIX + 5 * n, -(-n // SEEDS) * SEEDS))
+    if isinstance(method, Variational):
+        n = max(n, variational.LEAST)
     rows = {DOP853: dop853.ROWS, RKMK4: rkmk4.ROWS, Variational: variational.ROWS}
     return np.zeros((rows[type(method)], -(-n // WHOLE) * WHOLE))
 

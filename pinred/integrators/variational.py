@@ -59,7 +59,7 @@ from .run import (
 # with p and a quaternion for m, their rates, the end of the step, and u with half of h Ω₁.
 Y, MAIN, SUB = 0, 1, 7
 BEGIN, STOP, BEGIN_RATE, STOP_RATE, END, TURN = range(6)
-ROWS = 13
+ROWS, LEAST = 13, 6  # numbers in a row, at least: u takes three, and so does h Ω₁
 NEW = MAIN + END
 
 _MOST = 100  # turns of the iteration

@@ -1,0 +1,61 @@
+"""Machine code stays within the rows that it works on: nothing is written behind them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pinred
+from pinred.arrays import Array
+from pinred.integrators import drive, many, stepper
+from pinred.integrators.method import (
+    DOP853,
+    RKMK4,
+    AdaptiveGauss,
+    Gauss,
+    Method,
+    Radau,
+    Variational,
+)
+
+MARK = 8.25e-77
+METHODS: tuple[Method, ...] = (
+    DOP853(1e-8, 1e-10),
+    RKMK4(0.01),
+    *(Gauss(0.01, order) for order in (2, 4, 6, 8, 10, 16)),
+    *(Gauss(0.01, order, "Newton") for order in (2, 6, 16)),
+    AdaptiveGauss(1e-8, 1e-10),
+    Radau(1e-6, 1e-8),
+    Variational(0.01),
+)
+ROBOTS = ("rigid_body", "cartpole", "coupled_planar", "elroys_beanie", "falling_cat")
+
+
+@pytest.mark.parametrize("method", METHODS, ids=str)
+def test_rows_are_enough(method: Method, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Marks behind the rows survive steps, reports between them, and states asked for later."""
+    made: list[Array] = []
+    real = stepper.work_rows
+
+    def with_marks(*asked: Any, **options: Any) -> Array:
+        rows = real(*asked, **options)
+        larger = np.full((rows.shape[0] + 2, rows.shape[1]), MARK)
+        larger[:-2] = rows
+        made.append(larger)
+        return larger[:-2]
+
+    for module in (stepper, drive, many):
+        monkeypatch.setattr(module, "work_rows", with_marks)
+    for name in ROBOTS:
+        system, before = pinred.load(name), len(made)
+        traj = pinred.simulate(
+            system, seed=0, times=[0.033, 0.1, 0.3], method=method, outputs="shape"
+        )
+        traj = pinred.simulate(system, seed=0, times=[0.033, 0.1, 0.3], method=method)
+        traj(np.linspace(0.0, 0.3, 11))
+        pinred.simulate_many(system, seeds=[0, 1], times=[0.033, 0.3], method=method, threads=1)
+        assert len(made) > before + 2
+        for rows in made[before:]:
+            assert (rows[-2:] == MARK).all(), name
