@@ -66,7 +66,8 @@ class Potential:
         self._identity = system.group.identity()
         if sideways.any() and not system.group.linear:
             _check_invariance(system, self._model, self._data)
-        self._weighs = sideways.any() and system.m > 0
+        # What every rotation about a pivot leaves alone has its centre of mass there at all shapes.
+        self._weighs = sideways.any() and system.m > 0 and system.group is not SO3
 
     @property
     def is_zero(self) -> bool:
@@ -75,8 +76,8 @@ class Potential:
 
     @property
     def direction(self) -> tuple[float, float, float] | None:
-        """Gravity but for falling, (3,) in the root joint's fixed frame, if there is any."""
-        if not self._sideways.any():
+        """Gravity but for falling, (3,) in the root joint's fixed frame, if it does anything."""
+        if not self._sideways.any() or self._system.group is SO3:
             return None
         x, y, z = self._system.model.jointPlacements[1].rotation.T @ self._sideways
         return float(x), float(y), float(z)

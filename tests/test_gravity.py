@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import aba
 import numpy as np
@@ -202,3 +203,22 @@ def test_pinned_chains(seed: int, joints: int) -> None:
         shape = pinred.simulate(scene, engine=engine, outputs="shape")
         np.testing.assert_allclose(shape.x, other.x, atol=allowed)
         np.testing.assert_allclose(shape.energy, other.energy, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("outputs", ["all", "shape"])
+def test_a_pivot_at_the_centre_of_mass_does_not_feel_gravity(outputs: Any) -> None:
+    """The motion is that without gravity, by every method, and ABA agrees."""
+    light = pinred.load("rigid_body")
+    heavy = pinred.load("rigid_body", gravity=(0.3, -2.0, 9.0))
+    for method in ("auto", pinred.DOP853(), pinred.Variational(0.01), pinred.Gauss(0.01)):
+        options: Any = {"seed": 1, "duration": 1.0, "outputs": outputs, "method": method}
+        with_it = pinred.simulate(heavy, **options)
+        np.testing.assert_array_equal(
+            with_it.outputs.energy, pinred.simulate(light, **options).outputs.energy
+        )
+        if outputs == "all":
+            np.testing.assert_array_equal(with_it.q, pinred.simulate(light, **options).q)
+    if outputs == "all":
+        assert pinred.compare(pinred.simulate(heavy, seed=1, duration=1.0)).passed
+    readable = pinred.simulate(heavy, seed=1, duration=1.0, outputs=outputs, engine="pinocchio")
+    np.testing.assert_allclose(readable.outputs.energy, with_it.outputs.energy, rtol=1e-6)
