@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .scene import Scene
     from .system import System
 
+_LISTED = 20  # kernels
 VECTORS = ("--at", "--x0", "--xdot0", "--xi0", "--momentum", "--pose0", "--gravity")
 
 
@@ -145,7 +146,8 @@ def _add_scene(sub: argparse.ArgumentParser) -> None:
         "--engine", metavar="E", default="compiled", help="compiled (default), pinocchio"
     )
     sub.add_argument("--outputs", metavar="O", default="all", help="all (default), shape")
-    sub.add_argument("--method", metavar="M", help="DOP853 (default), RKMK4, Gauss, …")
+    methods = "auto (default), DOP853, AdaptiveGauss, Gauss, Radau, RKMK4 or Variational"
+    sub.add_argument("--method", metavar="M", help=methods)
     sub.add_argument("--step", metavar="H", type=float, help="of methods with fixed steps [s]")
     sub.add_argument("--order", metavar="P", type=int, help="of Gauss (6)")
     sub.add_argument("--rtol", metavar="TOL", type=float, default=1e-10, help="(1e-10)")
@@ -315,8 +317,10 @@ def _cache(options: argparse.Namespace) -> int:
     print(
         f"{len(entries)} kernels, {size / 1e6:.2f} MB of {cache.limit / 1e6:.0f}, in {cache.folder}"
     )
-    for entry in entries:
+    for entry in entries[: -_LISTED - 1 : -1]:  # the last used first
         print(f"  {entry.key[:16]}  {entry.size / 1e3:8.1f} kB")
+    if len(entries) > _LISTED:
+        print(f"  … and {len(entries) - _LISTED} more")
     return 0
 
 

@@ -14,6 +14,7 @@ import pytest
 import pinred
 from pinred.catalogue import bundled_robots
 from pinred.cli import main
+from pinred.integrators.method import METHODS
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
@@ -271,3 +272,12 @@ def test_public_names() -> None:
     assert python(code) == "True\n"
     with pytest.raises(AttributeError, match="no attribute 'nope'"):
         _ = pinred.nope
+
+
+def test_help_names_every_method(capsys: pytest.CaptureFixture[str]) -> None:
+    """The integrators that --method takes, and that it chooses by itself without."""
+    for command in ("simulate", "compare"):
+        _, out, _ = run(capsys, command, "--help")
+        assert "auto (default)" in out
+        for name in METHODS:
+            assert name in out

@@ -2,7 +2,7 @@
 
 A sweep of AdaptiveGauss evaluates eight stages at once, in lanes.  Where limbs of one build are
 lanes already, that costs more of DOP853's evaluations; at tight tolerances it is worth more of
-them.  The two numbers below are fits to `pinred bench accuracy`: see docs/accuracy.md.
+them.  The numbers below are fits to `pinred bench accuracy`: see docs/integrators.md.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ _STABLE = 4.0  # decay over a step of DOP853 at the bound of its stability
 _APART = 100.0  # decay over oscillation, which Radau must follow too
 _MANY = 1000.0  # steps of DOP853 that Radau beats, for six joints; it solves linear systems
 _SWEEP = 1.9  # evaluations that a sweep costs where no limbs are lanes
-_LOOSEST, _AT_LOOSEST, _PER_DIGIT = 4.0, 2.4, 0.33  # evaluations that a sweep is worth
+_LOOSEST, _AT_LOOSEST, _PER_DIGIT = 4.0, 1.0, 0.45  # evaluations that a sweep is worth
+_SHORT = 100.0  # steps of DOP853 at that bound; those of AdaptiveGauss are shorter there
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,8 @@ def _chosen(scene: Scene) -> Choice:
         return Choice(dop853, "the scene is integrated in pieces")
     if scene.force_model is not None and scene.force_model.has_kinks:
         return Choice(dop853, "a force has kinks, which long steps do not see")
+    if steps > _SHORT:
+        return Choice(dop853, f"forces decay at {rates.decay:.0e}/s, which long steps do not bear")
     cost = _SWEEP * scene.system.workspace("limbs as lanes", lambda: _limbs(scene.system))
     worth = _AT_LOOSEST + _PER_DIGIT * max(0.0, -log10(scene.rtol) - _LOOSEST)
     told = f"{cost:.1f} evaluations a sweep, worth {worth:.1f} at rtol = {scene.rtol:g}"

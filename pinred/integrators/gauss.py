@@ -1,7 +1,7 @@
 """Gauss–Legendre collocation with steps of one length: symplectic, of any even order to 16.
 
 On the canonical form, with the quaternion as Cayley–Klein lift of the momentum, the map keeps
-the Poisson structure and the Casimirs: see docs/accuracy.md.  Reports between the ends of
+the Poisson structure and the Casimirs: see docs/integrators.md.  Reports between the ends of
 steps are steps of their own, of the same order.
 """
 
