@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import io
+import os
+import signal
 import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +26,7 @@ from pinred.viz.server import Player
 
 pytestmark = pytest.mark.browser
 Picture = NDArray[np.int16]
+ROOT = Path(__file__).parent.parent
 SIZE = {"width": 900, "height": 760}
 ROBOTS: dict[str, dict[str, Any]] = {
     "falling_cat": {"duration": 4.0},
@@ -339,3 +344,32 @@ def test_player_is_not_needed_afterwards(screen: Browser) -> None:
     began = screen.run("pinred.time")
     screen.wait_for(f"pinred.time > {began} + 0.1 || pinred.time < {began}")
     assert complaints(screen) == []
+
+
+def test_sigterm_leaves_nothing_of_a_film(screen: Browser, tmp_path: Path) -> None:
+    """It ends the process, which takes its unfinished frames and its folders with it."""
+    del screen  # as above
+    out = tmp_path / "out"
+    out.mkdir()
+    (tmp_path / "scene.toml").write_text('robot = "falling_cat"\n[run]\nduration = 600.0\n')
+    command = [sys.executable, "-m", "pinred", "play", "scene.toml", "--out", "out/film.png"]
+    with (
+        tempfile.TemporaryDirectory() as scratch,  # its name is short, as a socket's has to be
+        subprocess.Popen(
+            command,
+            cwd=tmp_path,
+            env=os.environ | {"TMPDIR": scratch, "PYTHONPATH": str(ROOT)},
+        ) as process,
+    ):
+        try:
+            until = time.monotonic() + 120.0
+            while not list(out.glob(".film.png.*/new/film_0001.png")):
+                assert process.poll() is None
+                assert time.monotonic() < until
+                time.sleep(0.05)
+            process.terminate()
+            assert process.wait(30.0) == 128 + signal.SIGTERM
+        finally:
+            process.kill()
+        assert os.listdir(scratch) == []
+    assert list(out.iterdir()) == []
