@@ -145,12 +145,17 @@ def test_frames_and_options(tmp_path: Path) -> None:
         ({"speed": 0.0}, "speed must be finite and above zero"),
         ({"pair": ["a", "a"]}, "pair must be the names of two joints"),
         ({"pair": "ab"}, "pair must be the names of two joints"),
+        ({"pair": 3}, "pair must be the names of two joints, got 3"),
+        ({"pair": [1, 2]}, "pair must be the names of two joints"),
         ({"gost": True}, "no option 'gost'; they are ghost, speed"),
     ):
         with pytest.raises(pinred.InputError, match=words):
             traj.save_html(tmp_path / "a.html", **options)
     with pytest.raises(pinred.InputError, match=r"suffix must be \.html"):
         traj.save_html(tmp_path / "a.htm")
+    for path in (None, 3, "a\0b.html"):
+        with pytest.raises(pinred.InputError, match="path must be the name of a file, got"):
+            traj.save_html(path)  # type: ignore[arg-type]
     shape = pinred.simulate(pinred.load("falling_cat"), duration=0.1, outputs="shape")
     with pytest.raises(pinred.InputError, match="outputs='all'"):
         playback(shape, View())
@@ -241,6 +246,13 @@ def test_missing_meshes_are_said(tmp_path: Path) -> None:
     assert drawn.note.startswith("bodies drawn from their inertias: ")
     assert "gone.stl" in drawn.note
     assert [solid.kind for solid in drawn.solids] == ["ellipsoid"]
+    (tmp_path / "gone").mkdir()
+    (tmp_path / "gone/gone.stl").write_text("solid nonsense")
+    note = bodies_of(pinred.load(tmp_path / "r.urdf")).note
+    assert note.startswith("bodies drawn from their inertias: Could not load resource")
+    assert "gone.stl Mesh with invalid primitive type: nonsense" in note
+    assert ".cpp" not in note
+    assert "line" not in note
 
 
 def test_framing() -> None:
