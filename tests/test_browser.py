@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import pinred
-from pinred.viz.browser import Browser, browser, find_browser
+from pinred.viz.browser import Browser
 from pinred.viz.frames import find_ffmpeg, write_gif
 from pinred.viz.server import Player
 
@@ -34,17 +33,6 @@ ROBOTS: dict[str, dict[str, Any]] = {
     "solo12": {"seed": 0, "duration": 2.0},
     "talos": {"seed": 0, "duration": 1.0},
 }
-
-
-@pytest.fixture(scope="module")
-def screen() -> Iterator[Browser]:
-    """One browser for all tests of this file."""
-    try:
-        find_browser()
-    except pinred.InputError as error:
-        pytest.skip(str(error))
-    with browser() as opened:
-        yield opened
 
 
 def show(screen: Browser, url: str) -> None:
