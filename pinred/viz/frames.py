@@ -67,7 +67,7 @@ def save_film(
     encoder = find_ffmpeg() if path.suffix == ".mp4" else ""
     try:
         with (
-            _ended_by_sigterm(),
+            _tidy_at_sigterm(),
             closing(_shots(source, times, pixels, view, progress or (lambda _: None))) as shots,
         ):
             if path.suffix == ".png":
@@ -94,9 +94,13 @@ def find_ffmpeg() -> str:
         ) from None
 
 
+class _Terminated(BaseException):
+    """SIGTERM has come."""
+
+
 @contextmanager
-def _ended_by_sigterm() -> Iterator[None]:
-    """Let SIGTERM end the process as sys.exit() does, so that nothing unfinished is left behind.
+def _tidy_at_sigterm() -> Iterator[None]:
+    """Let SIGTERM end what is done inside like an error before it ends the process.
 
     Only where nobody else handles it, and in the main thread, the only one that may.
     """
@@ -110,11 +114,15 @@ def _ended_by_sigterm() -> Iterator[None]:
     def leave(number: int, frame: FrameType | None) -> None:
         del frame
         signal.signal(number, signal.SIG_IGN)  # not again while cleaning up
-        raise SystemExit(128 + number)
+        raise _Terminated
 
     signal.signal(signal.SIGTERM, leave)
     try:
         yield
+    except _Terminated:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGTERM)
+        raise
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
@@ -155,9 +163,10 @@ def check_frames(path: Path, count: int) -> None:
     found = (name.fullmatch(entry) for entry in os.listdir(path.parent))
     later = sorted(int(match[1]) for match in found if match and int(match[1]) >= count)
     if later:
+        more = f" and {len(later) - 1} more" if len(later) > 1 else ""
         raise InputError(
-            f"the film has {count} frames, but '{_frame(path, later[0])}' and "
-            f"{len(later) - 1} more are there from a longer one; remove them, or take another name"
+            f"a film of {count} frames would be followed by '{_frame(path, later[0])}'{more}, "
+            "of a longer one; remove what is left of that, or take another name"
         )
 
 

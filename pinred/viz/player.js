@@ -277,7 +277,8 @@
     moved = false;
     const side = on["Ghost"] && on["Ghost beside"] ? aside.map((v) => v / 2) : [0, 0, 0];
     const reach = (on["Follow"] ? head.reach : head.span) + Math.hypot(...side);
-    const half = Math.atan(Math.tan(camera.fov * Math.PI / 360) * area.least / innerHeight);
+    const least = Math.max(area.least, 0.2 * Math.min(innerWidth, innerHeight)); // cards may be all there is
+    const half = Math.atan(Math.tan(camera.fov * Math.PI / 360) * least / innerHeight);
     const far = 1.02 * reach / Math.sin(half);
     viewer.controls.target.copy(held).add(turned(side));
     camera.position.copy(turned(head.eye)).multiplyScalar(far).add(viewer.controls.target);
