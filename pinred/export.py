@@ -43,6 +43,8 @@ def save(traj: Trajectory, path: str | Path) -> None:
 
 def check_path(path: str | Path, suffixes: Sequence[str] = (".npz", ".csv")) -> Path:
     """Return `path` if a file can be written there.  Raises InputError or OutputError if not."""
+    if not isinstance(path, (str, os.PathLike)) or "\0" in str(path):
+        raise InputError(f"path must be the name of a file, got {path!r}")
     path = Path(path)
     if path.suffix not in suffixes:
         raise InputError(f"cannot write '{path}': the suffix must be {' or '.join(suffixes)}")

@@ -6,6 +6,7 @@ something needs it, from where the file says, or from where one says.
 
 from __future__ import annotations
 
+import os
 import struct
 import zipfile
 import zlib
@@ -118,11 +119,18 @@ def read_recording(path: str | Path, robot: str | None = None) -> Recording:
 def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise LoadError(f"no such file: {path}")
+    if not os.access(path, os.R_OK):
+        raise LoadError(f"'{path}' cannot be read; you have no right to")
+    if not zipfile.is_zipfile(path):
+        raise LoadError(f"'{path}' is no .npz file of plain arrays: it is no archive, or cut off")
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
-    except _UNREADABLE as error:
-        raise LoadError(f"'{path}' is no .npz file of plain arrays: {error}") from None
+    except _UNREADABLE:  # its words are about numpy's options
+        raise LoadError(
+            f"'{path}' is no .npz file of plain arrays: what is in it is damaged, "
+            "or made of Python objects, which are not read"
+        ) from None
 
 
 def _outputs(path: Path, content: Mapping[str, Any]) -> State | ShapeState:

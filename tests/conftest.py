@@ -1,6 +1,28 @@
-"""Hypothesis profile: failures print what reproduces them; no time limit on noisy machines."""
+"""Hypothesis profile: failures print what reproduces them; no time limit on noisy machines.
 
+And the browser that the tests of pages share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
 from hypothesis import settings
+
+import pinred
+from pinred.viz.browser import Browser, browser, find_browser
 
 settings.register_profile("pinred", deadline=None, print_blob=True)
 settings.load_profile("pinred")
+
+
+@pytest.fixture(scope="module")
+def screen() -> Iterator[Browser]:
+    """One browser for all tests of a file; they are skipped where there is none."""
+    try:
+        find_browser()
+    except pinred.InputError as error:
+        pytest.skip(str(error))
+    with browser() as opened:
+        yield opened

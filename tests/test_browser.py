@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import io
+import os
+import signal
 import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +19,13 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import pinred
-from pinred.viz.browser import Browser, browser, find_browser
+from pinred.viz.browser import Browser
 from pinred.viz.frames import find_ffmpeg, write_gif
 from pinred.viz.server import Player
 
 pytestmark = pytest.mark.browser
 Picture = NDArray[np.int16]
+ROOT = Path(__file__).parent.parent
 SIZE = {"width": 900, "height": 760}
 ROBOTS: dict[str, dict[str, Any]] = {
     "falling_cat": {"duration": 4.0},
@@ -29,17 +33,6 @@ ROBOTS: dict[str, dict[str, Any]] = {
     "solo12": {"seed": 0, "duration": 2.0},
     "talos": {"seed": 0, "duration": 1.0},
 }
-
-
-@pytest.fixture(scope="module")
-def screen() -> Iterator[Browser]:
-    """One browser for all tests of this file."""
-    try:
-        find_browser()
-    except pinred.InputError as error:
-        pytest.skip(str(error))
-    with browser() as opened:
-        yield opened
 
 
 def show(screen: Browser, url: str) -> None:
@@ -339,3 +332,32 @@ def test_player_is_not_needed_afterwards(screen: Browser) -> None:
     began = screen.run("pinred.time")
     screen.wait_for(f"pinred.time > {began} + 0.1 || pinred.time < {began}")
     assert complaints(screen) == []
+
+
+def test_sigterm_leaves_nothing_of_a_film(screen: Browser, tmp_path: Path) -> None:
+    """It ends the process, which takes its unfinished frames and its folders with it."""
+    del screen  # as above
+    out = tmp_path / "out"
+    out.mkdir()
+    (tmp_path / "scene.toml").write_text('robot = "falling_cat"\n[run]\nduration = 600.0\n')
+    command = [sys.executable, "-m", "pinred", "play", "scene.toml", "--out", "out/film.png"]
+    with (
+        tempfile.TemporaryDirectory() as scratch,  # its name is short, as a socket's has to be
+        subprocess.Popen(
+            command,
+            cwd=tmp_path,
+            env=os.environ | {"TMPDIR": scratch, "PYTHONPATH": str(ROOT)},
+        ) as process,
+    ):
+        try:
+            until = time.monotonic() + 120.0
+            while not list(out.glob(".film.png.*/new/film_0001.png")):
+                assert process.poll() is None
+                assert time.monotonic() < until
+                time.sleep(0.05)
+            process.terminate()
+            assert process.wait(30.0) == -signal.SIGTERM
+        finally:
+            process.kill()
+        assert os.listdir(scratch) == []
+    assert list(out.iterdir()) == []

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from PIL import Image
 from trees import random_model
 
 import pinred
 from pinred.arrays import Array
 from pinred.rotations import rotation
 from pinred.viz.bodies import bodies_of
-from pinred.viz.frames import write_frames
+from pinred.viz.frames import write_frames, write_gif
 from pinred.viz.framing import frame
 from pinred.viz.playback import Playback, playback
 from pinred.viz.shape_panel import shape_panel
@@ -144,12 +145,17 @@ def test_frames_and_options(tmp_path: Path) -> None:
         ({"speed": 0.0}, "speed must be finite and above zero"),
         ({"pair": ["a", "a"]}, "pair must be the names of two joints"),
         ({"pair": "ab"}, "pair must be the names of two joints"),
+        ({"pair": 3}, "pair must be the names of two joints, got 3"),
+        ({"pair": [1, 2]}, "pair must be the names of two joints"),
         ({"gost": True}, "no option 'gost'; they are ghost, speed"),
     ):
         with pytest.raises(pinred.InputError, match=words):
             traj.save_html(tmp_path / "a.html", **options)
     with pytest.raises(pinred.InputError, match=r"suffix must be \.html"):
         traj.save_html(tmp_path / "a.htm")
+    for path in (None, 3, "a\0b.html"):
+        with pytest.raises(pinred.InputError, match="path must be the name of a file, got"):
+            traj.save_html(path)  # type: ignore[arg-type]
     shape = pinred.simulate(pinred.load("falling_cat"), duration=0.1, outputs="shape")
     with pytest.raises(pinred.InputError, match="outputs='all'"):
         playback(shape, View())
@@ -240,6 +246,13 @@ def test_missing_meshes_are_said(tmp_path: Path) -> None:
     assert drawn.note.startswith("bodies drawn from their inertias: ")
     assert "gone.stl" in drawn.note
     assert [solid.kind for solid in drawn.solids] == ["ellipsoid"]
+    (tmp_path / "gone").mkdir()
+    (tmp_path / "gone/gone.stl").write_text("solid nonsense")
+    note = bodies_of(pinred.load(tmp_path / "r.urdf")).note
+    assert note.startswith("bodies drawn from their inertias: Could not load resource")
+    assert "gone.stl Mesh with invalid primitive type: nonsense" in note
+    assert ".cpp" not in note
+    assert "line" not in note
 
 
 def test_framing() -> None:
@@ -259,7 +272,8 @@ def test_framing() -> None:
     framing = frame(fallen, bodies_of(fallen.system))
     assert framing.normal[2] == 0.0
     assert ((fallen.com - framing.grid) @ framing.normal > framing.radius).all()
-    assert framing.cell * framing.cells > 2.0 * np.ptp(fallen.com[:, 2]) / 2.0
+    assert framing.cell * framing.cells * framing.wide > np.ptp(fallen.com[:, 2])
+    assert framing.cells < 50  # as many lines as that, squared
     swung = film("double_spherical_pendulum", duration=2.0)
     framing = frame(swung, bodies_of(swung.system))
     arm = np.linalg.norm(swung.com - swung.momentum.tail, axis=1).max()
@@ -288,3 +302,61 @@ def test_frames_are_written_all_or_none(tmp_path: Path) -> None:
         "film_0000.png": b"first",
         "film_0001.png": b"second",
     }
+
+
+def test_frames_that_cannot_be_moved_into_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder in the way, a disk that fails in between: what was there is there again."""
+    before = {"z_0000.png": b"old 0", "z_0001.png": b"old 1", "z_00a1.png": b"no frame"}
+    for name, content in before.items():
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "z_0002.png").mkdir()
+
+    def there() -> dict[str, bytes]:
+        return {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+
+    def shots(count: int) -> Iterator[bytes]:
+        return (b"new" for _ in range(count))
+
+    with pytest.raises(pinred.InputError, match=r"z_0002\.png': it is a folder"):
+        write_frames(tmp_path / "z.png", shots(4))
+    (tmp_path / "z_0002.png").rmdir()
+    move = Path.replace
+
+    def fails(path: Path, target: Path) -> Path:
+        if (path.parent.name, path.name) == ("new", "z_0001.png"):
+            raise OSError("the disk has gone")
+        return move(path, target)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "replace", fails)
+        with pytest.raises(OSError, match="disk"):
+            write_frames(tmp_path / "z.png", shots(4))
+    assert there() == before
+    # One frame would be followed by a second, which is of the film before.
+    with pytest.raises(pinred.InputError, match=r"followed by '.*z_0001\.png', of a longer"):
+        write_frames(tmp_path / "z.png", shots(1))
+    assert there() == before
+    assert write_frames(tmp_path / "z.png", shots(3)) == 3
+    assert there() == {f"z_000{k}.png": b"new" for k in range(3)} | {"z_00a1.png": b"no frame"}
+
+
+@pytest.mark.parametrize("fps", [50.0, 45.0, 30.0, 29.97, 25.0, 7.0, 0.5])
+def test_gifs_keep_time(tmp_path: Path, fps: float) -> None:
+    """By the file's own durations each frame begins within half a hundredth of its time."""
+    film = tmp_path / "film.gif"
+    image = Image.new("RGB", (8, 8))
+    pictures = []
+    for k in range(100):
+        image.putpixel((k % 8, k // 8 % 8), (40 + k, 200 - k, 90))
+        image.save(tmp_path / "shot.png")
+        pictures.append((tmp_path / "shot.png").read_bytes())
+    assert write_gif(film, iter(pictures), fps) == 100
+    data, last = film.read_bytes(), []
+    mark = data.find(b"!\xf9\x04")  # a graphic control extension, before each frame
+    while mark >= 0:
+        last.append(int.from_bytes(data[mark + 4 : mark + 6], "little"))
+        mark = data.find(b"!\xf9\x04", mark + 8)
+    assert min(last) >= 2  # browsers take less for ten
+    np.testing.assert_allclose(np.cumsum(last), 100.0 / fps * np.arange(1, 101), atol=0.501)

@@ -16,6 +16,8 @@ import pytest
 import pinred
 from pinred.cli import main
 from pinred.viz.server import Player
+from pinred.viz.show import play
+from pinred.viz.view import View
 
 
 def listeners(port: int) -> set[str]:
@@ -76,7 +78,7 @@ def test_answers_one_page_to_its_own_name() -> None:
         assert answer(player, method="POST")[0] == 501
 
 
-def test_a_taken_port() -> None:
+def test_a_taken_port(capsys: pytest.CaptureFixture[str]) -> None:
     """It is said; without a port there is always one; after close() it is free again."""
     first = Player(b"1")
     port = int(first.url.split(":")[2].strip("/"))
@@ -89,9 +91,17 @@ def test_a_taken_port() -> None:
     assert not listeners(port)
     with Player(b"3", port) as third:
         assert answer(third)[1] == b"3"
-    for wrong in (0, 65536, True):
+    for wrong in (0, 65536, True, "80", 80.5):
         with pytest.raises(pinred.InputError, match="port must be a whole number"):
-            Player(b"", wrong)
+            Player(b"", wrong)  # type: ignore[arg-type]
+    # It is said before the motion is even read, or drawn.
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        words = f"port {port} is taken"
+        with pytest.raises(pinred.InputError, match=words):
+            play(None, View(), port=port)  # type: ignore[arg-type]
+        assert main(["play", "gone.npz", "--port", str(port)]) == 2
+        assert words in capsys.readouterr().err
 
 
 def test_play_in_a_session_and_in_a_script(capsys: pytest.CaptureFixture[str]) -> None:
@@ -131,6 +141,34 @@ def test_ctrl_c_ends_the_command(tmp_path: Path) -> None:
     assert not listeners(port)
 
 
+@pytest.mark.parametrize("when", ["print", "open", "wait"])
+def test_ctrl_c_at_any_time(when: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As soon as the page is served Ctrl-C ends it well; where nobody waits it is an interrupt."""
+    traj = pinred.simulate(pinred.load("elroys_beanie"), duration=0.1)
+    players: list[Player] = []
+    begin = Player.__init__
+
+    def kept(player: Player, content: bytes, port: int | None = None) -> None:
+        begin(player, content, port)
+        players.append(player)
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Player, "__init__", kept)
+    if when == "print":
+        monkeypatch.setattr("builtins.print", interrupted)
+    else:
+        monkeypatch.setattr(Player, when, interrupted)
+    traj.play(show=when == "open", wait=True)
+    if when != "wait":
+        with pytest.raises(KeyboardInterrupt):
+            traj.play(show=when == "open", wait=False)
+    assert len(players) == (1 if when == "wait" else 2)
+    for player in players:
+        assert not listeners(int(player.url.split(":")[2].strip("/")))
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -144,6 +182,10 @@ def test_ctrl_c_ends_the_command(tmp_path: Path) -> None:
         (("traj.npz", "--speed", "0"), "speed must be finite and above zero"),
         (("traj.npz", "--pair", "a,b"), "pair: no joint 'a'; the joints are beanie"),
         (("traj.npz", "--port", "70000"), "port must be a whole number"),
+        (("traj.npz", "--port", "0", "--out", "a.html"), "--port is for playing in a browser"),
+        (("traj.npz", "--no-open", "--out", "a.gif"), "--no-open is for playing in a browser"),
+        (("traj.npz", "--fps", "1e12", "--out", "a.html"), "at the times that it holds"),
+        (("traj.npz", "--fps", "30"), "--fps is for films and for scenes"),
     ],
 )
 def test_bad_input_is_one_line(
@@ -190,7 +232,9 @@ def test_films_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     refused("two even numbers of pixels", "film.gif", size=(321, 240))
     refused("two even numbers of pixels", "film.gif", size=(320,))
     refused("two even numbers of pixels", "film.gif", size=320)
-    refused("fps must be at most 120", "film.gif", fps=200)
+    refused("fps must be at most 120", "film.mp4", fps=200)
+    refused(r"fps must be from 0\.01 to 50 in a gif.*got 60; an \.mp4", "film.gif", fps=60)
+    refused(r"100001 frames are too many.*lower fps", "film.png", speed=1e-6, fps=1)
     refused("suffix must be .mp4 or .gif or .png", "film.avi")
     refused("no option 'frames'; they are ghost", "film.gif", frames=3)
     monkeypatch.setenv("PATH", str(tmp_path))

@@ -70,8 +70,14 @@ def bodies_of(system: System, *, meshes: bool = True) -> Bodies:
                 return bodies
             why = "its file has no shapes"
         except (PinredError, ValueError, RuntimeError, OSError) as error:
-            why = " ".join(str(error).split()) or type(error).__name__
+            why = _reason(error)
     return Bodies(_from_inertias(system), (), f"bodies drawn from their inertias: {why}")
+
+
+def _reason(error: Exception) -> str:
+    """Return why a file cannot be drawn, without the place in Pinocchio's C++ that says so."""
+    text = str(error).rpartition("message:")[2].partition("Hint:")[0]
+    return " ".join(text.split()) or type(error).__name__
 
 
 def extents(bodies: Bodies) -> list[tuple[int, Array, float]]:

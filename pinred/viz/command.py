@@ -31,6 +31,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command.  Returns 0."""
     from .view import View
 
+    _check(options)
     pair = None if options.pair is None else tuple(options.pair.split(","))
     out = None if options.out is None else Path(options.out)
     fps = options.fps
@@ -44,6 +45,10 @@ def run(options: argparse.Namespace) -> int:
         from .frames import SUFFIXES
 
         check_path(out, (".html", *SUFFIXES))  # before a long simulation
+    else:
+        from .server import check_port
+
+        check_port(options.port)
     motion = _motion(options)
     if out is None:
         from .show import play
@@ -61,6 +66,20 @@ def run(options: argparse.Namespace) -> int:
             count = save_film(motion, out, view, progress=bar)
         print(f"{count} frames written to {out}")
     return 0
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Raise InputError for an option that would change nothing."""
+    if options.out is not None:
+        for option, given in (("port", options.port is not None), ("no-open", options.no_open)):
+            if given:
+                raise InputError(f"--{option} is for playing in a browser, not with --out")
+    page = options.out is None or Path(options.out).suffix == ".html"
+    if options.fps is not None and page and Path(options.motion).suffix == ".npz":
+        raise InputError(
+            "--fps is for films and for scenes; a page shows a .npz at the times that it holds "
+            "(`pinred simulate --samples` makes more of them)"
+        )
 
 
 def _motion(options: argparse.Namespace) -> Trajectory | Recording:

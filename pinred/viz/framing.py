@@ -15,7 +15,8 @@ ARROW = 1.3  # length of the momentum arrow with a margin, in radii of the robot
 _LOOKS = 200  # frames from which the size is taken
 _BESIDE = 1.8  # how far beside the robot its ghost stands, in radii
 _ELEVATION, _PLANAR_ELEVATION = 18.0, 50.0  # degrees
-_MOST_CELLS = 400
+_DEEP = 5.0  # how far above a floor one still sees it, in radii
+_FAR = 10.0  # how far the grid goes on around what is followed, in radii
 
 
 @dataclass(frozen=True)
@@ -26,8 +27,10 @@ class Framing:
     drawn around it, but for a ghost.  middle: of the path of the centre of mass.  span: of
     what is drawn around that, all along.  follow: whether the robot goes so far that the
     camera should go along.  eye: unit vector to the camera.  aside: from the robot to its
-    ghost.  cell, cells: side of the grid's squares, how many in a row.  grid, normal: the
-    middle of the grid, and the unit vector across it: a floor, or a wall for what falls.
+    ghost.  cell, cells: side of the grid's squares, how many in a row; they go along with the
+    camera.  wide: how many times as large they are if it stands still and sees all of the way.
+    grid, normal: the middle of the grid when `middle` is followed, and the unit vector across
+    it: a floor, or a wall for what falls.
     """
 
     radius: float
@@ -39,6 +42,7 @@ class Framing:
     aside: Array
     cell: float
     cells: int
+    wide: float
     grid: Array
     normal: Array
 
@@ -60,7 +64,8 @@ def frame(film: Playback, bodies: Bodies) -> Framing:
         arm = film.momentum.tail - film.com
         reach = ARROW * radius + float(np.linalg.norm(arm, axis=1).max())
     cell = _nice(0.5 * radius)
-    falls = high[2] - low[2] > max(2.0 * radius, *(high - low)[:2])
+    sideways = float(max((high - low)[:2]))
+    falls = high[2] - low[2] > max(2.0 * radius, min(sideways, _DEEP * radius))
     normal, grid = np.array([0.0, 0.0, 1.0]), middle.copy()
     if falls:
         normal = np.append(eye[:2], 0.0) / np.linalg.norm(eye[:2])
@@ -69,6 +74,8 @@ def frame(film: Playback, bodies: Bodies) -> Framing:
         grid[2] = low[2] - 1.1 * radius
     away = film.com - middle
     along = np.linalg.norm(away - np.outer(away @ normal, normal), axis=1)
+    cells = 2 * int(np.ceil(_FAR * radius / cell))
+    wide = (float(along.max()) + 6.0 * radius) / (0.5 * cells * cell)
     return Framing(
         radius=radius,
         reach=reach,
@@ -78,7 +85,8 @@ def frame(film: Playback, bodies: Bodies) -> Framing:
         eye=eye,
         aside=aside,
         cell=cell,
-        cells=min(2 * int(np.ceil((float(along.max()) + 6.0 * radius) / cell)), _MOST_CELLS),
+        cells=cells,
+        wide=_nice(max(1.0, wide)),
         grid=grid,
         normal=normal,
     )

@@ -41,7 +41,7 @@ def page(source: Trajectory | Recording, view: View) -> bytes:
         "%BLOB%": base64.b64encode(bytes(blob.data)).decode("ascii"),
         "%MESHCAT%": _meshcat("viewer/dist/main.min.js"),
         "%LICENCES%": "\n".join(map(_meshcat, _LICENCES)),
-        "%PLAYER%": _own("player.js"),
+        "%PLAYER%": _own("panel.js") + _own("player.js"),
     }
     pieces = re.split("(%[A-Z]+%)", _own("page.html"))
     return "".join(parts.get(piece, piece) for piece in pieces).encode("utf-8")

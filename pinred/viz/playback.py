@@ -86,25 +86,34 @@ def playback(source: Trajectory | Recording, view: View) -> Playback:
 
 
 def _frames(source: Trajectory | Recording, view: View) -> State:
-    """Return the states at the times of the frames, at least two."""
+    """Return the states at the times of the frames."""
+    times = frame_times(source, view, MOST_FRAMES)
+    return source.states if isinstance(source, Recording) else source(times)
+
+
+def frame_times(
+    source: Trajectory | Recording, view: View, most: int, *, even: bool = False
+) -> Array:
+    """Return the times of the frames, (F,) [s], of which there are two at least.
+
+    They are the view's, evenly from first to last; but those that a recording holds, unless
+    `even`.  Raises InputError for more than `most`, and for a recording of a single time.
+    """
+    held = isinstance(source, Recording) and not even
     if isinstance(source, Recording):
-        if len(source.t) > MOST_FRAMES:
-            raise _too_many(len(source.t))
+        begin, end = float(source.t[0]), float(source.t[-1])
         if len(source.t) < 2:
             raise InputError(f"{source.path} holds one time only; a film needs two at least")
-        return source.states
-    end = source.scene.end
-    count = round(end / view.speed * view.fps) + 1
-    if count > MOST_FRAMES:
-        raise _too_many(count)
-    return source(np.linspace(0.0, end, max(count, 2)))
-
-
-def _too_many(count: int) -> InputError:
-    return InputError(
-        f"{count} frames are too many (at most {MOST_FRAMES}); "
-        "play faster, with speed=, or with a lower fps="
-    )
+    else:
+        begin, end = 0.0, source.scene.end
+    wanted = min((end - begin) / view.speed * view.fps, 1e15)
+    count = len(source.t) if held else max(2, round(wanted) + 1)
+    if count > most:
+        raise InputError(
+            f"{count} frames are too many (at most {most}); "
+            "play faster, with speed=, or with a lower fps="
+        )
+    return source.t if held else np.linspace(begin, end, count)
 
 
 def _placements(system: System, q: Array) -> Array:

@@ -22,10 +22,11 @@
 
   // -- the viewer ---------------------------------------------------------------------------
   const viewer = new MeshCat.Viewer($("meshcat-pane"));
-  viewer.set_property(["Background"], "top_color", [0.96, 0.97, 0.98]);
-  viewer.set_property(["Background"], "bottom_color", [0.78, 0.82, 0.86]);
+  viewer.set_property(["Background"], "top_color", [0.70, 0.79, 0.88]);
+  viewer.set_property(["Background"], "bottom_color", [0.42, 0.52, 0.64]);
   viewer.delete_path(["Axes"]);
   const node = (...path) => viewer.scene_tree.find(path).object;
+  node("Lights", "AmbientLight", "<object>").intensity = 0.52; // less, so that white robots have shades
   const put = (object, ...path) => { viewer.set_object(path, object); return node(...path); };
 
   // -- solids -------------------------------------------------------------------------------
@@ -87,9 +88,18 @@
   }
   const rod = (r) => new THREE.CylinderGeometry(r, r, 1, 16).translate(0, 0.5, 0);
 
-  const hull = put(new THREE.Mesh(new THREE.SphereGeometry(1, 48, 32), new THREE.MeshPhongMaterial({
-    color: 0x56b4e9, opacity: 0.3, transparent: true, depthWrite: false })), "Locked inertia");
+  const hull = new THREE.Group(); // faint, as the robot is within it, and with its equators
+  hull.add(new THREE.Mesh(new THREE.SphereGeometry(1, 48, 32), new THREE.MeshPhongMaterial({
+    color: 0x56b4e9, opacity: 0.13, transparent: true, depthWrite: false })));
+  for (const axis of ["X", "Y", "Z"]) {
+    const round = Array.from({ length: 97 }, (_, k) =>
+      new THREE.Vector3(Math.cos(Math.PI * k / 48), Math.sin(Math.PI * k / 48), 0));
+    const ring = new THREE.BufferGeometry().setFromPoints(round)[`rotate${axis}`](Math.PI / 2);
+    hull.add(new THREE.Line(ring, new THREE.LineBasicMaterial({
+      color: 0x1f6fa8, opacity: 0.55, transparent: true })));
+  }
   hull.matrixAutoUpdate = false;
+  put(hull, "Locked inertia");
 
   const arrow = new THREE.Group();
   const shaft = new THREE.Mesh(rod(0.016 * radius), flat(0xd55e00));
@@ -120,14 +130,37 @@
   put(seenThrough(trail, 4), "CoM trail");
   put(seenThrough(dot, 5), "CoM trail", "CoM");
 
-  const cell = head.cell, cells = head.cells;
-  const grid = new THREE.GridHelper(cell * cells, cells, 0x8a97a5, 0xb3bdc7); // across y
+  // Each side of a square is a line of its own: software renderers drop lines that reach behind
+  // the camera.  Towards its edge the grid fades.
+  const cell = head.cell, wide = 0.5 * cell * head.cells;
   const normal = new THREE.Vector3(...head.normal), row = new THREE.Vector3(0, 0, 1).cross(normal);
-  if (row.length() < 0.5) row.set(1, 0, 0); // a floor
-  grid.quaternion.setFromRotationMatrix(
-    new THREE.Matrix4().makeBasis(row, normal, row.clone().cross(normal)));
-  grid.position.fromArray(head.grid);
+  const wall = row.length() > 0.5;
+  if (!wall) row.set(1, 0, 0);
+  const column = normal.clone().cross(row), corners = [], tints = [];
+  for (let i = 0; i <= head.cells; i++)
+    for (let j = 0; j < head.cells; j++)
+      for (const [a, b] of [[i, j], [i, j + 1], [j, i], [j + 1, i]]) {
+        const x = a * cell - wide, y = b * cell - wide;
+        corners.push(...row.clone().multiplyScalar(x).addScaledVector(column, y).toArray());
+        tints.push(0.22, 0.30, 0.40, Math.max(0, 1 - (x * x + y * y) / (wide * wide)));
+      }
+  const sides = new THREE.BufferGeometry();
+  sides.setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
+  sides.setAttribute("color", new THREE.Float32BufferAttribute(tints, 4));
+  const grid = new THREE.LineSegments(
+    sides, new THREE.LineBasicMaterial({ vertexColors: true, transparent: true, depthWrite: false }));
+  grid.renderOrder = -1;
+  grid.frustumCulled = false;
   put(grid, "Grid");
+  function lay(point) { // the grid goes along with what is followed, by whole squares
+    const by = new THREE.Vector3(...point).sub(new THREE.Vector3(...head.middle));
+    grid.position.fromArray(head.grid);
+    grid.scale.setScalar(on["Follow"] ? 1 : head.wide);
+    if (!on["Follow"]) return;
+    for (const axis of [row, column])
+      grid.position.addScaledVector(axis, cell * Math.round(by.dot(axis) / cell));
+    if (wall) grid.position.addScaledVector(normal, by.dot(normal));
+  }
 
   // -- one frame ----------------------------------------------------------------------------
   function locate(t) {
@@ -175,7 +208,8 @@
     stub.attributes.position.needsUpdate = true;
     const shift = on["Follow"] ? c : head.middle;
     carry(shift);
-    shapePanel(k, s);
+    lay(c);
+    if (picture && on["Shape"]) picture(k, s);
     $("clock").textContent = `${t.toFixed(2)} of ${end.toFixed(2)} s`;
     $("scrub").value = 1000 * (t - times[0]) / (end - times[0]);
     $("words").textContent = words(size, k);
@@ -189,88 +223,9 @@
     return lines.join(" · ");
   }
 
-  // -- the shape panel ----------------------------------------------------------------------
-  const panel = head.panel, canvas = document.querySelector("#panel canvas");
-  const pen = canvas.getContext("2d"), box = [64, 14, 436, 404]; // left, top, width, height
-  const path = panel ? array(panel.path) : null, field = panel ? array(panel.field) : null;
-  const picker = document.querySelector("#panel select");
-  let backdrop = null;
-  const across = (v, i) => (v - panel.low[i]) / (panel.high[i] - panel.low[i]);
-  const px = (a) => box[0] + box[2] * across(a, 0), py = (b) => box[1] + box[3] * (1 - across(b, 1));
-  function colour(v) { // −1 blue, 0 white, 1 orange: told apart by the colour-blind
-    const strong = v < 0 ? [33, 102, 172] : [217, 95, 2], a = Math.min(1, Math.abs(v));
-    return strong.map((c) => 255 + (c - 255) * a);
-  }
-  function paintBackdrop() {
-    const layer = document.createElement("canvas");
-    [layer.width, layer.height] = [canvas.width, canvas.height];
-    const ink = layer.getContext("2d"), n = panel.fine, c = Number(picker.value || 0);
-    ink.font = "20px system-ui, sans-serif";
-    if (n) {
-      const values = field.subarray(c * n * n, (c + 1) * n * n);
-      const most = Math.max(1e-300, values.reduce((m, v) => Math.max(m, Math.abs(v)), 0));
-      const image = ink.createImageData(n, n);
-      values.forEach((v, at) => {
-        const a = Math.floor(at / n), b = at % n, to = 4 * ((n - 1 - b) * n + a);
-        image.data.set([...colour(v / most), 255], to);
-      });
-      const small = document.createElement("canvas");
-      small.width = small.height = n;
-      small.getContext("2d").putImageData(image, 0, 0);
-      ink.drawImage(small, box[0], box[1], box[2], box[3]);
-      [-1, -0.5, 0, 0.5, 1].forEach((v, i) => {
-        ink.fillStyle = `rgb(${colour(v).map(Math.round)})`;
-        ink.fillRect(box[0] + 8 + 26 * i, box[1] + 8, 26, 14);
-      });
-      ink.fillStyle = "#1d2733";
-      const name = panel.components[c].replace(/ \[.*/, "");
-      const bound = most < 1e-3 ? most.toExponential(1) : most.toPrecision(2);
-      ink.fillText(`± ${bound}  ${name}`, box[0] + 146, box[1] + 23);
-    }
-    ink.strokeStyle = "#1d2733";
-    ink.strokeRect(...box);
-    ink.beginPath();
-    for (let i = 0; i < path.length; i += 2) ink.lineTo(px(path[i]), py(path[i + 1]));
-    ink.lineWidth = 2;
-    ink.strokeStyle = "rgba(20, 30, 40, .45)";
-    ink.stroke();
-    ink.fillStyle = "#1d2733";
-    ink.textAlign = "center";
-    ink.fillText(panel.labels[0], box[0] + box[2] / 2, 466);
-    const tick = (v) => String(Number(v.toPrecision(2)));
-    ink.textAlign = "left"; ink.fillText(tick(panel.low[0]), box[0], 442);
-    ink.textAlign = "right"; ink.fillText(tick(panel.high[0]), box[0] + box[2], 442);
-    ink.fillText(tick(panel.low[1]), box[0] - 6, box[1] + box[3]);
-    ink.fillText(tick(panel.high[1]), box[0] - 6, box[1] + 16);
-    ink.translate(22, box[1] + box[3] / 2);
-    ink.rotate(-Math.PI / 2);
-    ink.textAlign = "center"; ink.fillText(panel.labels[1], 0, 0);
-    backdrop = layer;
-  }
-  function shapePanel(k, s) {
-    if (!panel || !on["Shape"]) return;
-    pen.clearRect(0, 0, canvas.width, canvas.height);
-    pen.drawImage(backdrop, 0, 0);
-    pen.beginPath();
-    for (let i = 0; i <= k; i++) pen.lineTo(px(path[2 * i]), py(path[2 * i + 1]));
-    const [a, b] = mix(path, 2, k, s);
-    pen.lineTo(px(a), py(b));
-    pen.lineWidth = 3;
-    pen.strokeStyle = "#111";
-    pen.stroke();
-    pen.beginPath();
-    pen.arc(px(a), py(b), 9, 0, 2 * Math.PI);
-    pen.fillStyle = "#f0e442";
-    pen.fill();
-    pen.stroke();
-  }
-  if (panel) {
-    panel.components.forEach((name, i) => picker.add(new Option(`curvature: ${name}`, String(i))));
-    picker.hidden = !panel.components.length;
-    picker.title = "the joints that are not on the axes are held as they are at first";
-    picker.onchange = () => { paintBackdrop(); draw(now); };
-    paintBackdrop();
-  }
+  const picture = head.panel && shapePanel(
+    head.panel, array, mix, ...document.querySelectorAll("#panel canvas, #panel select"),
+    () => draw(now));
 
   // -- the camera ---------------------------------------------------------------------------
   const turned = (v) => new THREE.Vector3(v[0], v[2], -v[1]); // meshcat's camera has y up
@@ -282,20 +237,54 @@
     viewer.controls.target.add(by);
     node("Lights").position.fromArray(point);
   }
+  let moved = false; // by the user
+  viewer.controls.addEventListener("start", () => { moved = true; });
+  function free() { // the largest part of the window that no card covers
+    const rows = [0, innerHeight], columns = [0, innerWidth];
+    const cards = [...document.querySelectorAll(".card, .dg.main")]
+      .map((card) => card.getBoundingClientRect()).filter((card) => card.width * card.height > 0);
+    for (const card of cards) { rows.push(card.top, card.bottom); columns.push(card.left, card.right); }
+    let best = { least: -1, x: innerWidth / 2, y: innerHeight / 2 }, most = -1;
+    for (const left of columns) for (const right of columns) for (const top of rows) for (const bottom of rows) {
+      const least = Math.min(right - left, bottom - top);
+      const worth = least + 1e-3 * (right - left + bottom - top);
+      if (least <= 0 || worth <= most || cards.some((card) => card.left < right
+        && card.right > left && card.top < bottom && card.bottom > top)) continue;
+      most = worth;
+      best = { least, x: (left + right) / 2, y: (top + bottom) / 2 };
+    }
+    return best;
+  }
+  const cramped = () => free().least < 0.6 * Math.min(innerWidth, innerHeight);
+  const chosen = {}; // which cards the user has shown or folded
+  function tidy() { // in a small window the robot goes before the cards
+    const details = document.querySelector("#side details"), box = document.getElementsByName("Shape")[0];
+    const show = (value) => { on["Shape"] = box.checked = value; $("panel").hidden = !value; };
+    if (!chosen.side) details.open = true;
+    if (box && !chosen.panel) { show(true); if (cramped()) show(false); }
+    if (!chosen.side && cramped()) details.open = false;
+  }
+  function aim() { // the middle of the picture goes to the middle of what is free
+    const w = innerWidth, h = innerHeight, area = free();
+    viewer.camera.fov = 30;
+    viewer.camera.setViewOffset(w, h, w / 2 - area.x, h / 2 - area.y, w, h);
+    viewer.set_dirty();
+    return area;
+  }
+  const refit = () => { if (moved) aim(); else look(); };
   function look() {
-    const camera = viewer.camera;
+    const camera = viewer.camera, area = aim();
+    moved = false;
     const side = on["Ghost"] && on["Ghost beside"] ? aside.map((v) => v / 2) : [0, 0, 0];
     const reach = (on["Follow"] ? head.reach : head.span) + Math.hypot(...side);
-    camera.fov = 30;
-    const w = innerWidth, h = innerHeight; // the middle of what the cards leave free
-    if (bare) camera.setViewOffset(w, h, panel && on["Shape"] ? -w / 10 : 0, 0, w, h);
-    else camera.setViewOffset(w, h, w >= 700 && h >= 740 ? -130 : 0, 24, w, h);
-    const half = Math.min(camera.fov, camera.fov * camera.aspect) * Math.PI / 360;
+    const least = Math.max(area.least, 0.2 * Math.min(innerWidth, innerHeight)); // cards may be all there is
+    const half = Math.atan(Math.tan(camera.fov * Math.PI / 360) * least / innerHeight);
     const far = 1.02 * reach / Math.sin(half);
     viewer.controls.target.copy(held).add(turned(side));
     camera.position.copy(turned(head.eye)).multiplyScalar(far).add(viewer.controls.target);
     camera.near = far / 1000;
     camera.far = far * 1000;
+    camera.updateProjectionMatrix();
     viewer.controls.update();
   }
 
@@ -314,6 +303,7 @@
     starts.push(() => act(value));
   }
   const starts = [];
+  let started = false;
   toggle("Robot", "robot", "", true, set("Robot"));
   toggle("See-through", "see-through robot", "", false, (value) => {
     for (const [skin, opacity] of skins) {
@@ -331,7 +321,12 @@
   if (!still) toggle("Momentum", "momentum", "#d55e00", true, set("Momentum"));
   toggle("Base frame", "base frame", "#009e73", true, set("Base frame"));
   toggle("CoM trail", "centre of mass and its trail", "#111", true, set("CoM trail"));
-  if (panel) toggle("Shape", "shape and curvature", "#f0e442", true, (v) => { $("panel").hidden = !v; });
+  if (picture)
+    toggle("Shape", "shape and curvature", "#f0e442", true, (v) => {
+      $("panel").hidden = !v;
+      chosen.panel = started;
+      refit();
+    });
   else $("panel").hidden = true;
   toggle("Grid", "grid", "#8a97a5", true, set("Grid"));
   toggle("Follow", "follow the centre of mass", "", head.follow, look);
@@ -352,7 +347,8 @@
   $("speed").onchange = () => { speed = Number($("speed").value); };
   const title = head.title.replaceAll("_", "_\u200b"); // where a long name may be broken
   document.querySelector("#side summary").textContent = title;
-  document.querySelector("#side details").open = innerWidth >= 700;
+  document.querySelector("#side summary").onclick = () => { chosen.side = true; };
+  document.querySelector("#side details").ontoggle = () => refit();
   document.title = `${head.title} · pinred`;
 
   function step(stamp) {
@@ -367,9 +363,12 @@
     }
     last = stamp;
   }
-  addEventListener("resize", () => look());
+  addEventListener("resize", () => { tidy(); refit(); draw(now); });
   viewer.set_3d_pane_size();
   starts.forEach((start) => start());
+  started = true;
+  draw(now); // which writes the words whose place is taken
+  tidy();
   look();
   draw(now);
   requestAnimationFrame(step);
@@ -384,7 +383,8 @@
     seek: (t) => { setPlaying(false); now = Math.min(end, Math.max(times[0], t)); draw(now); viewer.render(); },
     node, // the three.js object at a path of the viewer's scene
     project(path) { // where an object's origin is in the window [px]
-      const at = node(...path).getWorldPosition(new THREE.Vector3()).project(viewer.camera);
+      const object = Array.isArray(path) ? node(...path) : path;
+      const at = object.getWorldPosition(new THREE.Vector3()).project(viewer.camera);
       return [(at.x + 1) / 2 * innerWidth, (1 - at.y) / 2 * innerHeight];
     },
   };

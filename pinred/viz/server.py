@@ -14,6 +14,7 @@ import threading
 import webbrowser
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from numbers import Integral
 from types import TracebackType
 from typing import Any
 
@@ -34,17 +35,7 @@ class Player:
         port: where to listen, any free port if None.  Raises InputError for one that is
         taken or not allowed, OutputError if there is none.
         """
-        if port is not None and (isinstance(port, bool) or not 0 < port < 65536):
-            raise InputError(f"port must be a whole number from 1 to 65535, got {port!r}")
-        try:
-            self._server = _Server(content, port or 0)
-        except OSError as error:
-            if port is not None and error.errno in (errno.EADDRINUSE, errno.EACCES):
-                why = "taken" if error.errno == errno.EADDRINUSE else "not open to you"
-                raise InputError(
-                    f"port {port} is {why}; choose another, or none for any free one"
-                ) from None
-            raise OutputError(f"cannot serve on {HOST}: {error.strerror}") from error
+        self._server = _listen(content, port)
         self.url = f"http://{HOST}:{self._server.server_port}/"
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
         self._thread.start()
@@ -85,6 +76,28 @@ class Player:
 
     def __repr__(self) -> str:
         return f"Player({self.url!r})"
+
+
+def check_port(port: int | None) -> None:
+    """Raise what Player would raise if it were to listen at a port now."""
+    if port is not None:
+        _listen(b"", port).server_close()
+
+
+def _listen(content: bytes, port: int | None) -> _Server:
+    if port is not None and (
+        isinstance(port, bool) or not isinstance(port, Integral) or not 0 < port < 65536
+    ):
+        raise InputError(f"port must be a whole number from 1 to 65535, got {port!r}")
+    try:
+        return _Server(content, port or 0)
+    except OSError as error:
+        if port is not None and error.errno in (errno.EADDRINUSE, errno.EACCES):
+            why = "taken" if error.errno == errno.EADDRINUSE else "not open to you"
+            raise InputError(
+                f"port {port} is {why}; choose another, or none for any free one"
+            ) from None
+        raise OutputError(f"cannot serve on {HOST}: {error.strerror}") from error
 
 
 class _Server(ThreadingHTTPServer):

@@ -7,7 +7,7 @@ import sys
 from ..recording import Recording
 from ..trajectory import Trajectory
 from .page import page
-from .server import Player
+from .server import Player, check_port
 from .view import View
 
 
@@ -25,11 +25,17 @@ def play(
     None, only where nobody types on, that is in a script.
     Errors as of `Player` and `page`.
     """
+    check_port(port)  # before the page is made, which may take long
     player = Player(page(source, view), port)
     wait = not hasattr(sys, "ps1") if wait is None else wait
-    print(f"playing at {player.url}" + (" (Ctrl-C ends it)" if wait else ""), flush=True)
-    if show:
-        player.open()
-    if wait:
-        player.wait()
+    try:
+        print(f"playing at {player.url}" + (" (Ctrl-C ends it)" if wait else ""), flush=True)
+        if show:
+            player.open()
+        if wait:
+            player.wait()
+    except KeyboardInterrupt:
+        player.close()
+        if not wait:
+            raise
     return player

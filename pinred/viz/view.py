@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -33,8 +33,10 @@ class View:
         for name in ("speed", "fps"):
             object.__setattr__(self, name, positive(getattr(self, name), name))
         if self.pair is not None:
-            pair = () if isinstance(self.pair, str) else tuple(self.pair)
-            if len(pair) != 2 or pair[0] == pair[1]:
+            several = isinstance(self.pair, Iterable) and not isinstance(self.pair, str)
+            pair = tuple(self.pair) if several else ()
+            two = len(pair) == 2 and all(isinstance(name, str) for name in pair)
+            if not two or pair[0] == pair[1]:
                 raise InputError(f"pair must be the names of two joints, got {self.pair!r}")
             object.__setattr__(self, "pair", pair)
 
