@@ -183,7 +183,6 @@ def test_ctrl_c_at_any_time(when: str, monkeypatch: pytest.MonkeyPatch) -> None:
         (("traj.npz", "--pair", "a,b"), "pair: no joint 'a'; the joints are beanie"),
         (("traj.npz", "--port", "70000"), "port must be a whole number"),
         (("traj.npz", "--port", "0", "--out", "a.html"), "--port is for playing in a browser"),
-        (("traj.npz", "--no-open", "--out", "a.gif"), "--no-open is for playing in a browser"),
         (("traj.npz", "--fps", "1e12", "--out", "a.html"), "at the times that it holds"),
         (("traj.npz", "--fps", "30"), "--fps is for films and for scenes"),
     ],

@@ -70,10 +70,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> None:
     """Raise InputError for an option that would change nothing."""
-    if options.out is not None:
-        for option, given in (("port", options.port is not None), ("no-open", options.no_open)):
-            if given:
-                raise InputError(f"--{option} is for playing in a browser, not with --out")
+    if options.out is not None and options.port is not None:
+        raise InputError("--port is for playing in a browser, not with --out")
     page = options.out is None or Path(options.out).suffix == ".html"
     if options.fps is not None and page and Path(options.motion).suffix == ".npz":
         raise InputError(
