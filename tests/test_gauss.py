@@ -17,7 +17,7 @@ from test_methods import ROBOTS, errors_at_the_end, measured
 import pinred
 from pinred import DOP853, AdaptiveGauss, Gauss
 from pinred.arrays import Array
-from pinred.engine import tangent, wide
+from pinred.engine import derived
 from pinred.engine.flow import CompiledFlow
 from pinred.engine.kernel import Kernel
 from pinred.engine.native import NativeCode, compile_object, load_object
@@ -437,11 +437,9 @@ def test_wide_kernels_are_judged() -> None:
             assert wide_rate(flow.kernel, lanes) is wide_rate(flow.kernel, lanes)
 
 
-@pytest.mark.parametrize(
-    ("module", "make"), [(wide, lambda k: wide_rate(k, 4)), (tangent, tangent_of)]
-)
+@pytest.mark.parametrize("make", [lambda k: wide_rate(k, 4), tangent_of])
 def test_code_that_two_threads_make_is_one(
-    module: Any, make: Callable[[Kernel], NativeCode], monkeypatch: pytest.MonkeyPatch
+    make: Callable[[Kernel], NativeCode], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Who is second takes what is there: the first may be running it, and nothing else holds it."""
     system = pinred.load("coupled_planar")
@@ -453,7 +451,7 @@ def test_code_that_two_threads_make_is_one(
         found.append(make(kernel))  # what another thread does meanwhile
         return load_object(code, name)
 
-    monkeypatch.setattr(module, "load_object", load)
+    monkeypatch.setattr(derived, "load_object", load)
     assert make(kernel) is found[0]
     assert make(kernel) is found[0]
 

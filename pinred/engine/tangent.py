@@ -6,21 +6,18 @@ evaluations for the whole Jacobian, exact to round-off.
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict
-
 import casadi as ca
 import numpy as np
 
 from ..arrays import Array
 from ..errors import InputError
-from ..integrators.kernel import SEEDS, call_tangent, compiled
-from .cache import ObjectCache, cache_key
+from ..integrators.kernel import SEEDS
+from ..integrators.newton import jacobian
+from .derived import derived_code
 from .evaluate import evaluate
-from .identity import model_bytes
 from .judge import agree
-from .kernel import Kernel, KernelStore
-from .native import NativeCode, compile_object, load_object
+from .kernel import Kernel
+from .native import NativeCode, compile_object
 from .symbolic import ReducedGraph
 
 _TRIALS, _NEEDED = 40, 2
@@ -28,33 +25,24 @@ _STEP = 2e-3  # of the differences, for states of size one
 _TOLERANCE = 1e-7  # of the largest entry in a column
 
 
-def tangent_of(kernel: Kernel, cache: KernelStore | None = None) -> NativeCode:
+def tangent_of(kernel: Kernel) -> NativeCode:
     """Return machine code (y, parameters, directions) → ∂ẏ/∂y directions, built once.
 
     Of directions and output it takes and gives entry i of direction j at 8 i + j.  Raises
     KernelMismatch if it disagrees with differences of the kernel, which Pinocchio has judged.
     """
-    ready: dict[str, NativeCode] = kernel.__dict__.setdefault("_tangent", {})
-    if "tangent" not in ready:
-        cache = ObjectCache() if cache is None else cache
-        kind = asdict(kernel.structure) | {
-            "forces": None if kernel.forces is None else kernel.forces.key,
-            "tangent": SEEDS,
-        }
-        key = cache_key(model_bytes(kernel.system), json.dumps(kind))
-        code = cache.get(key)
-        if code is None:
-            code = compile_object(_graph(kernel), "tangent", wide=SEEDS, wide_inputs=(2,))
-            cache.put(key, code)
-        native = load_object(code, "tangent")
-        _judge(kernel, native)
-        # Another thread may have been faster, and its address may be in use.
-        return ready.setdefault("tangent", native)
-    return ready["tangent"]
+    return derived_code(
+        kernel,
+        "tangent",
+        {"tangent": SEEDS},
+        lambda graph: compile_object(
+            _graph(graph, kernel), "tangent", wide=SEEDS, wide_inputs=(2,)
+        ),
+        lambda native: _judge(kernel, native),
+    )
 
 
-def _graph(kernel: Kernel) -> ca.Function:
-    graph = ReducedGraph(kernel.system, kernel.structure, kernel.forces)
+def _graph(graph: ReducedGraph, kernel: Kernel) -> ca.Function:
     y, parameters = ca.SX.sym("y", kernel.layout.size), ca.SX.sym("p", kernel.layout.parameters)
     along = ca.SX.sym("v", kernel.layout.size)
     slope = ca.jtimes(graph.rate()(y, parameters), y, along)
@@ -63,22 +51,15 @@ def _graph(kernel: Kernel) -> ca.Function:
 
 def jacobian_of(kernel: Kernel, y: Array, parameters: Array) -> Array:
     """Return ∂ẏ/∂y, (size, size)."""
-    out = np.zeros((len(y), len(y)))
-    _fill(tangent_of(kernel).address, y, parameters, out)
-    return out
+    return _jacobian(tangent_of(kernel), y, parameters)
 
 
-@compiled
-def _fill(address: int, y: Array, parameters: Array, out: Array) -> None:
+def _jacobian(native: NativeCode, y: Array, parameters: Array) -> Array:
     n = len(y)
-    directions, slopes = np.zeros((n, SEEDS)), np.zeros((n, SEEDS))
-    for first in range(0, n, SEEDS):
-        directions[:] = 0.0
-        for j in range(min(SEEDS, n - first)):
-            directions[first + j, j] = 1.0
-        call_tangent(address, y, parameters, directions, slopes)
-        for j in range(min(SEEDS, n - first)):
-            out[:, first + j] = slopes[:, j]
+    seeds, slopes = np.zeros((2, n * SEEDS))
+    rows = np.zeros((n, -(-n // SEEDS) * SEEDS))
+    jacobian(native.address, y, parameters, seeds, slopes, rows, 0, n)
+    return rows[:, :n].copy()
 
 
 def _judge(kernel: Kernel, native: NativeCode) -> None:
@@ -89,8 +70,7 @@ def _judge(kernel: Kernel, native: NativeCode) -> None:
         reach = 0.9 ** max(0, trial - _NEEDED)
         y = reach * rng.normal(size=size)
         parameters = reach * rng.normal(size=kernel.layout.parameters)
-        found = np.zeros((size, size))
-        _fill(native.address, y, parameters, found)
+        found = _jacobian(native, y, parameters)
         rough, expected = (_differences(kernel, y, parameters, h) for h in (2.0 * _STEP, _STEP))
         # Where a force has a kink or is not defined, differences say nothing.
         with np.errstate(invalid="ignore"):

@@ -5,47 +5,31 @@ Lanes are taken by the stages here, so that limbs of one build are not lanes as 
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict
-
 import numpy as np
 
 from ..errors import KernelMismatch
-from .cache import ObjectCache, cache_key
+from .derived import derived_code
 from .evaluate import evaluate
-from .identity import model_bytes
 from .judge import agree
-from .kernel import Kernel, KernelStore
-from .native import NativeCode, compile_object, load_object
-from .symbolic import ReducedGraph
+from .kernel import Kernel
+from .native import NativeCode, compile_object
 
 _TRIALS, _MOST = 3, 80
 
 
-def wide_rate(kernel: Kernel, lanes: int, cache: KernelStore | None = None) -> NativeCode:
+def wide_rate(kernel: Kernel, lanes: int) -> NativeCode:
     """Return machine code of a kernel's vector field at `lanes` states at once, built once.
 
     Of y and dy/dt it takes and gives entry i of state j at i lanes + j.  Raises
     KernelMismatch if it disagrees with the kernel, which Pinocchio has judged.
     """
-    ready: dict[int, NativeCode] = kernel.__dict__.setdefault("_wide", {})
-    if lanes not in ready:
-        cache = ObjectCache() if cache is None else cache
-        kind = asdict(kernel.structure) | {
-            "forces": None if kernel.forces is None else kernel.forces.key,
-            "lanes": lanes,
-        }
-        key = cache_key(model_bytes(kernel.system), json.dumps(kind))
-        code = cache.get(key)
-        if code is None:
-            graph = ReducedGraph(kernel.system, kernel.structure, kernel.forces)
-            code = compile_object(graph.rate(), "rate", wide=lanes)
-            cache.put(key, code)
-        native = load_object(code, "rate")
-        _judge(kernel, native, lanes)
-        # Another thread may have been faster, and its address may be in use.
-        return ready.setdefault(lanes, native)
-    return ready[lanes]
+    return derived_code(
+        kernel,
+        "rate",
+        {"lanes": lanes},
+        lambda graph: compile_object(graph.rate(), "rate", wide=lanes),
+        lambda native: _judge(kernel, native, lanes),
+    )
 
 
 def _judge(kernel: Kernel, native: NativeCode, lanes: int) -> None:
