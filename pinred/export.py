@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import BinaryIO
@@ -35,10 +37,7 @@ def save(traj: Trajectory, path: str | Path) -> None:
     """
     path = check_path(path)
     write = _write_npz if path.suffix == ".npz" else _write_csv
-    try:
-        write_atomic(path, lambda file: write(traj, file))
-    except OSError as error:
-        raise OutputError(f"cannot write '{path}': {error.strerror or error}") from error
+    write_atomic(path, lambda file: write(traj, file))
 
 
 def check_path(path: str | Path, suffixes: Sequence[str] = (".npz", ".csv")) -> Path:
@@ -61,18 +60,33 @@ def check_path(path: str | Path, suffixes: Sequence[str] = (".npz", ".csv")) -> 
 
 
 def write_atomic(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write a file under a temporary name beside `path` and move it there when complete."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    """Write a file under a temporary name beside `path` and move it there when complete.
+
+    Raises OutputError if that fails.
+    """
     try:
-        with os.fdopen(handle, "wb") as file:
-            write(file)
-        umask = os.umask(0)  # mkstemp makes the file private; give it the usual rights
-        os.umask(umask)
-        os.chmod(name, 0o666 & ~umask)
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                write(file)
+            umask = os.umask(0)  # mkstemp makes the file private; give it the usual rights
+            os.umask(umask)
+            os.chmod(name, 0o666 & ~umask)
+            os.replace(name, path)
+        except BaseException:
+            os.unlink(name)
+            raise
+    except OSError as error:
+        raise OutputError(f"cannot write '{path}': {error.strerror or error}") from error
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:
+    """Write rows by their columns as csv, whole or not at all.  Raises OutputError."""
+    text = io.StringIO()
+    table = csv.DictWriter(text, columns, lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    write_atomic(path, lambda file: file.write(text.getvalue().encode()))
 
 
 def _write_npz(traj: Trajectory, file: BinaryIO) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from ..progress import ProgressBar
@@ -65,10 +65,11 @@ def _measure(
     effort: Effort,
     folder: Path | None,
 ) -> None:
+    from ..export import write_atomic
     from .accuracy import YARDSTICK, bench_problem, run_name
     from .methods import methods_named
     from .overview import overview
-    from .record import NAME, read_record, write_record, write_text
+    from .record import NAME, read_record, write_record
 
     asked = effort.name
     if tolerances is not None:
@@ -95,7 +96,8 @@ def _measure(
     tables = overview(results)
     print(tables, end="\n\n")
     if path is not None and folder is not None:
-        write_text(folder / "overview.txt", tables + "\n")
+        text = (tables + "\n").encode()
+        write_atomic(folder / "overview.txt", lambda file: file.write(text))
         _write_equal_error(folder, results)
         _draw(folder, results)
         print(f"written to {path}")
@@ -121,26 +123,26 @@ def _draw(folder: Path, results: Sequence[WorkPrecision]) -> None:
 
 def _write_equal_error(folder: Path, results: Sequence[WorkPrecision]) -> None:
     """Write what follows from the points: times and ratios at equal error."""
-    import csv
-    from io import StringIO
-
+    from ..export import write_table
     from .accuracy import YARDSTICK
-    from .record import write_text
     from .work_precision import ERRORS
 
-    text = StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["run", "problem", "error", "method", "wall", "times_pinred", "reference_error"])
-    for found in results:
-        for error in ERRORS:
-            for method in found.about:
-                own = YARDSTICK in found.about
-                ratio: Any = found.ratio_at(method, error) if own else ""
-                wall = found.wall_at(method, error)
-                table.writerow(
-                    [found.run, found.problem, error, method, wall, ratio, found.reference_error]
-                )
-    write_text(folder / "equal_error.csv", text.getvalue())
+    columns = ["run", "problem", "error", "method", "wall", "times_pinred", "reference_error"]
+    rows: list[dict[str, object]] = [
+        {
+            "run": found.run,
+            "problem": found.problem,
+            "error": error,
+            "method": method,
+            "wall": found.wall_at(method, error),
+            "times_pinred": found.ratio_at(method, error) if YARDSTICK in found.about else "",
+            "reference_error": found.reference_error,
+        }
+        for found in results
+        for error in ERRORS
+        for method in found.about
+    ]
+    write_table(folder / "equal_error.csv", columns, rows)
 
 
 def _names(text: str | None) -> list[str] | None:

@@ -124,15 +124,8 @@ def _write(folder: Path | None, name: str, rows: Sequence[Row]) -> None:
     """Write rows of equal keys to FOLDER/name.csv, whole or not at all."""
     if folder is None:
         return
-    import csv
-    from io import StringIO
+    from ..export import write_table
 
-    from .record import write_text
-
-    text = StringIO()
-    table = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
     path = folder / f"{name}.csv"
-    write_text(path, text.getvalue())
+    write_table(path, list(rows[0]), rows)
     print(f"written to {path}")

@@ -8,15 +8,13 @@ is read back keeps runs apart, so that no ratio is ever taken between two of the
 from __future__ import annotations
 
 import csv
-import io
 import math
 from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
-from typing import BinaryIO
 
-from ..errors import InputError, LoadError, OutputError
-from ..export import write_atomic
+from ..errors import InputError, LoadError
+from ..export import write_table
 from .work_precision import Point, WorkPrecision
 
 NAME = "accuracy.csv"
@@ -33,19 +31,17 @@ def write_record(path: Path, effort: str, results: Iterable[WorkPrecision]) -> N
 
     effort: what they were measured with.  Raises OutputError.
     """
-    text = io.StringIO()
-    table = csv.DictWriter(text, fieldnames=COLUMNS, lineterminator="\n")
-    table.writeheader()
+    rows: list[dict[str, object]] = []
     for found in results:
-        head: dict[str, object] = {name: getattr(found, name) for name in _ABOUT[1:]}
-        head["effort"] = effort
+        head = {name: getattr(found, name) for name in _ABOUT[1:]} | {"effort": effort}
         for point in found.points:
             row = {name: getattr(point, name) for name in _POINT}
             about = found.about[point.method]
-            table.writerow({**head, **row, "about": about, "error": point.error})
-        for method, line in found.missing.items():
-            table.writerow({**head, "method": method, "failure": line})
-    write_text(path, text.getvalue())
+            rows.append({**head, **row, "about": about, "error": point.error})
+        rows += [
+            {**head, "method": method, "failure": line} for method, line in found.missing.items()
+        ]
+    write_table(path, COLUMNS, rows)
 
 
 def read_record(path: Path, effort: str | None = None) -> list[WorkPrecision]:
@@ -100,15 +96,3 @@ def _point(row: dict[str, str]) -> Point:
     if not math.isfinite(numbers["tolerance"]):
         raise ValueError(f"a tolerance of {row['tolerance']}")
     return Point(method=row["method"], failure=row["failure"], **numbers)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all.  Raises OutputError."""
-
-    def write(file: BinaryIO) -> None:
-        file.write(text.encode())
-
-    try:
-        write_atomic(path, write)
-    except OSError as error:
-        raise OutputError(f"cannot write '{path}': {error.strerror or error}") from error

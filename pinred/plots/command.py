@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import InputError, OutputError
+from ..errors import InputError
 from . import KINDS, options_of, plot
 
 if TYPE_CHECKING:
@@ -82,12 +82,7 @@ def save(figure: Figure, path: Path) -> None:
     from ..export import write_atomic
 
     kind = path.suffix
-    try:
-        write_atomic(
-            path, lambda file: figure.savefig(file, format=kind[1:], metadata=_NO_DATE[kind])
-        )
-    except OSError as error:
-        raise OutputError(f"cannot write '{path}': {error.strerror or error}") from error
+    write_atomic(path, lambda file: figure.savefig(file, format=kind[1:], metadata=_NO_DATE[kind]))
 
 
 def _paths(out: str, kinds: list[str]) -> dict[str, Path]:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import LoadError, OutputError
+from ..errors import LoadError
 from ..export import check_path, write_atomic
 from ..recording import Recording
 from ..trajectory import Trajectory
@@ -55,10 +55,7 @@ def save_html(source: Trajectory | Recording, path: str | Path, view: View) -> i
     """
     path = check_path(path, (".html",))
     content = page(source, view)
-    try:
-        write_atomic(path, lambda file: file.write(content))
-    except OSError as error:
-        raise OutputError(f"cannot write '{path}': {error.strerror or error}") from error
+    write_atomic(path, lambda file: file.write(content))
     return len(content)
 
 
