@@ -67,7 +67,8 @@ class Potential:
         if sideways.any() and not system.group.linear:
             _check_invariance(system, self._model, self._data)
         # What every rotation about a pivot leaves alone has its centre of mass there at all shapes.
-        self._weighs = sideways.any() and system.m > 0 and system.group is not SO3
+        self._acts = sideways.any() and system.group is not SO3
+        self._weighs = self._acts and system.m > 0
 
     @property
     def is_zero(self) -> bool:
@@ -77,7 +78,7 @@ class Potential:
     @property
     def direction(self) -> tuple[float, float, float] | None:
         """Gravity but for falling, (3,) in the root joint's fixed frame, if it does anything."""
-        if not self._sideways.any() or self._system.group is SO3:
+        if not self._acts:
             return None
         x, y, z = self._system.model.jointPlacements[1].rotation.T @ self._sideways
         return float(x), float(y), float(z)

@@ -41,19 +41,19 @@ def integrate_many(
     progress: Callable[[float], None] | None,
 ) -> ManyRuns:
     """Integrate flows of one kernel, with the times and tolerance of one scene, over threads."""
-    kernel, method = flows.kernel, method_of(scene)
+    kernel, method, first = flows.kernel, method_of(scene), CompiledFlow.of(flows, 0)
     # One body that only translates carries a zero, which costs nothing.
     y0 = flows.y0 if flows.y0.shape[1] else np.zeros((len(flows.y0), 1))
     found = _integrate_many(
         method,
-        CompiledFlow.of(flows, 0).address(method),
+        first.address(method),
         flows.parameters,
         y0,
         scene.end,
         scene.report_times,
         kernel.layout.quaternion,
         threads,
-        CompiledFlow.of(flows, 0).tangent,
+        first.tangent,
         kernel.layout.canonical,
         progress,
     )

@@ -66,6 +66,7 @@ from .run import (
     T,
     first_not_finite,
     keep,
+    step_at,
     unit_alone,
 )
 
@@ -339,8 +340,7 @@ def recall(
     n, real = count[N], np.zeros(REALS)
     k, begun = 0, -1
     for j in range(times.shape[0]):
-        while k + 1 < knots_t.shape[0] - 1 and times[j] > knots_t[k + 1]:
-            k += 1
+        k = step_at(times[j], k, knots_t)
         if begun != k:
             begun = k
             for i in range(n):

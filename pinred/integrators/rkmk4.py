@@ -36,6 +36,7 @@ from .run import (
     T,
     first_not_finite,
     keep,
+    step_at,
     unit_alone,
 )
 
@@ -117,8 +118,7 @@ def recall(
     n, quaternion = count[N], count[QUATERNION]
     k, begun = 0, -1
     for j in range(times.shape[0]):
-        while k + 1 < knots_t.shape[0] - 1 and times[j] > knots_t[k + 1]:
-            k += 1
+        k = step_at(times[j], k, knots_t)
         if begun != k:
             begun = k
             for i in range(n):

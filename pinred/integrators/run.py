@@ -93,3 +93,11 @@ def keep(count: Counts, row: Array, t: float, knots_t: Array, knots_y: Array) ->
         knots_t[k] = t
         for i in range(count[N]):
             knots_y[k, i] = row[i]
+
+
+@compiled
+def step_at(time: float, k: int, knots_t: Array) -> int:
+    """Return the step within which a time lies, from the k-th on; its end belongs to it."""
+    while k + 1 < knots_t.shape[0] - 1 and time > knots_t[k + 1]:
+        k += 1
+    return k
