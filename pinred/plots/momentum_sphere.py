@@ -166,7 +166,7 @@ def _ball(axes: Any, size: float, view: Array) -> None:
 def _draw_axes(axes: Any, reach: float) -> None:
     """Give a cube of axes their limits, names and units."""
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(-reach, reach))
-    axes.set_box_aspect((1, 1, 1), zoom=1.0)
+    axes.set_box_aspect((1, 1, 1))
     axes.set(xlabel="L1 [N·m·s]", ylabel="L2 [N·m·s]", zlabel="L3 [N·m·s]")
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color("white")
