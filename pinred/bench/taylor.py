@@ -14,8 +14,6 @@ from ..arrays import Array
 from ..errors import UnsupportedOperationError
 from .problems import Problem
 
-INSTALL = 'pip install "pinred[bench]"'
-
 
 def has_heyoka() -> bool:
     """Return whether heyoka is installed."""

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from ..arrays import Array
 from ..errors import InputError, SymmetryError
 from ..reduction import Reduction
+from ..split import symmetric
 from ..state import State, with_base
 from ..system import System
 from ..trajectory import Trajectory
@@ -135,8 +136,7 @@ def _is_all_energy(states: State, system: System) -> bool:
     model, data = system.model, system.model.createData()
     off, size = [], 0.0
     for k in np.linspace(0, len(states.t) - 1, _TRIED).astype(int):
-        H = pin.crba(model, data, states.q[k])
-        H = np.triu(H) + np.triu(H, 1).T
+        H = symmetric(pin.crba(model, data, states.q[k]))
         kinetic = 0.5 * float(states.v[k] @ H @ states.v[k])
         potential = float(pin.computePotentialEnergy(model, data, states.q[k]))
         off.append(abs(states.energy[k] - kinetic - potential))

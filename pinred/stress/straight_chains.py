@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..arrays import Array
+from ..split import symmetric
 from ..system import System
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
 from .defect import defect
@@ -38,7 +39,7 @@ def _cases(trial: Trial) -> Cases:
 def _condition(system: System, q: Array) -> float:
     """Return the condition number of the locked inertia, by Pinocchio's CRBA."""
     upper = pin.crba(system.model, system.model.createData(), q)[:3, :3]
-    return float(np.linalg.cond(np.triu(upper) + np.triu(upper, 1).T))
+    return float(np.linalg.cond(symmetric(upper)))
 
 
 def _chain(thin: float) -> System:

@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from ...arrays import Array
 from ...errors import UnsupportedOperationError
+from ...split import symmetric
 from ...system import System
 from ..method import UNKNOWN
 from ..problems import Problem
@@ -58,8 +59,7 @@ def equality(system: System, bridge: Bridge) -> Equality:
         pose = system.group.exp(rng.normal(size=system.r))
         q = system.q(pose, rng.uniform(-1.0, 1.0, system.m))
         v = rng.normal(size=system.n)
-        upper = np.triu(pin.crba(model, data, q))
-        mass.append(_relative(bridge.mass_matrix(q), upper + np.triu(upper, 1).T))
+        mass.append(_relative(bridge.mass_matrix(q), symmetric(pin.crba(model, data, q))))
         expected = pin.aba(model, data, q, v, np.zeros(system.n))
         acceleration.append(_relative(bridge.acceleration(q, v), np.array(expected)))
     return Equality(float(np.max(mass)), float(np.max(acceleration)))
