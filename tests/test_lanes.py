@@ -7,21 +7,24 @@ from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import groups, seeds
-from trees import limbed_model
+from trees import limbed_model, mirrored_model
 
 import pinred
 from pinred.arrays import Array
+from pinred.engine.algebra import Turn
 from pinred.engine.flow import CompiledFlow
-from pinred.engine.frames import bodies_of
+from pinred.engine.frames import bodies_of, cosine, sine
 from pinred.engine.lanes import Lanes, links_of
 from pinred.engine.native import compile_object, load_object
 from pinred.engine.symbolic import ReducedGraph, Structure
 from pinred.flow import ReducedFlow
 
+MADE = [limbed_model, mirrored_model]
 POINTER = ctypes.POINTER(ctypes.c_double)
 
 
@@ -106,10 +109,12 @@ def test_limbs_of_one_build_are_found() -> None:
 
 
 @settings(max_examples=40)
-@given(groups, st.integers(2, 6), st.integers(1, 4), seeds)
-def test_kernels_of_alike_limbs(group: str, limbs: int, joints: int, seed: int) -> None:
+@given(groups, st.integers(2, 6), st.integers(1, 4), seeds, st.sampled_from(MADE))
+def test_kernels_of_alike_limbs(
+    group: str, limbs: int, joints: int, seed: int, made: Callable[..., pin.Model]
+) -> None:
     """Any group, limbs and joints, with springs and without: as the readable route."""
-    system = pinred.load(limbed_model(group, limbs, joints, seed))
+    system = pinred.load(made(group, limbs, joints, seed))
     rng = np.random.default_rng(seed)
     springs = dict.fromkeys(system.shape_names[::3], (1.5, 0.4))
     scene = pinred.Scene(
@@ -132,6 +137,23 @@ def test_kernels_of_alike_limbs(group: str, limbs: int, joints: int, seed: int) 
     y = np.array(compiled.y0)
     y[int(rng.integers(len(active)))] = np.nan
     assert np.isnan(compiled.kernel.evaluate_rate(y, compiled.parameters)).any()
+
+
+def test_turns_of_mirrored_limbs() -> None:
+    """Every relation of cosines and sines in two lanes; half a turn in one of them is no turn."""
+    angles = [0.0, np.pi, -np.pi, np.pi / 2, -np.pi / 2, 0.7, -0.7]
+    v = [0.3, -0.8, 1.7]
+    for first in angles:
+        for second in angles:
+            lanes, x = Lanes(), ca.SX.sym("x", 3)
+            pairs = [(cosine(a), sine(a)) for a in (first, second)]
+            turn = Turn(2, *(lanes.pack(numbers) for numbers in zip(*pairs, strict=True)))
+            assert turn.is_none == (first == second == 0.0)
+            turned = turn.vector([x[0], x[1], x[2]])
+            out = ca.vertcat(*(lanes.lane(turned[k], j, 2) for j in (0, 1) for k in (0, 1)))
+            found = build(lanes, x, out)(np.array(v))
+            expected = [pin.utils.rotate("z", a)[:2] @ v for a in (first, second)]
+            np.testing.assert_allclose(found, np.ravel(expected), rtol=0, atol=1e-15)
 
 
 def test_more_limbs_of_one_build_cost_little() -> None:

@@ -128,3 +128,57 @@ def limbed_model(group: str, limbs: int, joints: int, seed: int) -> pin.Model:
     values[model.joints[1].nv :] = rng.choice([0.0, 0.05], model.nv - model.joints[1].nv)
     model.armature = values
     return model
+
+
+def varied(value: Array, rng: Rng, *, may_vanish: bool = True) -> Array:
+    """The same numbers, others, none, or the same with other signs: each entry by itself.
+
+    Other numbers are as large as the old ones at most.
+    """
+    kinds = rng.integers(4 if may_vanish else 3, size=value.shape)
+    other = value * rng.uniform(-1.0, 1.0, value.shape)
+    return np.asarray(
+        np.choose(kinds, [value, -value, other, np.zeros_like(value)][: kinds.max() + 1])
+    )
+
+
+def mirrored_model(group: str, limbs: int, joints: int, seed: int) -> pin.Model:
+    """Limbs of one build whose constants agree, differ, vanish, or differ by sign, each by itself.
+
+    So do the limbs of robots from elsewhere: a left knee turns the other way, or about an
+    axis that is turned by half a turn.
+    """
+    rng = np.random.default_rng(seed)
+    model = pin.Model()
+    model.name = f"mirrored-{group}-{limbs}-{joints}-{seed}"
+    model.gravity.setZero()
+    root = model.addJoint(0, ROOTS[group][0](rng), pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(root, inertia(rng), pin.SE3.Identity())
+    axes = [rng.choice([*np.eye(3), unit(rng)]) for _ in range(joints)]
+    slides = rng.random(joints) < 0.3
+    angles = rng.choice([np.pi, np.pi / 2, 0.7], (joints, 3))
+    shifts = rng.uniform(-0.5, 0.5, (joints, 3))
+    levers = rng.uniform(-0.3, 0.3, (joints, 3))
+    products = rng.uniform(-0.05, 0.05, (joints, 3))
+    masses = rng.uniform(0.5, 2.0, joints)
+    rotors = rng.uniform(0.01, 0.1, joints)
+    values = [np.zeros(model.nv)]
+    for limb in range(limbs):
+        parent = root
+        for k in range(joints):
+            axis = axes[k] * rng.choice([-1.0, 1.0])
+            kind = (
+                pin.JointModelPrismaticUnaligned if slides[k] else pin.JointModelRevoluteUnaligned
+            )
+            turn = pin.rpy.rpyToMatrix(varied(angles[k], rng))
+            place = pin.SE3(turn, varied(shifts[k], rng))
+            parent = model.addJoint(parent, kind(axis), place, f"limb{limb}.{k}")
+            xy, xz, yz = varied(products[k], rng)
+            moments = np.array([[0.3, xy, xz], [xy, 0.4, yz], [xz, yz, 0.5]])
+            mass = float(np.abs(varied(masses[k : k + 1], rng, may_vanish=False))[0]) + 0.1
+            model.appendBodyToJoint(
+                parent, pin.Inertia(mass, varied(levers[k], rng), moments), pin.SE3.Identity()
+            )
+            values.append(np.abs(varied(rotors[k : k + 1], rng)))
+    model.armature = np.concatenate(values)
+    return model

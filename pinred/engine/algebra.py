@@ -88,7 +88,8 @@ class Turn:
     @property
     def is_none(self) -> bool:
         """Whether the angle is known to be zero."""
-        return isinstance(self.s, float) and self.s == 0.0 and bool(self.c == 1.0)
+        known = isinstance(self.c, float) and isinstance(self.s, float)
+        return known and self.s == 0.0 and self.c == 1.0
 
     def vector(self, v: Vec) -> Vec:
         """Return R v: from the turned frame to the frame it was turned in."""
