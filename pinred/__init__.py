@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from . import equations, forces, lie, plots, signals
-    from .balance import EnergyBalance, MomentumBalance
-    from .comparison import Report, compare
-    from .errors import (
+    from .analysis.inspection import Inspection, inspect
+    from .common.errors import (
         InputError,
         IntegrationError,
         KernelMismatch,
@@ -30,25 +29,26 @@ if TYPE_CHECKING:
         SingularInertiaError,
         SymmetryError,
     )
-    from .grid import ShapeField
-    from .inspection import Inspection, inspect
-    from .integrators.method import DOP853, RKMK4, AdaptiveGauss, Gauss, Radau, Variational
-    from .loading import load
-    from .many import Failure, Trajectories, simulate_many
-    from .recording import Recording, read_recording
-    from .reduction import ReducedShape, Reduction
-    from .scene import Scene
-    from .scene_file import load_scene
-    from .scene_keys import scene_schema
-    from .simulation import simulate
-    from .state import ShapeState, State
-    from .system import Configuration, InitialState, System, Velocity
-    from .trajectory import Trajectory
+    from .integrators.methods import DOP853, RKMK4, AdaptiveGauss, Gauss, Radau, Variational
+    from .reduction.reduction import ReducedShape, Reduction
+    from .reduction.shape_field import ShapeField
+    from .scene.scene import Scene
+    from .scene.toml.keys import scene_schema
+    from .scene.toml.reader import load_scene
+    from .simulation.balances import EnergyBalance, MomentumBalance
+    from .simulation.recording import Recording, read_recording
+    from .simulation.simulate import simulate
+    from .simulation.simulate_many import Failure, Trajectories, simulate_many
+    from .simulation.state import ShapeState, State
+    from .simulation.trajectory import Trajectory
+    from .system.load import load
+    from .system.system import Configuration, InitialState, System, Velocity
+    from .verification.compare import Report, compare
 
 __version__ = "0.1.0"
 
 _HOME = {
-    **dict.fromkeys(("Report", "compare"), "comparison"),
+    **dict.fromkeys(("Report", "compare"), "verification.compare"),
     **dict.fromkeys(
         (
             *(
@@ -62,24 +62,24 @@ _HOME = {
             ),
             *("PinredError", "ShapeError", "SingularInertiaError", "SymmetryError"),
         ),
-        "errors",
+        "common.errors",
     ),
-    "ShapeField": "grid",
-    **dict.fromkeys(("Inspection", "inspect"), "inspection"),
-    "load": "loading",
-    **dict.fromkeys(("Failure", "Trajectories", "simulate_many"), "many"),
-    **dict.fromkeys(("Recording", "read_recording"), "recording"),
-    **dict.fromkeys(("ReducedShape", "Reduction"), "reduction"),
-    "Scene": "scene",
-    "load_scene": "scene_file",
-    "scene_schema": "scene_keys",
-    "simulate": "simulation",
-    **dict.fromkeys(("Configuration", "InitialState", "System", "Velocity"), "system"),
-    **dict.fromkeys(("ShapeState", "State"), "state"),
-    "Trajectory": "trajectory",
-    **dict.fromkeys(("EnergyBalance", "MomentumBalance"), "balance"),
+    "ShapeField": "reduction.shape_field",
+    **dict.fromkeys(("Inspection", "inspect"), "analysis.inspection"),
+    "load": "system.load",
+    **dict.fromkeys(("Failure", "Trajectories", "simulate_many"), "simulation.simulate_many"),
+    **dict.fromkeys(("Recording", "read_recording"), "simulation.recording"),
+    **dict.fromkeys(("ReducedShape", "Reduction"), "reduction.reduction"),
+    "Scene": "scene.scene",
+    "load_scene": "scene.toml.reader",
+    "scene_schema": "scene.toml.keys",
+    "simulate": "simulation.simulate",
+    **dict.fromkeys(("Configuration", "InitialState", "System", "Velocity"), "system.system"),
+    **dict.fromkeys(("ShapeState", "State"), "simulation.state"),
+    "Trajectory": "simulation.trajectory",
+    **dict.fromkeys(("EnergyBalance", "MomentumBalance"), "simulation.balances"),
     **dict.fromkeys(
-        ("DOP853", "RKMK4", "AdaptiveGauss", "Gauss", "Radau", "Variational"), "integrators.method"
+        ("DOP853", "RKMK4", "AdaptiveGauss", "Gauss", "Radau", "Variational"), "integrators.methods"
     ),
 }
 _MODULES = ("equations", "forces", "lie", "plots", "signals")

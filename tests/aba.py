@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.integrate import solve_ivp
 
-from pinred.arrays import Array
+from pinred.common.arrays import Array
 
 Torques = Callable[[float, Array, Array], Array]
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import settings
 
 import pinred
-from pinred.viz.browser import Browser, browser, find_browser
+from pinred.views.playback.headless_browser import Browser, browser, find_browser
 
 settings.register_profile("pinred", deadline=None, print_blob=True)
 settings.load_profile("pinred")

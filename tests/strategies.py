@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from trees import random_model
 
 import pinred
-from pinred.arrays import Array
+from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 
 groups = st.sampled_from(sorted(GROUPS))

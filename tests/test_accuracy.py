@@ -13,8 +13,12 @@ import pinocchio as pin
 import pytest
 
 import pinred
-from pinred.arrays import Array
-from pinred.bench import (
+from pinred.cli.main import main
+from pinred.common.arrays import Array
+from pinred.common.errors import InputError, IntegrationError, LoadError
+from pinred.integrators.methods import RKMK4
+from pinred.system.system import InitialState
+from pinred.verification.bench import (
     METHODS,
     QUICK,
     SCENES,
@@ -35,15 +39,11 @@ from pinred.bench import (
     timing,
     write_record,
 )
-from pinred.bench.drift import drift
-from pinred.bench.methods import methods_named
-from pinred.bench.overview import overview
-from pinred.bench.reference import _quadruple
-from pinred.cli import main
-from pinred.errors import InputError, IntegrationError, LoadError
-from pinred.full_state import FullMotion
-from pinred.integrators.method import RKMK4
-from pinred.system import InitialState
+from pinred.verification.bench.drift import drift
+from pinred.verification.bench.overview import overview
+from pinred.verification.bench.reference import _quadruple
+from pinred.verification.bench.solvers import methods_named
+from pinred.verification.full_state import FullMotion
 
 needs_heyoka = pytest.mark.skipif(find_spec("heyoka") is None, reason="heyoka is not installed")
 OWN = methods_named(["pinred", "pinred-integration", "aba-dop853"])
@@ -74,7 +74,7 @@ def test_reference_against_closed_form(quadruple: bool, monkeypatch: pytest.Monk
     """Joint and base of coupled_planar turn steadily; the centre of mass goes straight on."""
     if quadruple and find_spec("heyoka") is None:
         pytest.skip("heyoka is not installed")
-    monkeypatch.setattr("pinred.bench.reference.has_heyoka", lambda: quadruple)
+    monkeypatch.setattr("pinred.verification.bench.reference.has_heyoka", lambda: quadruple)
     problem = steady()
     found = reference_of(problem)
     assert found.error < (1e-14 if quadruple else 1e-12)
@@ -343,8 +343,8 @@ def test_commands_refuse(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_without_heyoka(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is not installed is left out, with a line that says how to install it."""
-    monkeypatch.setattr("pinred.bench.peers.heyoka.has_heyoka", lambda: False)
-    monkeypatch.setattr("pinred.bench.reference.has_heyoka", lambda: False)
+    monkeypatch.setattr("pinred.verification.bench.peers.heyoka.has_heyoka", lambda: False)
+    monkeypatch.setattr("pinred.verification.bench.reference.has_heyoka", lambda: False)
     methods = methods_named(["pinred", "heyoka", "heyoka-unrolled"])
     (found,) = bench_accuracy([short_planar()], methods=methods, effort=QUICK)
     assert list(found.about) == ["pinred"]

@@ -11,7 +11,7 @@ from test_forces import tree
 import pinred
 from pinred.forces import Controller, Damper, Spring, Torque, Wrench
 from pinred.signals import Fourier, Hold
-from pinred.simulation import ENGINES, Engine
+from pinred.simulation.simulate import ENGINES, Engine
 
 G = np.array([0.5, 0.0, -3.0])  # of tree("SE3", …)
 

@@ -14,10 +14,10 @@ import pinocchio as pin
 import pytest
 
 import pinred
-from pinred.bench import Scaling, bench_many, bench_scaling, timing
-from pinred.bench.chains import chain
-from pinred.cli import main
-from pinred.errors import InputError
+from pinred.cli.main import main
+from pinred.common.errors import InputError
+from pinred.verification.bench import Scaling, bench_many, bench_scaling, timing
+from pinred.verification.bench.chains import chain
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +28,7 @@ def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_bench_is_light() -> None:
     """Importing the package imports none of what it measures with."""
-    code = "import sys, pinred.bench.command; print(*sys.modules)"
+    code = "import sys, pinred.cli.bench; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not {"numpy", "pinocchio", "scipy", "casadi", "heyoka"} & set(done.stdout.split())
 

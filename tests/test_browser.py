@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import pinred
-from pinred.viz.browser import Browser
-from pinred.viz.frames import find_ffmpeg, write_gif
-from pinred.viz.server import Player
+from pinred.views.playback.film import find_ffmpeg, write_gif
+from pinred.views.playback.headless_browser import Browser
+from pinred.views.playback.server import Player
 
 pytestmark = pytest.mark.browser
 Picture = NDArray[np.int16]
@@ -277,7 +277,9 @@ def test_a_minute_at_sixty_frames(screen: Browser, tmp_path: Path) -> None:
 
 def test_names_are_only_names(screen: Browser, tmp_path: Path) -> None:
     """What stands in a robot's file cannot become part of the page's script."""
-    text = (pinred.catalogue.bundled_folder() / "elroys_beanie.urdf").read_text(encoding="utf-8")
+    text = (pinred.system.catalogue.bundled_folder() / "elroys_beanie.urdf").read_text(
+        encoding="utf-8"
+    )
     evil = (
         "&lt;/script>&lt;script>window.hit=1&lt;/script>&lt;img src=x onerror=window.hit=1> %BLOB%"
     )

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from pinred.engine.cache import ObjectCache, cache_key
-from pinred.errors import CacheWarning, InputError
+from pinred.common.errors import CacheWarning, InputError
+from pinred.kernels.store import ObjectCache, cache_key
 
 KEY, OTHER = cache_key("one"), cache_key("two")
 CODE = bytes(range(256)) * 9

@@ -11,11 +11,11 @@ from trees import limbed_model
 
 import pinred
 from pinred import DOP853, AdaptiveGauss, Gauss, Radau
-from pinred.engine.choice import Choice, choose
 from pinred.forces import PD, Controller, Damper, Limit, Spring, Torque
-from pinred.full_state import FullMotion, FullState
 from pinred.signals import Hold
-from pinred.stiffness import rates_near_rest
+from pinred.simulation.compiled.choose_method import Choice, choose
+from pinred.simulation.stiffness import rates_near_rest
+from pinred.verification.full_state import FullMotion, FullState
 
 
 def scene(system: pinred.System, **options: Any) -> pinred.Scene:

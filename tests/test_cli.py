@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.catalogue import bundled_robots
-from pinred.cli import main
-from pinred.integrators.method import METHODS
+from pinred.cli.main import main
+from pinred.integrators.methods import METHODS
+from pinred.system.catalogue import bundled_robots
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
@@ -257,7 +257,7 @@ def test_import_and_help_are_light() -> None:
     heavy = "{'pinocchio', 'numpy', 'scipy', 'meshcat', 'casadi', 'numba', 'matplotlib'}"
     assert python(f"import sys, pinred; print({heavy} & set(sys.modules))") == "set()\n"
     code = (
-        "import sys\nfrom pinred.cli import main\n"
+        "import sys\nfrom pinred.cli.main import main\n"
         "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
         f"print({heavy} & set(sys.modules))"
     )
@@ -268,7 +268,7 @@ def test_public_names() -> None:
     """Every public name resolves, in any order of imports, and unknown ones do not."""
     for name in pinred.__all__:
         assert getattr(pinred, name) is not None
-    code = "import pinred.comparison, pinred.simulation, pinred; print(callable(pinred.compare))"
+    code = "import pinred.verification.compare, pinred.simulation.simulate, pinred; print(callable(pinred.compare))"
     assert python(code) == "True\n"
     with pytest.raises(AttributeError, match="no attribute 'nope'"):
         _ = pinred.nope

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 import pinred
-from pinred.arrays import Array
+from pinred.common.arrays import Array
 from pinred.equations import euler_poincare, hamilton_poincare, lagrange_poincare
 
 # robots/elroys_beanie.urdf

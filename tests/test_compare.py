@@ -10,11 +10,11 @@ import pytest
 from trees import random_model
 
 import pinred
-from pinred.arrays import Array
-from pinred.catalogue import bundled_robots, has_example_robots
-from pinred.full_state import FullMotion, FullState
-from pinred.motion import Motion
-from pinred.state import with_base
+from pinred.common.arrays import Array
+from pinred.simulation.pieces import Motion
+from pinred.simulation.state import with_base
+from pinred.system.catalogue import bundled_robots, has_example_robots
+from pinred.verification.full_state import FullMotion, FullState
 
 EXAMPLES = {"solo12": 2.0, "ur5": 3.0, "talos": 0.5}
 

@@ -12,10 +12,10 @@ import pytest
 from test_forces import against_aba, tree
 
 import pinred
-from pinred.arrays import Array
+from pinred.common.arrays import Array
 from pinred.forces import PD, ComputedTorque, Controller, Damper, Limit, Spring, Torque
 from pinred.signals import Expression, Fourier, Signal, Spline
-from pinred.simulation import ENGINES, Engine
+from pinred.simulation.simulate import ENGINES, Engine
 
 SATELLITE = pinred.load("satellite_two_arms")
 ARMS = SATELLITE.shape_names

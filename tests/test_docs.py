@@ -9,8 +9,8 @@ import pytest
 import scene_tables
 
 import pinred
-from pinred.catalogue import bundled_folder, bundled_robots
-from pinred.cli import main
+from pinred.cli.main import main
+from pinred.system.catalogue import bundled_folder, bundled_robots
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -13,16 +13,16 @@ from strategies import Case, cases
 from trees import random_model
 
 import pinred
-from pinred.arrays import Array
-from pinred.catalogue import bundled_robots
-from pinred.cyclic import cyclic_joints
-from pinred.engine.cache import ObjectCache
-from pinred.engine.flow import CompiledFlow
-from pinred.engine.judge import judge
-from pinred.engine.kernel import build_kernel, kernel_for
-from pinred.engine.native import NativeCode
-from pinred.engine.symbolic import Structure
-from pinred.flow import ReducedFlow
+from pinred.common.arrays import Array
+from pinred.kernels.judge import judge
+from pinred.kernels.kernel import build_kernel, kernel_for
+from pinred.kernels.machine.native import NativeCode
+from pinred.kernels.reduced_graph import Structure
+from pinred.kernels.store import ObjectCache
+from pinred.reduction.cyclic_joints import cyclic_joints
+from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.simulation.pinocchio.flow import ReducedFlow
+from pinred.system.catalogue import bundled_robots
 
 
 @pytest.fixture(autouse=True)
@@ -167,7 +167,7 @@ def test_kernels_come_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyP
     def forbidden(*_: object) -> bytes:
         raise AssertionError("compiled again")
 
-    monkeypatch.setattr("pinred.engine.kernel.compile_object", forbidden)
+    monkeypatch.setattr("pinred.kernels.kernel.compile_object", forbidden)
     second = build_kernel(pinred.load("falling_cat"), structure, cache=cache)
     y = np.linspace(0.1, 0.9, first.layout.size)
     p = np.ones(first.layout.parameters)

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from strategies import Case, cases, make_case
 
 import pinred
-from pinred.arrays import Array
-from pinred.canonical import CanonicalForm
+from pinred.common.arrays import Array
 from pinred.equations import euler_poincare, hamilton_poincare, lagrange_poincare
-from pinred.potential import Potential
+from pinred.reduction.canonical_form import CanonicalForm
+from pinred.reduction.potential import Potential
 
 RELATIVE = 1e-11
 

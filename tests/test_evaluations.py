@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pinred.bench.evaluations import ERRORS, bench_evaluations
-from pinred.bench.scenes import problems_named
-from pinred.errors import InputError
-from pinred.full_state import FullMotion
+from pinred.common.errors import InputError
+from pinred.verification.bench.evaluations import ERRORS, bench_evaluations
+from pinred.verification.bench.scenes import problems_named
+from pinred.verification.full_state import FullMotion
 
 
 @pytest.fixture(scope="module")

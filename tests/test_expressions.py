@@ -16,8 +16,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from test_native import build
 
-from pinred.errors import InputError
-from pinred.expressions import CONSTANTS, FUNCTIONS, parse
+from pinred.common.errors import InputError
+from pinred.forces.signals.expressions import CONSTANTS, FUNCTIONS, parse
 
 # Name: the function, and how much it amplifies an error of its argument.
 SMOOTH: dict[str, tuple[Callable[[Any], Any], Callable[[float], float]]] = {

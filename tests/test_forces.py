@@ -14,12 +14,12 @@ from strategies import groups, seeds
 from trees import random_model
 
 import pinred
-from pinred.arrays import Array
-from pinred.engine.flow import CompiledFlow
-from pinred.force import Force
+from pinred.common.arrays import Array
 from pinred.forces import PD, Controller, Damper, PotentialEnergy, Spring, Torque, Wrench
+from pinred.forces.base import Force
 from pinred.signals import Constant, Hold, Linear, Spline
-from pinred.simulation import ENGINES, Engine
+from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.simulation.simulate import ENGINES, Engine
 
 SATELLITE = pinred.load("reaction_wheel_satellite")
 I1, I2 = 2.0, 1.0  # of elroys_beanie

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import pinred
-from pinred.viz.browser import Browser
+from pinred.views.playback.headless_browser import Browser
 
 pytestmark = pytest.mark.browser
 CARDS = (

@@ -16,19 +16,20 @@ from test_methods import ROBOTS, errors_at_the_end, measured
 
 import pinred
 from pinred import DOP853, AdaptiveGauss, Gauss
-from pinred.arrays import Array
-from pinred.engine import derived
-from pinred.engine.flow import CompiledFlow
-from pinred.engine.kernel import Kernel
-from pinred.engine.native import NativeCode, compile_object, load_object
-from pinred.engine.tangent import tangent_of
-from pinred.engine.wide import wide_rate
-from pinred.errors import NoConvergence, NonFiniteState, TooManySteps
-from pinred.full_state import FullMotion, FullState
-from pinred.integrators import gauss, stepper
-from pinred.integrators.drive import Solution, integrate
-from pinred.integrators.gauss_tables import tables
-from pinred.integrators.many import integrate_many
+from pinred.common.arrays import Array
+from pinred.common.errors import NoConvergence, NonFiniteState, TooManySteps
+from pinred.integrators import steppers as stepper
+from pinred.integrators.gauss import fixed_step as gauss
+from pinred.integrators.gauss.tables import tables
+from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate_many import integrate_many
+from pinred.kernels import derived
+from pinred.kernels.kernel import Kernel
+from pinred.kernels.machine.native import NativeCode, compile_object, load_object
+from pinred.kernels.tangent import tangent_of
+from pinred.kernels.wide_rate import wide_rate
+from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.verification.full_state import FullMotion, FullState
 
 ORDERS = (2, 4, 6, 8)
 

@@ -12,14 +12,15 @@ from test_radau import kernels
 
 import pinred
 from pinred import Gauss
-from pinred.arrays import Array
-from pinred.errors import InputError, NoConvergence, NonFiniteState
-from pinred.integrators import drive, stepper
-from pinred.integrators.drive import Solution, integrate
-from pinred.integrators.gauss_newton import pairs
-from pinred.integrators.gauss_tables import tables
-from pinred.integrators.many import STATUS, integrate_many
-from pinred.integrators.method import STAGES
+from pinred.common.arrays import Array
+from pinred.common.errors import InputError, NoConvergence, NonFiniteState
+from pinred.integrators import integrate as drive
+from pinred.integrators import steppers as stepper
+from pinred.integrators.gauss.newton import pairs
+from pinred.integrators.gauss.tables import tables
+from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate_many import STATUS, integrate_many
+from pinred.integrators.methods import STAGES
 
 ORDERS = range(2, 17, 2)
 

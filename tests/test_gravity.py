@@ -17,10 +17,10 @@ from strategies import seeds
 from trees import random_model
 
 import pinred
-from pinred.arrays import Array
-from pinred.engine.flow import CompiledFlow
-from pinred.flow import ReducedFlow
-from pinred.simulation import ENGINES, Engine
+from pinred.common.arrays import Array
+from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.simulation.pinocchio.flow import ReducedFlow
+from pinred.simulation.simulate import ENGINES, Engine
 
 MASS, ARM, G = 2.0, 0.3, 9.81
 C = 0.05  # about the axis

@@ -15,10 +15,10 @@ from strategies import Case, cases
 from trees import random_model
 
 import pinred
-from pinred import grid
-from pinred.arrays import Array
-from pinred.catalogue import bundled_robots
-from pinred.engine.composite import CompositeBodies
+from pinred.common.arrays import Array
+from pinred.reduction import shape_field as grid
+from pinred.reduction.tree.composite_bodies import CompositeBodies
+from pinred.system.catalogue import bundled_robots
 
 NAMES = ("mass_matrix", "locked_inertia", "local_connection", "reduced_metric", "curvature", "com")
 

@@ -13,10 +13,10 @@ import pytest
 from trees import random_model
 
 import pinred
-from pinred import html_parts
-from pinred.bench import Point, WorkPrecision
+from pinred.common import html as html_parts
 from pinred.forces import Damper, PotentialEnergy
 from pinred.signals import Constant
+from pinred.verification.bench import Point, WorkPrecision
 
 NASTY = "<script>alert('x')</script>&amp;\"<b>"
 TAGS = {

@@ -17,8 +17,8 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipj, erf
 
-from pinred.arrays import Array
-from pinred.errors import (
+from pinred.common.arrays import Array
+from pinred.common.errors import (
     InputError,
     IntegrationError,
     NonFiniteState,
@@ -26,11 +26,13 @@ from pinred.errors import (
     StepSizeUnderflow,
     TooManySteps,
 )
-from pinred.integrators import dop853, drive, rkmk4, stepper
-from pinred.integrators.drive import Solution, integrate
-from pinred.integrators.kernel import SOURCES
-from pinred.integrators.many import STATUS, integrate_many
-from pinred.integrators.method import DOP853, RKMK4, Method
+from pinred.integrators import dop853, rkmk4
+from pinred.integrators import integrate as drive
+from pinred.integrators import steppers as stepper
+from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate_many import STATUS, integrate_many
+from pinred.integrators.machine.kernel_call import SOURCES
+from pinred.integrators.methods import DOP853, RKMK4, Method
 
 Rate = Callable[[Any, Any, Any], None]
 _NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]

@@ -15,14 +15,14 @@ from strategies import groups, seeds
 from trees import limbed_model, mirrored_model
 
 import pinred
-from pinred.arrays import Array
-from pinred.engine.algebra import Turn
-from pinred.engine.flow import CompiledFlow
-from pinred.engine.frames import bodies_of, cosine, sine
-from pinred.engine.lanes import Lanes, links_of
-from pinred.engine.native import compile_object, load_object
-from pinred.engine.symbolic import ReducedGraph, Structure
-from pinred.flow import ReducedFlow
+from pinred.common.arrays import Array
+from pinred.kernels.machine.native import compile_object, load_object
+from pinred.kernels.reduced_graph import ReducedGraph, Structure
+from pinred.reduction.tree.body_frames import bodies_of, cosine, sine
+from pinred.reduction.tree.limbs import Lanes, links_of
+from pinred.reduction.tree.scalars import Turn
+from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.simulation.pinocchio.flow import ReducedFlow
 
 MADE = [limbed_model, mirrored_model]
 POINTER = ctypes.POINTER(ctypes.c_double)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from pinred import InputError, ShapeError
-from pinred.arrays import Array
+from pinred.common.arrays import Array
 from pinred.lie import GROUPS, SE2, SE3, SO2, SO3, Group, R, group_named
-from pinred.rotations import hat
+from pinred.lie.rotations import hat
 
 ALL = list(GROUPS.values())
 SIZES = [0.0, 1e-300, 1e-16, 1e-12, 1e-8, 1e-5, 1e-4, 1e-3, 0.0999, 0.1001, 1.0, 3.0]

@@ -16,10 +16,10 @@ from strategies import Case, cases, groups, make_case, seeds
 from trees import inertia, random_model
 
 import pinred
-from pinred import catalogue
-from pinred.arrays import Array
-from pinred.joints import root_joint
+from pinred.common.arrays import Array
 from pinred.lie import GROUPS
+from pinred.system import catalogue
+from pinred.system.joints import root_joint
 
 needs_robots = pytest.mark.skipif(
     not catalogue.has_example_robots(), reason="example-robot-data is not installed"

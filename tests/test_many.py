@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.state import State
+from pinred.simulation.state import State
 
 
 def test_many_are_one_at_a_time() -> None:

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.arrays import Array
-from pinred.integrators import drive, many, stepper
-from pinred.integrators.method import (
+from pinred.common.arrays import Array
+from pinred.integrators import integrate as drive
+from pinred.integrators import integrate_many as many
+from pinred.integrators import steppers as stepper
+from pinred.integrators.methods import (
     DOP853,
     RKMK4,
     AdaptiveGauss,

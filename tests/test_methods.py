@@ -9,9 +9,9 @@ import pytest
 
 import pinred
 from pinred import DOP853, RKMK4
-from pinred.arrays import Array
-from pinred.full_state import FullMotion, FullState
-from pinred.integrators.method import Method
+from pinred.common.arrays import Array
+from pinred.integrators.methods import Method
+from pinred.verification.full_state import FullMotion, FullState
 
 # With the time over which a motion is smooth enough for its steps to be in the asymptotic range.
 ROBOTS = {

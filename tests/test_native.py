@@ -13,10 +13,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pinred.arrays import Array
-from pinred.engine import native
-from pinred.engine.native import NativeCode, compile_object, load_object
-from pinred.errors import InputError, UnsupportedOperationError
+from pinred.common.arrays import Array
+from pinred.common.errors import InputError, UnsupportedOperationError
+from pinred.kernels.machine import native
+from pinred.kernels.machine.native import NativeCode, compile_object, load_object
 
 POINTER = ctypes.POINTER(ctypes.c_double)
 INF, NAN = np.inf, np.nan

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinred.bench import WorkPrecision
-from pinred.bench.overview import overview
-from pinred.bench.work_precision import Point
+from pinred.verification.bench import WorkPrecision
+from pinred.verification.bench.overview import overview
+from pinred.verification.bench.work_precision import Point
 
 
 def powers(method: str, wall: float, error: float, order: float) -> list[Point]:

@@ -13,24 +13,30 @@ import pytest
 from trees import random_model
 
 import pinred
-from pinred.arrays import Array
-from pinred.bench import METHODS, Problem, reference_of
-from pinred.bench.full_field import full_field
-from pinred.bench.method import Method
-from pinred.bench.peers.aba import ABA
-from pinred.bench.peers.drake import DrakeModel
-from pinred.bench.peers.equality import EQUAL, equality, missing_unless_equal
-from pinred.bench.peers.euler import ORDERS, angles_of, rotation_of, spin_matrix, spin_rate
-from pinred.bench.peers.exudyn import ExudynModel
-from pinred.bench.peers.first_principles import full_graph
-from pinred.bench.peers.mujoco import MujocoModel
-from pinred.bench.peers.trial import survived
-from pinred.engine.symbolic import ReducedGraph, Structure
-from pinred.errors import IntegrationError, UnsupportedOperationError
-from pinred.full_state import FullMotion, FullState
+from pinred.common.arrays import Array
+from pinred.common.errors import IntegrationError, UnsupportedOperationError
+from pinred.kernels.reduced_graph import ReducedGraph, Structure
 from pinred.lie import GROUPS
-from pinred.scene import random_state
-from pinred.system import System
+from pinred.scene.scene import random_state
+from pinred.system.system import System
+from pinred.verification.bench import METHODS, Problem, reference_of
+from pinred.verification.bench.full_field import full_field
+from pinred.verification.bench.peers.aba import ABA
+from pinred.verification.bench.peers.drake import DrakeModel
+from pinred.verification.bench.peers.equality import EQUAL, equality, missing_unless_equal
+from pinred.verification.bench.peers.euler import (
+    ORDERS,
+    angles_of,
+    rotation_of,
+    spin_matrix,
+    spin_rate,
+)
+from pinred.verification.bench.peers.exudyn import ExudynModel
+from pinred.verification.bench.peers.first_principles import full_graph
+from pinred.verification.bench.peers.mujoco import MujocoModel
+from pinred.verification.bench.peers.survived import survived
+from pinred.verification.bench.solver import Method
+from pinred.verification.full_state import FullMotion, FullState
 
 needs_heyoka = pytest.mark.skipif(find_spec("heyoka") is None, reason="heyoka is not installed")
 MODELS = {"mujoco": MujocoModel, "exudyn": ExudynModel, "pydrake": DrakeModel}
@@ -223,7 +229,7 @@ def test_taylor_expressions_are_the_graph(robot: str) -> None:
     """Heyoka evaluates what CasADi does, for a plane, free space and gravity."""
     import heyoka as hy
 
-    from pinred.bench.taylor import taylor_expressions
+    from pinred.verification.bench.taylor import taylor_expressions
 
     system = pinred.load(robot)
     gravity = (0.0, 0.0, -9.81) if robot == "cartpole" else None
@@ -241,7 +247,7 @@ def test_taylor_folds_constants_and_refuses() -> None:
     """What hangs on parameters only is a number; an unknown operation is named as such."""
     import heyoka as hy
 
-    from pinred.bench.taylor import taylor_expressions
+    from pinred.verification.bench.taylor import taylor_expressions
 
     y, p = ca.SX.sym("y", 2), ca.SX.sym("p", 1)
     rate = ca.Function("f", [y, p], [ca.vertcat(ca.sin(p) / 2.0 + 1.0, y[0] * (p * p))])

@@ -13,14 +13,14 @@ from PIL import Image
 from trees import random_model
 
 import pinred
-from pinred.arrays import Array
-from pinred.rotations import rotation
-from pinred.viz.bodies import bodies_of
-from pinred.viz.frames import write_frames, write_gif
-from pinred.viz.framing import frame
-from pinred.viz.playback import Playback, playback
-from pinred.viz.shape_panel import shape_panel
-from pinred.viz.view import View
+from pinred.common.arrays import Array
+from pinred.lie.rotations import rotation
+from pinred.views.playback.bodies import bodies_of
+from pinred.views.playback.film import write_frames, write_gif
+from pinred.views.playback.framing import frame
+from pinred.views.playback.playback import Playback, playback
+from pinred.views.playback.shape_panel import shape_panel
+from pinred.views.playback.view import View
 
 
 def film(name: str, *, ghost: bool = False, fps: float = 60.0, **scene: Any) -> Playback:
@@ -199,7 +199,7 @@ def test_shapes_sit_where_the_file_puts_them() -> None:
     """With a joint locked and a free root, against Pinocchio's placements in the file's model."""
     system = pinred.load("solo12", lock={"FL_HFE": 0.7, "HR_KFE": -0.4})
     assert system.origin is not None
-    path = pinred.catalogue.example_robot("solo12").urdf
+    path = pinred.system.catalogue.example_robot("solo12").urdf
     raw = pin.buildModelFromUrdf(str(path))
     folders = [str(folder) for folder in path.resolve().parents]
     geometry = pin.buildGeomFromUrdf(raw, str(path), pin.GeometryType.VISUAL, package_dirs=folders)

@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 import pinred
-from pinred.cli import main
-from pinred.viz.server import Player
-from pinred.viz.show import play
-from pinred.viz.view import View
+from pinred.cli.main import main
+from pinred.views.playback.server import Player
+from pinred.views.playback.show import play
+from pinred.views.playback.view import View
 
 
 def listeners(port: int) -> set[str]:
@@ -121,7 +121,7 @@ def test_ctrl_c_ends_the_command(tmp_path: Path) -> None:
     assert main(["simulate", "elroys_beanie", "--time", "0.5", "--out", str(path)]) == 0
     # A job that a shell has put in the background ignores Ctrl-C, and so would its children.
     begin = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)"
-    program = f"{begin}; from pinred.cli import main; sys.exit(main(sys.argv[1:]))"
+    program = f"{begin}; from pinred.cli.main import main; sys.exit(main(sys.argv[1:]))"
     command = [sys.executable, "-c", program, "play", str(path), "--no-open"]
     with (
         subprocess.Popen(

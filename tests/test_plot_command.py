@@ -13,8 +13,8 @@ from pictures import measured
 
 import pinred
 from pinred import plots
-from pinred.bench import write_record
-from pinred.cli import main
+from pinred.cli.main import main
+from pinred.verification.bench import write_record
 
 SCENE = """robot = "elroys_beanie"
 [start]
@@ -198,7 +198,7 @@ def test_what_was_there_stays(
         file.write(b"half")  # type: ignore[attr-defined]
         raise OSError("disk full")
 
-    from pinred.plots.style import StyledFigure
+    from pinred.views.plots.style import StyledFigure
 
     monkeypatch.setattr(StyledFigure, "savefig", broken)
     arguments = ("cartpole", "--time", "0.1", "--kind", "shape", "--out", str(path))

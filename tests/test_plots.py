@@ -17,7 +17,7 @@ from pictures import measured
 
 import pinred
 from pinred import plots
-from pinred.arrays import Array
+from pinred.common.arrays import Array
 
 
 def drawn(axes: Axes, label: str) -> tuple[Array, Array]:
@@ -90,8 +90,8 @@ def test_many_joints_stand_limb_by_limb() -> None:
 
 def test_lines_can_be_told_apart_without_colour() -> None:
     """Of as many lines as a panel bears, no two have the same dashes and marker."""
-    from pinred.plots.motion_labels import MOST
-    from pinred.plots.style import line
+    from pinred.views.plots.motion_labels import MOST
+    from pinred.views.plots.style import line
 
     looks = {(str(line(k)["linestyle"]), line(k).get("marker")) for k in range(MOST)}
     assert len(looks) == MOST
@@ -129,7 +129,7 @@ def test_base_of_a_body_in_space(cat: pinred.Trajectory) -> None:
 
 def test_quaternions_do_not_jump() -> None:
     """Where a quaternion changes its sign, the curve does not."""
-    from pinred.plots.time_series import continuous
+    from pinred.views.plots.time_series import continuous
 
     angle = np.linspace(0.0, 4.0, 9)
     pose = np.stack([np.sin(angle), 0 * angle, 0 * angle, np.cos(angle)], axis=1)

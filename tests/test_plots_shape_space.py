@@ -14,8 +14,8 @@ from test_plots import beanie, drawn, units
 
 import pinred
 from pinred import plots
-from pinred.arrays import Array
-from pinred.plots.crossings import crossings
+from pinred.common.arrays import Array
+from pinred.views.plots.crossings import crossings
 
 
 def contours(axes: Axes) -> list[Any]:
@@ -259,7 +259,7 @@ def test_rigid_body_moves_on_its_sphere() -> None:
 @pytest.mark.parametrize("moments", [(1.0, 2.0, 2.5), (1.0, 1.0, 1.5), (1.0, 1.5, 1.5), (2, 2, 2)])
 def test_level_curves_are_levels(moments: tuple[float, float, float]) -> None:
     """Each keeps |L| and L·I⁻¹L; they cover both sides of the separatrix, if there is one."""
-    from pinred.plots.momentum_sphere import level_curves
+    from pinred.views.plots.momentum_sphere import level_curves
 
     turn = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
     inverse = turn @ np.diag(1 / np.array(moments)) @ turn.T
@@ -282,7 +282,7 @@ def test_level_curves_are_levels(moments: tuple[float, float, float]) -> None:
 
 def test_momentum_in_the_body_is_pinocchio_s() -> None:
     """About the centre of mass, turned into the body's frame, for a robot of many bodies."""
-    from pinred.plots.momentum_sphere import angular_momentum
+    from pinred.views.plots.momentum_sphere import angular_momentum
 
     traj = pinred.simulate(pinred.load("satellite_two_arms"), duration=2.0)
     model, data = traj.system.model, traj.system.model.createData()

@@ -16,13 +16,13 @@ from strategies import groups, seeds
 from test_forces import tree
 
 import pinred
-from pinred.arrays import Array
-from pinred.catalogue import has_example_robots
-from pinred.engine.flow import CompiledFlow
-from pinred.flow import ReducedFlow
+from pinred.common.arrays import Array
 from pinred.forces import Damper, Spring, Torque, Wrench
 from pinred.signals import Expression, Fourier, Signal, Spline
-from pinred.simulation import ENGINES, Engine
+from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.simulation.pinocchio.flow import ReducedFlow
+from pinred.simulation.simulate import ENGINES, Engine
+from pinred.system.catalogue import has_example_robots
 
 
 def wave(k: int) -> Fourier:

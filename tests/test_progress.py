@@ -16,13 +16,13 @@ import pytest
 from nbclient import NotebookClient
 
 import pinred
-from pinred import progress
+from pinred.common import progress
 
 ROOT = Path(__file__).parent.parent
 CLEAR = "\r\033[K"
 WORK = """
 import time
-from pinred.progress import ProgressBar
+from pinred.common.progress import ProgressBar
 
 try:
     with ProgressBar("falling <b>") as bar:
@@ -70,7 +70,7 @@ CELLS = (
     # 0: a bar that is left open, so that this test can look at it
     """
     import time
-    from pinred.progress import ProgressBar
+    from pinred.common.progress import ProgressBar
     print("before")
     bar = ProgressBar("falling <b>").__enter__()
     time.sleep(0.6)
@@ -83,15 +83,15 @@ CELLS = (
     "bar.__exit__(None, None, None)",
     # 2: the functions themselves; without patience, so that short work shows too
     """
-    import pinred, pinred.progress
-    pinred.progress._PATIENCE = pinred.progress._EVERY = 0.0
+    import pinred, pinred.common.progress
+    pinred.common.progress._PATIENCE = pinred.common.progress._EVERY = 0.0
     cat = pinred.load("falling_cat")
     traj = pinred.simulate(cat, duration=0.5, progress=True)
     """,
     "pinred.compare(traj, progress=True)",
     # 4: what is worth no bar leaves no output
     """
-    pinred.progress._PATIENCE = 60.0
+    pinred.common.progress._PATIENCE = 60.0
     traj = pinred.simulate(cat, duration=0.5, progress=True)
     """,
 )

@@ -20,11 +20,8 @@ from test_methods import measured
 
 import pinred
 from pinred import DOP853, Radau
-from pinred.arrays import Array
-from pinred.engine import native, tangent
-from pinred.engine.flow import CompiledFlow
-from pinred.engine.tangent import jacobian_of, tangent_of
-from pinred.errors import (
+from pinred.common.arrays import Array
+from pinred.common.errors import (
     InputError,
     KernelMismatch,
     NonFiniteState,
@@ -32,12 +29,17 @@ from pinred.errors import (
     TooManySteps,
 )
 from pinred.forces import PD, Damper, Limit, Torque
-from pinred.full_state import FullMotion, FullState
-from pinred.integrators import drive, stepper
-from pinred.integrators.drive import Solution, integrate
-from pinred.integrators.many import STATUS, integrate_many
-from pinred.integrators.newton import factor, factor_complex, solve, solve_complex
+from pinred.integrators import integrate as drive
+from pinred.integrators import steppers as stepper
+from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate_many import STATUS, integrate_many
+from pinred.integrators.machine.newton import factor, factor_complex, solve, solve_complex
+from pinred.kernels import tangent
+from pinred.kernels.machine import native
+from pinred.kernels.tangent import jacobian_of, tangent_of
 from pinred.signals import Fourier
+from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.verification.full_state import FullMotion, FullState
 
 _NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
 _alive: list[Any] = []

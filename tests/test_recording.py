@@ -16,8 +16,8 @@ from test_plots import drawn, units
 
 import pinred
 from pinred import plots, read_recording
-from pinred.viz.playback import playback
-from pinred.viz.view import View
+from pinred.views.playback.playback import playback
+from pinred.views.playback.view import View
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,9 @@ def test_file_and_back(tmp_path: Path, options: dict[str, Any]) -> None:
 
 def test_file_of_a_robot_that_moved(tmp_path: Path) -> None:
     """A robot's own file is found where it was, or beside the motion, or where one says."""
-    text = (pinred.catalogue.bundled_folder() / "falling_cat.urdf").read_text(encoding="utf-8")
+    text = (pinred.system.catalogue.bundled_folder() / "falling_cat.urdf").read_text(
+        encoding="utf-8"
+    )
     for folder in ("here", "there", "motion"):
         (tmp_path / folder).mkdir()
     (tmp_path / "here/cat.urdf").write_text(text, encoding="utf-8")

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from strategies import Case, cases, make_case
 
 import pinred
-from pinred.arrays import Array
+from pinred.common.arrays import Array
 
 EPS = np.finfo(float).eps
 

@@ -15,7 +15,7 @@ from trees import random_model
 
 import pinred
 from pinred import InputError, LoadError, ModelError, PinredError, ShapeError
-from pinred.arrays import Array
+from pinred.common.arrays import Array
 
 FREE = "<freejoint/>"
 Z = '<axis xyz="0 0 1"/>'

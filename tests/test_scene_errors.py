@@ -20,12 +20,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import pinred
-from pinred.cli import main
-from pinred.csv_table import LARGEST
-from pinred.errors import InputError, LoadError, ModelError, PinredError, ShapeError
-from pinred.explanation import explain_scene
-from pinred.place import Place
-from pinred.scene_keys import SCENE, scene_schema
+from pinred.cli.main import main
+from pinred.common.errors import InputError, LoadError, ModelError, PinredError, ShapeError
+from pinred.scene.toml.csv_columns import LARGEST
+from pinred.scene.toml.keys import SCENE, scene_schema
+from pinred.scene.toml.places import Place
+from pinred.simulation.explain import explain_scene
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.toml"))

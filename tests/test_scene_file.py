@@ -16,11 +16,11 @@ import pinocchio as pin
 import pytest
 
 import pinred
-from pinred.catalogue import has_example_robots
-from pinred.cli import main
-from pinred.force import Force, Limit
+from pinred.cli.main import main
 from pinred.forces import PD, ComputedTorque, Damper, PotentialEnergy, Spring, Torque, Wrench
-from pinred.integrators.method import (
+from pinred.forces.base import Force, Limit
+from pinred.forces.signals.tables import _ENDS
+from pinred.integrators.methods import (
     DOP853,
     METHODS,
     RKMK4,
@@ -30,11 +30,11 @@ from pinred.integrators.method import (
     Variational,
 )
 from pinred.lie import GROUPS
-from pinred.scene_file import _FORCES, read_scene_file
-from pinred.scene_keys import _METHODS, ENDS, FORCES, LOAD, RUN, START
-from pinred.scene_keys import GROUPS as GROUP_KEYS
+from pinred.scene.toml.keys import _METHODS, ENDS, FORCES, LOAD, RUN, START
+from pinred.scene.toml.keys import GROUPS as GROUP_KEYS
+from pinred.scene.toml.reader import _FORCES, read_scene_file
 from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Spline
-from pinred.signals.tables import _ENDS
+from pinred.system.catalogue import has_example_robots
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 

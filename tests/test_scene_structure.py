@@ -10,13 +10,13 @@ import pytest
 from trees import random_model
 
 import pinred
-from pinred.arrays import Array
-from pinred.engine.flow import CompiledFlow
-from pinred.flow import ReducedFlow
-from pinred.force import Force
+from pinred.common.arrays import Array
 from pinred.forces import PD, Damper, PotentialEnergy, Spring, Torque, Wrench
-from pinred.full_state import FullState
+from pinred.forces.base import Force
 from pinred.signals import Expression, Fourier
+from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.simulation.pinocchio.flow import ReducedFlow
+from pinred.verification.full_state import FullState
 
 
 def sizes(scene: pinred.Scene) -> tuple[int, int]:

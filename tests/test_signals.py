@@ -20,7 +20,7 @@ from test_native import build
 
 import pinred
 from pinred import InputError
-from pinred.arrays import Array
+from pinred.common.arrays import Array
 from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Signal, Spline
 
 ENDS = ["natural", "clamped", "not-a-knot", "periodic"]

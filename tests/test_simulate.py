@@ -14,7 +14,7 @@ from test_closed_forms import DELTA, I1, I2, J1, J2, M1, M2, D, M
 from trees import random_model
 
 import pinred
-from pinred.arrays import Array
+from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 
 
@@ -161,7 +161,7 @@ def test_zero_momentum_never_evaluates_a_momentum(monkeypatch: pytest.MonkeyPatc
     def forbidden(*_: Array) -> Array:
         raise AssertionError("momentum was turned into the body frame")
 
-    monkeypatch.setattr("pinred.base._into_body", forbidden)
+    monkeypatch.setattr("pinred.reduction.base_parts._into_body", forbidden)
     system = pinred.load("falling_cat")
     xdot0 = np.full(system.m, 0.3)
     pinred.simulate(system, xdot0=xdot0, momentum=0, duration=0.1, engine="pinocchio")

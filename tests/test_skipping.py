@@ -10,10 +10,10 @@ import pytest
 from trees import random_model
 
 import pinred
-from pinred.engine.flow import CompiledFlow
-from pinred.flow import ReducedFlow
 from pinred.forces import Torque, Wrench
-from pinred.simulation import ENGINES
+from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.simulation.pinocchio.flow import ReducedFlow
+from pinred.simulation.simulate import ENGINES
 
 MOVING = {"R": [0.3], "SO2": [0.3], "SE2": [0.3, -0.1, 0.4], "SO3": [0.3, -0.2, 0.4]}
 MOVING["SE3"] = [0.1, 0.2, -0.1, 0.3, -0.2, 0.4]

@@ -12,10 +12,10 @@ import pytest
 
 import pinred
 from pinred import RKMK4
-from pinred.cli import main
+from pinred.cli.main import main
 from pinred.forces import Damper, Wrench
-from pinred.stress.check import Case, Check, Trial
-from pinred.stress.suite import CHECKS, chosen, run_check, table
+from pinred.verification.stress.check import Case, Check, Trial
+from pinred.verification.stress.suite import CHECKS, chosen, run_check, table
 
 SHORT = Trial(effort="short")
 

@@ -9,16 +9,16 @@ from hypothesis import given, settings
 from strategies import Case, cases, make_case
 
 import pinred
-from pinred.arrays import Array
-from pinred.canonical import CanonicalForm
-from pinred.cyclic import cyclic_joints
-from pinred.engine.frames import bodies_of
-from pinred.engine.kernel import structure_of
-from pinred.engine.sweep import sweep
-from pinred.engine.symbolic import AXES, ReducedGraph, Structure
-from pinred.flow import ReducedFlow
-from pinred.potential import shape_gravity
-from pinred.rotations import rotation
+from pinred.common.arrays import Array
+from pinred.kernels.kernel import structure_of
+from pinred.kernels.reduced_graph import AXES, ReducedGraph, Structure
+from pinred.lie.rotations import rotation
+from pinred.reduction.canonical_form import CanonicalForm
+from pinred.reduction.cyclic_joints import cyclic_joints
+from pinred.reduction.potential import shape_gravity
+from pinred.reduction.tree.articulated_sweep import sweep
+from pinred.reduction.tree.body_frames import bodies_of
+from pinred.simulation.pinocchio.flow import ReducedFlow
 
 
 def evaluate(function: ca.Function, *arguments: Array) -> Array:

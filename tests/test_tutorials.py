@@ -20,8 +20,8 @@ import pytest
 from nbclient import NotebookClient
 
 import pinred
-from pinred.arrays import Array
-from pinred.catalogue import has_example_robots
+from pinred.common.arrays import Array
+from pinred.system.catalogue import has_example_robots
 
 ROOT = Path(__file__).parent.parent
 PATHS = sorted((ROOT / "examples/tutorials").glob("*.py"))

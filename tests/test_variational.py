@@ -15,15 +15,16 @@ from test_methods import errors_at_the_end, measured
 
 import pinred
 from pinred import Gauss, Variational
-from pinred.arrays import Array
-from pinred.engine.flow import CompiledFlow
-from pinred.errors import InputError, NoConvergence, NonFiniteState
+from pinred.common.arrays import Array
+from pinred.common.errors import InputError, NoConvergence, NonFiniteState
 from pinred.forces import Damper, Torque, Wrench
-from pinred.full_state import FullMotion, FullState
-from pinred.integrators import drive, stepper
-from pinred.integrators.drive import integrate
+from pinred.integrators import integrate as drive
+from pinred.integrators import steppers as stepper
+from pinred.integrators.integrate import integrate
 from pinred.signals import Fourier
-from pinred.system import System
+from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.system.system import System
+from pinred.verification.full_state import FullMotion, FullState
 
 ROOT = Path(__file__).parent.parent
 STIFFNESS, REST = 3.0, 0.2

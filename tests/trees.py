@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 
-from pinred.arrays import Array
+from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 
 Rng = np.random.Generator

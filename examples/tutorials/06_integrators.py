@@ -15,9 +15,9 @@ import numpy as np
 
 import pinred
 from pinred import DOP853, RKMK4, Gauss, Radau, Variational, plots
-from pinred.bench import Point, WorkPrecision
 from pinred.forces import Damper
-from pinred.integrators.method import Method
+from pinred.integrators.methods import Method
+from pinred.verification.bench import Point, WorkPrecision
 
 drawing = find_spec("matplotlib") is not None  # figures need the extra `plots`
 cat = pinred.load("falling_cat")

@@ -15,9 +15,9 @@ from math import sqrt
 import numpy as np
 from scipy.integrate._ivp import dop853_coefficients as tableau
 
-from ..arrays import Array
-from .kernel import call, combination, compiled
-from .run import (
+from ..common.arrays import Array
+from .machine.kernel_call import call, combination, compiled
+from .machine.registers import (
     AGAIN,
     ATOL,
     BEGUN,

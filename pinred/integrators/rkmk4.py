@@ -13,9 +13,9 @@ from __future__ import annotations
 
 from math import cos, sin, sqrt, tan
 
-from ..arrays import Array
-from .kernel import call, combination, compiled
-from .run import (
+from ..common.arrays import Array
+from .machine.kernel_call import call, combination, compiled
+from .machine.registers import (
     BEGUN,
     BUDGET,
     DONE,

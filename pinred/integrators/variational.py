@@ -26,9 +26,9 @@ from math import sqrt
 
 import numpy as np
 
-from ..arrays import Array
-from .kernel import call, compiled
-from .run import (
+from ..common.arrays import Array
+from .machine.kernel_call import call, compiled
+from .machine.registers import (
     BEGUN,
     BUDGET,
     DIVERGED,

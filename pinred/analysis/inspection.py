@@ -1,0 +1,147 @@
+"""inspect(): what pinred sees in a robot, at one shape, and what it will not compute."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..common.arrays import Array
+from ..common.errors import SymmetryError
+from ..reduction.cyclic_joints import cyclic_joints
+from ..reduction.potential import pivot_weight
+from ..reduction.reduction import ReducedShape, Reduction
+from ..scene.scene import Scene
+from ..simulation.explain import reduced_size, skipped
+from ..system.joints import is_prismatic
+from ..system.system import System, checked_system
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """A system at one shape.
+
+    at: the reduction there.  curvature_norm: Frobenius norm of B.  cyclic: joints on which
+    neither inertia nor potential depends.  symmetries: what is conserved, in words.
+    skipped: what a simulation does not integrate, in words.
+    full_size, reduced_size: numbers integrated by a full simulation and by pinred.
+    """
+
+    system: System
+    at: ReducedShape
+    curvature_norm: float
+    cyclic: tuple[str, ...]
+    symmetries: tuple[str, ...]
+    skipped: tuple[str, ...]
+    full_size: int
+    reduced_size: int | None
+
+    def __str__(self) -> str:
+        system, at = self.system, self.at
+        kinds = [
+            f"{name} ({'prismatic' if is_prismatic(system.model.joints[i]) else 'revolute'})"
+            for i, name in enumerate(system.shape_names, start=2)
+        ]
+        size = "" if self.reduced_size is None else f" → {self.reduced_size} numbers"
+        lines = [
+            f"{system.name}: group {system.group.name} (r = {system.r}) on joint "
+            f"'{system.root_name}', shape of {system.m} joints, {system.mass:g} kg",
+            *_wrapped("joints", kinds),
+            f"gravity     ({', '.join(f'{g:g}' for g in system.gravity)}) m/s²",
+            *_wrapped("symmetries", self.symmetries),
+            *_wrapped("skipped", self.skipped),
+            f"integrated  {self.full_size}{size}",
+            f"at x =      {_numbers(at.x)}",
+            _matrix("I", "locked inertia", at.locked_inertia),
+            _matrix("A", "local connection", at.local_connection),
+            _matrix("M", "reduced metric", at.reduced_metric),
+            f"|B|         {self.curvature_norm:.6g} (norm of the curvature)",
+        ]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        from ..common.html import card, line, matrix, number, numbers, table
+
+        system, at = self.system, self.at
+        twist, joints = system.group.twist_names, system.shape_names
+        size = "" if self.reduced_size is None else f" → {self.reduced_size}"
+        facts = [
+            *(("symmetry", text) for text in self.symmetries),
+            *(("skipped", text) for text in self.skipped),
+            ("integrated", f"{self.full_size}{size} numbers"),
+        ]
+        return card(
+            system.name,
+            f"group {system.group.name} (r = {system.r}) on joint '{system.root_name}', shape of "
+            f"{system.m} joints, {system.mass:g} kg, gravity {numbers(system.gravity)} m/s²",
+            table("", ["", ""], facts),
+            line(f"at x = {numbers(at.x)}:"),
+            matrix("locked inertia I", at.locked_inertia, twist, twist),
+            matrix("local connection A", at.local_connection, twist, joints),
+            matrix("reduced metric M", at.reduced_metric, joints, joints),
+            line(f"norm of the curvature B: {number(self.curvature_norm)}"),
+        )
+
+
+def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
+    """Return what pinred sees in `system` at shape x, (m,), zero if not given.
+
+    Raises ShapeError if x has the wrong length or is not finite.
+    """
+    red = Reduction(checked_system(system, "inspect"))
+    at = red.at(np.zeros(system.m) if x is None else x)
+    names = system.shape_names
+    cyclic = tuple(names[k] for k in cyclic_joints(red))
+    size: int | None
+    # A generic motion: with momentum, and every joint moving.
+    generic = Scene(system=system, x0=at.x, xi0=np.ones(system.r))
+    try:
+        size, not_needed, broken = reduced_size(generic), skipped(generic), ""
+    except SymmetryError as error:
+        size, not_needed, broken = None, [], str(error)
+    return Inspection(
+        system=system,
+        at=at,
+        curvature_norm=float(np.linalg.norm(at.curvature)),
+        cyclic=cyclic,
+        symmetries=tuple(_symmetries(system, cyclic, broken)),
+        skipped=(*not_needed, "meshes: not read"),
+        full_size=system.model.nq + system.n,
+        reduced_size=size,
+    )
+
+
+def _symmetries(system: System, cyclic: tuple[str, ...], broken: str) -> list[str]:
+    if broken:
+        return [broken]
+    kept = {
+        "R": "momentum along the root's axis",
+        "SO2": "angular momentum about the root's axis",
+        "SE2": "momentum in the plane and angular momentum about the centre of mass",
+        "SO3": "angular momentum about the pivot",
+        "SE3": "momentum and angular momentum about the centre of mass",
+    }
+    if pivot_weight(system).any():  # what is left of SO(3) is turning about the vertical
+        kept["SO3"] = "angular momentum about the direction of gravity through the pivot"
+    lines = [f"{system.group.name}: conserves {kept[system.group.name]}"]
+    if cyclic:
+        lines.append(f"cyclic joints, whose momentum is constant: {', '.join(cyclic)}")
+    return lines
+
+
+def _wrapped(title: str, entries: tuple[str, ...] | list[str]) -> list[str]:
+    lines = [*entries] or ["none"]
+    return [f"{title if k == 0 else '':<11} {line}" for k, line in enumerate(lines)]
+
+
+def _numbers(values: Array) -> str:
+    return "(" + ", ".join(f"{value:g}" for value in values) + ")"
+
+
+def _matrix(symbol: str, name: str, matrix: Array) -> str:
+    if not matrix.size:
+        return f"{symbol}           {name}: none, there are no joints"
+    with np.printoptions(precision=6, suppress=True, linewidth=110, threshold=400):
+        rows = str(matrix).splitlines()
+    return f"{symbol}           {name} {matrix.shape}\n" + "\n".join(f"  {row}" for row in rows)

@@ -1,0 +1,100 @@
+"""`pinred play`: a motion in a browser, as an HTML file, or as a film."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..common.errors import InputError
+
+if TYPE_CHECKING:
+    from ..simulation.recording import Recording
+    from ..simulation.trajectory import Trajectory
+
+
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    sub.add_argument("motion", metavar="MOTION", help="traj.npz, or a scene file (.toml)")
+    sub.add_argument("--robot", metavar="R", help="the robot of an npz that does not name its own")
+    sub.add_argument("--ghost", action="store_true", help="beside it, full ABA (scenes only)")
+    sub.add_argument("--speed", metavar="S", type=float, default=1.0, help="speed at first (1)")
+    sub.add_argument("--pair", metavar="J1,J2", help="joints on the axes of the shape panel")
+    sub.add_argument("--no-meshes", action="store_true", help="draw bodies from their inertias")
+    sub.add_argument("--port", metavar="P", type=int, help="where to serve; any free port")
+    sub.add_argument("--no-open", action="store_true", help="do not open the browser")
+    sub.add_argument("--out", metavar="FILE", help="write FILE.html, .mp4, .gif or .png instead")
+    sub.add_argument("--fps", metavar="F", type=float, help="frames a second (60; films 30)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command.  Returns 0."""
+    from ..views.playback.view import View
+
+    _check(options)
+    pair = None if options.pair is None else tuple(options.pair.split(","))
+    out = None if options.out is None else Path(options.out)
+    fps = options.fps
+    if fps is None:
+        fps = 60.0 if out is None or out.suffix == ".html" else 30.0
+    view = View(
+        ghost=options.ghost, speed=options.speed, fps=fps, pair=pair, meshes=not options.no_meshes
+    )
+    if out is not None:
+        from ..simulation.files import check_path
+        from ..views.playback.film import SUFFIXES
+
+        check_path(out, (".html", *SUFFIXES))  # before a long simulation
+    else:
+        from ..views.playback.server import check_port
+
+        check_port(options.port)
+    motion = _motion(options)
+    if out is None:
+        from ..views.playback.show import play
+
+        play(motion, view, port=options.port, show=not options.no_open, wait=True)
+    elif out.suffix == ".html":
+        from ..views.playback.page import save_html
+
+        print(f"written to {out} ({save_html(motion, out, view) / 1e6:.2f} MB)")
+    else:
+        from ..common.progress import ProgressBar
+        from ..views.playback.film import save_film
+
+        with ProgressBar("film   ") as bar:
+            count = save_film(motion, out, view, progress=bar)
+        print(f"{count} frames written to {out}")
+    return 0
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Raise InputError for an option that would change nothing."""
+    if options.out is not None and options.port is not None:
+        raise InputError("--port is for playing in a browser, not with --out")
+    page = options.out is None or Path(options.out).suffix == ".html"
+    if options.fps is not None and page and Path(options.motion).suffix == ".npz":
+        raise InputError(
+            "--fps is for films and for scenes; a page shows a .npz at the times that it holds "
+            "(`pinred simulate --samples` makes more of them)"
+        )
+
+
+def _motion(options: argparse.Namespace) -> Trajectory | Recording:
+    """Return the motion in a file.  Raises InputError for a file of another kind."""
+    suffix = Path(options.motion).suffix
+    if suffix == ".npz":
+        from ..simulation.recording import read_recording
+
+        return read_recording(options.motion, options.robot)
+    if suffix != ".toml":
+        raise InputError(f"play takes a .npz or a scene file (.toml), got '{options.motion}'")
+    if options.robot is not None:
+        raise InputError("--robot is for .npz files; a scene names its robot itself")
+    from ..common.progress import ProgressBar
+    from ..scene.toml.reader import read_scene_file
+    from ..simulation.simulate import simulate
+
+    file = read_scene_file(options.motion)
+    with ProgressBar("reduced") as bar:
+        return simulate(file.scene, engine=file.engine, progress=bar)

@@ -1,0 +1,101 @@
+"""`pinred run`: simulate what a scene file says, and print what came of it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import TYPE_CHECKING
+
+from ..common.errors import InputError
+
+if TYPE_CHECKING:
+    from ..scene.scene import Scene
+    from ..simulation.trajectory import Trajectory
+
+
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    sub.add_argument("scene", metavar="SCENE", nargs="?", help="a TOML file (docs/scenes.md)")
+    sub.add_argument("--check", action="store_true", help="say whether it can run; do not run it")
+    sub.add_argument("--explain", action="store_true", help="print what is skipped")
+    sub.add_argument("--compare", action="store_true", help="judge by full ABA; exit 1 if it fails")
+    sub.add_argument("--out", metavar="FILE", help="write the motion: traj.npz or traj.csv")
+    sub.add_argument("--engine", metavar="E", help="compiled or pinocchio, whatever the file says")
+    sub.add_argument("--schema", action="store_true", help="print the JSON Schema of scenes")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command.  Returns 0, or 1 if a comparison does not pass."""
+    if options.schema:
+        from ..scene.toml.keys import scene_schema
+
+        print(json.dumps(scene_schema(), indent=2, ensure_ascii=False))
+        return 0
+    if options.scene is None:
+        raise InputError("run needs a scene: the name of a TOML file; see `pinred run --help`")
+    from ..common.progress import ProgressBar
+    from ..scene.toml.reader import read_scene_file
+    from ..simulation.explain import explain_scene
+    from ..simulation.files import check_path
+    from ..simulation.simulate import simulate
+    from ..verification.compare import compare
+
+    file = read_scene_file(options.scene)
+    scene = file.scene
+    explanation = explain_scene(scene)  # finds out whether the scene can run, too
+    if options.explain:
+        print(explanation)
+    if options.check:
+        print(f"ok: {_title(scene)}")
+        return 0
+    path = None if options.out is None else check_path(options.out)
+    with ProgressBar("reduced") as bar:
+        traj = simulate(scene, engine=options.engine or file.engine, progress=bar)
+    print(summary(traj))
+    if path is not None:
+        traj.save(path)
+        print(f"  written to {path} ({path.stat().st_size / 1e3:.0f} kB)")
+    if not options.compare:
+        return 0
+    with ProgressBar("full   ") as bar:
+        report = compare(traj, progress=bar)
+    print(report)
+    return 0 if report.passed else 1
+
+
+def summary(traj: Trajectory) -> str:
+    """Return what came of a simulation, as a short table."""
+    from ..simulation.explain import reduced_size
+
+    scene, run, model = traj.scene, traj.run, traj.system.model
+    rows = [
+        ("integrated", f"{model.nq + model.nv} → {reduced_size(scene)} numbers"),
+        ("steps", f"{run.steps} of {run.method} ({run.engine}), {run.evaluations} evaluations"),
+        ("wall time [s]", f"{run.wall:.5f}"),
+    ]
+    if scene.outputs == "all":
+        rows += _balances(traj)
+    else:
+        rows.append(("energy, momentum", "no balance: outputs = 'shape' leaves out the base"))
+    width = max(len(name) for name, _ in rows)
+    return "\n".join([_title(scene), *(f"  {name:<{width}}  {text}" for name, text in rows)])
+
+
+def _title(scene: Scene) -> str:
+    system = scene.system
+    return f"{system.name}: {system.group.name} × {system.m} joints, {scene.end:g} s"
+
+
+def _balances(traj: Trajectory) -> list[tuple[str, str]]:
+    from ..verification.full_state import FullState
+
+    energy, momentum = traj.energy_balance, traj.momentum_balance
+    audit = FullState(traj.scene).audit(traj.states, energy.work.sum(axis=1), momentum.impulse)
+    rows = [("energy [J]", f"{energy.energy[0]:.6g} → {energy.energy[-1]:.6g}")]
+    rows += [
+        (f"work of {label} [J]", f"{work:.6g}")
+        for label, work in zip(energy.labels, energy.work[-1], strict=True)
+    ]
+    rows.append(("energy balance", f"{audit.energy:.1e} of the kinetic energy"))
+    rows.append(("momentum balance", f"{audit.momentum:.1e}, relative"))
+    return rows

@@ -1,0 +1,313 @@
+"""Forces that keep the symmetry, as values: they act on joints, or on the base in its own frame.
+
+Each is written as CasADi expressions in t, x, ẋ and μ, so that the same force goes into the
+compiled kernel, into the Pinocchio route and into the full simulation that judges both.
+A force that has a potential gives that, and torques −∂V/∂x follow; the others do work.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, TypeAlias
+
+import numpy as np
+
+from ..common.arrays import Array, as_floats, positive
+from ..common.errors import InputError
+from .base import Force as Force
+from .base import Limit as Limit
+from .base import (
+    Named,
+    PerJoint,
+    Reference,
+    Symbols,
+    Terms,
+    between,
+    checked,
+    checked_reference,
+    entries,
+    limited,
+    motions,
+    of_time,
+    per_joint,
+    scalar,
+    settle,
+    signals_in,
+)
+from .signals import Signal
+
+Action: TypeAlias = Callable[[Any, Any, Any, Any], Any]
+
+
+@dataclass(frozen=True)
+class Spring(Force):
+    """V = ½ k (x − rest)², or of x − x_to between two joints.  k: [N·m/rad | N/m]."""
+
+    joint: str
+    stiffness: float
+    rest: float = 0.0
+    to: str | None = None
+
+    def __post_init__(self) -> None:
+        settle(self, "stiffness", "rest")
+
+    @property
+    def label(self) -> str:
+        """Its name."""
+        return between("spring", self.joint, self.to)
+
+    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+        """Return the potential."""
+        length = s.x[s.joint(self.joint, self.label)]
+        if self.to is not None:
+            if self.to == self.joint:
+                raise InputError(f"{self.label}: both ends are the same joint")
+            length = length - s.x[s.joint(self.to, self.label)]
+        stretch = length - number(self.rest)
+        return Terms(potential=0.5 * number(self.stiffness) * stretch * stretch)
+
+
+@dataclass(frozen=True)
+class Damper(Force):
+    """τ = −c ẋ, or of ẋ − ẋ_to on two joints.  c: [N·m·s/rad | N·s/m]."""
+
+    joint: str
+    coefficient: float
+    to: str | None = None
+
+    def __post_init__(self) -> None:
+        settle(self, "coefficient")
+
+    @property
+    def label(self) -> str:
+        """Its name."""
+        return between("damper", self.joint, self.to)
+
+    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+        """Return the torques."""
+        k, c = s.joint(self.joint, self.label), number(self.coefficient)
+        if self.to is None:
+            return Terms(torque={k: -c * s.xdot[k]})
+        j = s.joint(self.to, self.label)
+        if j == k:
+            raise InputError(f"{self.label}: both ends are the same joint")
+        torque = c * (s.xdot[k] - s.xdot[j])
+        return Terms(torque={k: -torque, j: torque})
+
+
+@dataclass(frozen=True)
+class PotentialEnergy(Named):
+    """Any V(x) [J].  function: from x, an SX of (m,), to a scalar SX; called once."""
+
+    function: Callable[[Any], Any]
+    name: str = "potential"
+
+    def __post_init__(self) -> None:
+        checked(self.name, "a function of x", self.function)
+
+    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:  # noqa: ARG002
+        """Return the potential."""
+        return Terms(potential=scalar(self.function(s.x), f"V(x) of {self.name}"))
+
+
+@dataclass(frozen=True)
+class Torque(Named):
+    """Torques at the joints, τ(t, x, ẋ, μ) [N·m | N].
+
+    function: (t, x, xdot, mu) → {joint: expression} or m expressions, called once with SX
+    symbols (of Symbols' meaning); or {joint: Signal, number or (t, x, xdot, mu) → expression}.
+    """
+
+    function: Action | Mapping[str, Action | Signal | float]
+    limit: Limit | None = None
+    name: str = "torque"
+
+    def __post_init__(self) -> None:
+        wanted = "a function of (t, x, xdot, mu) or {joint: Signal or number}"
+        checked(self.name, wanted, self.function, Mapping)
+
+    @property
+    def signals(self) -> Iterable[Signal]:
+        """The functions of time in it."""
+        return signals_in(self.function.values()) if isinstance(self.function, Mapping) else ()
+
+    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+        """Return the torques."""
+        if isinstance(self.function, Mapping):
+            torque = {
+                s.joint(name, self.name): _acting(value, s, number, f"{self.name}['{name}']")
+                for name, value in self.function.items()
+            }
+        else:
+            found = s.column(self.function(s.t, s.x, s.xdot, s.mu), self.name)
+            torque = {k: scalar(v, f"{self.name} at '{s.names[k]}'") for k, v in found.items()}
+        return Terms(torque=limited(self.limit, s, torque, self.name))
+
+
+@dataclass(frozen=True)
+class _Tracking(Named):
+    """What follows a reference: its fields, and the feedback of the error."""
+
+    reference: Reference
+    kp: PerJoint
+    kd: PerJoint
+    limit: Limit | None = None
+
+    def __post_init__(self) -> None:
+        checked_reference(self.reference, self.name)
+
+    @property
+    def signals(self) -> Iterable[Signal]:
+        """The functions of time in it."""
+        return signals_in(self.reference.values())
+
+    def _feedback(
+        self, s: Symbols, number: Callable[[float], Any], wanted: dict[int, tuple[Any, Any, Any]]
+    ) -> dict[int, Any]:
+        """Return kp (x_d − x) + kd (ẋ_d − ẋ) of each joint whose motion is wanted."""
+        kp = per_joint(self.kp, wanted, s, f"kp of {self.name}")
+        kd = per_joint(self.kd, wanted, s, f"kd of {self.name}")
+        return {
+            k: number(kp[k]) * (x - s.x[k]) + number(kd[k]) * (xdot - s.xdot[k])
+            for k, (x, xdot, _) in wanted.items()
+        }
+
+
+@dataclass(frozen=True)
+class PD(_Tracking):
+    """τ = kp (x_d − x) + kd (ẋ_d − ẋ) at the joints of the reference.
+
+    reference: {joint: Signal or number}.  kp, kd: of all these joints, or by name.
+    """
+
+    name: str = "pd"
+
+    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+        """Return the torques."""
+        wanted = motions(self.reference, s, number, self.name)
+        torque = self._feedback(s, number, wanted)
+        return Terms(torque=limited(self.limit, s, torque, self.name))
+
+
+@dataclass(frozen=True)
+class ComputedTorque(_Tracking):
+    """Torques that make every joint follow its reference exactly, whatever else acts on it.
+
+    ẍ = ẍ_d + kd (ẋ_d − ẋ) + kp (x_d − x) by inverse dynamics on the reduced system; a wrench
+    on the base is not known to it.  reference: {joint: Signal or number} of every joint that
+    is not prescribed.  kp [1/s²], kd [1/s]: of all joints, or by name.
+    """
+
+    name: str = "computed torque"
+    last: ClassVar[bool] = True
+
+    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+        """Return the torques.  Raises InputError if a joint that moves has no reference."""
+        from .inverse_dynamics import required_torque  # heavy to import
+
+        wanted = motions(self.reference, s, number, self.name)
+        missing = [k for k in range(len(s.names)) if k not in {*wanted, *s.accelerations}]
+        if missing:
+            raise InputError(f"{self.name} has no reference for joint '{s.names[missing[0]]}'")
+        if driven := [k for k in wanted if k in s.accelerations]:
+            raise InputError(
+                f"{self.name} has a reference for '{s.names[driven[0]]}', which is prescribed"
+            )
+        accelerations = dict(s.accelerations)
+        for k, feedback in self._feedback(s, number, wanted).items():
+            accelerations[k] = wanted[k][2] + feedback
+        every = required_torque(s, accelerations) - s.others
+        torque = {k: every[k] for k in wanted}
+        return Terms(torque=limited(self.limit, s, torque, self.name))
+
+
+@dataclass(frozen=True)
+class Wrench(Named):
+    """A wrench on the base at its origin, in its own frame: thrusters.  [linear; angular].
+
+    function: (t, x, xdot, mu) → r expressions, called once; or r entries, each a Signal, a
+    number or (t, x, xdot, mu) → expression.
+    """
+
+    function: Action | Sequence[Action | Signal | float]
+    name: str = "wrench"
+
+    def __post_init__(self) -> None:
+        wanted = "a function of (t, x, xdot, mu) or a list of Signals or numbers"
+        checked(self.name, wanted, self.function, Sequence, np.ndarray)
+
+    @property
+    def signals(self) -> Iterable[Signal]:
+        """The functions of time in it."""
+        return () if callable(self.function) else signals_in(self.function)
+
+    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+        """Return the wrench."""
+        r = s.mu.numel()
+        if callable(self.function):
+            found = entries(self.function(s.t, s.x, s.xdot, s.mu), r, self.name)
+            return Terms(wrench=[scalar(v, f"{self.name}[{i}]") for i, v in enumerate(found)])
+        found = entries(self.function, r, self.name)
+        return Terms(
+            wrench=[_acting(v, s, number, f"{self.name}[{i}]") for i, v in enumerate(found)]
+        )
+
+
+@dataclass(frozen=True)
+class Controller(Named):
+    """Torques from any Python function, called every `period` seconds and held in between.
+
+    function: (t, x, xdot, mu), numbers of Symbols' meaning, → {joint: torque} or m torques.
+    joints: whose torques it gives; all if None.  It must not remember earlier calls: `compare`
+    runs the motion again, several times.
+    """
+
+    function: Callable[[float, Array, Array, Array], Any]
+    period: float
+    joints: tuple[str, ...] | None = None
+    limit: Limit | None = None
+    name: str = "controller"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "period", positive(self.period, f"the period of {self.name}"))
+        checked(self.name, "a function of (t, x, xdot, mu)", self.function)
+        if self.joints is None:
+            return
+        if isinstance(self.joints, str) or not isinstance(self.joints, Sequence):
+            raise InputError(f"joints of {self.name} must be a list of names, got {self.joints!r}")
+        object.__setattr__(self, "joints", tuple(self.joints))
+        if len(set(self.joints)) < len(self.joints):
+            raise InputError(f"joints of {self.name} must differ, got {', '.join(self.joints)}")
+
+    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+        """Return the torques that are held: numbers that are set anew at every sample."""
+        torque = {s.joint(name, self.name): number(0.0) for name in self.joints or s.names}
+        return Terms(torque=limited(self.limit, s, torque, self.name))
+
+    def sample(self, names: tuple[str, ...], t: float, x: Array, xdot: Array, mu: Array) -> Array:
+        """Return the torques at one time, in the order of `joints`.  Raises InputError."""
+        given = self.function(t, x.copy(), xdot.copy(), mu.copy())
+        wanted = self.joints or names
+        if isinstance(given, Mapping):
+            unknown = [name for name in given if name not in wanted]
+            if unknown:
+                raise InputError(
+                    f"{self.name} gave a torque for '{unknown[0]}' at t = {t:g} s; "
+                    f"its joints are {', '.join(wanted)}"
+                )
+            given = [given.get(name, 0.0) for name in wanted]
+        torque = as_floats(given, f"what {self.name} gave at t = {t:g} s")
+        if torque.shape != (len(wanted),) or not np.isfinite(torque).all():
+            raise InputError(
+                f"{self.name} must give {len(wanted)} finite torques ({', '.join(wanted)}), "
+                f"but gave {given!r} at t = {t:g} s"
+            )
+        return torque
+
+
+def _acting(value: Any, s: Symbols, number: Callable[[float], Any], what: str) -> Any:
+    """Return a Signal, a number or a function of the state as an expression."""
+    if callable(value):
+        return scalar(value(s.t, s.x, s.xdot, s.mu), what)
+    return of_time(value, s, number, what)

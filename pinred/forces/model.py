@@ -1,0 +1,263 @@
+"""All forces of a scene and its prescribed joints: one set of expressions, and their numbers."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ..common.arrays import Array, freeze
+from ..common.casadi_calls import Numeric
+from ..common.errors import InputError
+from ..reduction.potential import spring_pair
+from ..system.system import System
+from .base import Force, Symbols, Terms
+from .kinds import Controller, Damper, Spring
+from .signals import Signal
+
+_REMEMBERED = 16  # models of one system
+_KINKS = {
+    ca.OP_FABS, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO,
+    ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER,
+    ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Acting:
+    """What acts at one state.  torque: (m,) on the joints, −∂V/∂x included.  wrench: (r,)."""
+
+    torque: Array
+    wrench: Array
+
+
+@dataclass(frozen=True)
+class Prescribed:
+    """Positions, rates and accelerations of the prescribed joints, (k,) each."""
+
+    x: Array
+    xdot: Array
+    xddot: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+class ForceModel:
+    """The forces and prescribed joints of a scene.
+
+    numbers: (p,) the values in them that may change without another kernel.  held:
+    controllers, and where the torques that each holds stand among the numbers.  key: what
+    tells the expressions apart.  within: where the time stands among the numbers that tells
+    tables which piece to take.  joints: indices of the prescribed joints, signals: how they
+    move; references: the functions of time in the forces.  touched: joints that something
+    acts on, or whose position something depends on.  labels: of the forces that work.
+    acting_function: (t, x, ẋ, ξ, μ, numbers) → (torque, wrench).  prescribed_function:
+    (t, numbers) → (x, ẋ, ẍ) of the prescribed joints.  potential_function: (x, numbers) → V.
+    """
+
+    def __init__(
+        self, system: System, forces: Sequence[Force], prescribed: Mapping[str, Signal]
+    ) -> None:
+        """Write all forces down.  Raises InputError for joints that are not there."""
+        m, r = system.m, system.r
+        self._values: list[float] = []
+        self._names: list[ca.SX] = []
+        self.signals = tuple(prescribed.values())
+        self.references = tuple(signal for force in forces for signal in force.signals)
+        has_breaks = any(signal.breaks.size for signal in (*self.signals, *self.references))
+        s = Symbols(
+            system=system,
+            t=ca.SX.sym("t"),
+            x=ca.SX.sym("x", m),
+            xdot=ca.SX.sym("xdot", m),
+            xi=ca.SX.sym("xi", r),
+            mu=ca.SX.sym("mu", r),
+            within=self._number(0.0) if has_breaks else None,
+        )
+        self.within = slice(0, int(has_breaks))
+        self.joints = tuple(s.joint(name, "prescribed") for name in prescribed)
+        for name, signal in prescribed.items():
+            if signal.smoothness < 1:
+                raise InputError(
+                    f"prescribed['{name}'] must have a continuous rate, but {signal!r} has a kink "
+                    "or a jump; use a Spline"
+                )
+        x = ca.vertcat(*(signal.casadi(s.t, s.within) for signal in self.signals))
+        xdot = ca.jacobian(x, s.t)
+        xddot = ca.jacobian(xdot, s.t)
+        self.held: list[tuple[Controller, slice]] = []
+        self.labels: list[str] = []
+        potential, torques, wrenches = ca.SX(0), ca.SX(m, 0), ca.SX(r, 0)
+        self.has_wrench = False
+        acted: set[int] = set()
+        for force in sorted(forces, key=lambda force: force.last):
+            if force.last:
+                if sum(other.last for other in forces) > 1:
+                    raise InputError(f"{force.label}: only one force may know all the others")
+                others = ca.sum2(torques) - ca.gradient(potential, s.x)
+                known = dict(zip(self.joints, ca.vertsplit(xddot), strict=True))
+                s = replace(s, others=others, accelerations=known)
+            first = len(self._values)
+            terms = force.terms(s, self._number)
+            self._check_symbols(s, terms, force.label)
+            if isinstance(force, Controller):
+                self.held.append((force, slice(first, len(self._values))))
+            if terms.potential is not None:
+                potential = potential + terms.potential
+            if terms.torque or terms.wrench is not None:
+                self.labels.append(force.label)
+                torques = ca.horzcat(torques, _torque_column(terms, m))
+                wrenches = ca.horzcat(wrenches, _wrench_column(terms, r))
+                self.has_wrench |= terms.wrench is not None
+                acted |= terms.torque.keys()
+        self.numbers = np.array(self._values)
+        p = ca.vertcat(*self._names)
+        state = [s.t, s.x, s.xdot, s.xi, s.mu, p]
+        torque = ca.sum2(torques) - ca.gradient(potential, s.x)
+        wrench = ca.sum2(wrenches)
+        self.prescribed_function = _function("prescribed", [s.t, p], [x, xdot, xddot])
+        self.acting_function = _function("acting", state, [torque, wrench])
+        self._acting = Numeric(self.acting_function)
+        self._prescribed = Numeric(self.prescribed_function)
+        self._each = Numeric(_function("each", state, [torques, wrenches]))
+        self.potential_function = _function("potential", [s.x, p], [potential])
+        self._potential = Numeric(self.potential_function)
+        everything = ca.vertcat(torque, wrench)
+        depends = ca.which_depends(ca.vertcat(everything, potential), s.x, 1) if m else []
+        self.touched = acted | set(self.joints) | {k for k in range(m) if depends[k]}
+        self.needs_time = bool(self.joints) or ca.depends_on(everything, s.t)
+        text = self.acting_function.serialize() + self.prescribed_function.serialize()
+        self.key = hashlib.sha256(f"{self.joints}{text}".encode()).hexdigest()
+
+    def acting(
+        self, t: float, x: Array, xdot: Array, xi: Array, mu: Array, numbers: Array
+    ) -> Acting:
+        """Return what acts at one state; arguments as in Symbols, numbers (p,)."""
+        torque, wrench = self._acting(t, x, xdot, xi, mu, numbers)
+        return Acting(torque[:, 0], wrench[:, 0])
+
+    def prescribed(self, t: float, numbers: Array) -> Prescribed:
+        """Return the motion of the prescribed joints at a time."""
+        return Prescribed(*(value[:, 0] for value in self._prescribed(t, numbers)))
+
+    @cached_property
+    def has_kinks(self) -> bool:
+        """Whether something that acts is made of pieces: limits, signs, conditions."""
+        functions = (self.acting_function, self.prescribed_function)
+        return any(
+            f.instruction_id(k) in _KINKS for f in functions for k in range(f.n_instructions())
+        )
+
+    def breaks(self, end: float) -> Array:
+        """Return the times before `end` at which a function of time is not smooth, sorted [s]."""
+        times = [signal.breaks for signal in (*self.signals, *self.references)]
+        every = np.unique(np.concatenate(times)) if times else np.empty(0)
+        return np.asarray(every[(every > 0.0) & (every < end)])
+
+    def numbers_from(self, t: float, end: float) -> Array:
+        """Return the numbers for the stretch that begins at t, where controllers hold nothing."""
+        numbers = self.numbers.copy()
+        later = [*(stop for stop in self.breaks(end).tolist() if stop > t), end]
+        numbers[self.within] = 0.5 * (t + later[0])
+        return numbers
+
+    def potential(self, x: Array, numbers: Array) -> float:
+        """Return V(x) of the forces that have a potential [J]."""
+        (value,) = self._potential(x, numbers)
+        return float(value[0, 0])
+
+    def powers(
+        self, t: float, x: Array, xdot: Array, xi: Array, mu: Array, numbers: Array, twist: Array
+    ) -> Array:
+        """Return the power of each force that works, (len(labels),) [W].
+
+        twist: (r,) body twist of the base, not only relative to the centre of mass.
+        """
+        torques, wrenches = self._each(t, x, xdot, xi, mu, numbers)
+        return np.asarray(torques.T @ xdot + wrenches.T @ twist)
+
+    def _check_symbols(self, s: Symbols, terms: Terms, what: str) -> None:
+        """Raise InputError if there is a symbol in a force that is not one it was given."""
+        own = ca.vertcat(s.t, s.x, s.xdot, s.xi, s.mu, *self._names)
+        known = {symbol.element_hash() for symbol in ca.symvar(own)}
+        given = [terms.potential, *terms.torque.values(), *(terms.wrench or [])]
+        for symbol in ca.symvar(ca.SX(ca.vertcat(*(v for v in given if v is not None)))):
+            if symbol.element_hash() not in known:
+                raise InputError(
+                    f"{what} has a symbol '{symbol}' that is none of t, x, xdot and mu; "
+                    "use those that the function is given"
+                )
+
+    def _number(self, value: float) -> ca.SX:
+        self._values.append(value)
+        self._names.append(ca.SX.sym(f"p{len(self._names)}"))
+        return self._names[-1]
+
+
+def remembered_model(
+    system: System,
+    springs: Mapping[str, tuple[float, float]],
+    forces: Sequence[Force],
+    prescribed: Mapping[str, Signal],
+) -> ForceModel:
+    """Return the model of springs {joint: (stiffness, rest)}, forces and prescribed joints.
+
+    The last few of a system are kept, for scenes that differ in their start only.
+    Raises InputError for what is none of these, or has joints that are not there.
+    """
+    # What is equal acts the same; what cannot be compared by value is kept, and so is itself.
+    key = (
+        repr(dict(springs)),
+        *(force if isinstance(force, (Spring, Damper)) else id(force) for force in forces),
+        *((name, id(signal)) for name, signal in prescribed.items()),
+    )
+    models: dict[Hashable, tuple[ForceModel, object]] = vars(system).setdefault("_forces", {})
+    if key not in models:
+        model = _force_model(system, springs, forces, prescribed)
+        while len(models) >= _REMEMBERED:
+            models.pop(next(iter(models)), None)
+        models[key] = (model, (tuple(forces), dict(prescribed)))
+    return models[key][0]
+
+
+def _force_model(
+    system: System,
+    springs: Mapping[str, tuple[float, float]],
+    forces: Sequence[Force],
+    prescribed: Mapping[str, Signal],
+) -> ForceModel:
+    every: list[Force] = [
+        Spring(name, *spring_pair(name, pair).tolist()) for name, pair in springs.items()
+    ]
+    for force in forces:
+        if not isinstance(force, Force):
+            raise InputError(f"forces must be those of pinred.forces, got {force!r}")
+        every.append(force)
+    for name, signal in prescribed.items():
+        if not isinstance(signal, Signal):
+            raise InputError(f"prescribed['{name}'] must be a Signal, got {signal!r}")
+    return ForceModel(system, every, prescribed)
+
+
+def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
+    dense = [ca.densify(value) for value in outputs]
+    return ca.Function(name, inputs, dense, {"cse": True})
+
+
+def _torque_column(terms: Terms, m: int) -> ca.SX:
+    column = ca.SX(m, 1)
+    for k, value in terms.torque.items():
+        column[k] = value
+    return column
+
+
+def _wrench_column(terms: Terms, r: int) -> ca.SX:
+    entries: list[Any] = terms.wrench if terms.wrench is not None else [0.0] * r
+    column: ca.SX = ca.vertcat(*entries)
+    return column

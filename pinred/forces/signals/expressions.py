@@ -1,0 +1,303 @@
+"""Arithmetic from text: "0.3*sin(2*t) - k*x['hinge']" as a CasADi expression.
+
+The text is parsed by Python and then only looked at: nothing of it is ever executed.  What is
+not listed here (attributes, other calls, comprehensions, strings but as a subscript, …) is
+refused, with its place in the text.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
+
+from ...common.errors import InputError
+
+if TYPE_CHECKING:
+    import casadi as ca
+
+Names: TypeAlias = "Mapping[str, ca.SX | Mapping[str, ca.SX] | Sequence[ca.SX]]"
+
+LONGEST = 10_000  # characters
+DEEPEST = 500  # levels; a sum of n terms has n
+
+CONSTANTS = {"pi": math.pi, "e": math.e}
+# Name: CasADi's name, and the least and the greatest number of arguments.
+_MANY = 100
+FUNCTIONS = {
+    **{
+        name: (name, 1, 1)
+        for name in (
+            *("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh"),
+            *("exp", "log", "sqrt", "sign", "floor", "ceil"),
+        )
+    },
+    "abs": ("fabs", 1, 1),
+    "atan2": ("atan2", 2, 2),
+    "hypot": ("hypot", 2, 2),
+    "min": ("fmin", 2, _MANY),
+    "max": ("fmax", 2, _MANY),
+    "where": ("if_else", 3, 3),
+    "if_else": ("if_else", 3, 3),
+}
+_OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+_COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+}
+_TOO_DEEP = f"nested more than {DEEPEST} deep; put brackets round parts of a long sum"
+_SHOWN = 72  # characters of a line in a message
+_LISTED = 12  # entries of a name in a message
+
+
+def parse(text: str, names: Names) -> ca.SX:
+    """Return the scalar expression that `text` stands for.
+
+    text: numbers, + - * / ** and brackets; comparisons, chained ones too, which are 1 or 0;
+    `where(c, a, b)`, also called if_else; sin cos tan asin acos atan atan2 sinh cosh tanh exp
+    log sqrt abs min max sign floor ceil hypot; pi and e.  names: what else it may speak of,
+    each a scalar (`t`), a sequence or a column of scalars (`x[0]`), or a mapping of them
+    (`x['hinge']`, or `x[0]` for its first).  A given name goes before pi and e.
+
+    Of `where`, only the branch that holds counts, even if the other is not a number there.
+
+    Raises InputError, with the place of the fault and the names allowed, if the text is
+    anything else, is not finite (1e999, 1/0), or is longer than LONGEST characters.
+    """
+    reader = _Reader(text, names)
+    done: dict[ast.expr, ca.SX] = {}
+    for node in reader.nodes():
+        done[node] = reader.value(node, [done[part] for part in reader.parts(node)])
+    return done[node]  # the last is the whole
+
+
+class _Reader:
+    """A text that is being read, and the names it may use."""
+
+    def __init__(self, text: str, names: Names) -> None:
+        if not isinstance(text, str):
+            raise InputError(f"an expression must be text, like '0.3*sin(2*t)', got {text!r}")
+        if len(text) > LONGEST:
+            raise InputError(
+                f"an expression has at most {LONGEST} characters, got {len(text)}: "
+                f"{text[:_SHOWN]}… (a table makes long functions of time: Spline)"
+            )
+        self.text = text.replace("\r\n", "\n").replace("\r", "\n").strip()
+        self.lines = self.text.split("\n")
+        self.names = names
+
+    def nodes(self) -> list[ast.expr]:
+        """Return all nodes of the text, each after its parts, from left to right."""
+        ordered = []
+        waiting = [(self._tree(), 1)]
+        while waiting:
+            node, depth = waiting.pop()
+            if depth > DEEPEST:
+                self._fail(_TOO_DEEP, node)
+            ordered.append(node)
+            waiting += [(part, depth + 1) for part in self.parts(node)]
+        return ordered[::-1]
+
+    def parts(self, node: ast.expr) -> list[ast.expr]:
+        """Return what a node is made of.  Refuses every node that is not arithmetic."""
+        match node:
+            case ast.BinOp():
+                if type(node.op) not in _OPERATORS:
+                    self._fail("the operators are + - * / **", node)
+                return [node.left, node.right]
+            case ast.UnaryOp(op=ast.USub() | ast.UAdd()):
+                return [node.operand]
+            case ast.Compare():
+                if any(type(op) not in _COMPARISONS for op in node.ops):
+                    self._fail("the comparisons are < <= > >= == !=", node)
+                return [node.left, *node.comparators]
+            case ast.Call():
+                return self._arguments(node)
+            case ast.Constant() | ast.Name() | ast.Subscript():
+                return []
+        return self._fail("this is not arithmetic", node)
+
+    def value(self, node: ast.expr, parts: list[ca.SX]) -> ca.SX:
+        """Return the expression of a node, from those of its parts."""
+        import casadi as ca
+
+        match node:
+            case ast.Constant():
+                result = ca.SX(self._number(node))
+            case ast.Name():
+                result = self._name(node)
+            case ast.Subscript():
+                result = self._entry(node)
+            case ast.BinOp():
+                result = _OPERATORS[type(node.op)](*parts)
+            case ast.UnaryOp():
+                result = -parts[0] if isinstance(node.op, ast.USub) else parts[0]
+            case ast.Compare():
+                tests = [
+                    _COMPARISONS[type(op)](a, b)
+                    for op, a, b in zip(node.ops, parts, parts[1:], strict=False)
+                ]
+                result = tests[0]
+                for test in tests[1:]:
+                    result = ca.logic_and(result, test)
+            case ast.Call(func=ast.Name(id=name)):
+                function = getattr(ca, FUNCTIONS[name][0])
+                least = FUNCTIONS[name][1]
+                result = function(*parts[:least])
+                for part in parts[least:]:
+                    result = function(result, part)
+        if result.is_constant() and not math.isfinite(float(result)):
+            self._fail(f"this is {float(result)}, which is not a finite number", node)
+        return result
+
+    def _tree(self) -> ast.expr:
+        """Return the tree that Python reads, or refuse what it cannot read."""
+        for row, line in enumerate(self.lines):
+            for column, letter in enumerate(line):
+                if not letter.isprintable() and letter != "\t":
+                    self._fault(f"the character {letter!r} is not allowed", row, column)
+        if not self.text:
+            self._fault("there is no text", 0, 0)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # what Python doubts is an error here
+                tree = ast.parse(self.text, mode="eval")
+        except SyntaxError as error:
+            row = min(max((error.lineno or 1) - 1, 0), len(self.lines) - 1)
+            end = len(self.lines[row])  # where Python gives no place, the text has ended too early
+            column = min(error.offset - 1, end) if error.offset else end
+            self._fault(error.msg, row, column)
+        except (RecursionError, MemoryError):
+            self._fault(_TOO_DEEP, 0, 0)
+        return tree.body
+
+    def _arguments(self, node: ast.Call) -> list[ast.expr]:
+        if not (isinstance(node.func, ast.Name) and node.func.id in FUNCTIONS):
+            self._fail("this is not a function", node.func)
+        name = node.func.id
+        self._check_spelling(node.func)
+        _, least, most = FUNCTIONS[name]
+        starred = [part for part in node.args if isinstance(part, ast.Starred)]
+        wrong: list[ast.expr | ast.keyword] = [*node.keywords, *starred]
+        if wrong:
+            self._fail(f"write the arguments of {name} one by one, without names", wrong[0])
+        if not least <= len(node.args) <= most:
+            count = f"{least}" if least == most else f"{least} to {most}"
+            self._fail(f"{name} takes {count} arguments, got {len(node.args)}", node)
+        return node.args
+
+    def _number(self, node: ast.Constant) -> float:
+        if type(node.value) not in (int, float):
+            text = isinstance(node.value, str)
+            self._fail("text stands only in x['name']" if text else "this is not a number", node)
+        try:
+            number = float(node.value)  # type: ignore[arg-type]
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            self._fail("this number is too large", node)
+        return number
+
+    def _name(self, node: ast.Name) -> ca.SX:
+        import casadi as ca
+
+        self._check_spelling(node)
+        if node.id in self.names:
+            value: Any = self.names[node.id]
+            if _has_entries(value):
+                self._fail(f"{node.id} has entries; say which", node)
+            return ca.SX(value)
+        if node.id not in CONSTANTS:
+            kind = "a function; give its arguments" if node.id in FUNCTIONS else "not a name"
+            self._fail(f"{_short(node.id)} is {kind}", node)
+        return ca.SX(CONSTANTS[node.id])
+
+    def _entry(self, node: ast.Subscript) -> ca.SX:
+        import casadi as ca
+
+        if not (isinstance(node.value, ast.Name) and node.value.id in self.names):
+            self._fail("this has no entries", node.value)
+        self._check_spelling(node.value)
+        name, which = node.value.id, node.slice
+        value: Any = self.names[name]
+        if not _has_entries(value):
+            self._fail(f"{name} is one number and has no entries", node)
+        if not (isinstance(which, ast.Constant) and type(which.value) in (int, str)):
+            self._fail("an entry is a whole number from 0 or a name in quotes", which)
+        key: Any = which.value
+        if isinstance(key, str) and isinstance(value, Mapping):
+            found = key in value
+        else:
+            value = list(value.values()) if isinstance(value, Mapping) else value
+            found = isinstance(key, int) and key < _length(value)
+        if not found:
+            self._fail(f"{name} has no entry {_short(repr(key))}", which)
+        return ca.SX(value[key])
+
+    def _check_spelling(self, node: ast.Name) -> None:
+        """Refuse letters that Python reads as others, like those of full width."""
+        line = self.lines[node.lineno - 1].encode()
+        if line[node.col_offset : node.end_col_offset] != node.id.encode():
+            self._fail(f"write {_short(node.id)} in plain letters", node)
+
+    def _fail(self, problem: str, node: ast.expr | ast.keyword) -> NoReturn:
+        """Raise the error for a fault at a node."""
+        row = node.lineno - 1
+        line = self.lines[row].encode()  # Python counts the bytes of UTF-8
+        column = len(line[: node.col_offset].decode())
+        end = len(line[: node.end_col_offset].decode()) if node.end_lineno == node.lineno else None
+        self._fault(problem, row, column, end)
+
+    def _fault(self, problem: str, row: int, column: int, end: int | None = None) -> NoReturn:
+        line = self.lines[row]
+        first = max(0, column - _SHOWN // 2)
+        window = "".join(c if c.isprintable() else " " for c in line[first : first + _SHOWN])
+        marks = "^" * max(1, min((end or column + 1) - column, first + _SHOWN - column))
+        begin, rest = "…" * (first > 0), "…" * (first + _SHOWN < len(line))
+        where = f"line {row + 1}, column {column + 1}" if row else f"column {column + 1}"
+        raise InputError(
+            f"the expression cannot be used, {where}: {problem}\n"
+            f"  {begin}{window}{rest}\n"
+            f"  {' ' * (len(begin) + column - first)}{marks}\n"
+            f"names: {', '.join(map(self._listed, self.names)) or 'none'}\n"
+            f"constants: {', '.join(CONSTANTS)}\n"
+            f"functions: {', '.join(FUNCTIONS)}"
+        )
+
+    def _listed(self, name: str) -> str:
+        """Return a name and its entries, as they are written."""
+        value: Any = self.names[name]
+        if not _has_entries(value):
+            return name
+        keys = list(value) if isinstance(value, Mapping) else list(range(_length(value)))
+        more = ", …" if len(keys) > _LISTED else ""
+        return ", ".join(f"{name}[{key!r}]" for key in keys[:_LISTED]) + more
+
+
+def _length(value: Any) -> int:
+    """Return the number of entries of a sequence or of a CasADi column."""
+    return int(value.numel()) if hasattr(value, "numel") else len(value)
+
+
+def _has_entries(value: Any) -> bool:
+    """Return whether a given name is more than one scalar."""
+    return isinstance(value, (Mapping, Sequence)) or (
+        hasattr(value, "is_scalar") and not value.is_scalar()
+    )
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 40 else f"{text[:39]}…"

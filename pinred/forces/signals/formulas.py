@@ -1,0 +1,144 @@
+"""Signals from formulas: a constant, a Fourier series, an expression."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...common.arrays import Array, positive, read_only
+from ...common.errors import InputError
+from .base import Signal, finite_list, number
+from .expressions import parse
+
+if TYPE_CHECKING:
+    import casadi as ca
+
+
+@dataclass(frozen=True)
+class Constant(Signal):
+    """The same number at all times."""
+
+    level: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "level", number(self.level, "the value of a Constant"))
+
+    def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:  # noqa: ARG002
+        """Return the number."""
+        import casadi as ca
+
+        return ca.SX(self.level)
+
+    def _numbers(self, t: Array, order: int) -> Array:
+        return np.full(t.shape, 0.0 if order else self.level)
+
+
+@dataclass(frozen=True, eq=False)
+class Fourier(Signal):
+    """mean + Σ aₖ cos(2πk t/period) + bₖ sin(2πk t/period), k from 1.
+
+    cosines, sines: (n,) the aₖ and the bₖ, as many as needed of each, up to 1000.  period [s].
+    """
+
+    mean: float
+    cosines: ArrayLike
+    sines: ArrayLike
+    period: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mean", number(self.mean, "mean of a Fourier"))
+        object.__setattr__(self, "period", positive(self.period, "period of a Fourier"))
+        size = 0.0
+        for name in ("cosines", "sines"):
+            array = read_only(finite_list(getattr(self, name), f"{name} of a Fourier"))
+            object.__setattr__(self, name, array)
+            with np.errstate(over="ignore", invalid="ignore"):
+                size += float(np.abs(array) @ self._frequencies(array.size) ** 2)
+        if not math.isfinite(size):
+            raise InputError(
+                f"the acceleration of a Fourier with period {self.period:g} s overflows"
+            )
+
+    def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:  # noqa: ARG002
+        """Return the series at `t`."""
+        import casadi as ca
+
+        cosines, sines = self._coefficients
+        result = ca.SX(self.mean)
+        for array, wave in ((cosines, ca.cos), (sines, ca.sin)):
+            for size, frequency in zip(array, self._frequencies(array.size), strict=True):
+                result += float(size) * wave(float(frequency) * t)
+        return result
+
+    @property
+    def _coefficients(self) -> tuple[Array, Array]:
+        return vars(self)["cosines"], vars(self)["sines"]
+
+    def _frequencies(self, count: int) -> Array:
+        """Return 2πk/period of the first harmonics, (count,) [rad/s]."""
+        with np.errstate(over="ignore"):
+            return np.asarray(2 * np.pi * np.arange(1, count + 1) / self.period)
+
+    def _numbers(self, t: Array, order: int) -> Array:
+        result = np.full(t.shape, 0.0 if order else self.mean)
+        for array, shift in zip(self._coefficients, (order, order - 1), strict=True):
+            frequencies = self._frequencies(array.size)
+            angles = t[..., None] * frequencies
+            # The derivatives of cos are −sin, −cos, sin; sin is the one before cos.
+            wave = (np.cos, np.sin)[shift % 2](angles) * (-1 if shift in (1, 2) else 1)
+            result += wave @ (array * frequencies**order)
+        return result
+
+
+@dataclass(frozen=True)
+class Expression(Signal):
+    """A formula of the time `t`, such as "0.3*sin(2*t)"; `expressions.parse` says what it may hold.
+
+    Where it jumps or has a kink is not known, so it has no breaks: a table (Hold, Linear) says.
+    Raises InputError if the text is not such a formula.
+    """
+
+    text: str
+
+    def __post_init__(self) -> None:
+        import casadi as ca
+
+        self.casadi(ca.SX.sym("t"))
+
+    @property
+    def smoothness(self) -> float:
+        """Infinite if every function in it is smooth where it is defined, else −1: unknown."""
+        kinds = {self._function.instruction_id(k) for k in range(self._function.n_instructions())}
+        return -1 if kinds & _rough() else math.inf
+
+    def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:  # noqa: ARG002
+        """Return the formula at `t`."""
+        return parse(self.text, {"t": t})
+
+    @cached_property
+    def _function(self) -> ca.Function:
+        """Value, rate and acceleration at t."""
+        import casadi as ca
+
+        t = ca.SX.sym("t")
+        value = self.casadi(t)
+        rate = ca.jacobian(value, t)
+        both = ca.vertcat(value, rate, ca.jacobian(rate, t))
+        return ca.Function("expression", [t], [ca.densify(both)])
+
+    def _numbers(self, t: Array, order: int) -> Array:
+        row: Array = np.array(self._function(t.reshape(1, -1)))[order]
+        return row[: t.size].reshape(t.shape)  # of no times, CasADi makes one
+
+
+def _rough() -> set[int]:
+    """Return CasADi's operations that jump or have a kink."""
+    import casadi as ca
+
+    names = "FABS SIGN FLOOR CEIL FMIN FMAX LT LE EQ NE IF_ELSE_ZERO"
+    return {getattr(ca, f"OP_{name}") for name in names.split()}

@@ -1,0 +1,190 @@
+"""Signals from tables: splines, straight lines and steps."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...common.arrays import Array, read_only, vector
+from ...common.errors import InputError, ShapeError
+from .base import Signal, finite_list
+
+if TYPE_CHECKING:
+    import casadi as ca
+
+_ENDS = ("natural", "clamped", "not-a-knot", "periodic")
+
+
+@dataclass(frozen=True, eq=False)
+class _Table(Signal):
+    """A polynomial on each piece of time between the entries of a table.
+
+    times: (n,) strictly increasing [s].  values: (n,).  Both become read-only copies.
+    Raises InputError, or ShapeError, naming the entry that cannot be used.
+    """
+
+    times: ArrayLike
+    values: ArrayLike
+
+    _least: ClassVar[int] = 2  # entries
+    _smoothness: ClassVar[int]
+
+    def __post_init__(self) -> None:
+        kind = type(self).__name__
+        times = finite_list(self.times, f"times of a {kind}")
+        if times.size < self._least:
+            raise ShapeError(f"a {kind} needs at least {self._least} entries, got {times.size}")
+        values = vector(self.values, times.size, f"values of a {kind}").copy()
+        with np.errstate(over="ignore"):
+            late = np.flatnonzero(np.diff(times) <= 0)
+        if late.size:
+            k = int(late[0]) + 1
+            raise InputError(
+                f"times of a {kind} must increase strictly, but entry {k} ({float(times[k])} s) "
+                f"follows {float(times[k - 1])} s"
+            )
+        object.__setattr__(self, "times", read_only(times))
+        object.__setattr__(self, "values", read_only(values))
+        with np.errstate(all="ignore"):
+            coefficients = self._pieces(times, values)
+        wrong = ~np.isfinite(coefficients).all(axis=0)
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            raise InputError(
+                f"a {kind} through these values overflows after entry {k} ({float(times[k])} s): "
+                "times too close or values too large"
+            )
+        object.__setattr__(self, "_starts", times[: coefficients.shape[1]])
+        object.__setattr__(self, "_coefficients", read_only(coefficients))
+
+    @abstractmethod
+    def _pieces(self, times: Array, values: Array) -> Array:
+        """Return the coefficients of the pieces, (degree + 1, p), highest power first.
+
+        Piece k is a polynomial in the time since entry k.
+        """
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The first and the last time of the table [s]."""
+        times: Array = vars(self)["times"]
+        return float(times[0]), float(times[-1])
+
+    @property
+    def breaks(self) -> Array:
+        """Where a piece follows another [s]."""
+        starts: Array = vars(self)["_starts"]
+        return read_only(starts[1:])
+
+    @property
+    def smoothness(self) -> float:
+        """How many derivatives are continuous at the entries of the table."""
+        return self._smoothness
+
+    def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:
+        """Return the polynomial of the piece that holds `within`, or else `t`, at `t`.
+
+        Its coefficients are picked, each times 1 if its piece holds the time and times 0 if
+        not, which is exact; so is every derivative, as these factors are constant.
+        """
+        import casadi as ca
+
+        starts, coefficients = vars(self)["_starts"], vars(self)["_coefficients"]
+        begun = ca.SX(starts[1:]) <= (t if within is None else within)
+        here = ca.vertcat(1, begun) - ca.vertcat(begun, 0)
+        picked = ca.mtimes(ca.DM(np.vstack([starts, coefficients])), here)
+        since = t - picked[0]
+        result = picked[1]
+        for k in range(2, 1 + len(coefficients)):
+            result = result * since + picked[k]
+        return result
+
+    def _numbers(self, t: Array, order: int) -> Array:
+        numbers: Array = self._curve(t, order)
+        return numbers
+
+    @cached_property
+    def _curve(self) -> Any:
+        """The same by SciPy."""
+        from scipy.interpolate import PPoly
+
+        starts, coefficients = vars(self)["_starts"], vars(self)["_coefficients"]
+        return PPoly(coefficients, np.append(starts, self.span[1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Spline(_Table):
+    """The cubic spline through a table: continuous up to its acceleration.
+
+    times: (n,) strictly increasing [s], 2 to 1000 of them.  values: (n,).  end: what holds at
+    both ends: "natural": no acceleration; "clamped": no rate; "not-a-knot": the first two
+    pieces are one cubic, and the last two; "periodic": value, rate and acceleration are the
+    same at both ends (the table is one period; it is not repeated).
+    """
+
+    end: Literal["natural", "clamped", "not-a-knot", "periodic"] = field(
+        default="natural", kw_only=True
+    )
+
+    _smoothness: ClassVar[int] = 2
+
+    def _pieces(self, times: Array, values: Array) -> Array:
+        from scipy.interpolate import CubicSpline
+
+        if self.end not in _ENDS:
+            raise InputError(f"end of a Spline must be one of {', '.join(_ENDS)}, got {self.end!r}")
+        if self.end == "periodic" and values[0] != values[-1]:
+            raise InputError(
+                "a periodic Spline ends with the value it begins with, "
+                f"got {float(values[0])} and {float(values[-1])}"
+            )
+        try:
+            curve = CubicSpline(times, values, bc_type=self.end)
+        except (ValueError, np.linalg.LinAlgError):
+            raise InputError(
+                "no spline can be put through these values: times too close or values too large"
+            ) from None
+        return np.array(curve.c)
+
+
+@dataclass(frozen=True, eq=False)
+class Linear(_Table):
+    """Straight lines from entry to entry of a table: no motion for a joint, as its rate jumps.
+
+    times: (n,) strictly increasing [s], 2 to 1000 of them.  values: (n,).
+    """
+
+    _smoothness: ClassVar[int] = 0
+
+    def _pieces(self, times: Array, values: Array) -> Array:
+        return np.vstack([np.diff(values) / np.diff(times), values[:-1]])
+
+
+@dataclass(frozen=True, eq=False)
+class Hold(_Table):
+    """Each value of a table from its own time to the next one; the last one for ever.
+
+    times: (n,) strictly increasing [s], 1 to 1000 of them.  values: (n,).
+    """
+
+    _least: ClassVar[int] = 1
+    _smoothness: ClassVar[int] = -1
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """From the first time of the table on [s]."""
+        return super().span[0], math.inf
+
+    def _pieces(self, times: Array, values: Array) -> Array:  # noqa: ARG002
+        return values[None]
+
+    def _numbers(self, t: Array, order: int) -> Array:
+        times, values = vars(self)["times"], vars(self)["values"]
+        numbers: Array = values[np.searchsorted(times, t, side="right") - 1]
+        return np.zeros(t.shape) if order else numbers

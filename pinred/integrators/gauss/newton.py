@@ -1,0 +1,170 @@
+"""Newton's method for the stages of Gauss's methods, where fixed-point iteration is slow.
+
+In L of gauss_tables.py a turn solves ΔL − h (G ⊗ J) ΔL = h b f − L with G = diag(b) μ.  In the
+eigenvectors of G that is a system of n numbers for every pair of eigenvalues (E. Hairer,
+G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., section IV.8).  J is that of
+the begin of some step, so that turns go on to round-off as those of the fixed point do.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from ...common.arrays import Array, read_only
+from ..machine.kernel_call import SEEDS, call, compiled
+from ..machine.newton import factor, factor_complex, jacobian, solve, solve_complex
+from ..machine.registers import first_not_finite
+from ..methods import STAGES
+from .stages import BEST, DIVERGED, MU, RATE, ROWS, SCALE, STAGE, B, Y, multiply
+from .tables import tables
+
+_ENTRY = 2 + 4 * STAGES  # numbers of a pair: eigenvalue, and its two eigenvectors
+MAIN, SUB = 0, 1  # whose factors: of the steps, or of those that reports take
+
+_MOST = 50  # turns
+_STALLED = 0.5  # quotient of changes above which nothing improves
+_SLOW = 0.1  # quotient of changes above which the Jacobian is renewed
+_SMALL, _SLACK = 1e-13, 1e-6  # of the largest number: round-off, and what is none
+
+
+@cache
+def pairs(stages: int) -> Array:
+    """Return eigenvalue, right and left eigenvector of G, one of each pair, as rows of numbers.
+
+    With lanes s: λ, then v and w by their real and imaginary parts, (p, 2 + 4 STAGES).  What
+    a pair adds is twice the real part; of a real eigenvalue v is half of what it was.
+    """
+    method = tables(stages)
+    G = method.b[:stages, None] * method.mu[:stages, :stages]
+    values, right = np.linalg.eig(G)
+    left = np.linalg.inv(right)
+    rows = np.zeros(((stages + 1) // 2, _ENTRY))
+    chosen = [k for k in range(stages) if values[k].imag > -1e-12]
+    for row, k in zip(rows, chosen, strict=True):
+        real = abs(values[k].imag) < 1e-12
+        v, w = right[:, k] * (0.5 if real else 1.0), left[k]
+        row[:2] = values[k].real, 0.0 if real else values[k].imag
+        for part, numbers in enumerate((v.real, v.imag, w.real, w.imag)):
+            row[2 + part * STAGES : 2 + part * STAGES + stages] = numbers
+    return read_only(rows)
+
+
+def room(n: int, stages: int) -> int:
+    """Return how many numbers stand behind the rows of implicit.py."""
+    wide, p = _wide(n), (stages + 1) // 2
+    return p * _ENTRY + (2 * SEEDS + 2) * wide + 2 * (p + n + 2 * n * p) * wide
+
+
+def fill(work: Array, stages: int) -> None:
+    """Put the table of pairs behind the rows."""
+    table = pairs(stages)
+    work.reshape(-1)[ROWS * work.shape[1] :][: table.size] = table.ravel()
+
+
+@compiled
+def _wide(n: int) -> int:
+    return (n + SEEDS - 1) // SEEDS * SEEDS
+
+
+@compiled
+def prepare(
+    tangent: int, params: Array, work: Array, n: int, stages: int, which: int, h: float
+) -> bool:
+    """Factor the systems of a step h from row Y; return whether that was possible."""
+    wide, p = _wide(n), (stages + 1) // 2
+    behind = work.reshape(-1)[ROWS * work.shape[1] :]
+    at = p * _ENTRY + 2 * wide
+    seeds, slopes = behind[at : at + SEEDS * wide], behind[at + SEEDS * wide :][: SEEDS * wide]
+    pivots, matrix = _systems(behind, n, p, which)
+    jacobian(tangent, work[Y], params, seeds, slopes, matrix, 0, n)
+    for k in range(p):
+        a, b = behind[k * _ENTRY], behind[k * _ENTRY + 1]
+        real, imag = n + 2 * n * k, 2 * n + 2 * n * k
+        for i in range(n):
+            for j in range(n):
+                slope = -h * matrix[i, j]
+                matrix[real + i, j], matrix[imag + i, j] = a * slope, b * slope
+            matrix[real + i, i] += 1.0
+        if b == 0.0:
+            if not factor(matrix, real, n, pivots[k]):
+                return False
+        elif not factor_complex(matrix, real, imag, n, pivots[k]):
+            return False
+    return True
+
+
+@compiled
+def _systems(behind: Array, n: int, p: int, which: int) -> tuple[Array, Array]:
+    """Return pivots (p, wide), and the Jacobian above the systems (n + 2 n p, wide)."""
+    wide = _wide(n)
+    size = (p + n + 2 * n * p) * wide
+    own = behind[p * _ENTRY + (2 * SEEDS + 2) * wide + which * size :][:size]
+    return own[: p * wide].reshape(p, wide), own[p * wide :].reshape(n + 2 * n * p, wide)
+
+
+@compiled
+def refine(
+    address: int, tangent: int, params: Array, work: Array, n: int, lanes: int, stages: int,
+    row: int, which: int, fresh: bool, h: float,
+) -> int:  # fmt: skip
+    """Bring the L in `row` from a guess to the solution; return the turns, or DIVERGED.
+
+    fresh: whether the factors are those of this step; if not, they are renewed where they
+    serve badly, and the turns come negative.  SCALE holds the inverse of the largest number.
+    """
+    wide, p = _wide(n), (stages + 1) // 2
+    behind = work.reshape(-1)[ROWS * work.shape[1] :]
+    b, c = behind[p * _ENTRY :][:wide], behind[p * _ENTRY + wide :][:wide]
+    pivots, matrix = _systems(behind, n, p, which)
+    scale, before, stalls, renewed = work[SCALE, 0], np.inf, 0, False
+    for turn in range(1, _MOST + 1):
+        multiply(work, STAGE, Y, MU, row, n, lanes)
+        call(address, work[STAGE], params, work[RATE])
+        for i in range(n):
+            for j in range(stages):
+                at = i * lanes + j
+                work[RATE, at] = h * work[B, j] * work[RATE, at] - work[row, at]
+                work[BEST, at] = 0.0
+        if first_not_finite(work[RATE], n * lanes) >= 0:
+            return DIVERGED
+        for k in range(p):
+            table = behind[k * _ENTRY : (k + 1) * _ENTRY]
+            v, vi, w, wi = (
+                table[2:], table[2 + STAGES :], table[2 + 2 * STAGES :], table[2 + 3 * STAGES :],
+            )  # fmt: skip
+            for i in range(n):
+                x = y = 0.0
+                for j in range(stages):
+                    x += w[j] * work[RATE, i * lanes + j]
+                    y += wi[j] * work[RATE, i * lanes + j]
+                b[i], c[i] = x, y
+            if table[1] == 0.0:
+                solve(matrix, n + 2 * n * k, n, pivots[k], b)
+            else:
+                solve_complex(matrix, n + 2 * n * k, 2 * n + 2 * n * k, n, pivots[k], b, c)
+            for i in range(n):
+                for j in range(stages):
+                    work[BEST, i * lanes + j] += 2.0 * (v[j] * b[i] - vi[j] * c[i])
+        total = 0.0
+        for i in range(n):
+            for j in range(stages):
+                change = work[BEST, i * lanes + j]
+                work[row, i * lanes + j] += change
+                total += change * change
+        size = np.sqrt(total) * scale
+        if not size < np.inf:
+            return DIVERGED
+        if size == 0.0:
+            return -turn if renewed else turn
+        if size >= _STALLED * before:
+            stalls += 1
+            if size <= _SMALL or (stalls > 1 and size <= _SLACK):
+                return -turn if renewed else turn
+        if not (fresh or renewed) and size > _SMALL and size > _SLOW * before:
+            if not prepare(tangent, params, work, n, stages, which, h):
+                return DIVERGED
+            renewed, stalls = True, 0
+        before = size
+    return DIVERGED

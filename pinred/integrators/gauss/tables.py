@@ -1,0 +1,74 @@
+"""Gauss–Legendre collocation with s stages, of order 2s, as tables for whole vectors.
+
+E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2nd ed., section II.1.3.
+The step is written in L_j = h b_j f(Y_j): Y_i = y + Σ_j μ_ij L_j, y₁ = y + Σ_j L_j, with
+μ_ij = a_ij / b_j.  The method is symplectic, and keeps quadratic invariants, where
+μ_ij + μ_ji = 1; here that holds for the floating-point numbers too (M. Antoñana, J. Makazaga,
+A. Murua, Reducing and monitoring round-off error propagation for symplectic implicit
+Runge–Kutta schemes, Numer. Algorithms 76 (2017) 861–880).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from ...common.arrays import Array, freeze
+from ..methods import lanes_of
+
+
+@dataclass(frozen=True)
+class Tables:
+    """The numbers of the method, padded with zeros to whole vectors of w lanes.
+
+    mu: (w, w).  b: (w,), c: (w,).  last: (w,) of which Σ_j last_j L_j is h times the
+    highest Legendre coefficient of ẏ over the step.  bary: (w,) barycentric weights of c.
+    """
+
+    mu: Array
+    b: Array
+    c: Array
+    last: Array
+    bary: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+@cache
+def tables(stages: int) -> Tables:
+    """Return the tables of a number of stages."""
+    x, weights = legendre.leggauss(stages)
+    P = legendre.legvander(x, stages)  # P_k(x_i), (s, s + 1)
+    # ∫ from −1 to x of P_k is (P_{k+1} − P_{k−1}) / (2k + 1), and x + 1 for k = 0.
+    integrals = np.column_stack(
+        [x + 1.0, *((P[:, k + 1] - P[:, k - 1]) / (2 * k + 1) for k in range(1, stages))]
+    )
+    degree = np.arange(stages)
+    mu = 0.5 * integrals @ ((2 * degree + 1) * P[:, :stages]).T
+    for i in range(stages):
+        mu[i, i] = 0.5
+        for j in range(i):
+            # 1 − a is exact for a of at least ½, and one of the two is.
+            big, small = ((i, j), (j, i)) if mu[i, j] >= 0.5 else ((j, i), (i, j))
+            mu[small] = 1.0 - mu[big]
+    c, lanes = 0.5 * (x + 1.0), lanes_of(stages)
+    gaps = c[:, None] - c[None, :] + np.eye(stages)
+    padded_mu = np.zeros((lanes, lanes))
+    padded_mu[:stages, :stages] = mu
+
+    def padded(row: NDArray[np.floating[Any]]) -> Array:
+        return np.concatenate([row, np.zeros(lanes - stages)])
+
+    return Tables(
+        mu=padded_mu,
+        b=padded(0.5 * weights),
+        c=padded(c),
+        last=padded((2 * stages - 1) * P[:, stages - 1]),
+        bary=padded(1.0 / gaps.prod(axis=1)),
+    )

@@ -1,0 +1,141 @@
+"""What Newton's method needs: the Jacobian of a kernel, and small linear systems.
+
+Matrices are rows of an array, from a first row on.  LAPACK is not used: its threads wait for
+each other longer than matrices of this size take.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...common.arrays import Array
+from .kernel_call import SEEDS, call_tangent, compiled
+
+
+@compiled
+def jacobian(
+    tangent: int,
+    y: Array,
+    params: Array,
+    seeds: Array,
+    slopes: Array,
+    matrix: Array,
+    first: int,
+    n: int,
+) -> None:
+    """Fill n rows from `first` on with ∂ẏ/∂y at y.
+
+    seeds, slopes: contiguous, for n SEEDS numbers.  Rows are at least as long as n rounded up
+    to SEEDS.
+    """
+    along, out = seeds.reshape(-1), slopes.reshape(-1)
+    for begin in range(0, n, SEEDS):
+        along[: n * SEEDS] = 0.0
+        for j in range(min(SEEDS, n - begin)):
+            along[(begin + j) * SEEDS + j] = 1.0
+        call_tangent(tangent, y, params, along, out)
+        for i in range(n):
+            for j in range(SEEDS):
+                matrix[first + i, begin + j] = out[i * SEEDS + j]
+
+
+@compiled
+def factor(matrix: Array, first: int, n: int, pivots: Array) -> bool:
+    """Replace n rows by their factors, by Gauss's elimination; return whether it was possible."""
+    for k in range(n):
+        best, size = k, abs(matrix[first + k, k])
+        for i in range(k + 1, n):
+            if abs(matrix[first + i, k]) > size:
+                best, size = i, abs(matrix[first + i, k])
+        if not 0.0 < size < np.inf:
+            return False
+        pivots[k] = best
+        top, other = matrix[first + k], matrix[first + best]
+        if best != k:
+            for j in range(n):
+                top[j], other[j] = other[j], top[j]
+        inverse = 1.0 / top[k]
+        for i in range(k + 1, n):
+            row = matrix[first + i]
+            part = row[k] * inverse
+            row[k] = part
+            if part != 0.0:
+                for j in range(k + 1, n):
+                    row[j] -= part * top[j]
+    return True
+
+
+@compiled
+def solve(matrix: Array, first: int, n: int, pivots: Array, b: Array) -> None:
+    """Replace b (n,) by the solution of the system that `factor` has left."""
+    for k in range(n):
+        best = int(pivots[k])
+        if best != k:
+            b[k], b[best] = b[best], b[k]
+    for i in range(n):
+        row, total = matrix[first + i], b[i]
+        for j in range(i):
+            total -= row[j] * b[j]
+        b[i] = total
+    for i in range(n - 1, -1, -1):
+        row, total = matrix[first + i], b[i]
+        for j in range(i + 1, n):
+            total -= row[j] * b[j]
+        b[i] = total / row[i]
+
+
+@compiled
+def factor_complex(matrix: Array, real: int, imag: int, n: int, pivots: Array) -> bool:
+    """Do as `factor` for a complex matrix, its parts in rows from `real` and `imag` on."""
+    for k in range(n):
+        best, size = k, -1.0
+        for i in range(k, n):
+            square = matrix[real + i, k] ** 2 + matrix[imag + i, k] ** 2
+            if square > size:
+                best, size = i, square
+        if not 0.0 < size < np.inf:
+            return False
+        pivots[k] = best
+        top_r, top_i = matrix[real + k], matrix[imag + k]
+        if best != k:
+            other_r, other_i = matrix[real + best], matrix[imag + best]
+            for j in range(n):
+                top_r[j], other_r[j] = other_r[j], top_r[j]
+                top_i[j], other_i[j] = other_i[j], top_i[j]
+        inverse_r, inverse_i = top_r[k] / size, -top_i[k] / size
+        for i in range(k + 1, n):
+            row_r, row_i = matrix[real + i], matrix[imag + i]
+            r = row_r[k] * inverse_r - row_i[k] * inverse_i
+            c = row_r[k] * inverse_i + row_i[k] * inverse_r
+            row_r[k], row_i[k] = r, c
+            if r != 0.0 or c != 0.0:
+                for j in range(k + 1, n):
+                    row_r[j] -= r * top_r[j] - c * top_i[j]
+                    row_i[j] -= r * top_i[j] + c * top_r[j]
+    return True
+
+
+@compiled
+def solve_complex(
+    matrix: Array, real: int, imag: int, n: int, pivots: Array, b: Array, c: Array
+) -> None:
+    """Replace b + i c (n,) by the solution of the system that `factor_complex` has left."""
+    for k in range(n):
+        best = int(pivots[k])
+        if best != k:
+            b[k], b[best] = b[best], b[k]
+            c[k], c[best] = c[best], c[k]
+    for i in range(n):
+        row_r, row_i, r, s = matrix[real + i], matrix[imag + i], b[i], c[i]
+        for j in range(i):
+            r -= row_r[j] * b[j] - row_i[j] * c[j]
+            s -= row_r[j] * c[j] + row_i[j] * b[j]
+        b[i], c[i] = r, s
+    for i in range(n - 1, -1, -1):
+        row_r, row_i, r, s = matrix[real + i], matrix[imag + i], b[i], c[i]
+        for j in range(i + 1, n):
+            r -= row_r[j] * b[j] - row_i[j] * c[j]
+            s -= row_r[j] * c[j] + row_i[j] * b[j]
+        x, y = row_r[i], row_i[i]
+        square = x * x + y * y
+        b[i], c[i] = (r * x + s * y) / square, (s * x - r * y) / square

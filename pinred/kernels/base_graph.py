@@ -1,0 +1,210 @@
+"""The base in the reduced graph: its symbols, its momentum, its rates (see base_parts.py)."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+
+import casadi as ca
+
+from ..lie.groups import SE2
+from ..reduction.base_parts import BaseParts, root_of
+from ..reduction.tree.scalars import Scalar, Vec, add, cross, dot, mul, plus, sub
+from ..system.system import System
+
+
+@dataclass(frozen=True)
+class Full:
+    """The base's full state.  energy: of the centre of mass's motion and fall; see State."""
+
+    pose: list[Scalar]
+    xi: list[Scalar]
+    body_momentum: list[Scalar]
+    spatial_momentum: list[Scalar]
+    energy: Scalar
+
+
+class BaseGraph:
+    """The base of one system as expressions.
+
+    b: its integrated numbers.  spin: the constant angular momentum.  weight: (3,) m g in the
+    root joint's fixed frame where it turns the base, else None.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        parts: BaseParts,
+        weight: tuple[float, float, float] | None,
+        *,
+        lifted: bool = False,
+    ) -> None:
+        """Make the symbols.  lifted: see Structure."""
+        self._lifted = lifted
+        self._k, self._r, self._mass = system.group.linear, system.r, system.mass
+        self._group, self.parts = system.group, parts
+        self._weight = None if weight is None else [float(w) for w in weight]
+        self._root = root_of(system)
+        names = ("attitude", "down", "momentum", "push")
+        self.attitude, self.down, self.momentum, self.push = (
+            [ca.SX.sym(f"{name}{i}") for i in range(count)]
+            for name, count in zip(names, astuple(parts)[:4], strict=True)
+        )
+        self.b = [*self.attitude, *self.down, *self.momentum, *self.push]
+        self.spin = [ca.SX.sym(f"spin{i}") for i in range(parts.spin)]
+
+    def body_momentum(self) -> list[Scalar]:
+        """Return μ in the frame of the centre of mass: no linear part, the angular one turned."""
+        if self.parts.momentum:
+            angular: list[Scalar] = list(self.momentum)
+        elif self.parts.spin:
+            lifted = self._lifted and self.parts.attitude == 4
+            angular = _lift(self.attitude, self.spin) if lifted else self._turned_back(self.spin)
+        else:
+            return [0.0] * self._r
+        return [0.0] * self._k + angular
+
+    def body_weight(self) -> Vec | None:
+        """Return the weight that turns the base, (3,) in its frame."""
+        if self._weight is None:
+            return None
+        if self.parts.down:
+            size = float(sum(w * w for w in self._weight)) ** 0.5
+            return [mul(size, d) for d in self.down]
+        return self._turned_back(self._weight)
+
+    def rates(
+        self, xi: list[Scalar], com: Vec, wrench: list[Scalar], weight: Vec | None
+    ) -> list[Scalar]:
+        """Return the rates of b for the relative body twist ξ (r,).
+
+        com: (3,) in the body's frame.  wrench: (r,) at its origin, or none at all.
+        """
+        out: list[Scalar] = []
+        omega = xi[self._k :]
+        if self.parts.attitude == 1:
+            out += omega
+        elif self.parts.attitude:
+            out += _quaternion_rate(self.attitude, omega)
+        if self.parts.down:
+            out += cross(self.down, omega)
+        if self.parts.momentum:
+            moment: list[Scalar] = [0.0] * self.parts.momentum
+            if self.parts.momentum == 3:
+                moment = cross(self.momentum, omega)
+            if wrench:
+                moment = plus(moment, self.about(com, wrench))
+            if weight is not None:
+                moment = plus(moment, cross(com, weight))
+            out += moment
+        if self.parts.push:
+            out += [mul(1.0 / self._mass, P) for P in self.push[self._k :]]
+            out += self.turned(wrench[: self._k])
+        return out
+
+    def along(self, com: Vec) -> list[Scalar]:
+        """Return the part of the centre of mass along the group's translations, (k,)."""
+        axes = self._root.axes.T.tolist()
+        return [dot(axis, com) for axis in axes]
+
+    def about(self, com: Vec, wrench: list[Scalar]) -> list[Scalar]:
+        """Return the angular part about the centre of mass, N − c × F, of a wrench or momentum."""
+        force, moment = wrench[: self._k], wrench[self._k :]
+        if self._k == 3:
+            return [sub(a, b) for a, b in zip(moment, cross(com, force), strict=True)]
+        if self._group is SE2:
+            arm = sub(mul(com[0], force[1]), mul(com[1], force[0]))
+            return [sub(moment[0], arm)]
+        return moment
+
+    def turned_angular(self, v: list[Scalar]) -> list[Scalar]:
+        """Return an angular part in the fixed frame."""
+        return _rotated(self.attitude, v, 1.0) if len(v) == 3 else list(v)
+
+    def full(
+        self, xi: list[Scalar], mu: list[Scalar], com: Vec, t: Scalar, line: list[Scalar]
+    ) -> Full:
+        """Return the base's full state at a time from what is relative to the centre of mass.
+
+        xi, mu: (r,).  line: (3k,) where the centre of mass begins, how fast, and how it falls.
+        """
+        k, m = self._k, self._mass
+        c0, v0, g = line[:k], line[k : 2 * k], line[2 * k :]
+        c = [c0[i] + v0[i] * t + 0.5 * g[i] * t * t for i in range(k)]
+        P = [m * (v0[i] + g[i] * t) for i in range(k)]
+        if self.push:
+            c = plus(c, self.push[:k])
+            P = plus(P, self.push[k:])
+        shift, about = self.along(com), mu[k:]
+        size = ca.sqrt(sum(a * a for a in self.attitude)) if len(self.attitude) == 4 else 1.0
+        moved = self.turned(shift)
+        place = [sub(a, b) for a, b in zip(c, moved, strict=True)]
+        carried = self._linear_back(P)
+        origin = (self._root.origin @ self._root.axes).tolist()
+        spatial = self.turned_angular(about)
+        return Full(
+            pose=place + [a / size for a in self.attitude],
+            xi=[add(a, mul(1.0 / m, b)) for a, b in zip(xi, carried, strict=False)] + xi[k:],
+            body_momentum=carried + self._moment(shift, carried, about),
+            spatial_momentum=P + self._moment(c, P, spatial),
+            energy=0.5 / m * dot(P, P) - m * dot(g, plus(c, origin)),
+        )
+
+    def _linear_back(self, v: list[Scalar]) -> list[Scalar]:
+        """Return a linear part in the body's frame."""
+        if self._k == 3:
+            return _rotated(self.attitude, v, -1.0)
+        if self._k == 2:
+            c, s = ca.cos(self.attitude[0]), ca.sin(self.attitude[0])
+            return [add(mul(c, v[0]), mul(s, v[1])), sub(mul(c, v[1]), mul(s, v[0]))]
+        return list(v)
+
+    def _moment(self, c: list[Scalar], P: list[Scalar], about: list[Scalar]) -> list[Scalar]:
+        """Return c × P + about, in the angular part of the group."""
+        if self._k == 3:
+            return plus(cross(c, P), about)
+        if self._k == 2:
+            return [add(sub(mul(c[0], P[1]), mul(c[1], P[0])), about[0])]
+        return list(about)
+
+    def _turned_back(self, v: list[Scalar]) -> list[Scalar]:
+        """Return an angular part, or any (3,), in the body's frame."""
+        return _rotated(self.attitude, v, -1.0) if len(v) == 3 else list(v)
+
+    def turned(self, v: list[Scalar]) -> list[Scalar]:
+        """Return a linear part in the fixed frame."""
+        if self._k == 3:
+            return _rotated(self.attitude, v, 1.0)
+        if self._k == 2:
+            c, s = ca.cos(self.attitude[0]), ca.sin(self.attitude[0])
+            return [sub(mul(c, v[0]), mul(s, v[1])), add(mul(s, v[0]), mul(c, v[1]))]
+        return list(v)
+
+
+def _rotated(q: list[Scalar], v: list[Scalar], sign: float) -> list[Scalar]:
+    """Return R v, or Rᵀ v for sign −1, by a quaternion (x, y, z, w) of any length."""
+    u, w = [mul(sign, c) for c in q[:3]], q[3]
+    scale = 2.0 / (sum(c * c for c in u) + w * w)
+    t = cross(u, v)
+    turned = cross(u, t)
+    return [add(v[i], mul(scale, add(mul(w, t[i]), turned[i]))) for i in range(3)]
+
+
+def _lift(q: list[Scalar], v: list[Scalar]) -> list[Scalar]:
+    """Return q̄ v q, which is |q|² Rᵀ v, by a quaternion (x, y, z, w)."""
+    u, w = [mul(-1.0, c) for c in q[:3]], q[3]
+    square = add(dot(u, u), mul(w, w))
+    t = cross(u, v)
+    turned = cross(u, t)
+    return [add(mul(square, v[i]), mul(2.0, add(mul(w, t[i]), turned[i]))) for i in range(3)]
+
+
+def _quaternion_rate(q: list[Scalar], omega: list[Scalar]) -> list[Scalar]:
+    """Return ½ q ω."""
+    x, y, z, w = q
+    a, b, c = omega
+    return [
+        0.5 * (w * a + y * c - z * b),
+        0.5 * (w * b + z * a - x * c),
+        0.5 * (w * c + x * b - y * a),
+        -0.5 * (x * a + y * b + z * c),
+    ]

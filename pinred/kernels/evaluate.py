@@ -1,0 +1,32 @@
+"""Evaluate a kernel at many states."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..common.arrays import Array
+from ..integrators.machine.kernel_call import call, compiled
+
+
+def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
+    """Return what a kernel gives, (T, size), at states y (T, k) and parameters (p,)."""
+    out = np.empty((len(y), size))
+    _rows(address, np.ascontiguousarray(parameters), np.ascontiguousarray(y), out)
+    return out
+
+
+def repeat(address: int, parameters: Array, y: Array, count: int) -> None:
+    """Evaluate a kernel `count` times at one state y (k,), for its time."""
+    _again(address, parameters, y, np.empty(len(y)), count)
+
+
+@compiled
+def _again(address: int, parameters: Array, y: Array, out: Array, count: int) -> None:
+    for _ in range(count):
+        call(address, y, parameters, out)
+
+
+@compiled
+def _rows(address: int, parameters: Array, y: Array, out: Array) -> None:
+    for k in range(len(y)):
+        call(address, y[k], parameters, out[k])

@@ -1,0 +1,24 @@
+"""What tells one robot from another in the cache of kernels."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+from ..system.system import System
+
+
+def model_bytes(system: System) -> bytes:
+    """Return a digest of every number of the model that the equations depend on."""
+    model = system.model
+    digest = hashlib.sha256(system.group.name.encode())
+    for i in range(1, model.njoints):
+        joint, Y = model.joints[i], model.inertias[i]
+        digest.update(f"{joint.shortname()} {model.parents[i]} {joint.nq};".encode())
+        digest.update(model.jointPlacements[i].homogeneous.tobytes())
+        digest.update(np.concatenate([[Y.mass], Y.lever, Y.inertia.ravel()]).tobytes())
+        axes = np.asarray(joint.createData().S)  # what tells slanted joints apart
+        digest.update(axes.tobytes())
+    digest.update(np.asarray(model.armature).tobytes())
+    return digest.digest()

@@ -1,0 +1,372 @@
+"""The reduced vector field of a robot and a kind of scene, as CasADi expressions.
+
+What a scene does not need is not in the graph.  The reduced state is
+
+    y = (x, π) of the joints that act, x of the cyclic joints, what is integrated of the
+        base, and the time, if anything depends on it
+
+and the parameters are the angular momentum of the base where it is a constant, the momenta
+of the cyclic joints, and the numbers in the forces.  A joint is cyclic if nothing depends on
+its angle and nothing acts on it: then its momentum is constant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+
+from ..forces.model import ForceModel
+from ..lie.groups import SO2, SO3
+from ..reduction.base_parts import BaseParts, base_parts, root_of
+from ..reduction.tree.articulated_sweep import step_of, sweep
+from ..reduction.tree.body_frames import Body, bodies_of
+from ..reduction.tree.limbs import Lanes
+from ..reduction.tree.scalars import Scalar, Vec, add, dot, mul, plus, sub, total
+from ..system.system import System
+from .base_graph import BaseGraph
+
+AXES: dict[str, list[tuple[bool, int]]] = {
+    "R": [(False, 2)],
+    "SO2": [(True, 2)],
+    "SE2": [(False, 0), (False, 1), (True, 2)],
+    "SO3": [(True, 0), (True, 1), (True, 2)],
+    "SE3": [(False, 0), (False, 1), (False, 2), (True, 0), (True, 1), (True, 2)],
+}
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What decides which terms a kernel has, besides the forces.
+
+    zero_momentum: of the base.  cyclic: indices of the cyclic joints.  gravity: (3,) what
+    acts on the shape, or turns a pivoted base, in the root joint's fixed frame, or None.
+    base: whether somebody asks for the base.  lifted: whether a quaternion of any length
+    stands for the angular momentum, μ = q̄ J q, which grows as the square of that length.
+    Under this map (Cayley and Klein's) of ℝ⁴ to so(3)* the canonical bracket becomes that of
+    Lie and Poisson, so that a symplectic method for (x, π, q) is a Poisson map of (x, π, μ).
+    """
+
+    zero_momentum: bool = True
+    cyclic: tuple[int, ...] = ()
+    gravity: tuple[float, float, float] | None = None
+    base: bool = True
+    lifted: bool = False
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where things stand in y and in the parameters.
+
+    active, cyclic, prescribed: indices of shape joints.  base: what is integrated of the
+    base, and its constants.  clock: 1 if the time is the last number of y, else 0.
+    numbers: how many there are in the forces.
+    """
+
+    active: tuple[int, ...]
+    cyclic: tuple[int, ...]
+    prescribed: tuple[int, ...]
+    base: BaseParts
+    wanted: bool
+    heavy: bool
+    clock: int
+    numbers: int
+
+    @property
+    def base_at(self) -> int:
+        """Index in y of the first number of the base."""
+        return 2 * len(self.active) + len(self.cyclic)
+
+    @property
+    def size(self) -> int:
+        """Length of y."""
+        return self.base_at + self.base.size + self.clock
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters."""
+        return self.base.spin + len(self.cyclic) + self.numbers
+
+    @property
+    def quaternion(self) -> int:
+        """Index of the first of four quaternion entries in y, or −1."""
+        return self.base_at if self.base.attitude == 4 else -1
+
+    @property
+    def canonical(self) -> tuple[int, int]:
+        """Number of positions with momenta behind them, and of constant angular momenta."""
+        return len(self.active), self.base.spin
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Where things stand in the outputs: slices.
+
+    xi, xdot, com, mu, weight, driven_x, driven_pi: as seen from the centre of mass; com in
+    the root body's frame, (3,); the weight that turns a pivoted base, (3,) in its frame, or
+    none; x and π of the prescribed joints.  The rest are fields of State, or of
+    ShapeState, whose energy is the last.
+    """
+
+    xi: slice
+    xdot: slice
+    com: slice
+    mu: slice
+    weight: slice
+    driven_x: slice
+    driven_pi: slice
+    x: slice
+    pose: slice
+    q: slice
+    v: slice
+    body_momentum: slice
+    spatial_momentum: slice
+    size: int
+
+
+def outputs_of(system: System, layout: Layout) -> Outputs:
+    """Return where things stand in the outputs of a kernel."""
+    m, r, k = system.m, system.r, len(layout.prescribed)
+    full = [system.group.size, system.model.nq, system.n, r, r]
+    sizes = [r, m, 3, r, 3 * layout.heavy, k, k, m, *(full if layout.wanted else [0] * len(full))]
+    ends = [sum(sizes[:i]) for i in range(len(sizes) + 1)]
+    places: list[Any] = [*(slice(a, b) for a, b in pairwise(ends)), ends[-1] + 1]
+    return Outputs(*places)
+
+
+class ReducedGraph:
+    """The expressions of one system under one structure, with forces on it."""
+
+    def __init__(
+        self,
+        system: System,
+        structure: Structure,
+        forces: ForceModel | None = None,
+        lanes: Lanes | None = None,
+    ) -> None:
+        """Build the sweep.
+
+        lanes: if given, limbs of one build are computed at once, and the Functions are for
+        `compile_object` with the marks of `lanes` alone.
+        """
+        self._system, self._forces, self._lanes = system, forces, lanes
+        self._bodies = bodies_of(system)
+        group, m = system.group, system.m
+        wrench = forces is not None and forces.has_wrench
+        heavy = group is SO3 and structure.gravity is not None
+        self._weight = _weight(system, structure)
+        parts = base_parts(
+            group,
+            wanted=structure.base or structure.lifted,
+            heavy=heavy,
+            wrench=wrench,
+            zero_momentum=structure.zero_momentum,
+        )
+        self.x = [ca.SX.sym(f"x{k}") for k in range(m)]
+        self.pi = [ca.SX.sym(f"pi{k}") for k in range(m)]
+        turned = self._weight if heavy else None
+        self.base = BaseGraph(system, parts, turned, lifted=structure.lifted)
+        self._t = ca.SX.sym("t")
+        prescribed = forces.joints if forces is not None else ()
+        self.layout = Layout(
+            active=tuple(k for k in range(m) if k not in {*structure.cyclic, *prescribed}),
+            cyclic=structure.cyclic,
+            prescribed=prescribed,
+            base=parts,
+            wanted=structure.base,
+            heavy=heavy,
+            clock=int(forces is not None and forces.needs_time),
+            numbers=len(forces.numbers) if forces is not None else 0,
+        )
+        self._numbers = [ca.SX.sym(f"p{k}") for k in range(self.layout.numbers)]
+        self._angles = ca.vertcat(ca.SX(0, 1), *self.x)  # by which energies are differentiated
+        given = self._given()
+        for k, place in zip(prescribed, given, strict=False):
+            self.x[k] = place
+        self._mu = mu = self.base.body_momentum()
+        armature = float(system.model.armature[0]) if group is SO2 else 0.0
+        # Nothing depends on the angle of a cyclic joint, so it may as well be zero.
+        angles: list[Scalar] = [0.0 if k in structure.cyclic else self.x[k] for k in range(m)]
+        rates = dict(zip(prescribed, given[len(prescribed) :], strict=True))
+        found = sweep(self._bodies, angles, self.pi, mu, AXES[group.name], armature, rates, lanes)
+        self.xi: list[Scalar] = [
+            (found.root_angular if angular else found.root_linear)[k]
+            for angular, k in AXES[group.name]
+        ]
+        self.xdot: list[Scalar] = found.xdot
+        self._driven_pi = {k: found.pi[k] for k in prescribed}
+        torque, acting = self._acting(mu)
+        pidot = [add(p, t) for p, t in zip(found.pidot, torque, strict=True)]
+        self.pidot = self._with_loads(pidot, acting)
+        weight = self.base.body_weight()
+        self._base_rate = self.base.rates(self.xi, self.com(), acting, weight)
+
+    @cached_property
+    def y(self) -> ca.SX:
+        """The reduced state, (size,)."""
+        active, cyclic = self.layout.active, self.layout.cyclic
+        return _column(
+            [self.x[k] for k in active],
+            [self.pi[k] for k in active],
+            [self.x[k] for k in cyclic],
+            self.base.b,
+            [self._t] * self.layout.clock,
+        )
+
+    @cached_property
+    def parameters(self) -> ca.SX:
+        """The parameters, (parameters,)."""
+        constant = [self.pi[k] for k in self.layout.cyclic]
+        return _column(self.base.spin, constant, self._numbers)
+
+    def rate(self) -> ca.Function:
+        """Return the vector field (y, parameters) → dy/dt."""
+        active, cyclic = self.layout.active, self.layout.cyclic
+        rate = _column(
+            [self.xdot[k] for k in active],
+            [self.pidot[k] for k in active],
+            [self.xdot[k] for k in cyclic],
+            self._base_rate,
+            [1.0] * self.layout.clock,
+        )
+        return self._function("rate", rate, [self.y, self.parameters])
+
+    def outputs(self) -> ca.Function:
+        """Return ((y, t), (parameters, c0, v0, g)) → everything of Outputs.
+
+        The time is not repeated where it is the last number of y.  c0, v0, g: (k,) where the
+        centre of mass begins, how fast, and how it falls, in the root joint's fixed frame.
+        """
+        system, k = self._system, self._system.group.linear
+        com, places = self.com(), [self.x[j] for j in self.layout.prescribed]
+        momenta = [self._driven_pi.get(j, self.pi[j]) for j in range(system.m)]
+        about = self._mu[k:]
+        energy = mul(0.5, add(dot(self.xi[k:], about), dot(self.xdot, momenta)))
+        energy = add(energy, self._potential(com))
+        weight: list[Scalar] = self.base.body_weight() or []
+        parts = [self.xi, self.xdot, com, self._mu, weight]
+        parts += [places, list(self._driven_pi.values()), self.x]
+        line = [ca.SX.sym(f"line{j}") for j in range(3 * k)]
+        if self.layout.wanted:
+            full = self.base.full(self.xi, self._mu, com, self._t, line)
+            parts += [full.pose, self._q(full.pose), full.xi, self.xdot]
+            parts += [full.body_momentum, full.spatial_momentum]
+            energy = add(energy, full.energy)
+        y = self.y if self.layout.clock else ca.vertcat(self.y, self._t)
+        inputs = [y, ca.vertcat(self.parameters, *line)]
+        return self._function("outputs", _column(*parts, [energy]), inputs)
+
+    def _potential(self, com: Vec) -> Scalar:
+        """Return V(x), and the potential energy of a pivoted body's weight."""
+        energy: Scalar = 0.0
+        if self._forces is not None:
+            value = self._forces.potential_function(_column(self.x), _column(self._numbers))
+            energy = add(energy, _scalars(value)[0])
+        if self._weight is not None:
+            constant = [float(w) for w in self._weight]
+            weight = self.base.body_weight() or constant
+            origin = dot(constant, root_of(self._system).origin.tolist())
+            energy = sub(energy, add(dot(weight, com), origin))
+        return energy
+
+    def _q(self, pose: list[Scalar]) -> list[Scalar]:
+        """Return Pinocchio's configuration."""
+        y, q = [*pose, *self.x], [0.0] * self._system.model.nq
+        for i, at in self._system.plain:
+            q[at] = y[i]
+        for i, at in self._system.angles:
+            q[at], q[at + 1] = ca.cos(y[i]), ca.sin(y[i])
+        return q
+
+    def _function(self, name: str, value: ca.SX, inputs: list[ca.SX]) -> ca.Function:
+        if self._lanes is not None:
+            return self._lanes.function(name, inputs, value)
+        return ca.Function(name, inputs, [ca.densify(value)], {"cse": True})
+
+    def com(self) -> Vec:
+        """Return the centre of mass in the root body's own frame, from the joints' placements."""
+        return centre_of_mass(self._bodies, self.x)
+
+    def _given(self) -> list[Scalar]:
+        """Return positions and then rates of the prescribed joints."""
+        if self._forces is None or not self.layout.prescribed:
+            return []
+        x, xdot, _ = self._forces.prescribed_function(self._t, _column(self._numbers))
+        return _scalars(x) + _scalars(xdot)
+
+    def _acting(self, mu: list[Scalar]) -> tuple[list[Scalar], list[Scalar]]:
+        """Return torques (m,) and the wrench, (r,) or none, of the forces."""
+        if self._forces is None:
+            return [0.0] * self._system.m, []
+        columns = (self.x, self.xdot, self.xi, mu, self._numbers)
+        state = [_column(list(column)) for column in columns]
+        torque, wrench = self._forces.acting_function(self._t, *state)
+        on_base = _scalars(wrench) if self._forces.has_wrench else []
+        return _scalars(torque), on_base
+
+    def _with_loads(self, pidot: list[Scalar], acting: list[Scalar]) -> list[Scalar]:
+        """Add what weight and wrench do to the shape: −∂/∂x of F·c, in the body's frame.
+
+        The weight pulls at the centre of mass; a force on the base moves the frame of the
+        centre of mass, in which the shape is pushed the other way.
+        """
+        m = self._system.m
+        com = centre_of_mass(self._bodies, ca.vertsplit(self._angles) if m else [])
+        loads: list[tuple[Scalar, Scalar]] = []  # of each coordinate of c: name and value
+        energy: Scalar = 0.0
+        pairs = list(zip(acting, self.base.along(com), strict=False))  # the linear part
+        weight = self.base.body_weight()
+        if weight is None and self._weight is not None:
+            weight = [float(w) for w in self._weight]
+        if weight is not None:
+            pairs += [(mul(-1.0, w), c) for w, c in zip(weight, com, strict=True)]
+        for load, c in pairs:
+            if isinstance(c, ca.SX) and not (isinstance(load, float) and load == 0.0):
+                symbol = ca.SX.sym("load")
+                loads.append((symbol, load))
+                energy = add(energy, mul(symbol, c))
+        if not (isinstance(energy, ca.SX) and m):
+            return pidot
+        slope = ca.gradient(energy, self._angles)
+        names, values = _column([s for s, _ in loads]), _column([v for _, v in loads])
+        (slope,) = ca.substitute([slope], [names, self._angles], [values, _column(self.x)])
+        return [add(pidot[k], mul(-1.0, slope[k])) for k in range(m)]
+
+
+def _weight(system: System, structure: Structure) -> tuple[float, float, float] | None:
+    """Return m g of what acts on the shape or turns a pivoted base, if anything does."""
+    if structure.gravity is None:
+        return None
+    x, y, z = structure.gravity
+    return system.mass * x, system.mass * y, system.mass * z
+
+
+def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
+    """Return the centre of mass in Pinocchio's root body frame, (3,)."""
+    mass: list[float] = [body.mass for body in bodies]
+    moment: list[Vec] = [[float(c) for c in body.moment] for body in bodies]
+    for i in range(len(bodies) - 1, 0, -1):
+        p, step = bodies[i].parent, step_of(bodies[i], x[i - 1])
+        moved = plus(moment[i], [0.0, 0.0, mul(mass[i], step.slide)])
+        for turn in reversed(step.turns):
+            moved = turn.vector(moved)
+        moved = plus(moved, [mul(mass[i], c) for c in step.shift])
+        moment[p] = plus(moment[p], moved)
+        mass[p] += mass[i]
+    own = bodies[0].frame.rotation
+    com = [mul(1.0 / mass[0], c) for c in moment[0]]
+    return [total([mul(float(own[i, k]), com[k]) for k in range(3)]) for i in range(3)]
+
+
+def _column(*parts: list[Scalar]) -> ca.SX:
+    entries = [entry for part in parts for entry in part]
+    return ca.vertcat(*entries) if entries else ca.SX(0, 1)
+
+
+def _scalars(column: ca.SX) -> list[Scalar]:
+    """Return the entries of a column; constants as floats, so that zeros fold away."""
+    parts = [column[k] for k in range(column.numel())]
+    return [float(part) if part.is_constant() else part for part in parts]

@@ -1,0 +1,153 @@
+"""What a flow needs of initial states, as machine code: one kernel for a robot.
+
+From pose, shape, its rate, and body twist or momentum come the canonical momenta π in the
+frame of the centre of mass, the angular momentum about it in the body's frame and in the
+fixed one, and where the centre of mass begins and how fast it moves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+from ..common.arrays import Array
+from ..lie.groups import SO2
+from ..reduction.base_parts import BaseParts
+from ..reduction.inertia_split import symmetric
+from ..reduction.potential import translations
+from ..reduction.tree.articulated_sweep import sweep
+from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.scalars import Scalar
+from ..system.system import System
+from .base_graph import BaseGraph
+from .casadi_functions import momenta
+from .evaluate import evaluate
+from .fingerprint import model_bytes
+from .judge import agree, slack_of
+from .machine.native import NativeCode, compile_object, load_object
+from .reduced_graph import AXES, centre_of_mass
+from .store import ObjectCache, cache_key
+
+Given = Literal["xi", "mu"]
+_NAME = "start"
+
+
+@dataclass(frozen=True)
+class Starts:
+    """What flows need of N initial states.
+
+    pi: (N, m) canonical momenta.  about: (N, a) angular momenta about the centre of mass, in
+    the body's frame, and fixed: (N, a) in the fixed frame.  c0, v0: (N, k) centre of mass
+    and its velocity in the root joint's fixed frame.
+    """
+
+    pi: Array
+    about: Array
+    fixed: Array
+    c0: Array
+    v0: Array
+
+
+@dataclass(frozen=True)
+class StartKernel:
+    """Machine code from initial states to what flows need of them."""
+
+    system: System
+    code: NativeCode
+
+    def __call__(self, pose: Array, x: Array, xdot: Array, motion: Array) -> Starts:
+        """Return it for poses (N, size), x and ẋ (N, m), body twists or momenta (N, r)."""
+        m, r, k = self.system.m, self.system.r, self.system.group.linear
+        rows = np.concatenate([pose, x, xdot, motion], axis=1)
+        out = evaluate(self.code.address, np.zeros(1), rows, m + 2 * r)
+        ends = np.cumsum([m, r - k, r - k, k, k]).tolist()
+        return Starts(*(out[:, a:b] for a, b in zip([0, *ends], ends, strict=False)))
+
+
+def start_kernel(system: System, given: Given) -> StartKernel:
+    """Return the kernel for initial states with a body twist ("xi") or a body momentum ("mu").
+
+    Raises KernelMismatch if it disagrees with Pinocchio.
+    """
+    kernels: dict[str, StartKernel] = vars(system).setdefault("_start_kernels", {})
+    if given not in kernels:
+        cache = ObjectCache()
+        key = cache_key(model_bytes(system), f"start from {given}")
+        code = cache.get(key)
+        if code is None:
+            code = compile_object(_graph(system, given), _NAME)
+            cache.put(key, code)
+        kernel = StartKernel(system, load_object(code, _NAME))
+        _judge(kernel, given)
+        kernels[given] = kernel
+    return kernels[given]
+
+
+def _graph(system: System, given: Given) -> ca.Function:
+    group, m, r = system.group, system.m, system.r
+    k = group.linear
+    pose, x, xdot = ca.SX.sym("pose", group.size), ca.SX.sym("x", m), ca.SX.sym("xdot", m)
+    motion = ca.SX.sym("motion", r)
+    base = BaseGraph(system, BaseParts(attitude=group.size - k), None)
+    com = centre_of_mass(bodies_of(system), ca.vertsplit(x) if m else [])
+    p = momenta(system, x, ca.vertcat(motion, xdot))
+    mu = ca.vertsplit(p[:r] if given == "xi" else motion)
+    about = base.about(com, mu)
+    velocity = [P / system.mass for P in mu[:k]]
+    if given == "xi":
+        carried = ca.vertcat(*velocity, ca.SX(r - k + m, 1))
+        pi: list[Scalar] = (
+            ca.vertsplit((p - momenta(system, x, ca.densify(carried)))[r:]) if m else []
+        )
+    else:
+        armature = float(system.model.armature[0]) if group is SO2 else 0.0
+        found = sweep(
+            bodies_of(system), ca.vertsplit(x) if m else [], [0.0] * m, [0.0] * k + about,
+            AXES[group.name], armature, dict(enumerate(ca.vertsplit(xdot))) if m else {},
+        )  # fmt: skip
+        pi = found.pi
+    fixed, moved, velocity = (
+        base.turned_angular(about), base.turned(base.along(com)), base.turned(velocity)
+    )  # fmt: skip
+    c0 = [a + b for a, b in zip(ca.vertsplit(pose)[:k], moved, strict=True)]
+    out = ca.vertcat(ca.SX(0, 1), *pi, *about, *fixed, *c0, *velocity)
+    attitude = ca.vertsplit(pose)[k:]
+    if attitude:
+        out = ca.substitute(out, ca.vertcat(*base.attitude), ca.vertcat(*attitude))
+    inputs = ca.vertcat(pose, x, xdot, motion)
+    return ca.Function(_NAME, [inputs, ca.SX.sym("none")], [ca.densify(out)], {"cse": True})
+
+
+def _judge(kernel: StartKernel, given: Given) -> None:
+    """Compare a kernel with Pinocchio's mass matrix at a random state."""
+    system, rng = kernel.system, np.random.default_rng(0)
+    group, r = system.group, system.r
+    k = group.linear
+    pose, x = group.exp(rng.uniform(-1.0, 1.0, r)), rng.uniform(-2.0, 2.0, system.m)
+    xi, xdot = rng.normal(size=r), rng.normal(size=system.m)
+    data = system.model.createData()
+    H = symmetric(pin.crba(system.model, data, system.q(group.identity(), x)))
+    mu = H[:r] @ np.concatenate([xi, xdot])
+    motion = xi if given == "xi" else mu
+    found = kernel(*(row[None] for row in (pose, x, xdot, motion)))
+    relative = xi.copy()
+    relative[:k] -= mu[:k] / system.mass
+    v = np.concatenate([relative, xdot])
+    q = system.q(pose, x)
+    pin.centerOfMass(system.model, data, q, system.v(xi, xdot))
+    root = system.model.jointPlacements[1]
+    c = translations(system).T @ root.actInv(pin.centerOfMass(system.model, data, q))
+    about = H[k:r] @ v
+    expected = {
+        "canonical momenta": (found.pi[0], H[r:] @ v),
+        "angular momentum": (found.about[0], about),
+        "spatial angular momentum": (found.fixed[0], group.Ad(pose)[k:, k:] @ about),
+        "centre of mass": (found.c0[0], c),
+        "momentum": (found.v0[0], group.Ad(pose)[:k, :k] @ mu[:k] / system.mass),
+    }
+    for what, (value, true) in expected.items():
+        agree(f"the start kernel of '{system.name}'", what, value, true, slack_of(H))

@@ -1,0 +1,101 @@
+"""The derivative of the vector field along several directions at once, for Newton's method.
+
+Forward mode: the state is one, the directions are lanes.  n numbers in the state take n/8
+evaluations for the whole Jacobian, exact to round-off.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from ..common.arrays import Array
+from ..common.errors import InputError
+from ..integrators.machine.kernel_call import SEEDS
+from ..integrators.machine.newton import jacobian
+from .derived import derived_code
+from .evaluate import evaluate
+from .judge import agree
+from .kernel import Kernel
+from .machine.native import NativeCode, compile_object
+from .reduced_graph import ReducedGraph
+
+_TRIALS, _NEEDED = 40, 2
+_STEP = 2e-3  # of the differences, for states of size one
+_TOLERANCE = 1e-7  # of the largest entry in a column
+
+
+def tangent_of(kernel: Kernel) -> NativeCode:
+    """Return machine code (y, parameters, directions) → ∂ẏ/∂y directions, built once.
+
+    Of directions and output it takes and gives entry i of direction j at 8 i + j.  Raises
+    KernelMismatch if it disagrees with differences of the kernel, which Pinocchio has judged.
+    """
+    return derived_code(
+        kernel,
+        "tangent",
+        {"tangent": SEEDS},
+        lambda graph: compile_object(
+            _graph(graph, kernel), "tangent", wide=SEEDS, wide_inputs=(2,)
+        ),
+        lambda native: _judge(kernel, native),
+    )
+
+
+def _graph(graph: ReducedGraph, kernel: Kernel) -> ca.Function:
+    y, parameters = ca.SX.sym("y", kernel.layout.size), ca.SX.sym("p", kernel.layout.parameters)
+    along = ca.SX.sym("v", kernel.layout.size)
+    slope = ca.jtimes(graph.rate()(y, parameters), y, along)
+    return ca.Function("tangent", [y, parameters, along], [ca.densify(slope)], {"cse": True})
+
+
+def jacobian_of(kernel: Kernel, y: Array, parameters: Array) -> Array:
+    """Return ∂ẏ/∂y, (size, size)."""
+    return _jacobian(tangent_of(kernel), y, parameters)
+
+
+def _jacobian(native: NativeCode, y: Array, parameters: Array) -> Array:
+    n = len(y)
+    seeds, slopes = np.zeros((2, n * SEEDS))
+    rows = np.zeros((n, -(-n // SEEDS) * SEEDS))
+    jacobian(native.address, y, parameters, seeds, slopes, rows, 0, n)
+    return rows[:, :n].copy()
+
+
+def _judge(kernel: Kernel, native: NativeCode) -> None:
+    """Compare with differences of the kernel's rates, where these agree among each other."""
+    rng, size, judged = np.random.default_rng(0), kernel.layout.size, 0
+    who = f"the derivative of the kernel of '{kernel.system.name}'"
+    for trial in range(_TRIALS):
+        reach = 0.9 ** max(0, trial - _NEEDED)
+        y = reach * rng.normal(size=size)
+        parameters = reach * rng.normal(size=kernel.layout.parameters)
+        found = _jacobian(native, y, parameters)
+        rough, expected = (_differences(kernel, y, parameters, h) for h in (2.0 * _STEP, _STEP))
+        # Where a force has a kink or is not defined, differences say nothing.
+        with np.errstate(invalid="ignore"):
+            scale = np.maximum(1e-3, np.abs(expected).max(axis=0, initial=0.0))
+            smooth = np.abs(rough - expected).max(axis=0, initial=0.0) <= _TOLERANCE * scale
+        smooth &= np.isfinite(found).all(axis=0)
+        for j in np.flatnonzero(smooth):
+            agree(who, f"column {j}", found[:, j], expected[:, j], 10.0 * _TOLERANCE)
+        judged += bool(2 * smooth.sum() >= size)
+        if judged == _NEEDED:
+            return
+    raise InputError(
+        f"the forces on '{kernel.system.name}' have no derivatives at {_TRIALS - judged} of "
+        f"{_TRIALS} random states; an implicit method needs them"
+    )
+
+
+def _differences(kernel: Kernel, y: Array, parameters: Array, h: float) -> Array:
+    """Return ∂ẏ/∂y by central differences of order 6."""
+    out = np.zeros((len(y), len(y)))
+    steps = h * np.arange(1, 4)
+    for j in range(len(y)):
+        moved = np.tile(y, (6, 1))
+        moved[:3, j] += steps
+        moved[3:, j] -= steps
+        rates = evaluate(kernel.rate.address, parameters, moved, len(y))
+        out[:, j] = np.array([45.0, -9.0, 1.0]) / (60.0 * h) @ (rates[:3] - rates[3:])
+    return out

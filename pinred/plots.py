@@ -1,0 +1,12 @@
+"""Figures of motions (see views/plots)."""
+
+import sys
+from typing import TYPE_CHECKING
+
+from .views import plots as _plots
+
+if TYPE_CHECKING:
+    from .views.plots import *  # noqa: F403
+    from .views.plots import options_of as options_of
+else:
+    sys.modules[__name__] = _plots

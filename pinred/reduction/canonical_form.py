@@ -1,0 +1,83 @@
+"""The canonical form of the reduced equations, the one that is integrated.
+
+In shape x, canonical momentum π = ∂L/∂ẋ and body momentum μ there is no curvature term:
+
+    H(x) [ξ; ẋ] = [μ; π]
+    π̇_α = ½ vᵀ ∂_αH v − ∂_αV,   v = (ξ, ẋ)
+
+With Pinocchio's Coriolis matrix, Ḣ = C + Cᵀ makes ½ vᵀ ∂_αH v the shape rows of Cᵀ v:
+one CRBA, one solve and one Coriolis matrix an evaluation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+from scipy.linalg.lapack import dposv
+
+from ..common.arrays import Array
+from ..common.errors import SingularInertiaError
+from ..system.system import System
+from .inertia_split import symmetric
+from .potential import Potential
+
+
+class CanonicalForm:
+    """Velocities and shape forces of one system, in canonical variables.  Not thread-safe."""
+
+    def __init__(self, system: System, potential: Potential) -> None:
+        """Prepare Pinocchio's work space."""
+        self._system = system
+        self._model = system.model
+        self._data = system.model.createData()
+        self._identity = system.group.identity()
+        self._r = system.r
+        self._gradient = None if potential.is_zero else potential.gradient
+
+    def mass_matrix(self, x: Array) -> Array:
+        """Return H(x), upper triangle only, as CRBA fills it; sets the centre of mass."""
+        return np.asarray(pin.crba(self._model, self._data, self._system.q(self._identity, x)))
+
+    def com(self) -> Array:
+        """Return the centre of mass in the root body's frame at the last shape, (3,) [m]."""
+        return np.array(self._data.Ycrb[1].lever)
+
+    def com_slope(self, x: Array) -> Array:
+        """Return ∂c/∂x of the centre of mass in the root body's frame, (3, m)."""
+        q = self._system.q(self._identity, x)
+        world = pin.jacobianCenterOfMass(self._model, self._data, q)[:, self._r :]
+        return np.asarray(self._model.jointPlacements[1].rotation.T @ world)
+
+    def velocity(self, x: Array, momentum: Array) -> Array:
+        """Return v = (ξ, ẋ) with H v = (μ, π).  Raises SingularInertiaError."""
+        return self._solve(self.mass_matrix(x), momentum, x)
+
+    def driven_velocity(
+        self, x: Array, momentum: Array, driven: Sequence[int], rates: Array
+    ) -> Array:
+        """Return v where the rates of some shape joints are given, and their momenta not read."""
+        H = symmetric(self.mass_matrix(x))
+        fixed = self._r + np.array(driven, dtype=np.intp)
+        free = np.setdiff1d(np.arange(len(momentum)), fixed)
+        v = np.empty(len(momentum))
+        v[fixed] = rates
+        rest = momentum[free] - H[np.ix_(free, fixed)] @ rates
+        v[free] = self._solve(H[np.ix_(free, free)], rest, x)
+        return v
+
+    def force(self, x: Array, v: Array) -> Array:
+        """Return π̇ = ½ vᵀ ∂H v − ∂V, (m,)."""
+        q = self._system.q(self._identity, x)
+        C = pin.computeCoriolisMatrix(self._model, self._data, q, v)
+        force = np.asarray(v @ C[:, self._r :])
+        return force if self._gradient is None else force - self._gradient(x)
+
+    def _solve(self, H: Array, momentum: Array, x: Array) -> Array:
+        _, v, info = dposv(H, momentum)
+        if info:
+            raise SingularInertiaError(
+                f"the mass matrix of '{self._system.name}' is not positive definite at x = {x}"
+            )
+        return np.asarray(v)

@@ -1,0 +1,235 @@
+"""The reduced equations, term by term, by Pinocchio's numbers.
+
+Lagrange–Poincaré, in shape x, rate ẋ and locked velocity Ω, with μ = I Ω, ξ = Ω − A ẋ:
+
+    d/dt(M ẋ)_α = ½ ẋᵀ ∂_αM ẋ + ½ Ωᵀ ∂_αI Ω − ∂_αV + ⟨μ, B_αβ⟩ ẋ^β − ⟨μ, [Ω, A_α]⟩ + τ_α
+                      − ⟨f, A_α⟩
+    μ̇ = ad*_ξ μ + f
+
+Hamilton–Poincaré is the same in (x, p, μ) with ẋ = M⁻¹ p, Euler–Poincaré the second
+line alone at a fixed shape.  τ are joint torques, f a wrench on the base in its own
+frame; −⟨f, A_α⟩ is the work f does when the shape moves horizontally, ξ = −A ẋ.
+Gravity along the group's translations does not appear: the equations hold in the frame
+that falls with it.
+
+Source: Cendra, Marsden, Ratiu 2001, ch. 3; Cendra, Marsden, Pekarsky, Ratiu,
+"Variational principles for Lie–Poisson and Hamilton–Poincaré equations", 2003.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..common.arrays import Array, read_only, vector
+from .reduction import ReducedShape, Reduction
+
+
+@dataclass(frozen=True)
+class ShapeForces:
+    """The terms of d/dt(M ẋ) = ṗ, each (m,) [N·m | N].
+
+    metric: ½ ẋᵀ ∂M ẋ.  centrifugal: ½ Ωᵀ ∂I Ω.  potential: −∂V.
+    curvature: ⟨μ, B_αβ⟩ ẋ^β.  coadjoint: −⟨μ, [Ω, A_α]⟩.  torque: τ.  wrench: −⟨f, A_α⟩.
+    """
+
+    metric: Array
+    centrifugal: Array
+    potential: Array
+    curvature: Array
+    coadjoint: Array
+    torque: Array
+    wrench: Array
+
+    @property
+    def total(self) -> Array:
+        """The sum of all terms, (m,)."""
+        return np.asarray(np.sum([getattr(self, term.name) for term in fields(self)], axis=0))
+
+    def __str__(self) -> str:
+        return _table([(t.name, getattr(self, t.name)) for t in fields(self)], self.total)
+
+
+@dataclass(frozen=True)
+class MomentumForces:
+    """The terms of μ̇, each (r,) [N; N·m].  coadjoint: ad*_ξ μ.  wrench: f."""
+
+    coadjoint: Array
+    wrench: Array
+
+    @property
+    def total(self) -> Array:
+        """The sum of both terms, (r,)."""
+        return self.coadjoint + self.wrench
+
+    def __str__(self) -> str:
+        return _table([(t.name, getattr(self, t.name)) for t in fields(self)], self.total)
+
+
+@dataclass(frozen=True)
+class LagrangePoincare:
+    """The Lagrange–Poincaré equations at one state.
+
+    shape: terms of d/dt(M ẋ).  momentum: terms of μ̇.
+    xddot: (m,) and xidot: (r,), the accelerations that follow.
+    """
+
+    shape: ShapeForces
+    momentum: MomentumForces
+    xddot: Array
+    xidot: Array
+
+    def __str__(self) -> str:
+        return (
+            f"d/dt(M xdot)\n{self.shape}\nd/dt mu\n{self.momentum}\n"
+            f"xddot  {_row(self.xddot)}\nxidot  {_row(self.xidot)}"
+        )
+
+
+@dataclass(frozen=True)
+class HamiltonPoincare:
+    """The Hamilton–Poincaré equations at one state.
+
+    xdot: (m,) = M⁻¹ p.  shape: terms of ṗ.  momentum: terms of μ̇.
+    energy: h = ½ pᵀ M⁻¹ p + V + ½ μᵀ I⁻¹ μ [J].
+    """
+
+    xdot: Array
+    shape: ShapeForces
+    momentum: MomentumForces
+    energy: float
+
+    def __str__(self) -> str:
+        return (
+            f"d/dt x  {_row(self.xdot)}\nd/dt p\n{self.shape}\nd/dt mu\n{self.momentum}\n"
+            f"energy  {self.energy:+.9e}"
+        )
+
+
+@dataclass(frozen=True)
+class EulerPoincare:
+    """The Euler–Poincaré equations of the system with frozen joints.
+
+    momentum: terms of μ̇ = ad*_ξ μ + f.  xidot: (r,) = I⁻¹ μ̇.
+    """
+
+    momentum: MomentumForces
+    xidot: Array
+
+    def __str__(self) -> str:
+        return f"d/dt mu\n{self.momentum}\nxidot  {_row(self.xidot)}"
+
+
+def lagrange_poincare(
+    red: Reduction,
+    x: ArrayLike,
+    xdot: ArrayLike,
+    omega: ArrayLike,
+    *,
+    torque: ArrayLike | None = None,
+    wrench: ArrayLike | None = None,
+) -> LagrangePoincare:
+    """Evaluate the Lagrange–Poincaré equations.
+
+    x, xdot: (m,).  omega: (r,) locked velocity Ω = ξ + A ẋ (`red.locked_velocity`).
+    torque: (m,) at the joints.  wrench: (r,) on the base, in its frame.
+    Raises ShapeError for wrong lengths, SymmetryError if gravity breaks the symmetry.
+    """
+    at = red.at(x)
+    xdot = vector(xdot, red.system.m, "xdot")
+    omega = vector(omega, red.system.r, "omega")
+    mu = at.locked_inertia @ omega
+    momentum = _momentum_forces(red, omega - at.local_connection @ xdot, mu, wrench)
+    shape = _shape_forces(red, at, xdot, omega, torque, momentum.wrench)
+    # d/dt(M ẋ) = M ẍ + Ṁ ẋ,  μ̇ = I Ω̇ + İ Ω,  ξ̇ = Ω̇ − A ẍ − Ȧ ẋ
+    xddot = _solve(at.reduced_metric, shape.total - at.dM @ xdot @ xdot)
+    omegadot = _solve(at.locked_inertia, momentum.total - at.dI @ xdot @ omega)
+    xidot = np.asarray(omegadot - at.local_connection @ xddot - at.dA @ xdot @ xdot)
+    return LagrangePoincare(shape, momentum, read_only(xddot), read_only(xidot))
+
+
+def hamilton_poincare(
+    red: Reduction,
+    x: ArrayLike,
+    p: ArrayLike,
+    mu: ArrayLike,
+    *,
+    torque: ArrayLike | None = None,
+    wrench: ArrayLike | None = None,
+) -> HamiltonPoincare:
+    """Evaluate the Hamilton–Poincaré equations.
+
+    x: (m,).  p: (m,) horizontal shape momentum M ẋ.  mu: (r,) body momentum.
+    torque: (m,) at the joints.  wrench: (r,) on the base, in its frame.
+    Raises ShapeError for wrong lengths, SymmetryError if gravity breaks the symmetry.
+    """
+    at = red.at(x)
+    p, mu = vector(p, red.system.m, "p"), vector(mu, red.system.r, "mu")
+    xdot = _solve(at.reduced_metric, p)
+    omega = _solve(at.locked_inertia, mu)
+    momentum = _momentum_forces(red, omega - at.local_connection @ xdot, mu, wrench)
+    return HamiltonPoincare(
+        xdot=read_only(xdot),
+        shape=_shape_forces(red, at, xdot, omega, torque, momentum.wrench),
+        momentum=momentum,
+        energy=float(0.5 * p @ xdot + 0.5 * mu @ omega) + at.potential,
+    )
+
+
+def euler_poincare(
+    red: Reduction, x: ArrayLike, xi: ArrayLike, *, wrench: ArrayLike | None = None
+) -> EulerPoincare:
+    """Evaluate the Euler–Poincaré equations of the system frozen at shape x.
+
+    xi: (r,) body twist.  wrench: (r,) on the base, in its frame.
+    Raises ShapeError for wrong lengths.
+    """
+    I, xi = red.locked_inertia(x), vector(xi, red.system.r, "xi")
+    momentum = _momentum_forces(red, xi, I @ xi, wrench)
+    return EulerPoincare(momentum, read_only(_solve(I, momentum.total)))
+
+
+def _shape_forces(
+    red: Reduction,
+    at: ReducedShape,
+    xdot: Array,
+    omega: Array,
+    torque: ArrayLike | None,
+    wrench: Array,
+) -> ShapeForces:
+    mu = at.locked_inertia @ omega
+    return ShapeForces(
+        metric=read_only(0.5 * np.einsum("abc,a,b->c", at.dM, xdot, xdot)),
+        centrifugal=read_only(0.5 * np.einsum("abc,a,b->c", at.dI, omega, omega)),
+        potential=read_only(0.0 - red.potential_gradient(at.x)),
+        curvature=read_only(np.einsum("iab,i,b->a", at.curvature, mu, xdot)),
+        coadjoint=read_only(-red.group.ad(omega).T @ mu @ at.local_connection),
+        torque=_given(torque, red.system.m, "torque"),
+        wrench=read_only(-wrench @ at.local_connection),
+    )
+
+
+def _momentum_forces(
+    red: Reduction, xi: Array, mu: Array, wrench: ArrayLike | None
+) -> MomentumForces:
+    coadjoint = read_only(red.group.coadjoint(xi, mu))
+    return MomentumForces(coadjoint, _given(wrench, red.system.r, "wrench"))
+
+
+def _solve(matrix: Array, rhs: Array) -> Array:
+    return np.asarray(np.linalg.solve(matrix, rhs), dtype=float)
+
+
+def _given(value: ArrayLike | None, size: int, what: str) -> Array:
+    return read_only(np.zeros(size) if value is None else vector(value, size, what).copy())
+
+
+def _row(values: Array) -> str:
+    return " ".join(f"{value:+.9e}" for value in values)
+
+
+def _table(terms: list[tuple[str, Array]], total: Array) -> str:
+    lines = [f"  {name:<12} {_row(values)}" for name, values in [*terms, ("total", total)]]
+    return "\n".join(lines)

@@ -1,0 +1,226 @@
+"""Reduction: locked inertia, connection, reduced metric and curvature at a shape.
+
+Pinocchio's CRBA gives the mass matrix that is split.  Its derivatives come from
+Pinocchio's RNEA derivatives: with v = 0, no gravity and a = e_k, ∂τ/∂q is ∂(H e_k)/∂q,
+exactly.  Source: Marsden, Montgomery, Ratiu, "Reduction,
+symmetry and phases in mechanics", 1990; Cendra, Marsden, Ratiu, "Lagrangian reduction
+by stages", 2001.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from ..common.arrays import Array, vector, vectors
+from ..common.errors import SymmetryError
+from ..lie.groups import Group
+from ..system.system import System, checked_system
+from .inertia_split import InertiaSplit, split_inertia, symmetric
+from .potential import Potential, Springs
+
+if TYPE_CHECKING:
+    from .shape_field import ShapeField
+
+
+@dataclass(frozen=True)
+class ReducedShape(InertiaSplit):
+    """All that the reduction knows at one shape x; arrays are read-only.
+
+    Besides the split: curvature: (r, m, m), B[:, α, β] = B_αβ.  dI: (r, r, m), dA:
+    (r, m, m), dM: (m, m, m), the derivative ∂_α last.
+    """
+
+    curvature: Array
+    dI: Array
+    dA: Array
+    dM: Array
+    _potential: float | SymmetryError
+
+    @property
+    def potential(self) -> float:
+        """V(x) [J].  Raises SymmetryError if gravity breaks the symmetry."""
+        if isinstance(self._potential, SymmetryError):
+            raise self._potential
+        return self._potential
+
+    def amended_potential(self, mu: ArrayLike) -> float:
+        """V(x) + ½ μᵀ I⁻¹ μ [J] for body momentum mu (r,).  Raises SymmetryError, ShapeError."""
+        return self.potential + self.locked_energy(mu)
+
+    def _repr_html_(self) -> str:
+        from ..common.html import card, line, matrix, number, numbers
+
+        r, m = self.local_connection.shape
+        twist, joints = ([str(k) for k in range(size)] for size in (r, m))
+        known = self._potential
+        V = "gravity breaks the symmetry" if isinstance(known, SymmetryError) else number(known)
+        return card(
+            "Reduction",
+            f"at x = {numbers(self.x)}",
+            matrix("locked inertia I", self.locked_inertia, twist, twist),
+            matrix("local connection A", self.local_connection, twist, joints),
+            matrix("reduced metric M", self.reduced_metric, joints, joints),
+            line(f"norm of the curvature B: {number(float(np.linalg.norm(self.curvature)))}"),
+            line(f"potential V [J]: {V}"),
+        )
+
+
+class Reduction:
+    """The split of one system's mass matrix, at any shape.
+
+    Every method computes afresh from x: (m,) shape [rad | m], and raises ShapeError if x
+    has the wrong length or is not finite, SingularInertiaError if the mass matrix is
+    numerically singular there.  For several quantities at one shape, `at` computes them
+    together.  An instance owns Pinocchio work space: use one per thread.
+    """
+
+    def __init__(self, system: System, *, springs: Springs | None = None) -> None:
+        """Prepare the reduction of `system`.
+
+        springs: {joint: (stiffness [N·m/rad | N/m], rest [rad | m])}, added to V(x).
+        """
+        self.system = checked_system(system, "Reduction")
+        self._model = system.model.copy()
+        self._model.gravity.setZero()
+        self._data = self._model.createData()
+        self._identity = system.group.identity()
+        # Gravity that breaks the symmetry leaves I, A, M and B defined; only V is not.
+        self._potential: Potential | SymmetryError
+        try:
+            self._potential = Potential(system, springs)
+        except SymmetryError as error:
+            self._potential = error
+
+    def __repr__(self) -> str:
+        return f"Reduction({self.system!r})"
+
+    @property
+    def group(self) -> Group:
+        """The symmetry group."""
+        return self.system.group
+
+    def mass_matrix(self, x: ArrayLike) -> Array:
+        """H(x), (n, n): Pinocchio's CRBA with armature, base rows first, both triangles."""
+        return self.split(x).mass_matrix
+
+    def locked_inertia(self, x: ArrayLike) -> Array:
+        """I(x) = H_bb, (r, r), SPD: the inertia of the system with its joints frozen."""
+        return self.split(x).locked_inertia
+
+    def local_connection(self, x: ArrayLike) -> Array:
+        """Local form A(x) of the mechanical connection, A = I⁻¹ H_bs.
+
+        Returns (r, m): columns are body twists [linear; angular] per unit joint rate;
+        horizontal motion is ξ = −A ẋ.
+        """
+        return self.split(x).local_connection
+
+    def reduced_metric(self, x: ArrayLike) -> Array:
+        """M(x) = H_ss − Aᵀ I A, (m, m), SPD: the inertia of the shape at zero momentum."""
+        return self.split(x).reduced_metric
+
+    def curvature(self, x: ArrayLike) -> Array:
+        """B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (r, m, m), body form of the curvature.
+
+        B[:, α, β] is antisymmetric in α, β.  The bracket is that of body twists.
+        """
+        return self.at(x).curvature
+
+    def potential(self, x: ArrayLike) -> float:
+        """V(x) [J], springs and gravity.  Raises SymmetryError if gravity breaks the symmetry."""
+        return self.checked_potential().value(self._shape(x))
+
+    def potential_gradient(self, x: ArrayLike) -> Array:
+        """∂V/∂x, (m,).  Raises SymmetryError if gravity breaks the symmetry."""
+        return self.checked_potential().gradient(self._shape(x))
+
+    def amended_potential(self, x: ArrayLike, mu: ArrayLike) -> float:
+        """V(x) + ½ μᵀ I⁻¹ μ [J] for body momentum mu (r,)."""
+        return self.potential(x) + self.split(x).locked_energy(mu)
+
+    def kinetic_energy(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> float:
+        """½ vᵀ H v [J] for shape rate xdot (m,) and body twist xi (r,)."""
+        return self.split(x).kinetic_energy(xdot, xi)
+
+    def body_momentum(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> Array:
+        """μ = H_bb ξ + H_bs ẋ, (r,) [linear; angular], in the frame of the root body."""
+        return self.split(x).body_momentum(xdot, xi)
+
+    def locked_velocity(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> Array:
+        """Ω = ξ + A ẋ, (r,): the twist the system would have if its joints froze; μ = I Ω."""
+        return self.split(x).locked_velocity(xdot, xi)
+
+    def spatial_momentum(self, pose: ArrayLike, mu: ArrayLike) -> Array:
+        """J = Ad*_{g⁻¹} μ, (r,): momentum in the root joint's fixed frame, about its origin."""
+        g = self.group.pose(pose)
+        return self.group.spatial_momentum(g, vector(mu, self.system.r, "mu"))
+
+    def at(self, x: ArrayLike) -> ReducedShape:
+        """Everything at one shape, computed once: 1 + n Pinocchio calls, or 1 without joints."""
+        x = self._shape(x).copy()
+        split = self._split(x)
+        r, n, m = self.system.r, self.system.n, self.system.m
+        q = self.system.q(self._identity, x)
+        zero, dH = np.zeros(n), np.empty((n, n, m))
+        for k in range(n if m else 0):
+            e_k = zero.copy()
+            e_k[k] = 1.0
+            dtau_dq = pin.computeRNEADerivatives(self._model, self._data, q, zero, e_k)[0]
+            dH[:, k, :] = dtau_dq[:, r:]
+        I, A = split.locked_inertia, split.local_connection
+        # A = I⁻¹ (IA) and M = M̃ − Aᵀ (IA), differentiated.
+        dI, dIA = dH[:r, :r], dH[:r, r:]
+        dA = np.linalg.solve(I, (dIA - np.einsum("ijc,jb->ibc", dI, A)).reshape(r, -1))
+        dA = dA.reshape(r, m, m)
+        dAtIA = np.einsum("iac,ib->abc", dA, I @ A) + np.einsum("ia,ibc->abc", A, dIA)
+        bracket = np.einsum("aij,jb->iab", self.group.ad(A.T), A)
+        known = self._potential
+        return ReducedShape(
+            **vars(split),
+            curvature=np.swapaxes(dA, 1, 2) - dA - bracket,
+            dI=dI.copy(),
+            dA=dA,
+            dM=dH[r:, r:] - dAtIA,
+            _potential=(
+                known if isinstance(known, SymmetryError) else known.value_at(x, split.com)
+            ),
+        )
+
+    def grid(self, shapes: ArrayLike) -> ShapeField:
+        """The same quantities at many shapes (..., m), as a field over the leading axes.
+
+            a = np.linspace(-1.0, 1.0, 41)
+            field = red.grid(np.stack(np.meshgrid(a, a, indexing="ij"), axis=-1))
+            field.curvature[:, :, 2, 0, 1]  # (41, 41): the rotation part of B_01 on SE(2)
+
+        Each is computed when it is first looked at, by composite bodies and not by
+        Pinocchio.  Raises ShapeError, with the index, for a wrong length or a number that
+        is not finite.
+        """
+        from .shape_field import ShapeField
+
+        what, names = f"shapes of {self.system.name!r}", self.system.shape_names
+        x = vectors(shapes, self.system.m, what, names).copy()
+        return ShapeField(self.system, x, self._potential)
+
+    def checked_potential(self) -> Potential:
+        """Return the potential.  Raises SymmetryError if gravity breaks the symmetry."""
+        if isinstance(self._potential, SymmetryError):
+            raise self._potential
+        return self._potential
+
+    def _shape(self, x: ArrayLike) -> Array:
+        return vector(x, self.system.m, f"shape x of {self.system.name!r}", self.system.shape_names)
+
+    def split(self, x: ArrayLike) -> InertiaSplit:
+        """I, A, M, H and the centre of mass at one shape, without derivatives: one CRBA."""
+        return self._split(self._shape(x))
+
+    def _split(self, x: Array) -> InertiaSplit:
+        upper = pin.crba(self._model, self._data, self.system.q(self._identity, x))
+        return split_inertia(self.system, x, symmetric(upper), np.array(self._data.Ycrb[1].lever))

@@ -1,0 +1,262 @@
+"""Scenes from TOML files: read, checked key by key, and built.  Nothing in them is executed."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import casadi as ca
+import numpy as np
+
+from ...common.errors import InputError, LoadError, PinredError
+from ...forces import kinds as acting
+from ...forces.base import Force, Limit
+from ...forces.model import remembered_model
+from ...forces.signals import Signal
+from ...forces.signals.expressions import parse
+from ...integrators.methods import METHODS
+from ...simulation.simulate import Engine
+from ...system.catalogue import bundled_robots
+from ...system.load import load
+from ...system.system import System
+from ..scene import DURATION, Scene
+from .csv_columns import read_text
+from .keys import SCENE
+from .places import Place, naming, one_line, unknown
+from .signals import SignalReader
+
+_LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+\s*\.\s*){50}""")
+_FORCES: dict[str, Callable[..., Force]] = {
+    "spring": acting.Spring,
+    "damper": acting.Damper,
+    "potential": acting.PotentialEnergy,
+    "torque": acting.Torque,
+    "pd": acting.PD,
+    "computed_torque": acting.ComputedTorque,
+    "wrench": acting.Wrench,
+}
+_SECTIONS = {
+    **dict.fromkeys(("x0", "xdot0", "xi0", "momentum", "seed"), "start"),
+    **dict.fromkeys(("duration", "times", "rtol", "atol"), "run"),
+}
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """What a scene file says.  engine: that which is to integrate."""
+
+    scene: Scene
+    engine: Engine
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Return the scene in a TOML file; docs/scenes.md lists what may stand in it.
+
+    Raises LoadError if the file, or one that it names, cannot be read; InputError, or what
+    load() and Scene raise, naming file and key, for what cannot be simulated.
+    """
+    return read_scene_file(path).scene
+
+
+def read_scene_file(path: str | Path) -> SceneFile:
+    """Return the scene in a TOML file and the engine it asks for; errors as of load_scene."""
+    if not isinstance(path, (str, Path)):
+        raise InputError(f"load_scene takes the path of a TOML file, got {type(path).__name__}")
+    path = Path(path)
+    text = read_text(path, "scene file")
+    place = Place(str(path), text)
+    document = SCENE.read(_parsed(text, place), place)
+    return _Builder(path.parent, place, document).built()
+
+
+def _parsed(text: str, place: Place) -> dict[str, Any]:
+    """Return the tables of a text.  Raises LoadError if it is not TOML."""
+    if _LONG_KEY.search(text):
+        raise LoadError(f"{place.file}: not a scene: a key of more than 50 parts")
+    try:
+        return tomllib.loads(text + "\n")  # so that every fault has its line
+    except tomllib.TOMLDecodeError as error:
+        said = re.fullmatch(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", str(error))
+        problem, where = said.groups() if said else (str(error), None)
+        raise LoadError(f"{place.file}, {where or 'at its end'}: not TOML: {problem}") from None
+    except RecursionError:
+        raise LoadError(f"{place.file}: not a scene: tables or lists nested too deep") from None
+    except ValueError:
+        raise LoadError(f"{place.file}: not TOML: a number of thousands of digits") from None
+
+
+class _Builder:
+    """Makes the scene of a document that has passed the description."""
+
+    def __init__(self, folder: Path, place: Place, document: dict[str, Any]) -> None:
+        self.folder, self.place, self.document = folder, place, document
+        self.signals = SignalReader(folder)
+        self.system = self._load()
+        m, r = self.system.m, self.system.r
+        self.symbols = (ca.SX.sym("t"), *(ca.SX.sym("s", n) for n in (m, m, r)))
+
+    def built(self) -> SceneFile:
+        """Return the scene and the engine."""
+        run = dict(self.document.get("run", {}))
+        engine = run.pop("engine", "compiled")
+        place = self.place / "run"
+        if "samples" in run:
+            initial = self.system.initial
+            end = run.get("duration", DURATION if initial is None else initial.duration)
+            run["times"] = np.linspace(0.0, end, run.pop("samples"))
+        if "method" in run:
+            method = dict(run["method"])
+            name = method.pop("name")
+            if name != "auto" and engine != "compiled":
+                (place / "method").fail("engine 'pinocchio' has an integrator of its own")
+            with naming(place / "method"):
+                run["method"] = name if name == "auto" else METHODS[name](**method)
+        prescribed = self._by_joint(
+            self.document.get("prescribed", {}), self.place / "prescribed", self.signals.motion
+        )
+        springs = self.document.get("springs", {})
+        self._by_joint(springs, self.place / "springs", lambda value, _: value)
+        forces = [
+            self._force(entry, self.place / "forces" / k)
+            for k, entry in enumerate(self.document.get("forces", []))
+        ]
+        options = {**self._start(), **run, "springs": springs, "prescribed": prescribed}
+        try:
+            scene = Scene(system=self.system, forces=forces, **options)
+            _ = scene.start  # which a Scene works out only when somebody asks
+        except PinredError as error:
+            self._explain(error, forces, prescribed)
+        return SceneFile(scene, engine)
+
+    def _load(self) -> System:
+        robot, options = self.document["robot"], self.document.get("load", {})
+        source: str | Path = robot
+        file = self.folder / robot
+        is_file = _is_file(file)
+        if robot not in bundled_robots() and (is_file or "/" in robot or Path(robot).suffix):
+            if not is_file:
+                (self.place / "robot").fail(f"no such file: {str(file)!r}")
+            source = file
+        try:
+            return load(source, **options)
+        except PinredError as error:
+            key = "load" if isinstance(error, InputError) else "robot"
+            raise type(error)((self.place / key).tell(one_line(error))) from None
+
+    def _start(self) -> dict[str, Any]:
+        start, place = dict(self.document.get("start", {})), self.place / "start"
+        joints = self.system.shape_names
+        for name in ("x0", "xdot0"):
+            if isinstance(start.get(name), dict):
+                given = self._by_joint(start[name], place / name, lambda value, _: value)
+                start[name] = [given.get(joint, 0.0) for joint in joints]
+        if "pose0" in start:
+            with naming(place / "pose0"):
+                self.system.group.pose(start["pose0"])
+        momentum = start.get("momentum")
+        if isinstance(momentum, float) and momentum != 0.0:
+            if self.system.r > 1:
+                (place / "momentum").fail(f"must be a list of {self.system.r} numbers, or 0")
+            start["momentum"] = [momentum]
+        return start
+
+    def _force(self, entry: dict[str, Any], place: Place) -> Force:
+        """Return a force with its names of joints checked and its formulas read."""
+        options = dict(entry)
+        kind = options.pop("kind")
+        for name in ("joint", "to"):
+            if name in options:
+                self._joint(options[name], place / name)
+        if "limit" in options:
+            most = self._per_joint(options["limit"], place / "limit")
+            options["limit"] = Limit(most, smooth=options.pop("smooth", False))
+        for name in ("kp", "kd"):
+            if name in options:
+                options[name] = self._per_joint(options[name], place / name)
+        if "reference" in options:
+            where = place / "reference"
+            options["reference"] = self._by_joint(options["reference"], where, self.signals.value)
+        where = place / "function"
+        if kind == "potential":
+            options["function"] = self._potential(options["function"], where)
+        elif kind == "torque":
+            options["function"] = self._by_joint(options["function"], where, self._action)
+        elif kind == "wrench":
+            given = options["function"]
+            if len(given) != self.system.r:
+                group = self.system.group.name
+                where.fail(f"must have {self.system.r} entries for {group}, got {len(given)}")
+            options["function"] = [self._action(v, where / k) for k, v in enumerate(given)]
+        with naming(place):
+            return _FORCES[kind](**options)
+
+    def _action(self, value: Any, place: Place) -> Any:
+        """Return a number, a Signal, or the function of (t, x, ẋ, μ) that a formula is."""
+        if not isinstance(value, str):
+            return self.signals.value(value, place)
+        with naming(place):
+            parse(value, self._names(*self.symbols))
+        return lambda *state: parse(value, self._names(*state))
+
+    def _potential(self, text: str, place: Place) -> Callable[[Any], Any]:
+        """Return the function of x that a formula is."""
+        with naming(place):
+            parse(text, {"x": self._shape(self.symbols[1])})
+        return lambda x: parse(text, {"x": self._shape(x)})
+
+    def _names(self, t: Any, x: Any, xdot: Any, mu: Any) -> dict[str, Any]:
+        """Return what formulas may speak of."""
+        momenta = [mu[k] for k in range(self.system.r)]
+        return {"t": t, "x": self._shape(x), "xdot": self._shape(xdot), "mu": momenta}
+
+    def _shape(self, x: Any) -> dict[str, Any]:
+        return {name: x[k] for k, name in enumerate(self.system.shape_names)}
+
+    def _explain(
+        self, error: PinredError, forces: list[Force], prescribed: Mapping[str, Signal]
+    ) -> NoReturn:
+        """Raise what a Scene has refused again, with the key that it is about."""
+        text, place = one_line(error), self.place
+        found = self.signals.of_error(error)
+        word = re.match(r"\w+", text)
+        section = _SECTIONS.get(word[0]) if word else None
+        if found is not None:
+            place, text = found[0], found[1]
+        elif word and section:
+            place = place / section / word[0]
+        else:
+            for k, force in enumerate(forces):
+                try:
+                    remembered_model(self.system, {}, [force], prescribed)
+                except PinredError:
+                    place = place / "forces" / k
+                    break
+        raise type(error)(place.tell(text)) from None
+
+    def _joint(self, name: str, place: Place) -> None:
+        if name not in self.system.shape_names:
+            place.fail(unknown(name, "joint", self.system.shape_names, "the joints are"))
+
+    def _by_joint(
+        self, values: Mapping[str, Any], place: Place, read: Callable[[Any, Place], Any]
+    ) -> dict[str, Any]:
+        """Return what `read` makes of each value.  Raises InputError for unknown joints."""
+        for name in values:
+            self._joint(name, place / name)
+        return {name: read(value, place / name) for name, value in values.items()}
+
+    def _per_joint(self, value: Any, place: Place) -> Any:
+        if isinstance(value, dict):
+            self._by_joint(value, place, lambda entry, _: entry)
+        return value
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # no name of a file at all
+        return False

@@ -1,0 +1,11 @@
+"""Signals: scalar functions of time, as CasADi expressions and as numbers.
+
+A prescribed joint, the reference of a controller or a torque from a table is one of these.
+Value, rate and acceleration are the function and its first two derivatives.
+"""
+
+from .forces.signals.base import Signal
+from .forces.signals.formulas import Constant, Expression, Fourier
+from .forces.signals.tables import Hold, Linear, Spline
+
+__all__ = ["Constant", "Expression", "Fourier", "Hold", "Linear", "Signal", "Spline"]

@@ -1,0 +1,207 @@
+"""The compiled flow of a scene: kernel, parameters, and the full state behind a reduced one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...common.arrays import Array
+from ...common.errors import InputError
+from ...integrators.methods import Method, Variational
+from ...kernels.evaluate import evaluate
+from ...kernels.kernel import Kernel, kernel_for
+from ...kernels.start_kernel import Starts, start_kernel
+from ...kernels.tangent import tangent_of
+from ...kernels.wide_rate import wide_rate
+from ...reduction.base_parts import into_body, root_of
+from ...reduction.potential import pivot_weight
+from ...scene.initial_state import Given, finite_start
+from ...scene.scene import Scene
+from ...system.system import Indices
+from ..pinocchio.flow import entry_name
+from ..state import Sample, ShapeState, State
+from .choose_method import method_of
+
+_AT_ONCE = 512  # members that are set up together
+
+
+class CompiledFlow:
+    """What the compiled integrators need of a scene.
+
+    kernel: machine code and layout.  y0: (k,) reduced state at the start.  parameters:
+    (p,) what the kernel reads besides.  numbers: those of them that are in the forces; the
+    torques that controllers hold are set in it as time goes on.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Set up the flow.  Raises SymmetryError if gravity breaks the symmetry."""
+        self._take(CompiledFlows(scene, scene.given), 0)
+
+    @classmethod
+    def of(cls, flows: CompiledFlows, member: int) -> CompiledFlow:
+        """Return one of many flows."""
+        flow = cls.__new__(cls)
+        flow._take(flows, member)
+        return flow
+
+    def _take(self, flows: CompiledFlows, member: int) -> None:
+        self._system, self.kernel = flows.scene.system, flows.kernel
+        self.y0, self.parameters = flows.y0[member], flows.parameters[member]
+        self._line = flows.line[member]
+        layout = self.kernel.layout
+        self.numbers = self.parameters[layout.parameters - layout.numbers :]
+
+    def sample(self, t: float, y: Array, numbers: Array) -> Sample:
+        """Return what forces see at one time."""
+        where, parameters = self.kernel.where, self._with(numbers)
+        out = self.kernel.evaluate_outputs(t, y, parameters, self._line)
+        weight = out[where.weight] if where.weight.stop > where.weight.start else np.zeros(3)
+        return Sample(out[where.x], out[where.xdot], out[where.xi], out[where.mu], weight)
+
+    def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
+        """Return the full states at times t (T,) of reduced states y (T, k).
+
+        numbers: (p,) those in the forces then.
+        """
+        kernel, where, r = self.kernel, self.kernel.where, self._system.r
+        parameters = np.concatenate([self._with(numbers), self._line])
+        rows = y[:, : kernel.layout.size]
+        if not kernel.layout.clock:
+            rows = np.concatenate([rows, t[:, None]], axis=1)
+        out = evaluate(kernel.outputs.address, parameters, rows, where.size)
+        x, xdot, energy = out[:, where.x], out[:, where.xdot], out[:, -1]
+        if not kernel.layout.wanted:
+            return ShapeState(t=t.copy(), x=x, xdot=xdot, energy=energy)
+        v = out[:, where.v]
+        return State(
+            t=t.copy(),
+            x=x,
+            xdot=xdot,
+            xi=v[:, :r],
+            pose=out[:, where.pose],
+            q=out[:, where.q],
+            v=v,
+            body_momentum=out[:, where.body_momentum],
+            spatial_momentum=out[:, where.spatial_momentum],
+            energy=energy,
+        )
+
+    def address(self, method: Method) -> int:
+        """Address of the vector field, in the form in which a method takes it."""
+        lanes = method.lanes
+        return (self.kernel.rate if lanes == 1 else wide_rate(self.kernel, lanes)).address
+
+    def tangent(self) -> int:
+        """Address of the derivative of the vector field, made when first asked for."""
+        return tangent_of(self.kernel).address
+
+    def shape(self, t: float, y: Array) -> Array:
+        """Return the shape (m,) in a reduced state."""
+        out = self.kernel.evaluate_outputs(t, y, self.parameters, self._line)
+        return np.asarray(out[self.kernel.where.x])
+
+    def entry_name(self, entry: int) -> str:
+        """Return what an entry of the reduced state is, for messages."""
+        layout = self.kernel.layout
+        return entry_name(self._system, list(layout.active), list(layout.cyclic), entry)
+
+    def _with(self, numbers: Array) -> Array:
+        """Return the parameters with these numbers in the forces."""
+        return np.concatenate([self.parameters[: len(self.parameters) - len(numbers)], numbers])
+
+
+class CompiledFlows:
+    """Flows of one scene from many initial states, all with or all without momentum.
+
+    kernel: of all of them.  y0: (N, k).  parameters: (N, p).  line: (N, 3k) where their
+    centres of mass begin, how fast, and how they fall.
+    """
+
+    scene: Scene
+    kernel: Kernel
+    y0: Array
+    parameters: Array
+    line: Array
+
+    def __init__(self, scene: Scene, given: Given) -> None:
+        """Set up the flows.  given: (N, …).
+
+        Raises SymmetryError if gravity breaks the symmetry.
+        """
+        start = _started(scene, given)
+        changes = _momentum_changes(scene)
+        self._begin(scene, given, start, zero=not (changes or bool(start.about.any())))
+
+    @classmethod
+    def several(cls, scene: Scene, given: Given, members: Indices, *, zero: bool) -> CompiledFlows:
+        """Set up the flows of some members, a few at a time: memory beside them stays small."""
+        parts = [members[k : k + _AT_ONCE] for k in range(0, len(members), _AT_ONCE)]
+        flows = cls.__new__(cls)
+        for n, part in enumerate(parts):
+            some = given[part]
+            new = cls.__new__(cls)
+            new._begin(scene, some, _started(scene, some), zero=zero)
+            if n == 0:
+                flows.scene, flows.kernel = scene, new.kernel
+                for name in ("y0", "parameters", "line"):
+                    columns = getattr(new, name).shape[1]
+                    setattr(flows, name, np.empty((len(members), columns)))
+            rows = slice(n * _AT_ONCE, n * _AT_ONCE + len(part))
+            for name in ("y0", "parameters", "line"):
+                getattr(flows, name)[rows] = getattr(new, name)
+        return flows
+
+    def _begin(self, scene: Scene, given: Given, start: Starts, *, zero: bool) -> None:
+        forces, x, N = scene.force_model, given.x, len(given.x)
+        method = method_of(scene)
+        self.scene = scene
+        self.kernel = kernel_for(scene, zero_momentum=zero, lifted=method.symplectic)
+        layout = self.kernel.layout
+        parts = layout.base
+        if isinstance(method, Variational) and parts.momentum:
+            raise InputError(
+                "Variational needs a constant angular momentum, and here gravity or a wrench "
+                "changes it; Gauss and the others take that"
+            )
+        active, cyclic = list(layout.active), list(layout.cyclic)
+        attitude = given.pose[:, scene.system.group.linear :]
+        pieces = [x[:, active], start.pi[:, active], x[:, cyclic], attitude[:, : parts.attitude]]
+        if parts.down:
+            weight = pivot_weight(scene.system)
+            pieces.append(into_body(attitude, weight / np.linalg.norm(weight)))
+        pieces += [start.about[:, : parts.momentum], np.zeros((N, parts.push + layout.clock))]
+        self.y0 = np.concatenate(pieces, axis=1)
+        own = np.empty(0) if forces is None else forces.numbers_from(0.0, scene.end)
+        numbers = np.broadcast_to(own, (N, len(own)))
+        spin = start.fixed[:, : parts.spin]
+        self.parameters = np.concatenate([spin, start.pi[:, cyclic], numbers], axis=1)
+        fall = np.broadcast_to(root_of(scene.system).g, start.c0.shape)
+        self.line = np.concatenate([start.c0, start.v0, fall], axis=1)
+        finite_start(self.y0, self.parameters, self.line)
+
+
+def flows_of(scene: Scene, given: Given) -> list[tuple[Indices, CompiledFlows]]:
+    """Return the flows of many initial states (N, …): of members with momentum, and without.
+
+    Each with the indices of the members, sorted.
+    """
+    moving = np.full(len(given.x), _momentum_changes(scene))
+    for k in range(0, 0 if moving.all() else len(moving), _AT_ONCE):
+        some = slice(k, k + _AT_ONCE)
+        moving[some] = _started(scene, given[some]).about.any(axis=1)
+    groups = [(np.flatnonzero(moving), False), (np.flatnonzero(~moving), True)]
+    return [
+        (members, CompiledFlows.several(scene, given, members, zero=zero))
+        for members, zero in groups
+        if members.size
+    ]
+
+
+def _started(scene: Scene, given: Given) -> Starts:
+    kernel = start_kernel(scene.system, "xi" if given.mu is None else "mu")
+    return kernel(given.pose, given.x, given.xdot, given.motion)
+
+
+def _momentum_changes(scene: Scene) -> bool:
+    """Return whether something acts on the angular momentum."""
+    forces = scene.force_model
+    return bool(pivot_weight(scene.system).any()) or (forces is not None and forces.has_wrench)

@@ -1,0 +1,163 @@
+"""Integrate a compiled flow, with failures told in terms of the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...common.arrays import Array, read_only
+from ...common.errors import (
+    IntegrationError,
+    NoConvergence,
+    NonFiniteState,
+    StepSizeUnderflow,
+    TooManySteps,
+)
+from ...integrators.integrate import integrate_checked
+from ...integrators.integrate_many import STATUS
+from ...integrators.integrate_many import integrate_many as _integrate_many
+from ...integrators.methods import Method
+from ...scene.scene import Scene
+from ..pieces import Piece, Solve
+from .choose_method import method_of
+from .flow import CompiledFlow, CompiledFlows
+
+
+@dataclass(frozen=True)
+class ManyRuns:
+    """Runs of one kernel.  y: (N, T, k).  failures: (member, last time [s], reason) of each."""
+
+    y: Array
+    failures: list[tuple[int, float, str]]
+
+
+def integrate_many(
+    flows: CompiledFlows,
+    scene: Scene,
+    threads: int | None,
+    progress: Callable[[float], None] | None,
+) -> ManyRuns:
+    """Integrate flows of one kernel, with the times and tolerance of one scene, over threads."""
+    kernel, method, first = flows.kernel, method_of(scene), CompiledFlow.of(flows, 0)
+    # One body that only translates carries a zero, which costs nothing.
+    y0 = flows.y0 if flows.y0.shape[1] else np.zeros((len(flows.y0), 1))
+    found = _integrate_many(
+        method,
+        first.address(method),
+        flows.parameters,
+        y0,
+        scene.end,
+        scene.report_times,
+        kernel.layout.quaternion,
+        threads,
+        first.tangent,
+        kernel.layout.canonical,
+        progress,
+    )
+    failures = []
+    for k in np.flatnonzero(~found.ok).tolist():
+        reason = STATUS[int(found.status[k])]
+        if found.entry[k] >= 0:
+            name = CompiledFlow.of(flows, k).entry_name(int(found.entry[k]))
+            reason = f"{name} is {reason}"
+        failures.append((int(k), float(found.end[k]), reason))
+    return ManyRuns(found.y, failures)
+
+
+_prepared: set[type[Method]] = set()
+_NO_TIMES = read_only(np.empty(0))
+
+
+def prepare(flow: CompiledFlow, scene: Scene) -> None:
+    """Have the machine code of kernel and integrator ready: a run's time is then its own."""
+    method = method_of(scene)
+    flow.address(method)
+    if type(method) in _prepared:
+        return
+    _prepared.add(type(method))
+    with suppress(IntegrationError):  # the run itself will say so
+        solve(flow, scene, None)(0.0, 1e-9 * scene.end, flow.y0)
+
+
+def solve(flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | None) -> Solve:
+    """Return what integrates a flow from one time of its scene to another.
+
+    That raises an IntegrationError with time and shape.
+    """
+    method, layout = method_of(scene), flow.kernel.layout
+    asked, address = scene.report_times, flow.address(method)
+    # Between knots the power of a force is like a polynomial of degree 7; a step of eight
+    # stages is too long for that.
+    parts = max(1, method.order // 4) if method.lanes > 1 else 1
+
+    def run(start: float, end: float, y0: Array) -> Piece:
+        # The integrators' time begins at 0; what depends on the time has it in its state.
+        whole = start == 0.0 and end == scene.end
+        # Read-only as ever: to numba an array that is not is of another type.
+        times = asked if whole else _NO_TIMES
+        parameters = read_only(flow.parameters.copy())
+        done = progress and (lambda part: progress((start + part * (end - start)) / scene.end))
+        y0 = y0 if y0.size else np.zeros(1)
+        try:
+            found = integrate_checked(
+                method,
+                address,
+                parameters,
+                y0,
+                end - start,
+                times,
+                layout.quaternion,
+                done,
+                flow.tangent,
+                layout.canonical,
+            )
+        except IntegrationError as stop:
+            raise _explained(stop, flow, scene, start) from None
+        knots = _refined(found.knots + start, parts)
+        knots[-1] = end  # whatever round-off says
+
+        def at(t: Array) -> Array:
+            if t is asked and whole:  # these have been asked for already
+                return found.y
+            return found.at(np.clip(t - start, 0.0, found.knots[-1]))
+
+        numbers = parameters[len(parameters) - len(flow.numbers) :]
+        return Piece(knots, at, numbers, found.steps, found.evaluations)
+
+    return run
+
+
+def _refined(knots: Array, parts: int) -> Array:
+    """Return knots with every step in so many parts."""
+    steps = np.arange(len(knots))
+    return np.asarray(np.interp(np.arange(parts * (len(knots) - 1) + 1) / parts, steps, knots))
+
+
+def _explained(
+    stop: IntegrationError, flow: CompiledFlow, scene: Scene, start: float
+) -> IntegrationError:
+    """Return a failure in terms of the robot."""
+    name = scene.system.name
+    if isinstance(stop, NonFiniteState):
+        time = start + stop.time
+        x = flow.shape(time, stop.state)
+        return NonFiniteState(
+            f"{flow.entry_name(stop.entry)} of '{name}' is not finite after t = {time:g} s, "
+            f"at shape x = {x}",
+            time,
+            stop.state,
+            stop.entry,
+        )
+    if isinstance(stop, (StepSizeUnderflow, NoConvergence, TooManySteps)):
+        time = start + stop.time
+        x = flow.shape(time, stop.state)
+        return type(stop)(
+            f"'{name}' cannot be followed beyond t = {time:g} s of {scene.end:g} s at "
+            f"rtol = {scene.rtol:g}, shape x = {x}: {stop}",
+            time,
+            stop.state,
+        )
+    return stop

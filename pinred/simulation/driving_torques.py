@@ -1,0 +1,61 @@
+"""Torques that make prescribed joints follow their plan: inverse dynamics on the reduced system.
+
+With ẍ of the prescribed joints known and the torques of the others, the shape equation
+
+    M ẍ + (∂M ẋ) ẋ = F + τ,   F: every term of the Lagrange–Poincaré equations but τ
+
+gives first the ẍ of the others and then the τ of the prescribed ones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..common.arrays import Array, read_only
+from ..reduction.canonical_form import CanonicalForm
+from ..reduction.equations import lagrange_poincare
+from ..reduction.potential import shape_gravity
+from ..reduction.reduction import Reduction
+from ..scene.scene import Scene
+from ..system.system import System
+from .state import Sample
+
+
+def driving_torques(scene: Scene, t: Array, seen: list[tuple[Sample, Array]]) -> Array:
+    """Return the torques of the prescribed joints, (T, k) [N·m | N], in their order.
+
+    t: (T,) times.  seen: what forces see then, and the numbers in them.
+    """
+    system, forces = scene.system, scene.force_model
+    if forces is None or not forces.joints:
+        return read_only(np.zeros((len(t), 0)))
+    red = system.workspace((Reduction, "weightless"), lambda: Reduction(_weightless(system)))
+    form = system.workspace(CanonicalForm, lambda: CanonicalForm(system, shape_gravity(system)))
+    gravity = shape_gravity(system)
+    driven = np.array(forces.joints)
+    free = np.setdiff1d(np.arange(system.m), driven)
+    out = np.empty((len(t), len(driven)))
+    for k, (time, (s, numbers)) in enumerate(zip(t, seen, strict=True)):
+        acting = forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers)
+        at = red.at(s.x)
+        torque = acting.torque - gravity.gradient(s.x)
+        wrench = acting.wrench.copy()
+        if s.weight.any():
+            torque = torque + s.weight @ form.com_slope(s.x)
+            wrench += np.cross(at.com, s.weight)
+        omega = s.xi + at.local_connection @ s.xdot
+        lp = lagrange_poincare(red, s.x, s.xdot, omega, torque=torque, wrench=wrench)
+        known = lp.shape.total - at.dM @ s.xdot @ s.xdot
+        M, xddot = at.reduced_metric, np.empty(system.m)
+        xddot[driven] = forces.prescribed(float(time), numbers).xddot
+        held = M[np.ix_(free, driven)] @ xddot[driven]
+        xddot[free] = np.linalg.solve(M[np.ix_(free, free)], known[free] - held)
+        out[k] = M[driven] @ xddot - known[driven]
+    return read_only(out)
+
+
+def _weightless(system: System) -> System:
+    """Return the system without gravity, which is added as a torque and a wrench."""
+    model = system.model.copy()
+    model.gravity.linear = np.zeros(3)
+    return System(model, system.name)

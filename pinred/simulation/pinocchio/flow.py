@@ -1,0 +1,138 @@
+"""The reduced flow of a scene: its vector field, and the full state behind a reduced one.
+
+The reduced state is (x, π) of the joints that are not prescribed: shape, canonical shape
+momentum in the frame of the centre of mass; and as much of the base as has to be integrated.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...common.arrays import Array
+from ...common.errors import IntegrationError
+from ...reduction.base_parts import Base
+from ...reduction.canonical_form import CanonicalForm
+from ...reduction.inertia_split import symmetric
+from ...reduction.potential import pivot_weight, shape_gravity
+from ...scene.scene import Scene
+from ...system.system import System
+from ..state import Sample, ShapeState, State, full_state
+
+
+class ReducedFlow:
+    """What an integrator needs of a scene, by Pinocchio's numbers.  Not thread-safe.
+
+    y0: (k,) reduced state at the start.  numbers: (p,) those in the forces; the torques
+    that controllers hold are set in it as time goes on.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Set up the flow.  Raises SymmetryError if gravity breaks the symmetry."""
+        system, start = scene.system, scene.start
+        self._system, self._wanted = system, scene.outputs == "all"
+        self._forces = forces = scene.force_model
+        self._driven = list(forces.joints) if forces else []
+        self._free = [k for k in range(system.m) if k not in self._driven]
+        self._potential = shape_gravity(system)
+        self._weight = pivot_weight(system)
+        self._form = CanonicalForm(system, self._potential)
+        self.numbers = forces.numbers.copy() if forces else np.empty(0)
+        wrench = forces is not None and forces.has_wrench
+        self.base = base = Base(system, start, wanted=self._wanted, wrench=wrench)
+        pi = start.mass_matrix[system.r :] @ np.concatenate([base.relative_twist0, start.xdot])
+        self.y0 = np.concatenate([start.x[self._free], pi[self._free], base.b0])
+
+    def rate(self, t: float, y: Array) -> Array:
+        """Return dy/dt, (k,)."""
+        system, form, free, r = self._system, self._form, self._free, self._system.r
+        k = system.group.linear
+        b = y[2 * len(free) :]
+        x, v = self._motion(t, y, self.numbers)
+        com = form.com()
+        pidot, moment, push = form.force(x, v), np.zeros(r - k), np.zeros(k)
+        slope = None
+        if self._forces is not None:
+            mu = self.base.momentum(b)
+            acting = self._forces.acting(t, x, v[r:], v[:r], mu, self.numbers)
+            pidot = pidot + acting.torque
+            if self._forces.has_wrench:
+                push = acting.wrench[:k]
+                moment = self.base.about_com(com, acting.wrench)
+                slope = form.com_slope(x)
+                pidot = pidot - push @ (self.base.axes.T @ slope)
+        if self._weight.any():
+            weight = self.base.body_weight(b)
+            moment = moment + np.cross(com, weight)
+            slope = form.com_slope(x) if slope is None else slope
+            pidot = pidot + weight @ slope
+        rate = self.base.rate(b, v[:r], moment, push)
+        return np.concatenate([v[r:][free], pidot[free], rate])
+
+    def sample(self, t: float, y: Array, numbers: Array) -> Sample:
+        """Return what forces see at one time."""
+        x, v = self._motion(t, y, numbers)
+        r, b = self._system.r, y[2 * len(self._free) :]
+        return Sample(x, v[r:], v[:r], self.base.momentum(b), self.base.body_weight(b))
+
+    def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
+        """Return the full states at times t (T,) of reduced states y (T, k).
+
+        numbers: (p,) those in the forces then.
+        """
+        system, form = self._system, self._form
+        r, T = system.r, len(t)
+        b = y[:, 2 * len(self._free) :]
+        x, v, com = np.empty((T, system.m)), np.empty((T, system.n)), np.empty((T, 3))
+        energy, H = np.empty(T), np.empty((T, system.n, system.n))
+        for k in range(T):
+            x[k], v[k] = self._motion(float(t[k]), y[k], numbers)
+            com[k] = form.com()
+            H[k] = symmetric(form.mass_matrix(x[k]))
+            energy[k] = 0.5 * v[k] @ H[k] @ v[k] + self._potential.value(x[k])
+            if self._forces is not None:
+                energy[k] += self._forces.potential(x[k], numbers)
+        if not np.isfinite(v).all():
+            bad = t[~np.isfinite(v).all(axis=1)][0]
+            raise IntegrationError(f"the motion of '{system.name}' is not finite at t = {bad:g} s")
+        if not self._wanted:
+            return ShapeState(
+                t=t.copy(),
+                x=x,
+                xdot=v[:, r:].copy(),
+                energy=energy + self.base.weight_energy(b, com),
+            )
+        energy += self.base.base_energy(b, com, t)
+        pose, xi = self.base.pose(b, com, t), self.base.twist(b, v[:, :r], t)
+        mu = np.empty((T, r))
+        for k in range(T):
+            mu[k] = H[k, :r] @ np.concatenate([xi[k], v[k, r:]])
+        J = system.group.spatial_momentum(pose, mu)
+        return full_state(system, t, x, v[:, r:], xi, pose, mu, J, energy)
+
+    def _motion(self, t: float, y: Array, numbers: Array) -> tuple[Array, Array]:
+        """Return the shape (m,) and v = (ξ, ẋ) as seen from the centre of mass."""
+        m, free = self._system.m, self._free
+        x, pi = np.empty(m), np.zeros(m)
+        x[free], pi[free] = y[: len(free)], y[len(free) : 2 * len(free)]
+        momentum = np.concatenate([self.base.momentum(y[2 * len(free) :]), pi])
+        if self._forces is None or not self._driven:
+            return x, self._form.velocity(x, momentum)
+        given = self._forces.prescribed(t, numbers)
+        x[self._driven] = given.x
+        return x, self._form.driven_velocity(x, momentum, self._driven, given.xdot)
+
+    def entry_name(self, entry: int) -> str:
+        """Return what an entry of the reduced state is, for messages."""
+        return entry_name(self._system, self._free, [], entry)
+
+
+def entry_name(system: System, active: list[int], cyclic: list[int], entry: int) -> str:
+    """Return what an entry of y = (x, π of active joints, x of cyclic ones, base) is."""
+    names, k = system.shape_names, len(active)
+    if entry < k:
+        return f"the position of joint '{names[active[entry]]}'"
+    if entry < 2 * k:
+        return f"the momentum of joint '{names[active[entry - k]]}'"
+    if entry < 2 * k + len(cyclic):
+        return f"the position of joint '{names[cyclic[entry - 2 * k]]}'"
+    return f"the motion of the root joint '{system.root_name}'"

@@ -1,0 +1,191 @@
+"""Recording: a motion read back from the .npz file that `Trajectory.save` wrote.
+
+Reading executes nothing: only plain arrays are taken from the file.  The robot is loaded when
+something needs it, from where the file says, or from where one says.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..common.arrays import Array
+from ..common.errors import InputError, LoadError, PinredError
+from ..lie.groups import GROUPS
+from .state import OverTime, ShapeState, State
+
+if TYPE_CHECKING:
+    from ..system.system import System
+
+_UNREADABLE = (
+    ValueError, OSError, EOFError, KeyError, TypeError, NotImplementedError, SyntaxError,
+    AttributeError, MemoryError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error,
+    struct.error,
+)  # fmt: skip
+_AGREE = 1e-6  # rad | m; how far q may be from pose and shape
+
+
+@dataclass(frozen=True, eq=False)
+class Recording(OverTime):
+    """States at the times of a file, increasing, and the names of robot, group and joints.
+
+    content: a State, or a ShapeState where the base was left out; time first, read-only.
+    origin: what the file says about where its robot comes from.
+    """
+
+    path: Path
+    robot: str
+    group: str
+    joints: tuple[str, ...]
+    content: State | ShapeState
+    origin: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        end = float(self.t[-1])
+        return f"Recording({str(self.path)!r}, {self.robot!r}, {len(self.t)} times to {end:g} s)"
+
+    @property
+    def outputs(self) -> State | ShapeState:
+        """What the file holds, time first."""
+        return self.content
+
+    @property
+    def _name(self) -> str:
+        return str(self.path)
+
+    @property
+    def t(self) -> Array:
+        """Report times, (T,) [s]."""
+        return self.content.t
+
+    @cached_property
+    def system(self) -> System:
+        """The robot, loaded when first looked at.
+
+        Raises LoadError if it cannot be loaded, InputError if it and the file do not belong
+        together.
+        """
+        system = _loaded(self.path, self.robot, self.group, self.origin)
+        if system.shape_names != self.joints or system.group.name != self.group:
+            raise InputError(
+                f"{self.path} was written for group {self.group} and the joints "
+                f"{', '.join(self.joints)}, but '{system.name}' has group {system.group.name} and "
+                f"{', '.join(system.shape_names)}; name the right robot"
+            )
+        if isinstance(self.content, State):
+            _belong(self.path, self.content, system)
+        return system
+
+
+def read_recording(path: str | Path, robot: str | None = None) -> Recording:
+    """Return the motion in a .npz file that `Trajectory.save` wrote.
+
+    robot: a name or a file to take instead of what the file says; it is loaded at once.
+    Raises LoadError if the file cannot be read or holds something else, and for the robot as
+    `Recording.system`.
+    """
+    path = Path(path)
+    content = _read(path)
+    missing = {"robot", "group", "joints", "t", "x", "xdot", "energy"} - content.keys()
+    if missing:
+        raise LoadError(
+            f"'{path}' is not a motion that pinred wrote: it has no array '{min(missing)}'"
+        )
+    origin: dict[str, Any] = {
+        name: content[name]
+        for name in ("source", "lock_joints", "lock_values", "gravity")
+        if name in content
+    }
+    found = Recording(
+        path, str(content["robot"]), str(content["group"]),
+        tuple(map(str, np.atleast_1d(content["joints"]))), _outputs(path, content),
+        origin if robot is None else origin | {"source": str(robot)},
+    )  # fmt: skip
+    if robot is not None:
+        _ = found.system  # what was asked for by name is not refused only later
+    return found
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise LoadError(f"no such file: {path}")
+    if not os.access(path, os.R_OK):
+        raise LoadError(f"'{path}' cannot be read; you have no right to")
+    if not zipfile.is_zipfile(path):
+        raise LoadError(f"'{path}' is no .npz file of plain arrays: it is no archive, or cut off")
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except _UNREADABLE:  # its words are about numpy's options
+        raise LoadError(
+            f"'{path}' is no .npz file of plain arrays: what is in it is damaged, "
+            "or made of Python objects, which are not read"
+        ) from None
+
+
+def _outputs(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
+    """Return the states in a file.  Raises LoadError if they are not states over time."""
+    if str(content["group"]) not in GROUPS:
+        raise LoadError(f"'{path}': unknown group '{content['group']}'")
+    group, m = GROUPS[str(content["group"])], np.size(content["joints"])
+    widths = {"x": m, "xdot": m, "v": group.dim + m, "pose": group.size}
+    widths |= dict.fromkeys(("xi", "body_momentum", "spatial_momentum"), group.dim)
+    kind = State if {field.name for field in fields(State)} <= content.keys() else ShapeState
+    count, arrays = np.size(content["t"]), {}
+    for name in (field.name for field in fields(kind)):
+        array = content[name]
+        width = np.shape(array)[1:] if name == "q" else (widths[name],) if name in widths else ()
+        shape = (count, *width)
+        if array.shape != shape or (name == "q" and array.ndim != 2):
+            raise LoadError(f"'{path}': '{name}' has shape {array.shape}, expected {shape}")
+        if array.dtype.kind != "f" or not np.isfinite(array).all():
+            raise LoadError(f"'{path}': '{name}' has entries that are not finite numbers")
+        arrays[name] = np.array(array, dtype=float)
+    if count == 0 or (np.diff(arrays["t"]) <= 0.0).any():
+        raise LoadError(f"'{path}': 't' must hold increasing times")
+    return kind(**arrays)
+
+
+def _loaded(path: Path, robot: str, group: str, origin: Mapping[str, Any]) -> System:
+    """Return the system that a file names.  Raises LoadError."""
+    from ..system.load import load
+
+    source = str(origin.get("source", ""))
+    if not source:
+        raise LoadError(
+            f"{path} does not say where its robot '{robot}' comes from; name it "
+            "(--robot, or robot=)"
+        )
+    beside = path.parent / Path(source).name
+    if Path(source).is_absolute() and not Path(source).is_file() and beside.is_file():
+        source = str(beside)
+    try:
+        names = map(str, origin.get("lock_joints", ()))
+        values = map(float, origin.get("lock_values", ()))
+        lock = dict(zip(names, values, strict=True))
+        return load(source, group=group, lock=lock, gravity=origin.get("gravity"))
+    except (PinredError, ValueError, TypeError) as error:
+        raise LoadError(
+            f"the robot of {path} cannot be loaded: {error}; name another (--robot, or robot=)"
+        ) from None
+
+
+def _belong(path: Path, states: State, system: System) -> None:
+    """Raise InputError if the states are not those of a system."""
+    q, shape = states.q, (len(states.t), system.model.nq)
+    if q.shape != shape:
+        raise InputError(f"{path}: 'q' has shape {q.shape}, but '{system.name}' has {shape}")
+    wanted = system.q(system.configuration(q).pose, states.x)
+    rotations = all(pin.isNormalized(system.model, row, _AGREE) for row in q)
+    if not rotations or np.abs(wanted - q).max() > _AGREE:
+        raise InputError(f"{path}: 'q' is not the configuration of '{system.name}' at shape 'x'")

@@ -1,0 +1,173 @@
+"""States of a motion: at one time, or at many with time as the first axis."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..common.arrays import Array, freeze
+from ..common.errors import InputError
+from ..system.system import System
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What forces see at one time, as seen from the centre of mass.
+
+    x, xdot: (m,).  xi, mu: (r,) body twist and body momentum; the linear part of μ is zero.
+    weight: (3,) m g in the body's frame, where it turns a pivoted base, else zero [N].
+    """
+
+    x: Array
+    xdot: Array
+    xi: Array
+    mu: Array
+    weight: Array
+
+
+@dataclass(frozen=True)
+class ShapeState:
+    """The shape, where the base was left out; arrays are read-only.
+
+    t: [s].  x, xdot: (…, m).  energy: (…,) of the motion about the centre of mass, kinetic
+    and potential [J].
+    """
+
+    t: Array
+    x: Array
+    xdot: Array
+    energy: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+@dataclass(frozen=True)
+class State:
+    """The system at one time, or at many with time as the first axis; arrays are read-only.
+
+    t: [s].  x, xdot: (…, m) shape and rate.  xi: (…, r) body twist [linear; angular].
+    pose: (…, size) of the base.  q, v: (…, nq), (…, n), Pinocchio's.
+    body_momentum: (…, r) μ in the body's frame.  spatial_momentum: (…, r) J = Ad*_{g⁻¹} μ
+    in the root joint's fixed frame, about its origin.
+    energy: (…,) kinetic and potential, of falling too, zero height at the world's origin [J].
+    """
+
+    t: Array
+    x: Array
+    xdot: Array
+    xi: Array
+    pose: Array
+    q: Array
+    v: Array
+    body_momentum: Array
+    spatial_momentum: Array
+    energy: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+def with_base(state: State | ShapeState, name: str) -> State:
+    """Return `state` if the base is in it.  Raises InputError that says how to get it."""
+    if isinstance(state, State):
+        return state
+    raise InputError(
+        f"the scene of '{name}' has outputs='shape', which leaves out the base; "
+        "simulate with outputs='all'"
+    )
+
+
+class OverTime(ABC):
+    """Fields of State over the times of a motion, of what has `outputs`.
+
+    Those that need the base raise InputError if it was left out.
+    """
+
+    @property
+    @abstractmethod
+    def outputs(self) -> State | ShapeState:
+        """All that is known, time first."""
+
+    @property
+    @abstractmethod
+    def _name(self) -> str:
+        """What a message calls it."""
+
+    @property
+    def states(self) -> State:
+        """The states.  Raises InputError if the base was left out."""
+        return with_base(self.outputs, self._name)
+
+    @property
+    def x(self) -> Array:
+        """Shape, (T, m) [rad | m]."""
+        return self.outputs.x
+
+    @property
+    def xdot(self) -> Array:
+        """Shape rate, (T, m)."""
+        return self.outputs.xdot
+
+    @property
+    def xi(self) -> Array:
+        """Body twist of the base, (T, r) [linear; angular]."""
+        return self.states.xi
+
+    @property
+    def pose(self) -> Array:
+        """Pose of the base, (T, size)."""
+        return self.states.pose
+
+    @property
+    def q(self) -> Array:
+        """Pinocchio's configuration, (T, nq)."""
+        return self.states.q
+
+    @property
+    def v(self) -> Array:
+        """Pinocchio's velocity, (T, n)."""
+        return self.states.v
+
+    @property
+    def body_momentum(self) -> Array:
+        """Body momentum μ, (T, r)."""
+        return self.states.body_momentum
+
+    @property
+    def spatial_momentum(self) -> Array:
+        """Spatial momentum J = Ad*_{g⁻¹} μ, (T, r)."""
+        return self.states.spatial_momentum
+
+    @property
+    def energy(self) -> Array:
+        """Total energy, (T,) [J]; without the base, that about the centre of mass."""
+        return self.outputs.energy
+
+
+def full_state(
+    system: System,
+    t: Array,
+    x: Array,
+    xdot: Array,
+    xi: Array,
+    pose: Array,
+    mu: Array,
+    J: Array,
+    energy: Array,
+) -> State:
+    """Return the states with Pinocchio's q and v; arrays over time, taken over."""
+    return State(
+        t=t.copy(),
+        x=x,
+        xdot=np.ascontiguousarray(xdot),
+        xi=np.ascontiguousarray(xi),
+        pose=pose,
+        q=system.q(pose, x),
+        v=system.v(xi, xdot),
+        body_momentum=mu,
+        spatial_momentum=J,
+        energy=energy,
+    )

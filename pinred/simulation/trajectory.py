@@ -1,0 +1,226 @@
+"""Trajectory: what a simulation returns, at the times asked for and at any other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..common.arrays import Array, as_floats
+from ..common.errors import InputError, ShapeError
+from .state import OverTime, ShapeState, State, with_base
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from matplotlib.figure import Figure
+
+    from ..scene.scene import Scene
+    from ..system.system import System
+    from ..views.playback.server import Player
+    from .balances import EnergyBalance, MomentumBalance
+    from .pieces import Motion
+
+
+@dataclass(frozen=True)
+class Run:
+    """What an integration cost.
+
+    engine: "compiled" or "pinocchio".  method: name of the integrator.  steps: accepted.
+    evaluations: of the vector field.  wall: seconds.
+    """
+
+    engine: str
+    method: str
+    steps: int
+    evaluations: int
+    wall: float
+
+
+class Trajectory(OverTime):
+    """The motion of a scene.  Fields of State over the report times; call it for any time."""
+
+    def __init__(self, scene: Scene, motion: Motion, run: Run) -> None:
+        """Take the scene, its motion, and what the run cost."""
+        self.scene = scene
+        self.motion = motion
+        self.run = run
+
+    @property
+    def system(self) -> System:
+        """The system that was simulated."""
+        return self.scene.system
+
+    @cached_property
+    def outputs(self) -> State | ShapeState:
+        """What the scene asks for, at the report times, time first; made when first looked at."""
+        return self.motion.states(self.scene.report_times)
+
+    @property
+    def _name(self) -> str:
+        return self.system.name
+
+    @property
+    def t(self) -> Array:
+        """Report times, (T,) [s]."""
+        return self.scene.report_times
+
+    @cached_property
+    def energy_balance(self) -> EnergyBalance:
+        """Energy, and the work of what has no potential, over the report times.
+
+        Raises InputError if the scene leaves out the base.
+        """
+        from .balances import energy_balance
+
+        return energy_balance(self.scene, self.motion, self.states)
+
+    @cached_property
+    def momentum_balance(self) -> MomentumBalance:
+        """Momentum, and the impulse of wrenches and gravity, over the report times.
+
+        Raises InputError if the scene leaves out the base.
+        """
+        from .balances import momentum_balance
+
+        return momentum_balance(self.scene, self.motion, self.states)
+
+    @cached_property
+    def driving_torques(self) -> Array:
+        """Torques that the prescribed joints need, (T, k) [N·m | N], in their order."""
+        from .driving_torques import driving_torques
+
+        return driving_torques(self.scene, self.t, self.motion.samples(self.t))
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def __repr__(self) -> str:
+        return (
+            f"Trajectory({self.system.name!r}, {len(self)} times to {self.scene.end:g} s, "
+            f"{self.run.steps} steps of {self.run.method}, {self.run.engine})"
+        )
+
+    def _repr_html_(self) -> str:
+        from ..common.html import card, line, number, table
+
+        out, run = self.outputs, self.run
+        rows = [
+            (name, float(x[0]), float(x[-1]), float(x.min()), float(x.max()))
+            for name, x in zip(self.system.shape_names, out.x.T, strict=True)
+        ]
+        momenta = ""
+        lines = [f"energy [J]: {number(out.energy[0])} → {number(out.energy[-1])}"]
+        if isinstance(out, State):
+            group, (first, last) = self.system.group, out.pose[[0, -1]]
+            turned = float(group.error(first, last).rotation)
+            moved = float(np.linalg.norm((last - first)[: group.linear]))
+            lines.append(f"base: turned by {number(turned)} rad, moved by {number(moved)} m")
+            J = out.spatial_momentum
+            momenta = table(
+                "",
+                ["spatial momentum [N·s | N·m·s]", *group.twist_names],
+                [["start", *J[0].tolist()], ["end", *J[-1].tolist()]],
+            )
+        return card(
+            self.system.name,
+            f"{len(self)} times to {self.scene.end:g} s, {run.steps} steps of {run.method} "
+            f"({run.engine}), {run.evaluations} evaluations in {run.wall:.3g} s",
+            table("shape [rad | m]", ["joint", "start", "end", "least", "greatest"], rows),
+            *map(line, lines),
+            momenta,
+        )
+
+    def __call__(self, t: ArrayLike) -> State:
+        """Return the state at time t, or states at times (T,), within the duration [s].
+
+        Raises InputError outside it or if the base was left out, ShapeError for anything but
+        a time or a vector of them.
+        """
+        return with_base(self.at(t), self.system.name)
+
+    def at(self, t: ArrayLike) -> State | ShapeState:
+        """Return what the scene asks for at time t, or at times (T,), within the duration [s].
+
+        Raises InputError outside it, ShapeError for anything but a time or a vector of them.
+        """
+        times = as_floats(t, "t")
+        flat = np.atleast_1d(times)
+        if flat.ndim != 1 or flat.size == 0:
+            raise ShapeError(f"t must be a time or a vector of times, got shape {times.shape}")
+        if not ((flat >= 0.0) & (flat <= self.scene.end)).all():
+            raise InputError(f"t must lie between 0 and {self.scene.end:g} s, got {times}")
+        state = self.motion.states(flat)
+        if times.ndim:
+            return state
+        kind = type(state)
+        return kind(**{f.name: np.asarray(getattr(state, f.name)[0]) for f in fields(kind)})
+
+    def plot(self, kind: str = "shape", **options: Any) -> Figure:
+        """Return a figure of the motion: pinred.plots has a function for each kind.
+
+        Raises InputError for a kind or an option that there is not, listing those there are;
+        MissingPackageError if matplotlib is not installed.
+        """
+        from ..views.plots import plot
+
+        return plot(self, kind, **options)
+
+    def save(self, path: str | Path) -> None:
+        """Write the states to a .npz or .csv file (see export.py).  Raises InputError."""
+        from .files import save
+
+        save(self, path)
+
+    def play(
+        self,
+        *,
+        port: int | None = None,
+        show: bool = True,
+        wait: bool | None = None,
+        **options: Any,
+    ) -> Player:
+        """Play the motion in a browser on this machine, and return what serves it.
+
+        port: any free one if None.  show: open the browser.  wait: serve until Ctrl-C (in a
+        script; where somebody types on, return at once).  options: ghost, speed, fps, pair,
+        meshes (see pinred.views.playback.view.View).  Raises InputError, OutputError.
+        """
+        from ..views.playback.show import play
+        from ..views.playback.view import as_view
+
+        return play(self, as_view(options, "play"), port=port, show=show, wait=wait)
+
+    def save_html(self, path: str | Path, **options: Any) -> int:
+        """Write the playback as one HTML file that needs no network; return its size in bytes.
+
+        options: as of `play`.  Raises InputError, OutputError.
+        """
+        from ..views.playback.page import save_html
+        from ..views.playback.view import as_view
+
+        return save_html(self, path, as_view(options, "save_html"))
+
+    def save_film(
+        self,
+        path: str | Path,
+        *,
+        size: tuple[int, int] = (960, 720),
+        progress: Callable[[float], None] | None = None,
+        **options: Any,
+    ) -> int:
+        """Write the playback as film.mp4 or film.gif, or as frames film_0000.png and so on.
+
+        size: width and height in pixels.  progress: called with the part that is done.
+        options: as of `play`, with 30 for fps.  Returns the number of frames.  Raises
+        InputError, OutputError.
+        """
+        from ..views.playback.film import FPS, save_film
+        from ..views.playback.view import as_view
+
+        view = as_view({"fps": FPS, **options}, "save_film")
+        return save_film(self, path, view, size=size, progress=progress)

@@ -1,0 +1,107 @@
+"""The robots that can be loaded by name: those bundled with pinred, and example-robot-data."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from ..common.errors import LoadError
+
+INSTALL_ROBOTS = 'pip install "pinred[robots]"'
+
+
+@dataclass(frozen=True)
+class BundledRobot:
+    """One entry of robots/robots.toml.
+
+    answer: what is known about it in closed form, or where the problem comes from.
+    initial: x, xdot, xi and duration of a generic initial state.
+    """
+
+    name: str
+    path: Path
+    group: str
+    description: str
+    gravity: tuple[float, float, float]
+    initial: dict[str, Any]
+    closed_form: str = ""
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class ExampleRobot:
+    """A robot of example-robot-data.
+
+    rotors: the SRDF with its rotor inertias, if it has them.  build: the loader that makes
+    the model, where the URDF alone does not; it reads meshes.
+    """
+
+    urdf: Path
+    rotors: Path | None
+    build: Callable[[], Any] | None
+
+
+def bundled_folder() -> Path:
+    """Return the folder of bundled robots: inside the installed package, or of the checkout."""
+    package = Path(__file__).parent.parent
+    inside = package / "robots"
+    return inside if inside.is_dir() else package.parent / "robots"
+
+
+def bundled_robots() -> dict[str, BundledRobot]:
+    """Return the bundled robots by name."""
+    folder = bundled_folder()
+    table = tomllib.loads((folder / "robots.toml").read_text(encoding="utf-8"))
+    return {
+        name: BundledRobot(
+            name=name,
+            path=folder / entry["file"],
+            group=entry["group"],
+            description=entry["description"],
+            gravity=tuple(entry["gravity"]),
+            initial=entry["initial"],
+            closed_form=entry.get("closed_form", ""),
+            source=entry.get("source", ""),
+        )
+        for name, entry in table.items()
+    }
+
+
+def has_example_robots() -> bool:
+    """Return whether example-robot-data with its Python loaders is installed."""
+    return find_spec("example_robot_data") is not None
+
+
+def example_robots() -> tuple[str, ...]:
+    """Return the names in example-robot-data, or none if it is not installed."""
+    return tuple(sorted(_loaders())) if has_example_robots() else ()
+
+
+def example_robot(name: str) -> ExampleRobot:
+    """Return where a robot of example-robot-data lies.  Raises LoadError if it is no URDF."""
+    import example_robot_data.utils as utils
+
+    loader = _loaders()[name]
+    if not loader.urdf_filename:
+        raise LoadError(f"'{name}' comes as {loader.sdf_filename}; pinred reads URDF and MJCF")
+
+    def path(folder: str, file: str) -> Path:
+        relative = Path(loader.path, folder, file)
+        return Path(utils.getModelPath(str(relative))) / relative
+
+    has_rotors = loader.srdf_filename and loader.has_rotor_parameters
+    return ExampleRobot(
+        urdf=path(loader.urdf_subpath, loader.urdf_filename),
+        rotors=path(loader.srdf_subpath, loader.srdf_filename) if has_rotors else None,
+        build=None if loader.__init__ is utils.RobotLoader.__init__ else loader,
+    )
+
+
+def _loaders() -> dict[str, Any]:
+    from example_robot_data.robots_loader import ROBOTS
+
+    return dict(ROBOTS)

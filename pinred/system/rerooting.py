@@ -1,0 +1,90 @@
+"""Rebuild a model joint by joint: with joints frozen, on another root.
+
+pin.buildReducedModel and pin.appendModel are not used: the one crashes on models without
+joint frames and fails where a link and a joint share a name, the other drops gravity,
+armature and limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ..common.arrays import Array
+
+
+@dataclass(frozen=True)
+class _Carrier:
+    """The joint of the new model that moves an old one's body, and where that body sits on it."""
+
+    joint: int
+    placement: pin.SE3
+
+
+def rebuild(
+    raw: pin.Model, frozen: Mapping[int, Array], root: pin.JointModel | None = None
+) -> pin.Model:
+    """Return a copy of a model without its frozen joints, floating on `root` if one is given.
+
+    frozen: from joint to its fixed configuration (nq of the joint,).  Bodies of frozen
+    joints become part of what carries them.
+    """
+    q = pin.neutral(raw)
+    for i, value in frozen.items():
+        q[raw.joints[i].idx_q : raw.joints[i].idx_q + raw.joints[i].nq] = value
+    data = raw.createData()
+    pin.forwardKinematics(raw, data, q)
+    model = pin.Model()
+    model.name, model.gravity = raw.name, raw.gravity
+    base = 0
+    if root is not None:
+        base = model.addJoint(0, root, pin.SE3.Identity(), _free_name(raw))
+        model.addJointFrame(base)
+    carriers = [_Carrier(base, pin.SE3.Identity())]
+    model.inertias[base] += raw.inertias[0]
+    armature, lower, upper = _free_limits(root)
+    for i in range(1, raw.njoints):
+        under = carriers[raw.parents[i]]
+        if i in frozen:
+            carrier = _Carrier(under.joint, under.placement * data.liMi[i])
+        else:
+            joint, at = raw.joints[i], under.placement * raw.jointPlacements[i]
+            k = model.addJoint(under.joint, joint, at, raw.names[i])
+            carrier = _Carrier(k, pin.SE3.Identity())
+            qs, vs = (
+                slice(a, a + n) for a, n in ((joint.idx_q, joint.nq), (joint.idx_v, joint.nv))
+            )
+            armature.append(raw.armature[vs])
+            lower.append(raw.lowerPositionLimit[qs])
+            upper.append(raw.upperPositionLimit[qs])
+        model.appendBodyToJoint(carrier.joint, raw.inertias[i], carrier.placement)
+        carriers.append(carrier)
+    for j in range(1, raw.nframes):
+        frame, on = raw.frames[j], carriers[raw.frames[j].parentJoint]
+        model.addFrame(
+            pin.Frame(frame.name, on.joint, 0, on.placement * frame.placement, frame.type), False
+        )
+    model.armature = np.concatenate([np.empty(0), *armature])
+    model.lowerPositionLimit = np.concatenate([np.empty(0), *lower])
+    model.upperPositionLimit = np.concatenate([np.empty(0), *upper])
+    return model
+
+
+def _free_limits(root: pin.JointModel | None) -> tuple[list[Array], list[Array], list[Array]]:
+    """Return the lists of armature and limits, begun by those of the new root."""
+    if root is None:
+        return [], [], []
+    alone = pin.Model()
+    alone.addJoint(0, root, pin.SE3.Identity(), "root")
+    nq, nv = alone.nq, alone.nv
+    return [np.zeros(nv)], [np.full(nq, -np.inf)], [np.full(nq, np.inf)]
+
+
+def _free_name(raw: pin.Model) -> str:
+    name = "root_joint"
+    while raw.existJointName(name) or raw.existFrame(name):
+        name = f"{name}_"
+    return name

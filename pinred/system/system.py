@@ -1,0 +1,270 @@
+"""System: a Pinocchio model read as symmetry group (base) times shape (joints)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field
+from threading import get_ident
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from ..common.arrays import Array, as_floats
+from ..common.errors import InputError, ModelError, ShapeError
+from ..lie.groups import SE2, SO2, Group
+from .admission import admit
+
+if TYPE_CHECKING:
+    from ..kernels.casadi_functions import CasadiFunctions
+
+T = TypeVar("T")
+Indices: TypeAlias = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class InitialState:
+    """A generic state to start from, with the time over which it is interesting.
+
+    x: (m,) shape [rad | m].  xdot: (m,) its rate.  xi: (r,) body twist of the base
+    [linear; angular].  duration: s.
+    """
+
+    x: Array
+    xdot: Array
+    xi: Array
+    duration: float
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a system was loaded from.
+
+    source: the robot's name, or the absolute path of its file.  lock: frozen joints and
+    their values [rad | m].
+    """
+
+    source: str
+    lock: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A point of Q = G × B: pose (..., size) of the base, shape x (..., m)."""
+
+    pose: Array
+    x: Array
+
+
+@dataclass(frozen=True)
+class Velocity:
+    """A velocity: body twist xi (..., r) of the base, shape rate xdot (..., m)."""
+
+    xi: Array
+    xdot: Array
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A multibody system with symmetry: the root joint is the group, the others the shape.
+
+    name: what the robot is called.  model: the pin.Model, root joint first.
+    initial: a generic initial state, where the robot comes with one.  origin: what was
+    loaded, where that is a name or a file.
+    """
+
+    model: pin.Model
+    name: str = ""
+    initial: InitialState | None = None
+    origin: Origin | None = None
+    group: Group = field(init=False)
+    shape_names: tuple[str, ...] = field(init=False)
+    # Where the coordinates (pose, x) stand in Pinocchio's q: as they are, or as (cos, sin).
+    _plain: Indices = field(init=False, repr=False)
+    _plain_q: Indices = field(init=False, repr=False)
+    _angle: Indices = field(init=False, repr=False)
+    _angle_q: Indices = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.model.njoints < 2:
+            raise ModelError(f"model '{self.model.name}' has no joint; load it with a group")
+        group = admit(self.model)
+        derived: dict[str, Any] = {
+            "group": group,
+            "shape_names": tuple(self.model.names[i] for i in range(2, self.model.njoints)),
+        }
+        derived |= _coordinate_maps(self.model, group)
+        for key, value in derived.items():
+            object.__setattr__(self, key, value)
+
+    def __repr__(self) -> str:
+        return f"System({self.name!r}, group={self.group.name}, r={self.r}, m={self.m})"
+
+    def _repr_html_(self) -> str:
+        from ..common.html import card, table
+        from .joints import shape_units
+
+        rows = [
+            (name, "prismatic" if unit == "m" else "revolute", unit)
+            for name, unit in zip(self.shape_names, shape_units(self.model), strict=True)
+        ]
+        about = (
+            f"group {self.group.name} (r = {self.r}) on joint '{self.root_name}', shape of "
+            f"{self.m} joints, {self.mass:g} kg, gravity "
+            f"({', '.join(f'{g:g}' for g in self.gravity)}) m/s²"
+        )
+        return card(self.name, about, table("shape", ["joint", "kind", "unit"], rows))
+
+    @property
+    def r(self) -> int:
+        """Dimension of the group."""
+        return self.group.dim
+
+    @property
+    def m(self) -> int:
+        """Dimension of the shape space: the number of joints."""
+        return len(self.shape_names)
+
+    @property
+    def n(self) -> int:
+        """Dimension of the configuration manifold, n = r + m."""
+        return self.r + self.m
+
+    @property
+    def root_name(self) -> str:
+        """Name of the root joint, whose motion is the symmetry."""
+        return str(self.model.names[1])
+
+    @property
+    def mass(self) -> float:
+        """Mass of all moving bodies [kg]."""
+        return self.workspace("mass", self._mass)
+
+    def _mass(self) -> float:
+        return float(sum(self.model.inertias[i].mass for i in range(1, self.model.njoints)))
+
+    @property
+    def gravity(self) -> Array:
+        """Gravity in the world frame, (3,) [m/s²], as the model has it."""
+        return np.array(self.model.gravity.linear)
+
+    @property
+    def plain(self) -> list[tuple[int, int]]:
+        """Which coordinates of (pose, x) stand in q as they are: their indices in both."""
+        return list(zip(self._plain.tolist(), self._plain_q.tolist(), strict=True))
+
+    @property
+    def angles(self) -> list[tuple[int, int]]:
+        """Which coordinates stand in q as cosine and sine, and where these begin."""
+        return list(zip(self._angle.tolist(), self._angle_q.tolist(), strict=True))
+
+    def q(self, pose: ArrayLike, x: ArrayLike) -> Array:
+        """Return Pinocchio's configuration (..., nq) of pose (..., size) and shape (..., m).
+
+        Raises ShapeError if a length is wrong.
+        """
+        pose = self._last(pose, self.group.size, "pose")
+        x = self._last(x, self.m, "x")
+        lead = _leading(pose, x, "pose", "x")
+        y = np.empty((*lead, self.group.size + self.m))
+        y[..., : self.group.size], y[..., self.group.size :] = pose, x
+        q = np.empty((*lead, self.model.nq))
+        q[..., self._plain_q] = y[..., self._plain]
+        q[..., self._angle_q] = np.cos(y[..., self._angle])
+        q[..., self._angle_q + 1] = np.sin(y[..., self._angle])
+        return q
+
+    def v(self, xi: ArrayLike, xdot: ArrayLike) -> Array:
+        """Return Pinocchio's velocity (..., n) of body twist (..., r) and shape rate (..., m).
+
+        Raises ShapeError if a length is wrong.
+        """
+        xi, xdot = self._last(xi, self.r, "xi"), self._last(xdot, self.m, "xdot")
+        lead = _leading(xi, xdot, "xi", "xdot")
+        v = np.empty((*lead, self.n))
+        v[..., : self.r], v[..., self.r :] = xi, xdot
+        return v
+
+    def configuration(self, q: ArrayLike) -> Configuration:
+        """Return pose and shape of Pinocchio's q (..., nq); angles from (cos, sin) in (−π, π].
+
+        Raises ShapeError if the length is wrong.
+        """
+        q = self._last(q, self.model.nq, "q")
+        y = np.empty((*q.shape[:-1], self.group.size + self.m))
+        y[..., self._plain] = q[..., self._plain_q]
+        y[..., self._angle] = np.arctan2(q[..., self._angle_q + 1], q[..., self._angle_q])
+        return Configuration(pose=y[..., : self.group.size], x=y[..., self.group.size :])
+
+    def velocity(self, v: ArrayLike) -> Velocity:
+        """Return body twist and shape rate of Pinocchio's v (..., n).
+
+        Raises ShapeError if the length is wrong.
+        """
+        v = self._last(v, self.n, "v").copy()
+        return Velocity(xi=v[..., : self.r], xdot=v[..., self.r :])
+
+    def workspace(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return what `make` makes, made once for this system, thread and key.
+
+        For what is costly to set up and owns Pinocchio work space; it takes the model as it
+        is, which is not changed after loading.
+        """
+        spaces: dict[Hashable, Any] = vars(self).setdefault("_workspaces", {})
+        full = (get_ident(), key)
+        if full not in spaces:
+            spaces[full] = make()
+        return cast(T, spaces[full])
+
+    def casadi(self) -> CasadiFunctions:
+        """Return I, A, M, B and the reduced vector field with its Jacobian as CasADi Functions."""
+        from ..kernels.casadi_functions import casadi_functions  # heavy to import
+
+        return casadi_functions(self)
+
+    def _last(self, value: ArrayLike, size: int, what: str) -> Array:
+        array = as_floats(value, what)
+        if array.shape[-1:] != (size,):
+            raise ShapeError(f"{what} of {self.name!r} must end in ({size},), got {array.shape}")
+        return array
+
+
+def checked_system(value: object, what: str) -> System:
+    """Return `value` if it is a System.  Raises InputError that says how to get one."""
+    if isinstance(value, System):
+        return value
+    shown = repr(value) if isinstance(value, str) else type(value).__name__
+    raise InputError(f"{what} takes a System, got {shown}; pinred.load(…) makes one")
+
+
+def _leading(a: Array, b: Array, what: str, other: str) -> tuple[int, ...]:
+    try:
+        return np.broadcast_shapes(a.shape[:-1], b.shape[:-1])
+    except ValueError:
+        raise ShapeError(
+            f"the leading axes of {what} {a.shape} and {other} {b.shape} do not match"
+        ) from None
+
+
+def _coordinate_maps(model: pin.Model, group: Group) -> dict[str, Indices]:
+    """Where (pose, x) stand in q; a joint whose nq exceeds its nv keeps cos and sin."""
+    plain: list[tuple[int, int]] = []  # (position in (pose, x), position in q)
+    angle: list[tuple[int, int]] = []
+    if group is SE2:
+        plain, angle = [(0, 0), (1, 1)], [(2, 2)]
+    elif group is SO2:
+        (angle if model.joints[1].nq == 2 else plain).append((0, 0))
+    else:
+        plain = [(k, k) for k in range(group.size)]
+    for i in range(2, model.njoints):
+        joint = model.joints[i]
+        (angle if joint.nq == 2 else plain).append((group.size + i - 2, joint.idx_q))
+
+    def column(pairs: list[tuple[int, int]], k: int) -> Indices:
+        return np.array([pair[k] for pair in pairs], dtype=np.intp)
+
+    return {
+        "_plain": column(plain, 0), "_plain_q": column(plain, 1),
+        "_angle": column(angle, 0), "_angle_q": column(angle, 1),
+    }  # fmt: skip

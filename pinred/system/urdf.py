@@ -1,0 +1,105 @@
+"""What a URDF says that Pinocchio's reader drops or fills in."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from xml.etree.ElementTree import Element
+
+from ..common.errors import ModelError
+from .xml_numbers import axis, floats
+
+_MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+
+
+def check_urdf(robot: Element, lock: Collection[str]) -> None:
+    """Refuse what cannot be reduced.  lock: joints that will be locked.
+
+    Raises ModelError that names the joint or link.
+    """
+    refuse_mimics(mimic_joints(robot), lock)
+    for joint in moving_joints(robot):
+        _check_axis(joint)
+    for link in robot.findall("link"):
+        inertial = link.find("inertial")
+        if inertial is not None:
+            _check_inertial(inertial, f"link '{link.get('name')}'")
+    _check_tree(robot)
+
+
+def total_mass(robot: Element) -> float:
+    """Return the mass of all links [kg], after `check_urdf`."""
+    return sum(float(mass.get("value", "0")) for mass in robot.iterfind("link/inertial/mass"))
+
+
+def moving_joints(robot: Element) -> list[Element]:
+    """Return the joints that are not fixed."""
+    return [joint for joint in robot.findall("joint") if joint.get("type") != "fixed"]
+
+
+def mimic_joints(robot: Element) -> list[str]:
+    """Return the moving joints that follow another joint."""
+    joints = moving_joints(robot)
+    return [j.get("name", "?") for j in joints if j.find("mimic") is not None]
+
+
+def refuse_mimics(mimics: Collection[str], lock: Collection[str]) -> None:
+    """Raise ModelError if a mimic joint is not locked."""
+    if free := [name for name in mimics if name not in lock]:
+        raise ModelError(
+            f"mimic joints are not supported; lock the joints that follow others: lock={free}"
+        )
+
+
+def _check_axis(joint: Element) -> None:
+    name, found = f"joint '{joint.get('name')}'", joint.find("axis")
+    if joint.get("type") == "floating":
+        return
+    if found is None:
+        if joint.get("type") == "planar":
+            raise ModelError(f"planar {name} has no <axis>; give it the normal 0 0 1")
+        return
+    axis(found, "xyz", name)
+    x, y, z = floats(found, "xyz", name, 3)
+    if joint.get("type") == "planar" and (x or y or z <= 0):
+        raise ModelError(
+            f"planar {name} has the plane's normal ({x:g}, {y:g}, {z:g}); "
+            "Pinocchio takes it along z: turn the joint's origin instead"
+        )
+
+
+def _check_inertial(inertial: Element, who: str) -> None:
+    mass, inertia, origin = (inertial.find(tag) for tag in ("mass", "inertia", "origin"))
+    if mass is None or inertia is None:
+        missing = "mass" if mass is None else "inertia"
+        raise ModelError(f"{who} has an inertial element without <{missing}>")
+    (value,) = floats(mass, "value", f"the mass of {who}", 1)
+    if value < 0:
+        raise ModelError(f"{who} has negative mass {value:g}")
+    for key in _MOMENTS:
+        floats(inertia, key, f"the inertia of {who}", 1)
+    for key in ("xyz", "rpy"):
+        if origin is not None and key in origin.attrib:
+            floats(origin, key, f"the inertial origin of {who}", 3)
+
+
+def _check_tree(robot: Element) -> None:
+    """Refuse links on two joints, and links that no chain of joints ties to the root."""
+    parent_of: dict[str, str] = {}
+    for joint in robot.findall("joint"):
+        parent, child = joint.find("parent"), joint.find("child")
+        if parent is None or child is None:
+            continue  # Pinocchio's reader says so
+        name = child.get("link", "?")
+        if name in parent_of:
+            raise ModelError(
+                f"closed loops are not supported: link '{name}' is the child of two joints, "
+                f"the second '{joint.get('name')}'"
+            )
+        parent_of[name] = parent.get("link", "?")
+    for link in parent_of:
+        seen, at = {link}, link
+        while at in parent_of:
+            at = parent_of[at]
+            if at in seen:
+                raise ModelError(f"link '{link}' hangs on itself through a cycle of joints")
+            seen.add(at)

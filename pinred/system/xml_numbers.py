@@ -1,0 +1,37 @@
+"""Numbers in XML attributes, read as strictly as the parsers behind read them."""
+
+from __future__ import annotations
+
+import re
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from ..common.arrays import Array
+from ..common.errors import ModelError
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+def floats(element: Element, key: str, what: str, *sizes: int, blank: str = " ") -> Array:
+    """Return the numbers in an attribute.
+
+    what: whose attribute it is, for the message.  sizes: how many there may be.  blank: the
+    characters that separate them; one number alone has none around it.
+    Raises ModelError if they are not that many finite numbers.
+    """
+    text = element.get(key, "")
+    words = [word for word in re.split(f"[{blank}]+", text) if word]
+    if sizes == (1,):
+        words = [text]
+    values = np.array([float(w) for w in words if _NUMBER.fullmatch(w)])
+    if len(values) != len(words) or len(values) not in sizes or not np.isfinite(values).all():
+        many = " or ".join(map(str, sizes))
+        raise ModelError(f"{what}: '{key}' must be {many} finite number(s), got '{text}'")
+    return values
+
+
+def axis(element: Element, key: str, what: str, blank: str = " ") -> None:
+    """Check the axis of a joint.  Raises ModelError if it has no direction."""
+    if not floats(element, key, f"the axis of {what}", 3, blank=blank).any():
+        raise ModelError(f"the axis of {what} is zero")

@@ -1,0 +1,93 @@
+"""What one evaluation of a compiled kernel costs, against `pin.aba` called from Python."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ...common.progress import Progress, quiet, shown
+from ...kernels.kernel import build_kernel
+from ...kernels.reduced_graph import Structure
+from ...reduction.cyclic_joints import cyclic_joints
+from ...reduction.reduction import Reduction
+from ...system.catalogue import has_example_robots
+from ...system.load import load
+from .timing import NoCache, alternating, evaluations, repeated
+
+BUNDLED = ("coupled_planar", "planar_chain5", "falling_cat", "satellite_two_arms")
+EXAMPLES = ("ur5", "solo12", "talos")
+
+
+@dataclass(frozen=True)
+class KernelTiming:
+    """What a kernel costs.  kernel, aba: µs an evaluation.  build: s from model to address."""
+
+    robot: str
+    joints: int
+    instructions: int
+    build: float
+    kernel: float
+    aba: float
+
+    @property
+    def ratio(self) -> float:
+        """How many times faster the kernel is than `pin.aba` called from Python."""
+        return self.aba / self.kernel
+
+    @staticmethod
+    def header() -> str:
+        """Return the head of the table of timings."""
+        return (
+            f"{'robot':<20} {'joints':>6} {'instructions':>12} {'build [s]':>10} "
+            f"{'kernel [µs]':>12} {'pin.aba [µs]':>13} {'ratio':>7}"
+        )
+
+    def __str__(self) -> str:
+        return (
+            f"{self.robot:<20} {self.joints:>6} {self.instructions:>12} {self.build:>10.3f} "
+            f"{self.kernel:>12.4f} {self.aba:>13.2f} {self.ratio:>7.1f}"
+        )
+
+
+def bench_kernels(
+    robots: Sequence[str] = (), *, progress: Progress | bool | None = None
+) -> list[KernelTiming]:
+    """Return what the kernel of each robot costs, with momentum and without forces.
+
+    robots: names or files; the bundled ones and, if there, ur5, solo12 and talos by default.
+    progress: as for `simulate`.
+    """
+    names = list(robots) or [*BUNDLED, *(EXAMPLES if has_example_robots() else ())]
+    found = []
+    with shown(progress, "kernels") as bar:
+        done = bar or quiet
+        for k, name in enumerate(names):
+            done(k / len(names))
+            found.append(_bench_kernel(name))
+    return found
+
+
+def _bench_kernel(name: str) -> KernelTiming:
+    system = load(name, group="SE3" if name == "ur5" else None, gravity=(0.0, 0.0, 0.0))
+    structure = Structure(zero_momentum=False, cyclic=cyclic_joints(Reduction(system)))
+    began = time.perf_counter()
+    kernel = build_kernel(system, structure, cache=NoCache())
+    build = time.perf_counter() - began
+    rng = np.random.default_rng(0)
+    model, data = system.model, system.model.createData()
+    q, v = system.q(system.group.identity(), rng.normal(size=system.m)), rng.normal(size=system.n)
+    tau = np.zeros(system.n)
+
+    times = alternating([evaluations(kernel), repeated(lambda: pin.aba(model, data, q, v, tau))])
+    return KernelTiming(
+        robot=name,
+        joints=system.m,
+        instructions=kernel.instructions,
+        build=build,
+        kernel=float(np.median(times[:, 0])) * 1e6,
+        aba=float(np.median(times[:, 1])) * 1e6,
+    )

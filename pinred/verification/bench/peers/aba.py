@@ -1,0 +1,164 @@
+"""Pinocchio's ABA, called from Python, under integrators that one would write or take from SciPy.
+
+The methods of equal steps go on Pinocchio's (q, v), with pin.integrate; SciPy's on the state of
+full_field.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import pinocchio as pin
+
+from ....common.arrays import Array
+from ....lie.groups import SE2, SE3, SO3
+from ..full_field import full_field
+from ..problems import Problem
+from ..solver import End, Method, Prepared, halvings, steps_of
+from .scipy_over_field import Field, scipy_methods
+
+Tangent = Callable[[Array, Array], Array]
+Step = Callable[[Array, Array], tuple[Array, Array]]  # (q, v) → the step along q, the new v
+State = tuple[Array, Array, Array]  # q, x, v
+Preparing = Callable[[Problem, float], Prepared]
+
+
+def aba_field(problem: Problem) -> Field:
+    """Return the vector field of a problem, by pin.aba."""
+    size, m = problem.system.group.size, problem.system.m
+
+    def end(y: Array, evaluations: float) -> End:
+        return End(y[size : size + m], problem.full.q(y), y[size + m :], evaluations)
+
+    return Field(full_field(problem.system), problem.full_start(), end)
+
+
+def _stepped(scheme: Callable[[Problem, float], Step], stages: int) -> Preparing:
+    """Return what prepares a method of equal steps."""
+
+    def prepare(problem: Problem, part: float) -> Prepared:
+        count, model, r = steps_of(part), problem.system.model, problem.system.r
+        step = scheme(problem, problem.start.duration / count)
+        start = (problem.q0, problem.start.x, problem.v0)
+
+        def run() -> State:
+            q, x, v = start
+            with np.errstate(all="ignore"):  # what overflows is found by its end
+                for _ in range(count):
+                    u, v = step(q, v)
+                    q, x = pin.integrate(model, q, u), x + u[r:]
+            return q, x, v
+
+        def end(found: State) -> End:
+            q, x, v = found
+            return End(x, q, v, float(stages * count))
+
+        return Prepared(run, end)
+
+    return prepare
+
+
+def _euler(problem: Problem, h: float) -> Step:
+    """Return the step of semi-implicit Euler: the new velocity moves the configuration."""
+    model, data, tau = _space(problem)
+
+    def step(q: Array, v: Array) -> tuple[Array, Array]:
+        v = v + h * pin.aba(model, data, q, v, tau)
+        return h * v, v
+
+    return step
+
+
+def _rk4(problem: Problem, h: float, *, corrected: bool) -> Step:
+    """Return the step of the classical Runge–Kutta method on (q, v).
+
+    corrected: by dexp⁻¹, as Munthe-Kaas has it.  Without it body velocities of different
+    stages are added as they are, and the order is 2 where the base turns.
+    """
+    model, data, tau = _space(problem)
+    correct = _DEXP_INVERSE.get(problem.system.group.name) if corrected else None
+    aba, integrate = pin.aba, pin.integrate
+
+    def step(q: Array, v: Array) -> tuple[Array, Array]:
+        a1 = aba(model, data, q, v, tau).copy()
+        k1 = v
+        u = 0.5 * h * k1
+        v2 = v + 0.5 * h * a1
+        a2 = aba(model, data, integrate(model, q, u), v2, tau).copy()
+        k2 = correct(u, v2) if correct else v2
+        u = 0.5 * h * k2
+        v3 = v + 0.5 * h * a2
+        a3 = aba(model, data, integrate(model, q, u), v3, tau).copy()
+        k3 = correct(u, v3) if correct else v3
+        u = h * k3
+        v4 = v + h * a3
+        a4 = aba(model, data, integrate(model, q, u), v4, tau)
+        k4 = correct(u, v4) if correct else v4
+        h6 = h / 6.0
+        return h6 * (k1 + 2.0 * (k2 + k3) + k4), v + h6 * (a1 + 2.0 * (a2 + a3) + a4)
+
+    return step
+
+
+def _space(problem: Problem) -> tuple[pin.Model, pin.Data, Array]:
+    model = problem.system.model
+    return model, model.createData(), np.zeros(model.nv)
+
+
+def _planar_bracket(a: Array, b: Array) -> Array:
+    return np.array([b[2] * a[1] - a[2] * b[1], a[2] * b[0] - b[2] * a[0], 0.0])
+
+
+def _free_bracket(a: Array, b: Array) -> Array:
+    return np.asarray(pin.Motion(a).cross(pin.Motion(b)).vector)
+
+
+def _dexp_inverse(bracket: Callable[[Array, Array], Array], r: int) -> Tangent:
+    """Return (u, v) → du/dt where q = q0 ⊕ u moves with v, up to the fourth order in u.
+
+    Joints commute, so only the root, the first r entries, needs it.
+    """
+
+    def correct(u: Array, v: Array) -> Array:
+        a, out = u[:r], v.copy()
+        once = bracket(a, v[:r])
+        out[:r] += 0.5 * once + bracket(a, once) / 12.0
+        return out
+
+    return correct
+
+
+_DEXP_INVERSE: dict[str, Tangent] = {
+    SE2.name: _dexp_inverse(_planar_bracket, 3),
+    SO3.name: _dexp_inverse(np.cross, 3),
+    SE3.name: _dexp_inverse(_free_bracket, 6),
+}
+
+_STEPS = halvings(50, 14)
+
+ABA = (
+    Method(
+        "aba-euler",
+        "pin.aba and semi-implicit Euler in Python, equal steps",
+        _STEPS,
+        _stepped(_euler, 1),
+        fixed=True,
+    ),
+    Method(
+        "aba-rk4",
+        "pin.aba and classical RK4 with pin.integrate in Python, equal steps",
+        _STEPS,
+        _stepped(partial(_rk4, corrected=False), 4),
+        fixed=True,
+    ),
+    Method(
+        "aba-rkmk4",
+        "pin.aba and RK4 of Munthe-Kaas in Python, equal steps",
+        _STEPS,
+        _stepped(partial(_rk4, corrected=True), 4),
+        fixed=True,
+    ),
+    *scipy_methods("aba", "pin.aba", aba_field),
+)

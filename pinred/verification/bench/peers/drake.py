@@ -1,0 +1,197 @@
+"""Drake on the same model: a continuous MultibodyPlant built by code, RK3 and RK5."""
+
+from __future__ import annotations
+
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ....common.arrays import Array
+from ....common.errors import IntegrationError
+from ....system.system import System
+from ..problems import Problem
+from ..solver import End, Method, Prepared, decades
+from .equality import missing_unless_equal
+from .survived import survived
+
+_MAX_STEP = 0.1  # s, Drake's own
+
+
+class DrakeModel:
+    """A MultibodyPlant of a system, and its coordinates.
+
+    A free base has a quaternion; a pivot has roll, pitch and yaw, which are all that Drake
+    offers there.  Angular and linear velocities of the base are in the fixed axes.
+    """
+
+    def __init__(self, system: System) -> None:
+        """Build the plant."""
+        self.system = system
+        self._kind, self._m = system.group.name, system.m
+        tree = import_module("pydrake.multibody.tree")
+        math = import_module("pydrake.math")
+        self.plant = import_module("pydrake.multibody.plant").MultibodyPlant(time_step=0.0)
+        plant, model = self.plant, system.model
+        plant.mutable_gravity_field().set_gravity_vector(system.gravity)
+        data = model.createData()
+        pin.computeJointJacobians(model, data, pin.neutral(model))
+        bodies, joints = [plant.world_body()], []
+        for i in range(1, model.njoints):
+            body = plant.AddRigidBody(f"body{i}", _inertia(tree, model.inertias[i]))
+            place, above = model.jointPlacements[i], bodies[model.parents[i]].body_frame()
+            where = math.RigidTransform(math.RotationMatrix(place.rotation), place.translation)
+            frame = plant.AddFrame(tree.FixedOffsetFrame(f"frame{i}", above, where))
+            S = np.array(data.joints[i].S).reshape(6, -1)
+            ends = (f"joint{i}", frame, body.body_frame())
+            joint = plant.AddJoint(self._joint(tree, S, ends))
+            armature = float(model.armature[model.joints[i].idx_v])
+            if armature:
+                plant.AddJointActuator(f"rotor{i}", joint).set_default_rotor_inertia(armature)
+            bodies.append(body)
+            joints.append(joint)
+        plant.Finalize()
+        self.context = plant.CreateDefaultContext()
+        r, m = system.r, system.m
+        # Where the root's and the shape's coordinates stand in Drake's q and v.
+        self._root_q, self._root_v = joints[0].position_start(), joints[0].velocity_start()
+        self._root_nq = joints[0].num_positions()
+        self._x = np.array([joint.position_start() for joint in joints[1:]], dtype=np.intp)
+        shape = [joint.velocity_start() for joint in joints[1:]]
+        self._v = np.array([*range(self._root_v, self._root_v + r), *shape], dtype=np.intp)
+        self._size = self._root_nq + m
+
+    def _joint(self, tree: Any, S: Array, ends: tuple[Any, ...]) -> Any:
+        if S.shape[1] == 1:
+            if S[:3].any():
+                return tree.PrismaticJoint(*ends, S[:3, 0])
+            return tree.RevoluteJoint(*ends, S[3:, 0])
+        kinds = {
+            "SE2": tree.PlanarJoint,
+            "SO3": tree.BallRpyJoint,
+            "SE3": tree.QuaternionFloatingJoint,
+        }
+        return kinds[self._kind](*ends)
+
+    def positions(self, q: Array, x: Array) -> Array:
+        """Return Drake's positions of Pinocchio's q and the unwrapped shape."""
+        pose, out = self.system.configuration(q).pose, np.empty(self._size)
+        if self._kind == "SE3":
+            pose = np.concatenate([pose[6:], pose[3:6], pose[:3]])
+        elif self._kind == "SO3":
+            pose = pin.rpy.matrixToRpy(self.system.group.matrix(pose)[:3, :3])
+        out[self._root_q : self._root_q + self._root_nq] = pose
+        out[self._x] = x
+        return out
+
+    def velocities(self, q: Array, v: Array) -> Array:
+        """Return Drake's velocities."""
+        out = np.empty(self.system.n)
+        out[self._v] = self._turn(q) @ v
+        return out
+
+    def end(self, y: Array, rates: Array, evaluations: float) -> End:
+        """Return the end of a motion in Pinocchio's terms."""
+        pose = y[self._root_q : self._root_q + self._root_nq].copy()
+        if self._kind == "SE3":
+            turn = np.append(pose[1:4], pose[0])
+            pose = np.concatenate([pose[4:], turn / np.linalg.norm(turn)])
+        elif self._kind == "SO3":
+            pose = pin.Quaternion(pin.rpy.rpyToMatrix(pose)).coeffs()
+        x = y[self._x].copy()
+        q = self.system.q(pose, x)
+        return End(x, q, self._turn(q).T @ rates[self._v], evaluations)
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Return the mass matrix for Pinocchio's velocities, (n, n)."""
+        self.put(q, np.zeros(self.system.n), self.system.configuration(q).x)
+        H = self.plant.CalcMassMatrix(self.context)[np.ix_(self._v, self._v)]
+        T = self._turn(q)
+        return np.asarray(T.T @ H @ T)
+
+    def acceleration(self, q: Array, v: Array) -> Array:
+        """Return Pinocchio's dv/dt without torques, (n,)."""
+        self.put(q, v, self.system.configuration(q).x)
+        rates = self.plant.EvalTimeDerivatives(self.context)
+        out = self._turn(q).T @ rates.get_generalized_velocity().CopyToVector()[self._v]
+        if self._kind == "SE3":
+            out[:3] -= np.cross(v[3:6], v[:3])
+        elif self._kind == "SE2":
+            out[:2] -= v[2] * np.array([-v[1], v[0]])
+        return np.asarray(out)
+
+    def put(self, q: Array, v: Array, x: Array) -> None:
+        """Set the state."""
+        self.plant.SetPositions(self.context, self.positions(q, x))
+        self.plant.SetVelocities(self.context, self.velocities(q, v))
+
+    def _turn(self, q: Array) -> Array:
+        """Return the matrix from Pinocchio's velocities to Drake's, (n, n), orthogonal."""
+        system, T = self.system, np.eye(self.system.n)
+        R = system.group.matrix(system.configuration(q).pose)
+        if self._kind == "SE3":
+            T[:6, :6] = 0.0
+            T[:3, 3:6] = T[3:6, :3] = R[:3, :3]
+        elif self._kind == "SE2":
+            T[:2, :2] = R[:2, :2]
+        elif self._kind == "SO3":
+            T[:3, :3] = R[:3, :3]
+        return T
+
+
+def _inertia(tree: Any, body: pin.Inertia) -> Any:
+    I = body.inertia
+    central = tree.RotationalInertia(I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2])
+    return tree.SpatialInertia.MakeFromCentralInertia(body.mass, body.lever, central)
+
+
+def drake_model(system: System) -> DrakeModel:
+    """Return Drake's model of a system, made once for a thread."""
+    return system.workspace("drake", lambda: DrakeModel(system))
+
+
+def _prepare(problem: Problem, tolerance: float, scheme: str) -> Prepared:
+    analysis = import_module("pydrake.systems.analysis")
+    bridge, duration = drake_model(problem.system), problem.start.duration
+    plant = bridge.plant
+    simulator = analysis.Simulator(plant, plant.CreateDefaultContext())
+    integrator = analysis.ResetIntegratorFromFlags(simulator, scheme, _MAX_STEP)
+    integrator.set_target_accuracy(tolerance)
+    context = simulator.get_mutable_context()
+    q0 = bridge.positions(problem.q0, problem.start.x)
+    v0 = bridge.velocities(problem.q0, problem.v0)
+
+    def run() -> tuple[Array, Array, float]:
+        context.SetTime(0.0)
+        plant.SetPositions(context, q0)
+        plant.SetVelocities(context, v0)
+        try:
+            simulator.Initialize()
+            integrator.ResetStatistics()
+            simulator.AdvanceTo(duration)
+        except RuntimeError as error:
+            raise IntegrationError(f"Drake: {' '.join(str(error).split())[:200]}") from None
+        count = float(integrator.get_num_derivative_evaluations())
+        return plant.GetPositions(context), plant.GetVelocities(context), count
+
+    survived(run, "Drake")  # it does so when a trial step leaves the finite numbers
+    return Prepared(run, lambda found: bridge.end(*found))
+
+
+_missing = missing_unless_equal("pydrake", "Drake", drake_model)
+
+DRAKE = tuple(
+    Method(
+        f"drake-{name}",
+        f"Drake's MultibodyPlant under {text}, Simulator.AdvanceTo",
+        decades(2, 13),
+        partial(_prepare, scheme=scheme),
+        _missing,
+    )
+    for name, text, scheme in (
+        ("rk3", "RungeKutta3", "runge_kutta3"),
+        ("rk5", "RungeKutta5", "runge_kutta5"),
+    )
+)

@@ -1,0 +1,101 @@
+"""Whether a peer's model is Pinocchio's: mass matrix and accelerations at random states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
+from typing import Protocol
+
+import numpy as np
+import pinocchio as pin
+
+from ....common.arrays import Array
+from ....common.errors import UnsupportedOperationError
+from ....reduction.inertia_split import symmetric
+from ....system.system import System
+from ..problems import Problem
+from ..solver import UNKNOWN
+
+INSTALL = 'pip install "pinred[bench]"'
+EQUAL = 1e-9  # relative
+_STATES = 5
+
+
+class Bridge(Protocol):
+    """A peer's model of a system, told and asked in Pinocchio's coordinates."""
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Return the mass matrix, (n, n), for Pinocchio's velocities."""
+
+    def acceleration(self, q: Array, v: Array) -> Array:
+        """Return Pinocchio's dv/dt without torques, (n,)."""
+
+
+@dataclass(frozen=True)
+class Equality:
+    """Largest differences from Pinocchio, over the largest entry there.
+
+    mass: of the mass matrix, NaN where the peer has none.  acceleration: of dv/dt.
+    """
+
+    mass: float
+    acceleration: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether both are small; a mass matrix that the peer has not is not asked for."""
+        worst = np.nanmax([self.mass, self.acceleration])
+        return bool(np.isfinite(self.acceleration) and worst <= EQUAL)
+
+
+def equality(system: System, bridge: Bridge) -> Equality:
+    """Return how a peer's model of a system differs from Pinocchio's."""
+    model, data = system.model, system.model.createData()
+    rng = np.random.default_rng(0)
+    mass, acceleration = [], []
+    for _ in range(_STATES):
+        pose = system.group.exp(rng.normal(size=system.r))
+        q = system.q(pose, rng.uniform(-1.0, 1.0, system.m))
+        v = rng.normal(size=system.n)
+        mass.append(_relative(bridge.mass_matrix(q), symmetric(pin.crba(model, data, q))))
+        expected = pin.aba(model, data, q, v, np.zeros(system.n))
+        acceleration.append(_relative(bridge.acceleration(q, v), np.array(expected)))
+    return Equality(float(np.max(mass)), float(np.max(acceleration)))
+
+
+def no_mass_matrix(system: System) -> Array:
+    """Return what a peer without a mass matrix says."""
+    return np.full((system.n, system.n), UNKNOWN)
+
+
+def missing_unless_equal(
+    package: str, label: str, bridge: Callable[[System], Bridge]
+) -> Callable[[Problem], str]:
+    """Return what says why a peer is not run on a problem, "" if it is."""
+
+    @cache
+    def why(system: System) -> str:
+        try:
+            found = equality(system, bridge(system))
+        except UnsupportedOperationError as error:
+            return f"{label} is left out: {error}"
+        if found.holds:
+            return ""
+        return (
+            f"{label} is not timed: its model is not Pinocchio's; mass matrix and accelerations "
+            f"differ by {found.mass:.1e} and {found.acceleration:.1e}, relative"
+        )
+
+    def missing(problem: Problem) -> str:
+        if find_spec(package) is None:
+            return f"{label} is left out: {INSTALL}"
+        return why(problem.system)
+
+    return missing
+
+
+def _relative(found: Array, expected: Array) -> float:
+    """Return the largest difference over the largest entry; as it is where there is nothing."""
+    return float(np.abs(found - expected).max() / (np.abs(expected).max() or 1.0))

@@ -1,0 +1,271 @@
+"""Exudyn on the same model: a kinematic tree in minimal coordinates, its explicit integrators.
+
+Its trees hang on the ground, so that a floating base is six joints, Euler's angles among them.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ....common.arrays import Array
+from ....common.errors import IntegrationError
+from ....system.system import System
+from ..problems import Problem
+from ..solver import ATOL, UNKNOWN, End, Method, Prepared, decades, halvings, steps_of
+from .equality import missing_unless_equal
+from .euler import ORDERS, Order, angles_of, best_order, rotation_of, spin_matrix, spin_rate
+
+
+class ExudynModel:
+    """An Exudyn system of one kinematic tree, and its coordinates.
+
+    order: of the axes of Euler's angles, where the base turns in space.
+    """
+
+    def __init__(self, system: System, order: Order = ORDERS[0]) -> None:
+        """Build the model."""
+        self.exu = import_module("exudyn")
+        self.system, self.order = system, order
+        self._kind, self._m = system.group.name, system.m
+        self.container = self.exu.SystemContainer()
+        self.mbs = self.container.AddSystem()
+        self._build()
+        self.mbs.Assemble()
+
+    def _build(self) -> None:
+        exu, model, system = self.exu, self.system.model, self.system
+        items = import_module("exudyn.itemInterface")
+        kinds, joints, parents = exu.JointType, [], []
+        turns, offsets, moments, coms, masses = [], [], [], [], []
+        data = model.createData()
+        pin.computeJointJacobians(model, data, pin.neutral(model))
+        last, frames = [-1], [np.eye(3)]  # of each joint of Pinocchio: its link, and its frame
+        armature: list[float] = []
+
+        def add(kind: Any, parent: int, turn: Array, offset: Array) -> None:
+            joints.append(kind)
+            parents.append(parent)
+            turns.append(turn)
+            offsets.append(offset)
+            moments.append(np.zeros((3, 3)))
+            coms.append(np.zeros(3))
+            masses.append(0.0)
+
+        for i in range(1, model.njoints):
+            place, parent = model.jointPlacements[i], model.parents[i]
+            S = np.array(data.joints[i].S).reshape(6, -1)
+            A = np.eye(3)
+            turn, offset = frames[parent].T @ place.rotation, frames[parent].T @ place.translation
+            link = last[parent]
+            if S.shape[1] == 1:
+                A = _to_z(S[:3, 0] + S[3:, 0])
+                kind = kinds.PrismaticZ if S[:3].any() else kinds.RevoluteZ
+                add(kind, link, turn @ A, offset)
+                armature.append(float(model.armature[model.joints[i].idx_v]))
+            else:
+                for kind in self._root():
+                    add(kind, link, turn, offset)
+                    link, turn, offset = len(joints) - 1, np.eye(3), np.zeros(3)
+                    armature.append(0.0)
+            body = model.inertias[i]
+            masses[-1], coms[-1] = float(body.mass), A.T @ body.lever
+            moments[-1] = A.T @ body.inertia @ A
+            last.append(len(joints) - 1)
+            frames.append(A)
+        n = len(joints)
+        self.node = self.mbs.AddNode(
+            items.NodeGenericODE2(
+                referenceCoordinates=[0.0] * n,
+                initialCoordinates=[0.0] * n,
+                initialCoordinates_t=[0.0] * n,
+                numberOfODE2Coordinates=n,
+            )
+        )
+        self.mbs.AddObject(
+            items.ObjectKinematicTree(
+                nodeNumber=self.node,
+                gravity=system.gravity.tolist(),
+                jointTypes=joints,
+                linkParents=np.array(parents),
+                jointTransformations=exu.Matrix3DList(turns),
+                jointOffsets=exu.Vector3DList(offsets),
+                linkInertiasCOM=exu.Matrix3DList(moments),
+                linkCOMs=exu.Vector3DList(coms),
+                linkMasses=np.array(masses),
+            )
+        )
+        if any(armature):
+            self.mbs.AddObject(
+                items.ObjectGenericODE2(nodeNumbers=[self.node], massMatrix=np.diag(armature))
+            )
+
+    def _root(self) -> list[Any]:
+        kinds = self.exu.JointType
+        slides = [kinds.PrismaticX, kinds.PrismaticY, kinds.PrismaticZ]
+        turns = [kinds.RevoluteX, kinds.RevoluteY, kinds.RevoluteZ]
+        if self._kind == "SE2":
+            return [*slides[:2], turns[2]]
+        linear = slides if self._kind == "SE3" else []
+        return [*linear, *(turns[k] for k in self.order)]
+
+    def coordinates(self, q: Array, x: Array) -> Array:
+        """Return Exudyn's coordinates of Pinocchio's q and the unwrapped shape."""
+        pose, group = self.system.configuration(q).pose, self.system.group
+        if self._kind in ("SE3", "SO3"):
+            R = group.matrix(pose)[:3, :3]
+            pose = np.concatenate([pose[: group.linear], angles_of(R, self.order)])
+        return np.concatenate([pose, x])
+
+    def rates(self, q: Array, v: Array) -> Array:
+        """Return the rates of Exudyn's coordinates."""
+        y = self.coordinates(q, self.system.configuration(q).x)
+        return np.asarray(np.linalg.solve(self._turn(y), v))
+
+    def end(self, y: Array, rates: Array, evaluations: float) -> End:
+        """Return the end of a motion in Pinocchio's terms."""
+        r, group = self.system.r, self.system.group
+        pose, x = y[:r].copy(), y[r:].copy()
+        if self._kind in ("SE3", "SO3"):
+            R = rotation_of(pose[-3:], self.order)
+            quaternion = pin.Quaternion(R).normalized().coeffs()
+            pose = np.concatenate([pose[: group.linear], quaternion])
+        return End(x, self.system.q(pose, x), self._turn(y) @ rates, evaluations)
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Return the mass matrix for Pinocchio's velocities, (n, n)."""
+        y = self.coordinates(q, self.system.configuration(q).x)
+        H, _ = self._equations(y, np.zeros(len(y)))
+        back = np.linalg.inv(self._turn(y))
+        return np.asarray(back.T @ H @ back)
+
+    def acceleration(self, q: Array, v: Array) -> Array:
+        """Return Pinocchio's dv/dt without torques, (n,)."""
+        y, rates = self.coordinates(q, self.system.configuration(q).x), self.rates(q, v)
+        H, load = self._equations(y, rates)
+        out = self._turn(y) @ np.linalg.solve(H, load)
+        k = self.system.group.linear
+        if self._kind in ("SE3", "SO3"):
+            out[k : k + 3] += spin_rate(y[k : k + 3], rates[k : k + 3], self.order)
+        if self._kind == "SE3":
+            out[:3] -= np.cross(v[3:6], v[:3])
+        elif self._kind == "SE2":
+            out[:2] -= v[2] * np.array([-v[1], v[0]])
+        return np.asarray(out)
+
+    def _turn(self, y: Array) -> Array:
+        """Return the matrix from rates of Exudyn's coordinates to Pinocchio's velocities."""
+        T, k = np.eye(self.system.n), self.system.group.linear
+        if self._kind == "SE2":
+            c, s = np.cos(y[2]), np.sin(y[2])
+            T[:2, :2] = [[c, s], [-s, c]]
+        elif self._kind in ("SE3", "SO3"):
+            T[k : k + 3, k : k + 3] = spin_matrix(y[k : k + 3], self.order)
+            if k:
+                T[:3, :3] = rotation_of(y[3:6], self.order).T
+        return T
+
+    def _equations(self, y: Array, rates: Array) -> tuple[Array, Array]:
+        """Return mass matrix and generalized forces in Exudyn's coordinates."""
+        exu = self.exu
+        self.start(y, rates)
+        solver = exu.MainSolverExplicit()
+        settings = self.settings()
+        solver.InitializeSolver(self.mbs, settings)
+        self.mbs.systemData.SetODE2Coordinates(y)
+        self.mbs.systemData.SetODE2Coordinates_t(rates)
+        solver.ComputeMassMatrix(self.mbs)
+        H = np.array(solver.GetSystemMassMatrix())
+        solver.ComputeODE2RHS(self.mbs)
+        load = np.array(solver.GetSystemResidual())[: len(y)]
+        solver.FinalizeSolver(self.mbs, settings)
+        return H, load
+
+    def start(self, y: Array, rates: Array) -> None:
+        """Set the initial state of the next simulation."""
+        initial, state = self.exu.ConfigurationType.Initial, self.mbs.systemData
+        state.SetODE2Coordinates(y, initial)
+        state.SetODE2Coordinates_t(rates, initial)
+
+    def settings(self) -> Any:
+        """Return settings of a simulation that writes nothing."""
+        settings = self.exu.SimulationSettings()
+        settings.solutionSettings.writeSolutionToFile = False
+        settings.timeIntegration.verboseMode = 0
+        settings.timeIntegration.solverType = self.exu.DynamicSolverType.RK44
+        settings.parallel.numberOfThreads = 1
+        return settings
+
+
+def _to_z(axis: Array) -> Array:
+    """Return a rotation whose last column is a unit vector."""
+    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    first = np.cross(other, axis)
+    first /= np.linalg.norm(first)
+    return np.column_stack([first, np.cross(axis, first), axis])
+
+
+def exudyn_model(problem: Problem) -> ExudynModel:
+    """Return Exudyn's model of a problem's system, with the best order of angles for it."""
+
+    def make() -> ExudynModel:
+        return ExudynModel(problem.system, best_order(problem))
+
+    return problem.system.workspace(("exudyn", problem.name), make)
+
+
+def _prepare(problem: Problem, value: float, solver: str, stages: float) -> Prepared:
+    """Prepare a solver: adaptive at a tolerance, or of equal steps if `stages` is given."""
+    bridge = exudyn_model(problem)
+    settings = bridge.settings()
+    steps = settings.timeIntegration
+    steps.endTime = problem.start.duration
+    steps.automaticStepSize = not stages
+    steps.numberOfSteps = steps_of(value) if stages else 1
+    if not stages:
+        steps.relativeTolerance, steps.absoluteTolerance = value, ATOL * value
+        steps.minimumStepSize = 1e-10 * problem.start.duration
+        steps.initialStepSize = 1e-3 * problem.start.duration
+    y0 = bridge.coordinates(problem.q0, problem.start.x)
+    rates = bridge.rates(problem.q0, problem.v0)
+    kind = getattr(bridge.exu.DynamicSolverType, solver)
+
+    def run() -> tuple[Array, Array]:
+        bridge.start(y0, rates)
+        try:
+            bridge.mbs.SolveDynamic(settings, solverType=kind)
+        except Exception as error:  # of its own kinds
+            raise IntegrationError(f"Exudyn: {' '.join(str(error).split())[:200]}") from None
+        state = bridge.mbs.systemData
+        return np.array(state.GetODE2Coordinates()), np.array(state.GetODE2Coordinates_t())
+
+    def end(found: tuple[Array, Array]) -> End:
+        evaluations = stages * steps_of(value) if stages else UNKNOWN
+        return bridge.end(found[0], found[1], evaluations)
+
+    return Prepared(run, end)
+
+
+_missing = missing_unless_equal("exudyn", "Exudyn", ExudynModel)
+
+EXUDYN = (
+    Method(
+        "exudyn-rk67",
+        "Exudyn's kinematic tree with RK67, equal steps, SolveDynamic",
+        halvings(20, 13),
+        partial(_prepare, solver="RK67", stages=10),
+        _missing,
+        fixed=True,
+    ),
+    Method(
+        "exudyn-dopri5",
+        "Exudyn's kinematic tree with DOPRI5, SolveDynamic",
+        decades(2, 13),
+        partial(_prepare, solver="DOPRI5", stages=0),
+        _missing,
+    ),
+)

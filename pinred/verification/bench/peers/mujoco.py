@@ -1,0 +1,248 @@
+"""MuJoCo on the same model: its own integrators, and mj_forward as a vector field."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ....common.arrays import Array
+from ....common.errors import UnsupportedOperationError
+from ....system.system import System
+from ..problems import Problem
+from ..solver import End, Method, Prepared, halvings, steps_of
+from .equality import missing_unless_equal
+from .scipy_over_field import Field, scipy_methods
+
+_PLANAR = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+class MujocoModel:
+    """A MuJoCo model of a system, built body by body, and its coordinates.
+
+    Raises UnsupportedOperationError for a free base that does not hang at the origin.
+    """
+
+    def __init__(self, system: System) -> None:
+        """Build the model."""
+        mj = import_module("mujoco")
+        if mj.get_mju_user_warning() is None:
+            # Motions that blow up are seen by their end; MuJoCo would write a file of them.
+            mj.set_mju_user_warning(lambda _: None)
+        self.mj, self.system = mj, system
+        self._kind, self._m = system.group.name, system.m
+        if self._kind == "SE3" and not np.array_equal(
+            system.model.jointPlacements[1].homogeneous, np.eye(4)
+        ):
+            raise UnsupportedOperationError("its free joint is at the world's origin")
+        self.model = self._build().compile()
+        self.data = mj.MjData(self.model)
+
+    def _build(self) -> Any:
+        mj, model, system = self.mj, self.system.model, self.system
+        spec = mj.MjSpec()
+        spec.compiler.degree = False
+        spec.compiler.balanceinertia = False
+        spec.option.gravity = system.gravity
+        bits = mj.mjtDisableBit
+        spec.option.disableflags = int(
+            bits.mjDSBL_CONSTRAINT | bits.mjDSBL_CONTACT | bits.mjDSBL_AUTORESET
+        )
+        axes = model.createData()
+        pin.computeJointJacobians(model, axes, pin.neutral(model))
+        bodies = [spec.worldbody]
+        for i in range(1, model.njoints):
+            place = model.jointPlacements[i]
+            body = bodies[model.parents[i]].add_body(name=f"body{i}")
+            body.pos, body.quat = place.translation, _wxyz(place.rotation)
+            self._add_inertia(body, model.inertias[i])
+            if i == 1:
+                self._add_root(body, np.array(axes.joints[1].S).reshape(6, -1))
+            else:
+                S = np.array(axes.joints[i].S).reshape(6)
+                self._add_joint(body, S, model.armature[model.joints[i].idx_v], f"joint{i}")
+            bodies.append(body)
+        return spec
+
+    def _add_inertia(self, body: Any, inertia: pin.Inertia) -> None:
+        moments, axes = np.linalg.eigh(inertia.inertia)
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
+        body.explicitinertial = True
+        body.mass, body.ipos = inertia.mass, inertia.lever
+        body.iquat, body.inertia = _wxyz(axes), moments
+
+    def _add_joint(self, body: Any, S: Array, armature: float, name: str) -> None:
+        kinds = self.mj.mjtJoint
+        slides = bool(S[:3].any())
+        body.add_joint(
+            name=name,
+            type=kinds.mjJNT_SLIDE if slides else kinds.mjJNT_HINGE,
+            axis=S[:3] if slides else S[3:],
+            armature=armature,
+        )
+
+    def _add_root(self, body: Any, S: Array) -> None:
+        kinds = self.mj.mjtJoint
+        if self._kind == "SE3":
+            body.add_joint(name="root", type=kinds.mjJNT_FREE)
+        elif self._kind == "SO3":
+            body.add_joint(name="root", type=kinds.mjJNT_BALL)
+        else:
+            for k in range(self.system.r):
+                self._add_joint(body, S[:, k], self.system.model.armature[k], f"root{k}")
+
+    def qpos(self, q: Array, x: Array) -> Array:
+        """Return MuJoCo's coordinates of Pinocchio's q and the unwrapped shape."""
+        pose = self.system.configuration(q).pose
+        if self._kind in ("SE3", "SO3"):
+            pose = np.concatenate([pose[:-4], pose[-1:], pose[-4:-1]])
+        return np.concatenate([pose, x])
+
+    def qvel(self, q: Array, v: Array) -> Array:
+        """Return MuJoCo's velocities."""
+        return np.asarray(self._turn(q) @ v)
+
+    def end(self, qpos: Array, qvel: Array, evaluations: float) -> End:
+        """Return the end of a motion in Pinocchio's terms."""
+        pose, x = qpos[: -self._m or None].copy(), qpos[len(qpos) - self._m :].copy()
+        if self._kind in ("SE3", "SO3"):
+            pose[-4:] = np.append(pose[-3:], pose[-4]) / np.linalg.norm(pose[-4:])
+        q = self.system.q(pose, x)
+        return End(x, q, self._turn(q).T @ qvel, evaluations)
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Return the mass matrix for Pinocchio's velocities, (n, n)."""
+        n, T = self.system.n, self._turn(q)
+        self._put(q, np.zeros(n))
+        H = np.empty((n, n))
+        self.mj.mj_fullM(self.model, self.data, H)
+        return np.asarray(T.T @ H @ T)
+
+    def acceleration(self, q: Array, v: Array) -> Array:
+        """Return Pinocchio's dv/dt without torques, (n,)."""
+        self._put(q, v)
+        out = self._turn(q).T @ self.data.qacc
+        if self._kind == "SE3":
+            out[:3] -= np.cross(v[3:6], v[:3])
+        elif self._kind == "SE2":
+            out[:2] -= v[2] * np.array([-v[1], v[0]])
+        return np.asarray(out)
+
+    def _put(self, q: Array, v: Array) -> None:
+        self.data.qpos[:] = self.qpos(q, self.system.configuration(q).x)
+        self.data.qvel[:] = self.qvel(q, v)
+        self.mj.mj_forward(self.model, self.data)
+
+    def _turn(self, q: Array) -> Array:
+        """Return the matrix from Pinocchio's velocities to MuJoCo's, (n, n), orthogonal.
+
+        MuJoCo's linear velocity is that in the parent's axes.
+        """
+        T, system = np.eye(self.system.n), self.system
+        if self._kind in ("SE3", "SE2"):
+            k = system.group.linear
+            T[:k, :k] = system.group.matrix(system.configuration(q).pose)[:k, :k]
+        return T
+
+
+def _wxyz(rotation: Array) -> Array:
+    x, y, z, w = pin.Quaternion(rotation).normalized().coeffs()
+    return np.array([w, x, y, z])
+
+
+def mujoco_model(system: System) -> MujocoModel:
+    """Return MuJoCo's model of a system, made once for a thread."""
+    return system.workspace("mujoco", lambda: MujocoModel(system))
+
+
+def _stepping(problem: Problem, part: float, integrator: str, stages: int) -> Prepared:
+    bridge = mujoco_model(problem.system)
+    mj, model, data = bridge.mj, bridge.model, bridge.data
+    count, duration = steps_of(part), problem.start.duration
+    qpos, qvel = bridge.qpos(problem.q0, problem.start.x), bridge.qvel(problem.q0, problem.v0)
+    kind = getattr(mj.mjtIntegrator, f"mjINT_{integrator}")
+
+    def run() -> tuple[Array, Array]:
+        model.opt.timestep, model.opt.integrator = duration / count, kind
+        mj.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        mj.mj_step(model, data, count)
+        return data.qpos.copy(), data.qvel.copy()
+
+    return Prepared(run, lambda found: bridge.end(found[0], found[1], stages * count))
+
+
+def _field(problem: Problem) -> Field:
+    """Return the vector field on (qpos, qvel), by mj_forward."""
+    bridge = mujoco_model(problem.system)
+    model, data, forward = bridge.model, bridge.data, bridge.mj.mj_forward
+    nq, rate_of = model.nq, _rates(problem.system.group.name)
+    qpos, qvel, qacc = data.qpos, data.qvel, data.qacc
+
+    def rate(t: float, y: Array) -> Array:  # noqa: ARG001
+        qpos[:], qvel[:] = y[:nq], y[nq:]
+        forward(model, data)
+        out = np.empty(len(y))
+        rate_of(out[:nq], y, y[nq:])
+        out[nq:] = qacc
+        return out
+
+    def end(y: Array, evaluations: float) -> End:
+        return bridge.end(y[:nq], y[nq:], evaluations)
+
+    y0 = np.concatenate(
+        [bridge.qpos(problem.q0, problem.start.x), bridge.qvel(problem.q0, problem.v0)]
+    )
+    return Field(rate, y0, end)
+
+
+def _rates(kind: str) -> Callable[[Array, Array, Array], None]:
+    """Return what writes d(qpos)/dt."""
+    if kind not in ("SE3", "SO3"):
+
+        def same(out: Array, _: Array, v: Array) -> None:
+            out[:] = v
+
+        return same
+    k = 3 if kind == "SE3" else 0
+
+    def turning(out: Array, y: Array, v: Array) -> None:
+        out[:k] = v[:k]
+        w, x, y_, z = y[k : k + 4].tolist()
+        a, b, c = v[k : k + 3].tolist()
+        out[k : k + 4] = (
+            -0.5 * (x * a + y_ * b + z * c),
+            0.5 * (w * a + y_ * c - z * b),
+            0.5 * (w * b + z * a - x * c),
+            0.5 * (w * c + x * b - y_ * a),
+        )
+        out[k + 4 :] = v[k + 3 :]
+
+    return turning
+
+
+_missing = missing_unless_equal("mujoco", "MuJoCo", mujoco_model)
+_STEPS = halvings(50, 14)
+
+MUJOCO = (
+    *(
+        Method(
+            f"mujoco-{name}",
+            f"MuJoCo's mj_step with {text}, equal steps in C",
+            _STEPS,
+            partial(_stepping, integrator=name.upper(), stages=stages),
+            _missing,
+            fixed=True,
+        )
+        for name, text, stages in (
+            ("euler", "semi-implicit Euler", 1),
+            ("implicitfast", "implicitfast", 1),
+            ("rk4", "RK4", 4),
+        )
+    ),
+    *scipy_methods("mujoco", "MuJoCo's mj_forward", _field, _missing),
+)

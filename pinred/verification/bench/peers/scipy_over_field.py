@@ -1,0 +1,131 @@
+"""SciPy's integrators over a vector field on the full state, whoever evaluates it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.integrate import ode, odeint, solve_ivp
+
+from ....common.arrays import Array
+from ....common.errors import IntegrationError
+from ..problems import Problem
+from ..solver import ATOL, End, Method, Prepared, decades
+
+_MOST = 100_000_000  # steps
+Rate = Callable[[float, Array], Array]
+
+
+@dataclass(frozen=True)
+class Field:
+    """A vector field on the full state.
+
+    rate: (t, y) → dy/dt, of the length of y.  y0: at the start.  end: y, evaluations → End.
+    """
+
+    rate: Rate
+    y0: Array
+    end: Callable[[Array, float], End]
+
+
+def by_solve_ivp(field: Field, problem: Problem, tolerance: float, method: str) -> Prepared:
+    """Return `solve_ivp` with DOP853 or LSODA."""
+    span = (0.0, problem.start.duration)
+
+    def run() -> Any:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = solve_ivp(
+                field.rate, span, field.y0, method=method, rtol=tolerance, atol=ATOL * tolerance
+            )
+        if not found.success:
+            raise IntegrationError(found.message)
+        return found
+
+    return Prepared(run, lambda found: field.end(found.y[:, -1], float(found.nfev)))
+
+
+def by_ode(field: Field, problem: Problem, tolerance: float, method: str) -> Prepared:
+    """Return `ode(…)` with Hairer's dop853."""
+    duration = problem.start.duration
+
+    def run(rate: Rate = field.rate) -> Array:
+        solver = ode(rate).set_integrator(
+            method, rtol=tolerance, atol=ATOL * tolerance, nsteps=_MOST
+        )
+        solver.set_initial_value(field.y0, 0.0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # its failures are raised below
+            y = solver.integrate(duration)
+        if not solver.successful():
+            raise IntegrationError(f"{method} stopped with code {solver.get_return_code()}")
+        return np.asarray(y)
+
+    def end(y: Array) -> End:
+        count = 0
+
+        def counted(t: float, y: Array) -> Array:
+            nonlocal count
+            count += 1
+            return field.rate(t, y)
+
+        run(counted)  # it does not tell how often it evaluates
+        return field.end(y, count)
+
+    return Prepared(run, end)
+
+
+def by_odeint(field: Field, problem: Problem, tolerance: float) -> Prepared:
+    """Return `odeint`, LSODA in Fortran."""
+    times = np.array([0.0, problem.start.duration])
+
+    def run() -> Any:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # its failures are raised below
+            y, about = odeint(
+                field.rate,
+                field.y0,
+                times,
+                tfirst=True,
+                rtol=tolerance,
+                atol=ATOL * tolerance,
+                mxstep=_MOST,
+                full_output=True,
+            )
+        if about["message"] != "Integration successful.":
+            raise IntegrationError(about["message"])
+        return y[-1], float(about["nfe"][-1])
+
+    return Prepared(run, lambda found: field.end(*found))
+
+
+def scipy_methods(
+    prefix: str,
+    by: str,
+    field: Callable[[Problem], Field],
+    missing: Callable[[Problem], str] = lambda _: "",
+) -> tuple[Method, ...]:
+    """Return SciPy's integrators over one vector field as methods.
+
+    prefix: of their names.  by: what evaluates the vector field, for people.
+    """
+    drivers: dict[str, tuple[str, Callable[[Field, Problem, float], Prepared]]] = {
+        "dop853": ("solve_ivp with DOP853", partial(by_solve_ivp, method="DOP853")),
+        "lsoda": ("solve_ivp with LSODA", partial(by_solve_ivp, method="LSODA")),
+        "ode-dop853": ("ode with Hairer's dop853", partial(by_ode, method="dop853")),
+        "odeint": ("odeint", by_odeint),
+    }
+
+    def method(name: str, text: str, driver: Callable[[Field, Problem, float], Prepared]) -> Method:
+        def prepare(problem: Problem, tolerance: float) -> Prepared:
+            return driver(field(problem), problem, tolerance)
+
+        return Method(
+            f"{prefix}-{name}", f"SciPy's {text} over {by}", decades(2, 13), prepare, missing
+        )
+
+    return tuple(method(name, *driver) for name, driver in drivers.items())

@@ -1,0 +1,122 @@
+"""How the cost of an evaluation, and of making the kernel, grows with the number of joints."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...common.arrays import Array, freeze
+from ...common.errors import InputError
+from ...common.progress import Progress, quiet, shown
+from ...kernels.kernel import build_kernel
+from ...kernels.reduced_graph import Structure
+from ...reduction.cyclic_joints import cyclic_joints
+from ...reduction.reduction import Reduction
+from .chains import FAMILIES, chain
+from .timing import ROUNDS, NoCache, alternating, evaluations
+
+JOINTS = (5, 10, 20, 50, 100)
+LONG = 20  # joints from which on the slope is taken
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """One family of chains.  joints, instructions: (K,).
+
+    build: (K,) s from System to address, with the search for cyclic joints.  kernel: (K,)
+    µs an evaluation, with momentum and without forces.
+    """
+
+    family: str
+    joints: NDArray[np.int64]
+    instructions: NDArray[np.int64]
+    build: Array
+    kernel: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @property
+    def slope(self) -> float:
+        """Exponent of joints in the time of an evaluation, for long chains; 1 is linear."""
+        return self._slope(self.kernel)
+
+    @property
+    def instructions_slope(self) -> float:
+        """Exponent of joints in the number of instructions, for long chains."""
+        return self._slope(self.instructions)
+
+    def _slope(self, cost: NDArray[np.float64] | NDArray[np.int64]) -> float:
+        long = self.joints >= LONG
+        if long.sum() < 2:
+            return float("nan")
+        return float(np.polyfit(np.log(self.joints[long]), np.log(cost[long]), 1)[0])
+
+    def __str__(self) -> str:
+        head = f"{self.family + ' chain':<14} {'joints':>6} {'instructions':>12} {'build [s]':>10} "
+        rows = [
+            f"{'':<14} {n:>6} {count:>12} {build:>10.3f} {kernel:>12.4f} {1e3 * kernel / n:>13.1f}"
+            for n, count, build, kernel in zip(
+                self.joints, self.instructions, self.build, self.kernel, strict=True
+            )
+        ]
+        return "\n".join(
+            [
+                head + f"{'kernel [µs]':>12} {'ns per joint':>13}",
+                *rows,
+                f"{'':<14} from {LONG} joints on, time grows with their number to the power "
+                f"{self.slope:.2f}, instructions {self.instructions_slope:.2f}",
+            ]
+        )
+
+
+def bench_scaling(
+    joints: Sequence[int] = JOINTS,
+    *,
+    rounds: int = ROUNDS,
+    progress: Progress | bool | None = None,
+) -> list[Scaling]:
+    """Return what chains of so many joints cost, planar and spatial.
+
+    joints: increasing.  rounds: of which the median counts.  progress: as for
+    `simulate`.  Raises InputError.
+    """
+    if not joints or (np.diff(joints) <= 0).any():
+        raise InputError(f"joints must be increasing numbers, got {tuple(joints)}")
+    with shown(progress, "scaling") as bar:
+        return _measured(joints, rounds, bar or quiet)
+
+
+def _measured(joints: Sequence[int], rounds: int, done: Progress) -> list[Scaling]:
+    cases = [(family, n) for family in FAMILIES for n in joints]
+    kernels, builds = [], []
+    for k, (family, n) in enumerate(cases):
+        system = chain(family, n)
+        began = time.perf_counter()
+        structure = Structure(zero_momentum=False, cyclic=cyclic_joints(Reduction(system)))
+        kernels.append(build_kernel(system, structure, cache=NoCache()))
+        builds.append(time.perf_counter() - began)
+        done(0.5 * (k + 1) / len(cases))
+    times = alternating(
+        [evaluations(kernel) for kernel in kernels],
+        rounds=rounds,
+        progress=lambda part: done(0.5 + 0.5 * part),
+    )
+    medians = np.median(times, axis=0) * 1e6
+    found = []
+    for k, family in enumerate(FAMILIES):
+        part = slice(k * len(joints), (k + 1) * len(joints))
+        found.append(
+            Scaling(
+                family=family,
+                joints=np.array(joints),
+                instructions=np.array([kernel.instructions for kernel in kernels[part]]),
+                build=np.array(builds[part]),
+                kernel=medians[part].copy(),
+            )
+        )
+    return found

@@ -1,0 +1,194 @@
+"""What accuracy costs on one problem: points of run time and error, and ratios at equal error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...common.errors import InputError
+
+ERRORS = tuple(float(f"1e-{k}") for k in range(4, 14))
+
+
+@dataclass(frozen=True)
+class Point:
+    """One method at one tolerance, at the end of a problem.
+
+    tolerance: relative, or the step in parts of the whole time where a method takes steps.
+    wall: s of a run.  build: s before the first.  evaluations: of the vector field, or steps
+    of a Taylor method.  shape: largest |Δx| [rad | m]; rotation [rad] and position [m] of the
+    base: norms of the parts of log(g⁻¹ĝ).  energy, momentum: drift, relative (see drift.py).
+    failure: why it did not come to its end; then the numbers are NaN.
+    """
+
+    method: str
+    tolerance: float
+    wall: float = np.nan
+    build: float = np.nan
+    evaluations: float = np.nan
+    shape: float = np.nan
+    rotation: float = np.nan
+    position: float = np.nan
+    energy: float = np.nan
+    momentum: float = np.nan
+    failure: str = ""
+
+    @property
+    def error(self) -> float:
+        """The largest of the three errors [rad | m]; NaN stays."""
+        return float(np.max([self.shape, self.rotation, self.position]))
+
+
+@dataclass(frozen=True)
+class WorkPrecision:
+    """What accuracy costs on one problem, measured in one run.
+
+    problem, description: its name, and what it is.  reference_error: how far the reference may be
+    from the truth [rad | m]; smaller errors of a point say nothing.  reference: how it was
+    found.  about: method to what is timed of it.  missing: method to why it could not run
+    here.  run: name of the run; times of different runs are not to be compared.
+    """
+
+    problem: str
+    joints: int
+    duration: float
+    reference_error: float
+    about: Mapping[str, str]
+    points: tuple[Point, ...]
+    description: str = ""
+    reference: str = ""
+    missing: Mapping[str, str] = field(default_factory=dict)
+    run: str = ""
+
+    def of(self, method: str) -> list[Point]:
+        """Return the points of a method that came to their end.  Raises InputError."""
+        if method not in self.about:
+            raise InputError(f"no method '{method}'; they are {', '.join(self.about)}")
+        return [p for p in self.points if p.method == method and not p.failure]
+
+    def wall_at(self, method: str, error: float) -> float:
+        """Return the seconds a method takes for an error [rad | m], NaN if it never gets there.
+
+        Between measured points, of which only those count that no other beats in both time
+        and error, the logarithms are interpolated.  Above the largest error measured it is
+        the time of the fastest point.
+        """
+        front: list[tuple[float, float]] = []  # (log error, log wall), errors falling
+        best = np.inf
+        for p in sorted(self.of(method), key=lambda p: (p.error, p.wall)):
+            if p.wall < best:
+                best = p.wall
+                front.append((np.log(max(p.error, self.reference_error)), np.log(p.wall)))
+        if not front or np.log(error) < front[0][0]:
+            return float("nan")
+        errors, walls = zip(*front, strict=True)
+        return float(np.exp(np.interp(np.log(error), errors, walls)))
+
+    def only(self, methods: Iterable[str]) -> WorkPrecision:
+        """Return the results of some methods alone.  Raises InputError."""
+        points = {name: self.of(name) for name in methods}
+        return replace(
+            self,
+            about={name: self.about[name] for name in points},
+            points=tuple(point for name in points for point in points[name]),
+        )
+
+    def fastest_of_tools(self, error: float) -> list[str]:
+        """Return pinred's methods, and of each other tool the fastest at an error [rad | m].
+
+        A tool is what stands before the first hyphen in its methods' names.
+        """
+        tools: dict[str, list[str]] = {}
+        for name in self.about:
+            tool = name if name.startswith("pinred") else name.partition("-")[0]
+            tools.setdefault(tool, []).append(name)
+
+        def wall(name: str) -> float:
+            found = self.wall_at(name, error)
+            return np.inf if np.isnan(found) else found
+
+        return [min(names, key=wall) for names in tools.values()]
+
+    def ratio_at(self, peer: str, error: float, method: str = "pinred") -> float:
+        """Return how many times longer a peer takes than a method at equal error."""
+        return self.wall_at(peer, error) / self.wall_at(method, error)
+
+    def _repr_html_(self) -> str:
+        from ...common.html import card, line, table
+
+        head = ["method", "tolerance", "error [rad | m]", "wall [ms]", "evaluations", ""]
+        rows = [
+            (
+                p.method,
+                f"{p.tolerance:.0e}",
+                f"{p.error:.1e}",
+                1e3 * p.wall,
+                p.evaluations,
+                p.failure,
+            )
+            for p in self.points
+        ]
+        equal = [
+            (f"{error:.0e}", *(_cell(1e3 * self.wall_at(n, error)).strip() for n in self.about))
+            for error in ERRORS
+        ]
+        return card(
+            self.problem,
+            f"{self.joints} joints, {self.duration:g} s, the end against ABA on the full state; "
+            f"two references agree to {self.reference_error:.0e}",
+            *(line(f"{name}: {text}") for name, text in self.about.items()),
+            *map(line, self.missing),
+            table("wall time [ms] at equal error", ["error", *self.about], equal),
+            table("measured", head, rows),
+        )
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.problem} ({self.description}): {self.joints} joint{'s' * (self.joints != 1)}, "
+            f"{self.duration:g} s; the reference is known to {self.reference_error:.0e}"
+            + (f": {self.reference}" if self.reference else ""),
+            *(f"  {name}: {text}" for name, text in self.about.items()),
+            *(f"  {line}" for line in dict.fromkeys(self.missing.values())),
+            "",
+            f"{'method':<19} {'tolerance':>9} {'wall [ms]':>10} {'evaluations':>11} "
+            f"{'shape':>8} {'rotation':>8} {'position':>8} {'energy':>8} {'momentum':>8} "
+            f"{'build [s]':>9}",
+            *(_row(p) for p in self.points),
+            "",
+            "wall time [ms] at equal error",
+            *_table(self.about, lambda name, e: 1e3 * self.wall_at(name, e)),
+        ]
+        peers = [name for name in self.about if not name.startswith("pinred")]
+        for own in (name for name in self.about if name.startswith("pinred")):
+            if peers:
+
+                def ratio(peer: str, error: float, own: str = own) -> float:
+                    return self.ratio_at(peer, error, own)
+
+                lines += ["", f"how many times faster {own} is", *_table(peers, ratio)]
+        return "\n".join(lines)
+
+
+def _table(names: Iterable[str], value: Callable[[str, float], float]) -> list[str]:
+    """Return a row for each name and a column for each error."""
+    head = f"{'error':<19}" + "".join(f"{error:>9.0e}" for error in ERRORS)
+    rows = (
+        f"{name:<19}" + "".join(_cell(value(name, error)) for error in ERRORS) for name in names
+    )
+    return [head, *rows]
+
+
+def _row(p: Point) -> str:
+    head = f"{p.method:<19} {p.tolerance:>9.1e} "
+    if p.failure:
+        return f"{head}failed: {p.failure}"
+    return head + (
+        f"{1e3 * p.wall:>10.4f} {p.evaluations:>11.0f} {p.shape:>8.1e} {p.rotation:>8.1e} "
+        f"{p.position:>8.1e} {p.energy:>8.1e} {p.momentum:>8.1e} {p.build:>9.2f}"
+    )
+
+
+def _cell(value: float) -> str:
+    return f"{'—' if np.isnan(value) else format(value, '.3g'):>9}"

@@ -1,0 +1,388 @@
+"""The full simulation: Pinocchio's ABA on (q, v), and what Pinocchio says is conserved.
+
+This is the other side of every comparison, so it shares nothing with the reduction: its
+own kinematics of the root, other integrators (Hairer's, through scipy.integrate.ode),
+momentum and energy by Pinocchio's functions; of forces, it evaluates the same expressions.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.integrate import ode
+
+from ..common.arrays import Array
+from ..common.errors import IntegrationError
+from ..scene.scene import Scene
+from ..simulation.pieces import begin_stretch, stops_of
+from ..simulation.state import Sample, State
+
+_MOST_STEPS = 10_000_000
+
+
+@dataclass(frozen=True)
+class FullMotion:
+    """A motion in Pinocchio's coordinates.  x: (T, m) unwrapped angles.  q: (T, nq)."""
+
+    x: Array
+    q: Array
+
+
+@dataclass(frozen=True)
+class Size:
+    """What errors of a motion are measured by.
+
+    shape: the largest |x|, at least 1 [rad | m].  position: the largest coordinate of the
+    base, at least the radius of gyration [m].
+    """
+
+    shape: float
+    position: float
+
+
+@dataclass(frozen=True)
+class Distance:
+    """How far two motions are apart, each (T,).
+
+    shape: largest |Δx| [rad | m].  rotation [rad] and position [m]: norms of the parts of
+    log(g⁻¹ĝ) of the base.
+    """
+
+    shape: Array
+    rotation: Array
+    position: Array
+
+    def worst(self, size: Size) -> float:
+        """Return the largest of all, in units of the motion's size; NaN if there is one."""
+        return float(
+            np.max([self.shape / size.shape, self.rotation, self.position / size.position])
+        )
+
+
+@dataclass(frozen=True)
+class Audit:
+    """What Pinocchio's own functions say of the states of a trajectory, all relative.
+
+    energies: (T,) change over the largest kinetic energy T about the centre of mass.
+    momenta: (T, r) change of each conserved component, angular about the centre of mass if
+    the group translates, over √(2mT), for angular ones times the radius of gyration.
+    fields: largest difference of pose, twist, momenta and energy from those that q and v have.
+    """
+
+    energies: Array
+    momenta: Array
+    fields: float
+
+    @property
+    def energy(self) -> float:
+        """The largest change of energy."""
+        return float(np.abs(self.energies).max())
+
+    @property
+    def momentum(self) -> float:
+        """The largest change of momentum."""
+        return float(np.abs(self.momenta).max())
+
+
+class FullState:
+    """Pinocchio's forward dynamics of one scene, as an initial value problem.
+
+    The state is y = (root, x, v): root coordinates (position; angle or quaternion), joint
+    angles unwrapped, Pinocchio's velocity.  What forces see is taken from it by Pinocchio;
+    of prescribed joints, the plan is what counts.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Prepare Pinocchio's work space."""
+        system = scene.system
+        self._scene, self._forces = scene, scene.force_model
+        self._numbers = np.empty(0) if self._forces is None else self._forces.numbers.copy()
+        self._model, self._data = system.model, system.model.createData()
+        self._root = system.model.joints[1]
+        self._kind = system.group.name
+        self._r, self._m = system.r, system.m
+        self._size = {"R": 1, "SO2": 1, "SE2": 3, "SO3": 4, "SE3": 7}[self._kind]
+        self._linear = {"R": 1, "SO2": 0, "SE2": 2, "SO3": 0, "SE3": 3}[self._kind]
+        # Pinocchio 4.1 leaves the armature of slanted revolute joints out of the kinetic energy.
+        self._weightless = system.model.copy()
+        self._weightless.gravity.setZero()
+        self._bare = system.model.copy()
+        self._bare.armature = np.zeros(system.n)
+        # Axes of the root joint's motion in its fixed frame, (6, r).
+        pin.computeJointJacobians(self._model, self._data, pin.neutral(self._model))
+        self._axes = np.array(self._data.joints[1].S).reshape(6, self._r)
+        self._driven = [] if self._forces is None else list(self._forces.joints)
+        self._fixed = self._r + np.array(self._driven, dtype=np.intp)
+        self._free = np.setdiff1d(np.arange(system.n), self._fixed)
+
+    def state(self, pose: Array, x: Array, xi: Array, xdot: Array) -> Array:
+        """Return y for a pose, shape, body twist and shape rate."""
+        return np.concatenate([pose, x, xi, xdot])
+
+    def kick(self, y0: Array, time: float, part: float) -> Array:
+        """Return y0 with each entry changed by a small part of itself, up or down at random.
+
+        The least change is that part of a radian, of the radius of gyration, or of the
+        rate that covers these in the time.
+        """
+        where = self._size + self._m
+        least = np.ones(len(y0))
+        least[: self._linear] = self.radius(self.q(y0))
+        least[where:] = 1.0 / time
+        least[where : where + self._linear] *= self.radius(self.q(y0))
+        sign = np.random.default_rng(0).choice([-1.0, 1.0], len(y0))
+        return np.asarray(y0 + part * sign * np.maximum(np.abs(y0), least))
+
+    def run(
+        self, y0: Array, times: Array, rtol: float, atol: float, *, method: str = "dop853"
+    ) -> FullMotion:
+        """Integrate from t = 0 and return the motion at `times`.
+
+        method: Hairer's "dop853" or "dopri5", of order 8 or 5.
+        Raises IntegrationError if it cannot be followed.
+        """
+        end = float(times[-1])
+        stops = stops_of(self._scene)
+        wanted = np.union1d(times, stops[stops < end])
+        found = {0.0: y0}
+        y = y0
+        solver = self._solver(method, y, 0.0, rtol, atol)
+        for t in wanted:
+            if t - solver.t <= 1e-12 * end:  # there already, but for round-off
+                found[float(t)] = y
+            else:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", UserWarning)  # its failures are raised below
+                    y = solver.integrate(t)
+                if not (solver.successful() and np.isfinite(y).all()):
+                    raise IntegrationError(
+                        f"the full simulation of '{self._model.name}' cannot be followed to "
+                        f"t = {t:g} s at rtol = {rtol:g}"
+                    )
+                found[float(t)] = y
+            if t in stops[:-1]:
+                solver = self._solver(method, y, float(t), rtol, atol)
+        y = np.array([found[float(t)] for t in times])
+        return FullMotion(
+            x=y[:, self._size : self._size + self._m].copy(),
+            q=np.array([self.q(row) for row in y]),
+        )
+
+    def _solver(self, method: str, y: Array, t: float, rtol: float, atol: float) -> ode:
+        """Return a solver that begins here, with the torques that controllers give here."""
+        stops = stops_of(self._scene)
+        later = stops[stops > t]
+        stop = float(later[0]) if later.size else t
+        begin_stretch(self._scene, self._numbers, t, stop, lambda: self._sample(y))
+        solver = ode(self.rate).set_integrator(method, rtol=rtol, atol=atol, nsteps=_MOST_STEPS)
+        return solver.set_initial_value(y, t)
+
+    def _sample(self, y: Array) -> Sample:
+        """Return what forces see, by Pinocchio; the weight they do not see."""
+        size, m, r = self._size, self._m, self._r
+        x, v = y[size : size + m], y[size + m :]
+        xi, mu = self._relative(self.q(y), v)
+        return Sample(x, v[r:], xi, mu, np.zeros(3))
+
+    def rate(self, t: float, y: Array) -> Array:
+        """Return dy/dt with Pinocchio's ABA."""
+        size, m, r = self._size, self._m, self._r
+        if self._forces is None:
+            v, q = y[size + m :], self.q(y)
+            a = pin.aba(self._model, self._data, q, v, np.zeros(len(v)))
+            return np.concatenate([self._root_rate(y[:size], v[:r]), v[r:], a])
+        y = y.copy()
+        accelerations = np.empty(0)
+        if self._driven:
+            given = self._forces.prescribed(t, self._numbers)
+            accelerations = given.xddot
+            y[[size + k for k in self._driven]] = given.x
+            y[[size + m + r + k for k in self._driven]] = given.xdot
+        x, v, q = y[size : size + m], y[size + m :], self.q(y)
+        xi, mu = self._relative(q, v)
+        acting = self._forces.acting(t, x, v[r:], xi, mu, self._numbers)
+        tau = np.concatenate([acting.wrench, acting.torque])
+        if self._driven:
+            a = self._driven_acceleration(q, v, tau, accelerations)
+        else:
+            a = pin.aba(self._model, self._data, q, v, tau)
+        return np.concatenate([self._root_rate(y[:size], v[:r]), v[r:], a])
+
+    def _driven_acceleration(self, q: Array, v: Array, tau: Array, given: Array) -> Array:
+        """Return the acceleration, (n,), where that of some joints is given."""
+        upper = pin.crba(self._model, self._data, q)
+        H = np.triu(upper) + np.triu(upper, 1).T
+        bias = pin.nonLinearEffects(self._model, self._data, q, v)
+        free, driven = self._free, self._fixed
+        a = np.empty(len(v))
+        a[driven] = given
+        rest = (tau - bias)[free] - H[np.ix_(free, driven)] @ given
+        a[free] = np.linalg.solve(H[np.ix_(free, free)], rest)
+        return a
+
+    def _relative(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Return body twist and momentum, (r,) each, as seen from the centre of mass."""
+        data, r, k = self._data, self._r, self._linear
+        inside = self.momentum(q, v, np.zeros(3), about_pivot=not k)
+        body = data.oMi[1].rotation.T
+        root = self._model.jointPlacements[1].rotation
+        xi, mu = v[:r].copy(), np.zeros(r)
+        if k:
+            velocity = body @ data.hg.linear / data.Ig.mass
+            xi[:k] -= (self._axes[:3].T @ velocity)[:k]
+        angular = inside[k:]
+        mu[k:] = body @ root @ angular if len(angular) == 3 else angular
+        return xi, mu
+
+    def _root_rate(self, root: Array, v: Array) -> Array:
+        if self._kind in ("R", "SO2"):
+            return v
+        if self._kind == "SE2":
+            c, s = np.cos(root[2]), np.sin(root[2])
+            return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]])
+        q = pin.Quaternion(root[-4:])
+        spin = pin.Quaternion(np.append(0.5 * v[-3:], 0.0))
+        turn = (q * spin).coeffs()
+        if self._kind == "SO3":
+            return np.asarray(turn)
+        return np.concatenate([q.normalized().matrix() @ v[:3], turn])
+
+    def q(self, y: Array) -> Array:
+        """Return Pinocchio's configuration of y, (nq,)."""
+        root, x = y[: self._size], y[self._size : self._size + self._m]
+        parts: list[Array]
+        if self._root.nq == self._size:
+            parts = [root.copy()]
+            if self._size >= 4:
+                parts[0][-4:] /= np.linalg.norm(root[-4:])
+        else:
+            parts = [root[:-1], np.array([np.cos(root[-1]), np.sin(root[-1])])]
+        for i, angle in enumerate(x, start=2):
+            circle = self._model.joints[i].nq == 2
+            parts.append(np.array([np.cos(angle), np.sin(angle)] if circle else [angle]))
+        return np.concatenate(parts)
+
+    def distance(self, a: FullMotion, b: FullMotion) -> Distance:
+        """Return how far b is from a over time."""
+        apart = [
+            pin.difference(self._model, p, q)[: self._r] for p, q in zip(a.q, b.q, strict=True)
+        ]
+        log = np.array(apart)
+        if self._root.nq != self._size:
+            # Pinocchio's planar log takes a trace above 2, which is round-off, for no turn at all.
+            k = self._linear
+            (c, s), (cb, sb) = a.q[:, k : k + 2].T, b.q[:, k : k + 2].T
+            log[:, -1] = np.arctan2(c * sb - s * cb, c * cb + s * sb)
+        return Distance(
+            shape=np.abs(b.x - a.x).max(axis=1, initial=0.0),
+            rotation=np.linalg.norm(log[:, self._linear :], axis=1),
+            position=np.linalg.norm(log[:, : self._linear], axis=1),
+        )
+
+    def size(self, motion: FullMotion) -> Size:
+        """Return the units in which errors of a motion are judged."""
+        travelled = float(np.abs(motion.q[:, : self._linear]).max(initial=0.0))
+        return Size(
+            shape=float(np.abs(motion.x).max(initial=1.0)),
+            position=max(travelled, self.radius(motion.q[0])),
+        )
+
+    def radius(self, q: Array) -> float:
+        """Return the radius of gyration at q about the centre of mass, √(tr I / m) [m]."""
+        pin.ccrba(self._model, self._data, q, np.zeros(self._model.nv))
+        return float(np.sqrt(np.trace(self._data.Ig.inertia) / self._data.Ig.mass))
+
+    def audit(self, state: State, work: Array, impulse: Array | None) -> Audit:
+        """Return what Pinocchio says of the states of a trajectory.
+
+        work: (T,) [J] that has been done since the start.  impulse: (T, r) given since then
+        in the root's fixed frame, if momentum is not conserved for itself.
+        """
+        model, data, r = self._model, self._data, self._r
+        energy, total, internal, conserved = [], [], [], []
+        body, spatial = np.empty_like(state.xi), np.empty_like(state.xi)
+        rest = np.zeros(model.nv)
+        for k, (t, q, v) in enumerate(zip(state.t, state.q, state.v, strict=True)):
+            kinetic = self.kinetic_energy(q, v)
+            height = self.potential_energy(q)
+            if self._forces is not None:
+                height += self._forces.potential(state.x[k], self._numbers)
+            energy.append(kinetic + height)
+            body[k] = pin.rnea(self._weightless, data, q, rest, v)[:r]
+            spatial[k] = self.momentum(q, v, np.zeros(3), about_pivot=True)
+            fall = data.Ig.mass * model.gravity.linear * t
+            conserved.append(self.momentum(q, v, fall, about_pivot=not self._linear))
+            total.append(kinetic)
+            internal.append(kinetic - self.carried_energy(q, v))
+        # A body that only falls has no internal motion to measure its changes by.
+        most = max(internal) if max(internal) > 1e-9 * max(total) else max(total)
+        scale = np.full(r, np.sqrt(2.0 * data.Ig.mass * most))
+        scale[self._linear :] *= self.radius(state.q[0])
+        energies = np.array(energy)
+        gained = energies - energies[0] - (work - work[0])
+        if impulse is not None:
+            conserved = list(spatial - impulse)
+            scale = np.maximum(scale, np.abs(spatial).max())
+        scale[scale == 0.0] = 1.0
+        found = np.array(
+            [self.q(np.concatenate(row)) for row in zip(state.pose, state.x, strict=True)]
+        )
+        mismatch = [
+            _difference(found, state.q, 1.0),
+            _difference(np.hstack([state.xi, state.xdot]), state.v, 0.0),
+            _difference(state.body_momentum, body, float(scale.max())),
+            _difference(state.spatial_momentum, spatial, float(scale.max())),
+            _difference(state.energy, energies, most),
+        ]
+        return Audit(
+            energies=gained / most if most > 0.0 else gained,
+            momenta=(np.array(conserved) - conserved[0]) / scale,
+            fields=float(np.max(mismatch)),
+        )
+
+    def kinetic_energy(self, q: Array, v: Array) -> float:
+        """Return the kinetic energy, armature included [J]."""
+        rotors = 0.5 * float(self._model.armature @ v**2)
+        return float(pin.computeKineticEnergy(self._bare, self._data, q, v)) + rotors
+
+    def potential_energy(self, q: Array) -> float:
+        """Return the potential energy in the model's gravity [J]."""
+        return float(pin.computePotentialEnergy(self._model, self._data, q))
+
+    def carried_energy(self, q: Array, v: Array) -> float:
+        """Return the part of the kinetic energy that the centre of mass has along the group [J]."""
+        data, root = self._data, self._model.jointPlacements[1].rotation
+        pin.ccrba(self._model, data, q, v)
+        carried = self._axes[:3].T @ root.T @ data.hg.linear
+        return 0.5 * float(carried @ carried) / float(data.Ig.mass)
+
+    def momentum(self, q: Array, v: Array, fall: Array, *, about_pivot: bool) -> Array:
+        """Return the momentum along the group's axes, (r,), in the root's fixed frame.
+
+        Linear momentum is less `fall`; angular momentum is about the frame's origin, or
+        about the centre of mass.
+        """
+        model, data = self._model, self._data
+        pin.ccrba(model, data, q, v)
+        placement = model.jointPlacements[1]
+        linear, angular = data.hg.linear, data.hg.angular
+        if about_pivot:
+            angular = angular + np.cross(data.com[0] - placement.translation, linear)
+        to_root = placement.rotation.T
+        rotor = model.armature[: self._r] * v[: self._r]
+        parts = np.append(to_root @ (linear - fall), to_root @ angular)
+        return np.asarray(self._axes.T @ parts + rotor)
+
+
+def _difference(a: Array, b: Array, least: float) -> float:
+    """Return the largest difference over the largest entry of b, or over `least`; NaN stays."""
+    if not b.size:
+        return 0.0
+    return _ratio(float(np.abs(a - b).max()), max(least, float(np.abs(b).max())))
+
+
+def _ratio(change: float, scale: float) -> float:
+    return change / scale if scale > 0.0 else change

@@ -1,0 +1,91 @@
+"""Backward error: by how much a trajectory misses Pinocchio's equations of motion.
+
+Over a step from a to b, y(b) − y(a) − ∫ f(t, y(t)) dt, where y is the full state that the
+trajectory reports, f is Pinocchio's ABA on it, and the integral is Gauss's of 8 points on each
+half.  A trajectory with a small defect is the exact one of a system that is pushed a little:
+that is what an integrator can promise where nearby motions part, and it needs no reference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from ...common.arrays import Array
+from ...simulation.trajectory import Trajectory
+from ...system.system import Indices, System
+from ..full_state import FullState
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_MOST_STEPS = 200  # beyond these a random choice is judged
+
+
+def defect(
+    traj: Trajectory, system: System, *, steps: int = _MOST_STEPS, inside: bool = False
+) -> float:
+    """Return the largest defect of a step, relative to the size of each kind of number.
+
+    system: whose motion it is meant to be.  steps: how many are judged, at most.  inside: judge
+    parts of steps, and so what is reported between their ends, too.  The numbers are the
+    root's coordinates, joint coordinates, and the velocities of both.
+    """
+    full = FullState(replace(traj.scene, system=system))
+    a, b, first = _stretches(traj, steps)
+    middle, half = 0.5 * (a + b), 0.5 * (b - a)
+    nodes = (middle[:, None] + half[:, None] * _NODES).ravel()
+    y = full_states(traj, full, np.concatenate([a, b, nodes]))
+    start, end, between = np.split(y, [len(a), 2 * len(a)])
+    rates = np.array([full.rate(float(t), row) for t, row in zip(nodes, between, strict=True)])
+    moved = np.einsum("k,skn->sn", _WEIGHTS, rates.reshape(len(a), len(_NODES), -1))
+    missed = end - start - half[:, None] * moved
+    if not inside:  # ends of parts within a step cancel
+        missed = np.add.reduceat(missed, first)
+    return float(np.max(np.abs(missed) / _sizes(traj, full, y)))
+
+
+def _stretches(traj: Trajectory, most: int) -> tuple[Array, Array, Indices]:
+    """Return starts and ends of parts of steps, (S,), and which are the first of a step.
+
+    Halves of steps, or less where the base turns fast: the quadrature is then exact.
+    """
+    knots = traj.motion.knots
+    linear = traj.system.group.linear
+    steps = np.diff(knots)
+    which = np.arange(len(steps))
+    if len(which) > most:
+        which = np.sort(np.random.default_rng(0).choice(which, most, replace=False))
+    turn = np.abs(traj(knots).xi[:, linear:]).max(initial=0.0) * steps[which]
+    parts = np.ceil(np.maximum(turn, 2.0)).astype(int)
+    share = np.concatenate([np.arange(n) for n in parts]) / np.repeat(parts, parts)
+    later = np.concatenate([np.arange(1, n + 1) for n in parts]) / np.repeat(parts, parts)
+    start, end = np.repeat(knots[which], parts), np.repeat(knots[which + 1], parts)
+    # The ends of the steps themselves, to the last bit.
+    a, b = start + share * (end - start), np.where(later < 1.0, start + later * (end - start), end)
+    return a, b, np.concatenate([[0], np.cumsum(parts)[:-1]])
+
+
+def full_states(traj: Trajectory, full: FullState, times: Array) -> Array:
+    """Return the states that a trajectory reports at times (T,) as FullState has them."""
+    state = traj(times)
+    rows = zip(state.pose, state.x, state.xi, state.xdot, strict=True)
+    return np.array([full.state(*row) for row in rows])
+
+
+def _sizes(traj: Trajectory, full: FullState, y: Array) -> Array:
+    """Return the largest number of each kind, in every place, (n,).
+
+    Angles and quaternions count as 1 at least, lengths as the radius of gyration.
+    """
+    group, m = traj.system.group, traj.system.m
+    linear, size = group.linear, group.size
+    radius = full.radius(traj.q[0])
+    out = np.empty(y.shape[1])
+    least = np.zeros(y.shape[1])
+    least[:linear], least[linear : size + m] = radius, 1.0
+    edges = [0, linear, size, size + m, size + m + linear, size + m + group.dim, len(out)]
+    for first, last in pairwise(edges):
+        if last > first:
+            out[first:last] = max(np.abs(y[:, first:last]).max(), least[first])
+    return np.where(out > 0.0, out, 1.0)

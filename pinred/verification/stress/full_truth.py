@@ -1,0 +1,47 @@
+"""The full simulation of a scene by Pinocchio's ABA, as what a trajectory is measured by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...common.arrays import Array
+from ...scene.scene import Scene
+from ...simulation.trajectory import Trajectory
+from ..full_state import FullMotion, FullState, Size
+
+# What Hairer's DOP853 can do in double precision.
+_RTOL, _ATOL = 2e-14, 1e-16
+_KICK = 1e-6  # relative size of the perturbation whose growth is measured
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The motion of a scene by ABA at some times, and how much a small kick grows in it."""
+
+    full: FullState
+    motion: FullMotion
+    size: Size
+    growth: float
+
+    def error(self, traj: Trajectory, times: Array) -> float:
+        """Return how far a trajectory is from it at its times, relative to the motion's size."""
+        found = traj(times)
+        return self.full.distance(self.motion, FullMotion(x=found.x, q=found.q)).worst(self.size)
+
+
+def truth_of(scene: Scene, times: Array) -> Truth:
+    """Return the motion of a scene at times (T,).  Raises IntegrationError."""
+    full, start = FullState(scene), scene.start
+    y0 = full.state(start.pose, start.x, start.xi, start.xdot)
+    motion = full.run(y0, times, _RTOL, _ATOL)
+    kicked = full.run(full.kick(y0, scene.end, _KICK), times, 1e-10, 1e-12)
+    size = full.size(motion)
+    growth = full.distance(motion, kicked).worst(size) / _KICK
+    return Truth(full, motion, size, max(1.0, growth))
+
+
+def samples(scene: Scene, count: int = 21) -> Array:
+    """Return even times in a scene, its end last, (count,) [s]."""
+    return np.linspace(0.0, scene.end, count + 1)[1:]

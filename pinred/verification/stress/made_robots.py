@@ -1,0 +1,49 @@
+"""Robots that no file holds: chains of bodies built in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from ...system.load import load
+from ...system.system import System
+
+Link = tuple[pin.JointModel, ArrayLike, pin.Inertia]
+
+
+def serial(name: str, links: Sequence[Link]) -> System:
+    """Return a chain without gravity.  links: joint, its place on the link before, and body.
+
+    The first joint is the root.
+    """
+    model = pin.Model()
+    model.name = name
+    model.gravity = pin.Motion.Zero()
+    parent = 0
+    for k, (joint, place, body) in enumerate(links):
+        where = pin.SE3(np.eye(3), np.asarray(place, dtype=float))
+        parent = model.addJoint(parent, joint, where, f"joint{k}")
+        model.appendBodyToJoint(parent, body, pin.SE3.Identity())
+    return load(model)
+
+
+def body(mass: float, com: ArrayLike, moments: ArrayLike) -> pin.Inertia:
+    """Return a body with principal moments (3,) along its axes about its centre `com` (3,)."""
+    return pin.Inertia(mass, np.asarray(com, dtype=float), np.diag(np.asarray(moments, float)))
+
+
+def disc_stack(moments: Sequence[float]) -> System:
+    """Return discs on one axis; the first is the base."""
+    z = np.zeros(3)
+    return serial(
+        "discs", [(pin.JointModelRZ(), z, body(1.0, z, [0.6 * i, 0.6 * i, i])) for i in moments]
+    )
+
+
+def single(moments: ArrayLike) -> System:
+    """Return a rigid body turning about its centre of mass."""
+    z = np.zeros(3)
+    return serial("body", [(pin.JointModelSpherical(), z, body(1.0, z, moments))])

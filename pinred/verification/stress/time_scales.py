@@ -1,0 +1,55 @@
+"""Very short and very long times: together in one motion, and alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .check import PER_RADIAN, Case, Cases, Check, Trial, dop853, tolerance
+from .closed_forms import discs, euler_top
+from .made_robots import disc_stack, single
+
+_RTOL = 1e-10
+_MOMENTS = np.array([1.0, 2.0, 2.5])
+_OMEGA = np.array([0.5, 0.7, 1.6])
+
+
+def _cases(trial: Trial) -> Cases:
+    for apart in trial.pick((1e2,), (1e2, 1e3, 1e4)):
+        yield _together(trial, apart)
+    # The same turn, in as many seconds.
+    for seconds in trial.pick((1e-9, 1e9), (1e-12, 1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9, 1e12)):
+        times = seconds * np.linspace(0.0, 10.0, 21)
+        omega = _OMEGA / seconds
+        rates, _ = euler_top(_MOMENTS, omega, times)
+        method = dop853(0.1 * _RTOL, 1e-30)
+        traj = trial.simulate(single(_MOMENTS), xi0=omega, times=times, method=method)
+        error = float(np.abs(traj.xi - rates).max() / np.abs(omega).max())
+        bound = PER_RADIAN * 10.0 * float(np.linalg.norm(_OMEGA))
+        yield Case(f"a top of some rad per {seconds:.0e} s", error / _RTOL, bound)
+
+
+def _together(trial: Trial, apart: float) -> Case:
+    """Discs with one spring stiffer than the other by apart², over three slow periods."""
+    moments, stiffness = np.array([1.0, 2.0, 1.5]), np.array([apart**2, 1.0])
+    x0, rates = np.array([0.3 / apart, 0.4]), np.array([0.2, 0.1, -0.3])
+    times = np.linspace(0.0, 20.0, 101)
+    first, twists = discs(moments, stiffness, x0, rates, times)
+    system = disc_stack(moments.tolist())
+    springs = {name: (k, 0.0) for name, k in zip(system.shape_names, stiffness, strict=True)}
+    many = trial.simulate_many(
+        system,
+        x0=x0[None],
+        xdot0=rates[None, 1:],
+        xi0=rates[None, :1],
+        times=times,
+        springs=springs,
+        **tolerance(_RTOL),
+    )
+    found = many[0]
+    size = np.abs(twists).max(axis=0)
+    error = max((np.abs(found.x - twists) / size).max(), np.abs(found.pose[:, 0] - first).max())
+    turned = apart * float(times[-1])
+    return Case(f"two springs, {apart:.0e} apart", float(error) / _RTOL, PER_RADIAN * turned)
+
+
+CHECK = Check("time_scales", "error against closed forms, relative, per tolerance", _cases)

@@ -1,0 +1,215 @@
+"""The bodies that are drawn: what the robot's file says, or shapes made from the inertias."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ...common.arrays import Array
+from ...common.errors import PinredError
+from ...system.catalogue import bundled_robots, example_robot
+from ...system.system import System
+
+# Muted colours that the colour-blind tell apart (after Okabe and Ito).
+PALETTE = (
+    (0.55, 0.62, 0.70), (0.90, 0.62, 0.20), (0.35, 0.70, 0.85), (0.25, 0.62, 0.48),
+    (0.80, 0.55, 0.68), (0.85, 0.80, 0.45), (0.40, 0.48, 0.70),
+)  # fmt: skip
+_SLENDER = 0.04  # radius of a limb, in radii of gyration of the robot
+_THIN = 1e-3  # least semi-axis of an ellipsoid, in radii of gyration
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles.  vertices: (V, 3) [m].  faces: (T, 3) of indices."""
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.uint32]
+
+
+@dataclass(frozen=True)
+class Solid:
+    """One shape on a joint (0 is the world).
+
+    kind and size [m]: box (three half sides), sphere (radius), cylinder, capsule or cone
+    (radius, half length, along z), ellipsoid (three semi-axes), mesh (index of a Mesh).
+    placement: (7,) on the joint, position and quaternion.  colour: red, green, blue, opacity.
+    """
+
+    joint: int
+    kind: str
+    size: tuple[float, ...]
+    placement: Array
+    colour: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """All shapes, the meshes that they use, and a word on where they come from."""
+
+    solids: tuple[Solid, ...]
+    meshes: tuple[Mesh, ...]
+    note: str
+
+
+def bodies_of(system: System, *, meshes: bool = True) -> Bodies:
+    """Return the shapes of a system; made from its inertias if its file has none to show."""
+    if not meshes:
+        return Bodies(_from_inertias(system), (), "bodies drawn from their inertias")
+    if system.origin is None:
+        why = "the model was given without its file"
+    else:
+        try:
+            bodies = _from_file(system, _file(system.origin.source))
+            if bodies.solids:
+                return bodies
+            why = "its file has no shapes"
+        except (PinredError, ValueError, RuntimeError, OSError) as error:
+            why = _reason(error)
+    return Bodies(_from_inertias(system), (), f"bodies drawn from their inertias: {why}")
+
+
+def _reason(error: Exception) -> str:
+    """Return why a file cannot be drawn, without the place in Pinocchio's C++ that says so."""
+    text = str(error).rpartition("message:")[2].partition("Hint:")[0]
+    return " ".join(text.split()) or type(error).__name__
+
+
+def extents(bodies: Bodies) -> list[tuple[int, Array, float]]:
+    """Return joint, centre (3,) on it and radius [m] of a ball around each shape."""
+    out = []
+    for solid in bodies.solids:
+        at = pin.XYZQUATToSE3(solid.placement)
+        centre = np.zeros(3)
+        if solid.kind == "mesh":
+            vertices = bodies.meshes[int(solid.size[0])].vertices.astype(float)
+            centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+            radius = float(np.linalg.norm(vertices - centre, axis=1).max())
+        elif solid.kind in ("box", "cylinder", "cone"):
+            radius = float(np.linalg.norm(solid.size))
+        elif solid.kind == "capsule":
+            radius = sum(solid.size)
+        else:
+            radius = max(solid.size)
+        out.append((solid.joint, np.asarray(at.act(centre)), radius))
+    return out
+
+
+def _file(source: str) -> Path:
+    robot = bundled_robots().get(source)
+    if robot is not None:
+        return robot.path
+    return Path(source) if Path(source).is_absolute() else example_robot(source).urdf
+
+
+def _from_file(system: System, path: Path) -> Bodies:
+    """Return the visual shapes in a URDF or MJCF file.  Raises what Pinocchio raises."""
+    visual = pin.GeometryType.VISUAL
+    if path.suffix == ".urdf":
+        raw = pin.buildModelFromUrdf(str(path))
+        # A package is a folder in one of those above the file.
+        folders = [str(folder) for folder in path.resolve().parents][:-1]
+        geometry = pin.buildGeomFromUrdf(raw, str(path), visual, package_dirs=folders)
+    else:
+        raw = pin.buildModelFromMJCF(str(path))
+        geometry = pin.buildGeomFromMJCF(raw, str(path), visual)
+    solids: list[Solid] = []
+    meshes: list[Mesh] = []
+    left_out = 0
+    known: dict[tuple[str, tuple[float, ...]], int] = {}
+    for entry in geometry.geometryObjects:
+        shape = entry.geometry
+        kind, size = _primitive(shape)
+        if kind == "mesh":
+            key = (entry.meshPath, tuple(entry.meshScale))
+            if key not in known:
+                known[key] = len(meshes)
+                meshes.append(_mesh(shape))
+            size = (float(known[key]),)
+        elif not kind:
+            left_out += 1
+            continue
+        joint, at = _carried_by(system, raw, entry)
+        colour = tuple(float(c) for c in entry.meshColor)
+        solids.append(Solid(joint, kind, size, np.array(pin.SE3ToXYZQUAT(at)), colour))  # type: ignore[arg-type]
+    note = f"{left_out} shapes of its file cannot be drawn" if left_out else ""
+    return Bodies(tuple(solids), tuple(meshes), note)
+
+
+def _carried_by(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]:
+    """Return the joint that moves a shape, and where on it the shape sits.
+
+    The link's frame is what the file's model and the system's (whose joints may be frozen,
+    or on another root) have in common.
+    """
+    link = raw.frames[entry.parentFrame]
+    on_link = link.placement.inverse() * entry.placement
+    kinds = pin.FrameType.BODY
+    if link.name == "universe" or not system.model.existFrame(link.name, kinds):
+        # What stands on the ground of the file floats along with a root that was put under it.
+        floats = not raw.existJointName(system.root_name)
+        return (1 if floats else 0), link.placement * on_link
+    frame = system.model.frames[system.model.getFrameId(link.name, kinds)]
+    return frame.parentJoint, frame.placement * on_link
+
+
+def _primitive(shape: Any) -> tuple[str, tuple[float, ...]]:
+    """Return kind and size of one of coal's shapes; no kind if it cannot be drawn."""
+    name = type(shape).__name__
+    if name == "Box":
+        return "box", tuple(map(float, shape.halfSide))
+    if name == "Sphere":
+        return "sphere", (float(shape.radius),)
+    if name in ("Cylinder", "Capsule", "Cone"):
+        return name.lower(), (float(shape.radius), float(shape.halfLength))
+    if name == "Ellipsoid":
+        return "ellipsoid", tuple(map(float, shape.radii))
+    return ("mesh", ()) if name.startswith("BVHModel") else ("", ())
+
+
+def _mesh(shape: Any) -> Mesh:
+    faces = np.empty((shape.num_tris, 3), dtype=np.uint32)
+    for k in range(shape.num_tris):
+        triangle = shape.tri_indices(k)
+        faces[k] = triangle[0], triangle[1], triangle[2]
+    return Mesh(np.array(shape.vertices(), dtype=np.float32), faces)
+
+
+def _from_inertias(system: System) -> tuple[Solid, ...]:
+    """Return an ellipsoid for each body, and capsules from each joint to the next."""
+    model = system.model
+    inertias = [model.inertias[i] for i in range(model.njoints)]
+    radii = [np.sqrt(np.trace(y.inertia) / y.mass) for y in inertias[1:] if y.mass > 0]
+    places = [model.jointPlacements[i].translation for i in range(2, model.njoints)]
+    size = max([*radii, *(float(np.linalg.norm(p)) for p in places)])
+    solids = []
+    for i in range(1, model.njoints):
+        colour = (*PALETTE[(i - 1) % len(PALETTE)], 1.0)
+        inertia = inertias[i]
+        moments, axes = np.linalg.eigh(inertia.inertia)
+        axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+        squares = 2.5 / inertia.mass * (moments.sum() - 2.0 * moments)
+        semi = np.maximum(np.sqrt(np.maximum(squares, 0.0)), _THIN * size)
+        at = np.array(pin.SE3ToXYZQUAT(pin.SE3(axes, inertia.lever)))
+        solids.append(Solid(i, "ellipsoid", tuple(map(float, semi)), at, colour))
+        parent = model.parents[i]
+        ends = [np.array(inertia.lever)]
+        if parent > 0:
+            solids += _limb(parent, model.jointPlacements[i].translation, size)
+        solids += _limb(i, ends[0], size)
+    return tuple(solids)
+
+
+def _limb(joint: int, end: Array, size: float) -> list[Solid]:
+    """Return the capsule from a joint's origin to a point on it, or nothing if they coincide."""
+    length = float(np.linalg.norm(end))
+    if length < 1e-3 * size:
+        return []
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end / length)
+    at = np.concatenate([0.5 * end, turn.coeffs()])
+    return [Solid(joint, "capsule", (_SLENDER * size, 0.5 * length), at, (0.45, 0.48, 0.52, 1.0))]

@@ -1,0 +1,184 @@
+"""A headless browser that is driven through two pipes: no port is opened, nothing is installed.
+
+Chromium speaks its DevTools protocol over file descriptors 3 and 4, messages ended by a
+zero byte (--remote-debugging-pipe).
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import select
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+from ...common.errors import InputError, OutputError
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+_PATIENCE = 120.0  # s for any answer; software rendering is slow
+_FLAGS = (
+    "--headless=new", "--remote-debugging-pipe", "--no-first-run", "--mute-audio",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--disable-default-apps", "--disable-extensions", "--disable-dev-shm-usage",
+    "--hide-scrollbars", "--use-gl=angle", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader", "--force-device-scale-factor=1",
+)  # fmt: skip
+# Puts the pipes where the browser looks for them, then becomes the browser.  A program of its
+# own does it, as Python code between fork and exec is not safe where there are threads.
+_BECOME = """
+import fcntl, os, sys
+there, back = (fcntl.fcntl(int(n), fcntl.F_DUPFD, 5) for n in sys.argv[1:3])
+os.dup2(there, 3)
+os.dup2(back, 4)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
+
+
+def find_browser() -> str:
+    """Return the path of a Chromium.  Raises InputError that says what to install."""
+    given = os.environ.get("PINRED_BROWSER")
+    for name in (given,) if given else NAMES:
+        if path := shutil.which(name):
+            return path
+    if given:
+        raise InputError(f"PINRED_BROWSER is '{given}', but there is no such program")
+    raise InputError(
+        "frames are rendered by Chromium, which was not found; install it "
+        "(apt-get install chromium) or name it in the environment variable PINRED_BROWSER"
+    )
+
+
+class Browser:
+    """One page in a headless Chromium.
+
+    events: what the browser has told since the page was opened, in order, each with
+    `method` and `params`.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], send: int, receive: int) -> None:
+        """Take the process and its pipes, and open an empty page."""
+        self._process, self._send, self._receive = process, send, receive
+        self._unread, self._count = b"", 0
+        self.events: list[dict[str, Any]] = []
+        self._session: str | None = None
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = attached["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **params: Any) -> dict[str, Any]:
+        """Call a method of the DevTools protocol.  Raises OutputError if the browser refuses."""
+        self._count += 1
+        message: dict[str, Any] = {"id": self._count, "method": method, "params": params}
+        if self._session is not None:
+            message["sessionId"] = self._session
+        data = json.dumps(message).encode() + b"\0"
+        while data:
+            try:
+                data = data[os.write(self._send, data) :]
+            except OSError:
+                raise OutputError("the browser has gone") from None
+        for answer in self._messages():
+            if answer.get("id") == self._count:
+                if "error" in answer:
+                    raise OutputError(f"the browser refuses {method}: {answer['error']['message']}")
+                return dict(answer["result"])
+        raise OutputError(f"the browser did not answer {method} within {_PATIENCE:g} s")
+
+    def open(self, url: str, *, width: int, height: int) -> None:
+        """Show a page of this size and wait until it is loaded."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width, height=height, deviceScaleFactor=1, mobile=False,
+        )  # fmt: skip
+        self.events.clear()
+        failed = self.call("Page.navigate", url=url).get("errorText")
+        if failed:
+            raise OutputError(f"the browser cannot open {url}: {failed}")
+        self.wait_for("document.readyState === 'complete'")
+
+    def run(self, script: str) -> Any:
+        """Return the value of a JavaScript expression.  Raises OutputError if it throws."""
+        answer = self.call(
+            "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
+        )
+        if "exceptionDetails" in answer:
+            raise OutputError(f"the page fails: {answer['exceptionDetails']['exception']}")
+        return answer["result"].get("value")
+
+    def wait_for(self, condition: str) -> None:
+        """Wait until a JavaScript expression is true.  Raises OutputError if it never is."""
+        until = time.monotonic() + _PATIENCE
+        while time.monotonic() < until:
+            if self.run(condition):
+                return
+            time.sleep(0.02)
+        raise OutputError(f"the page never came to '{condition}'")
+
+    def screenshot(self) -> bytes:
+        """Return what the page looks like, as a PNG."""
+        return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+
+    def _messages(self) -> Iterator[dict[str, Any]]:
+        """Give the answers that arrive; events are kept aside."""
+        until = time.monotonic() + _PATIENCE
+        while True:
+            while b"\0" in self._unread:
+                text, self._unread = self._unread.split(b"\0", 1)
+                message = json.loads(text)
+                if "id" in message:
+                    yield message
+                else:
+                    self.events.append(message)
+            left = until - time.monotonic()
+            if left <= 0.0 or not select.select([self._receive], [], [], left)[0]:
+                return
+            data = os.read(self._receive, 1 << 20)
+            if not data:
+                raise OutputError(f"the browser ended with code {self._process.wait()}")
+            self._unread += data
+
+
+@contextmanager
+def browser() -> Iterator[Browser]:
+    """Start a browser with a profile of its own, and end both.  Raises InputError, OutputError."""
+    program = find_browser()
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        command = [program, *_FLAGS, f"--user-data-dir={profile}"]
+        if hasattr(os, "geteuid") and os.geteuid() == 0:
+            command.append("--no-sandbox")  # Chromium's sandbox does not work for root
+        there, send = os.pipe()
+        receive, back = os.pipe()
+        with ExitStack() as closing:  # the last first
+            try:
+                process = subprocess.Popen(
+                    [sys.executable, "-c", _BECOME, str(there), str(back), *command],
+                    pass_fds=(there, back),
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                )
+                closing.callback(_end, process)
+            finally:
+                os.close(there)
+                os.close(back)
+                closing.callback(os.close, send)  # which ends the browser
+                closing.callback(os.close, receive)
+            yield Browser(process, send, receive)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Wait for the browser, whose pipe is closed, to end; make it if it does not."""
+    try:
+        process.wait(10.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

@@ -1,0 +1,150 @@
+"""The page: meshcat's viewer, a motion and its controls in one HTML file, without a network."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from importlib.resources import files
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...common.errors import LoadError
+from ...simulation.files import check_path, write_atomic
+from ...simulation.recording import Recording
+from ...simulation.trajectory import Trajectory
+from .bodies import Bodies, bodies_of
+from .framing import frame
+from .playback import Playback, playback
+from .shape_panel import ShapePanel, shape_panel
+from .view import View
+
+# A page that is sent to somebody carries the licences of the viewer that is in it.
+_LICENCES = ("viewer/LICENSE", "viewer/dist/main.min.js.THIRD_PARTY_LICENSES.json")
+
+
+def page(source: Trajectory | Recording, view: View) -> bytes:
+    """Return the HTML of a motion's playback.  Errors as of `playback`."""
+    film = playback(source, view)
+    bodies = bodies_of(film.system, meshes=view.meshes)
+    pair = None if view.pair is None else (view.pair[0], view.pair[1])
+    panel = shape_panel(film.system, film.x, film.xdot, pair)
+    blob = _Blob()
+    head = _head(film, bodies, panel, view, blob)
+    text = json.dumps(head, allow_nan=False).replace("<", "\\u003c")
+    parts = {
+        "%HEAD%": text,
+        "%BLOB%": base64.b64encode(bytes(blob.data)).decode("ascii"),
+        "%MESHCAT%": _meshcat("viewer/dist/main.min.js"),
+        "%LICENCES%": "\n".join(map(_meshcat, _LICENCES)),
+        "%PLAYER%": _own("panel.js") + _own("player.js"),
+    }
+    pieces = re.split("(%[A-Z]+%)", _own("page.html"))
+    return "".join(parts.get(piece, piece) for piece in pieces).encode("utf-8")
+
+
+def save_html(source: Trajectory | Recording, path: str | Path, view: View) -> int:
+    """Write the page to a .html file, whole or not at all, and return its size in bytes.
+
+    Raises InputError for another suffix or no folder, OutputError if writing fails; the
+    others as of `playback`.
+    """
+    path = check_path(path, (".html",))
+    content = page(source, view)
+    write_atomic(path, lambda file: file.write(content))
+    return len(content)
+
+
+class _Blob:
+    """Arrays behind one another as bytes; the page's head says where each is."""
+
+    _TYPES: ClassVar[dict[str, type[np.generic]]] = {
+        "f4": np.float32, "f8": np.float64, "u4": np.uint32,
+    }  # fmt: skip
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+
+    def add(self, array: NDArray[Any], kind: str = "f4") -> dict[str, Any]:
+        """Append an array and return where it is."""
+        self.data += bytes(-len(self.data) % 8)  # where JavaScript may begin an array
+        flat = np.ascontiguousarray(array, dtype=np.dtype(self._TYPES[kind]).newbyteorder("<"))
+        entry = {"type": kind, "at": len(self.data), "count": flat.size}
+        self.data += flat.tobytes()
+        return entry
+
+
+def _head(
+    film: Playback, bodies: Bodies, panel: ShapePanel | None, view: View, blob: _Blob
+) -> dict[str, Any]:
+    """Return what the page's script reads, with the arrays put into the blob."""
+    framing = frame(film, bodies)
+    placed = {name: _plain(value) for name, value in vars(framing).items()}
+    largest = float(np.linalg.norm(film.momentum.vector, axis=1).max())
+    ghost = None
+    if film.ghost is not None:
+        ghost = {
+            "placements": blob.add(film.ghost.placements),
+            "apart": blob.add(film.ghost.apart),
+            "aside": placed["aside"],
+        }
+    return placed | {
+        "title": film.system.name or "robot",
+        "note": bodies.note,
+        "speed": view.speed,
+        "t": blob.add(film.t, "f8"),
+        "joints": list(film.system.model.names),
+        "placements": blob.add(film.placements),
+        "com": blob.add(film.com),
+        "ellipsoid": blob.add(film.ellipsoid),
+        "momentum": {
+            "vector": blob.add(film.momentum.vector),
+            "tail": blob.add(film.momentum.tail),
+            "words": film.momentum.words,
+            "unit": film.momentum.unit,
+            "largest": largest,
+        },
+        "ghost": ghost,
+        "meshes": [
+            {"vertices": blob.add(mesh.vertices), "faces": blob.add(mesh.faces, "u4")}
+            for mesh in bodies.meshes
+        ],
+        "solids": [{name: _plain(v) for name, v in vars(one).items()} for one in bodies.solids],
+        "panel": None if panel is None else _panel(panel, blob),
+    }
+
+
+def _panel(panel: ShapePanel, blob: _Blob) -> dict[str, Any]:
+    return {
+        "labels": panel.labels,
+        "path": blob.add(panel.path),
+        "low": _plain(panel.low),
+        "high": _plain(panel.high),
+        "components": panel.components,
+        "fine": panel.field.shape[-1],
+        "field": blob.add(panel.field),
+    }
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _own(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _meshcat(name: str) -> str:
+    """Return a file of meshcat's Python package, fit to stand in a script element.
+
+    Raises LoadError if it is not there.
+    """
+    spec = find_spec("meshcat")
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        if (file := Path(folder, name)).is_file():
+            return file.read_text(encoding="utf-8").replace("</script", "<\\/script")
+    raise LoadError(f"meshcat's {name} was not found; pip install 'meshcat>=0.3.2'")

@@ -1,0 +1,50 @@
+"""View: how a motion is to be drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+from ...common.arrays import positive
+from ...common.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """What is drawn besides the robot, and how fast.
+
+    ghost: also draw the full simulation (ABA on the full state) beside the reduced one.
+    speed: seconds of the motion in a second of playback, to begin with.  fps: frames in a
+    second of playback; the page draws between them, too.  pair: two joints, the axes of the
+    shape panel (those that move the most without spinning).  meshes: draw what the robot's
+    file says; else bodies made from the inertias.
+
+    Raises InputError for values that make no sense.
+    """
+
+    ghost: bool = False
+    speed: float = 1.0
+    fps: float = 60.0
+    pair: Sequence[str] | None = None
+    meshes: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("speed", "fps"):
+            object.__setattr__(self, name, positive(getattr(self, name), name))
+        if self.pair is not None:
+            several = isinstance(self.pair, Iterable) and not isinstance(self.pair, str)
+            pair = tuple(self.pair) if several else ()
+            two = len(pair) == 2 and all(isinstance(name, str) for name in pair)
+            if not two or pair[0] == pair[1]:
+                raise InputError(f"pair must be the names of two joints, got {self.pair!r}")
+            object.__setattr__(self, "pair", pair)
+
+
+def as_view(options: dict[str, Any], what: str) -> View:
+    """Return the View that options make.  Raises InputError for one that there is not."""
+    names = [entry.name for entry in fields(View)]
+    for option in options:
+        if option not in names:
+            raise InputError(f"{what} has no option '{option}'; they are {', '.join(names)}")
+    return View(**options)

@@ -1,0 +1,131 @@
+"""The curvature of the mechanical connection over two joints: what a small loop turns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike
+
+from ...common.arrays import Array, vector
+from ...common.errors import InputError
+from ...reduction.reduction import Reduction
+from ...simulation.recording import Recording
+from ...simulation.trajectory import Trajectory
+from ...system.system import System, checked_system
+from .fine_path import fine_path
+from .motion_labels import Motion, labels_of
+from .shape_plane import Limits, around, checked_path, draw_path, plane, reach, title_at
+from .style import BLACK, FIELD, figure, legend, styled
+from .time_series import require_joints
+
+Source: TypeAlias = System | Reduction | Motion
+
+_NONE = 1e-12  # a curvature below it is round-off
+_LEVELS = 20
+
+
+@styled
+def curvature(
+    source: Source,
+    *,
+    joints: Sequence[str | int] | None = None,
+    component: str | int | None = None,
+    limits: Limits | None = None,
+    at: ArrayLike | None = None,
+    path: ArrayLike | None = None,
+) -> Figure:
+    """Draw a component of the curvature B_αβ over the joints α and β, with its zero contour.
+
+    joints: two names or indices, the first two if None.  component: v1 … ω3 (or w3), or its
+    index in the body twist; the rotation that is largest if None.  limits: (low, high) of each
+    joint; around the path, or all they can do.  at: (m,) where the other joints stand, that of
+    the start or zero.  path: (T, m) shapes to draw over it, those of a motion if None.
+    Raises InputError for fewer than two joints, or names that are not there; LoadError if the
+    robot of a file cannot be loaded.
+    """
+    system = _system(source)
+    names = labels_of(system)
+    require_joints(names, 2, "a plot of the curvature")
+    pair = names.indices(joints if joints is not None else (0, 1))
+    if len(pair) != 2:
+        raise InputError(f"joints must be two for a plot of the curvature, got {len(pair)}")
+    drawn: Array | None = None
+    if path is not None:
+        drawn = checked_path(path, system.m)
+    elif isinstance(source, (Trajectory, Recording)):
+        drawn = fine_path(source).x
+    start = np.zeros(system.m) if drawn is None else drawn[0]
+    stands = start if at is None else vector(at, system.m, "at", system.shape_names)
+    units = [names.units[k] for k in pair]
+    if limits is None:
+        limits = reach(system, pair) if drawn is None else around(drawn[:, pair], units)
+    shapes = plane(pair, limits, stands)
+    B = Reduction(system).grid(shapes.shapes).curvature[..., pair[0], pair[1]]
+    which = _component(system, component, B)
+    values = B[..., which]
+    most = float(np.abs(values).max())
+    flat = most < _NONE
+    label = system.group.twist_names[which]
+    a, b = (names.joints[k] for k in pair)
+    rest = title_at(names, pair, stands)
+    made = figure(
+        f"{names.robot}: curvature B({a}, {b}), component {label}"
+        + (", is zero everywhere" if flat else "")
+        + (f"\n{rest}" if rest else ""),
+        height=4.4,
+    )
+    axes = made.subplots()
+    low, high = (-1.0, 1.0) if flat else (float(values.min()), float(values.max()))
+    if low < 0.0 < high:  # then the middle of the colours is zero
+        low, high = -max(-low, high), max(-low, high)
+    levels = MaxNLocator(_LEVELS).tick_values(low, high)
+    field = axes.contourf(*shapes.axes, values, levels=levels, cmap=FIELD)
+    if not flat:
+        axes.contour(*shapes.axes, values, levels=levels[::2], colors=BLACK, linewidths=0.4)
+        if values.min() < 0.0 < values.max():
+            axes.contour(*shapes.axes, values, levels=[0.0], colors=BLACK, linewidths=2.0)
+            axes.plot([], [], color=BLACK, linewidth=2.0, label="zero")
+    if drawn is not None:
+        draw_path(axes, drawn[:, pair[0]], drawn[:, pair[1]])
+    axes.grid(visible=False)
+    axes.set(xlabel=f"{a} [{units[0]}]", ylabel=f"{b} [{units[1]}]")
+    axes.set(xlim=limits[0], ylim=limits[1])
+    bar = made.colorbar(field, ax=axes, location="left", pad=0.02, shrink=0.9)
+    bar.set_label(f"B, component {label} [{_unit(label, units)}]")
+    legend(axes)
+    return made
+
+
+def _system(source: Source) -> System:
+    if isinstance(source, (Trajectory, Recording, Reduction)):
+        return source.system
+    return checked_system(source, "a plot of the curvature (a Reduction or a motion does, too)")
+
+
+def _component(system: System, component: str | int | None, B: Array) -> int:
+    """Return the index of a component of the body twist.  Raises InputError."""
+    known, linear = system.group.twist_names, system.group.linear
+    if component is None:
+        size = np.abs(B).reshape(-1, len(known)).max(axis=0)
+        first = linear if linear < len(known) else 0
+        return first + int(np.argmax(size[first:]))
+    if isinstance(component, str):
+        name = component.replace("w", "ω")
+        if name in known:
+            return known.index(name)
+    elif not isinstance(component, bool) and 0 <= component < len(known):
+        return int(component)
+    raise InputError(
+        f"no component {component!r} in a twist of {system.group.name}; they are "
+        + ", ".join(known).replace("ω", "w")
+    )
+
+
+def _unit(label: str, units: Sequence[str]) -> str:
+    top = "m" if label.startswith("v") else "rad"
+    a, b = units
+    return f"{top}/{a}²" if a == b else f"{top}/({a}·{b})"

@@ -1,0 +1,173 @@
+"""The angular momentum as the body sees it: it moves on a sphere."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+from ...common.arrays import Array
+from ...common.errors import InputError
+from ...reduction.reduction import Reduction
+from ...simulation.state import with_base
+from ...system.system import System
+from .fine_path import Path, about_com, fine_path, state_at
+from .motion_labels import Motion, labels, robot_of
+from .style import BLACK, RED, figure, styled
+
+_NONE = 1e-12  # of moment of inertia times 1 rad/s: no momentum to draw
+_CONSTANT = 1e-6
+_CURVES = 4  # level curves of the energy on either side of the separatrix
+_POINTS = 181
+
+
+@styled
+def sphere(motion: Motion, *, when: float = 0.0) -> Figure:
+    """Draw the path of the angular momentum in the body's frame on its sphere.
+
+    The momentum is about the pivot (SO3), or about the centre of mass (SE3).  Thin curves are
+    levels of the energy ½ Lᵀ I⁻¹ L with the shape frozen as it is at the time `when` [s]; a
+    rigid body stays on one of them.  Of a file, the time is the nearest in it; without its robot
+    there are no levels.
+    Raises InputError for another group or where there is no momentum, LoadError if SE3 needs
+    the robot of a file and it cannot be loaded.
+    """
+    names = labels(motion)
+    L = angular_momentum(motion, fine_path(motion))
+    size = float(np.linalg.norm(L[0]))
+    inertia = None
+    if (system := robot_of(motion)) is not None:
+        frozen_at = state_at(motion, when)
+        inertia = _frozen_inertia(system, frozen_at.x)
+    least = _NONE * (1.0 if inertia is None else float(np.trace(inertia)))
+    if size <= least:
+        raise InputError(f"'{names.robot}' has no angular momentum, so there is no sphere")
+    steady = np.ptp(np.linalg.norm(L, axis=1)) <= _CONSTANT * size
+    about = "pivot" if names.group == "SO3" else "centre of mass"
+    made = figure(
+        f"{names.robot}: angular momentum about the {about}, in the body's frame\n"
+        + (f"|L| = {size:.4g} N·m·s" if steady else f"|L| changes from {size:.4g} N·m·s (sphere)"),
+        height=5.4,
+    )
+    axes: Any = made.add_subplot(projection="3d", computed_zorder=False)
+    angles = _view(L)
+    view = _direction(*angles)
+    axes.set_proj_type("ortho")
+    axes.view_init(*angles)
+    _ball(axes, size, view)
+    if inertia is not None:
+        frozen = "" if not names.joints else f", shape of t = {float(frozen_at.t):g} s"
+        curves = level_curves(inertia, size)
+        for k, curve in enumerate(curves):
+            _draw(axes, curve, view, f"levels of the energy{frozen}" if k == 0 else "",
+                  color="#777777", linewidth=0.8)  # fmt: skip
+    _draw(axes, L, view, "path", color=RED, linewidth=2.2)
+    axes.plot(*L[:1].T, "o", color="white", markeredgecolor=BLACK, markersize=6, label="start",
+              linestyle="none", zorder=6)  # fmt: skip
+    reach = 1.05 * max(size, float(np.abs(L).max()))
+    _draw_axes(axes, reach)
+    made.legend(loc="outside lower left", ncols=3, frameon=False)
+    return made
+
+
+def angular_momentum(motion: Motion, path: Path) -> Array:
+    """Return the angular momentum in the body's frame along a path of a motion, (T, 3) [N·m·s].
+
+    Raises InputError for groups other than SO3 and SE3; LoadError if SE3 needs the robot of a file
+    and it cannot be loaded.
+    """
+    group = labels(motion).group
+    if group not in ("SO3", "SE3"):
+        raise InputError(f"the body momentum moves on a sphere for SO3 and SE3, not for {group}")
+    mu = with_base(path, labels(motion).robot).body_momentum
+    return mu if group == "SO3" else about_com(mu, Reduction(motion.system).grid(path.x).com)
+
+
+def level_curves(inertia: Array, size: float) -> list[Array]:
+    """Return curves of equal energy ½ Lᵀ I⁻¹ L on the sphere |L| = size, each (P, 3).
+
+    In principal axes, with a < b < c the eigenvalues of I⁻¹ and 2h the level for |L| = 1, a
+    curve about the first axis projects along it on the ellipse L2² (b − a) + L3² (c − a) =
+    2h − a, and likewise one about the third.  The first two curves are the separatrix.
+    """
+    values, axes = np.linalg.eigh(np.linalg.inv(inertia))
+    a, b, c = values
+    gap = 1e-9 * c
+    levels: list[tuple[float, int]] = []
+    if b - a > gap and c - b > gap:
+        levels.append((b, 0))
+    parts = (np.arange(_CURVES) + 0.5) / _CURVES
+    if b - a > gap:
+        levels += [(a + part**2 * (b - a), 0) for part in parts]
+    if c - b > gap:
+        levels += [(c - part**2 * (c - b), 2) for part in parts]
+    s = np.linspace(0.0, 2.0 * np.pi, _POINTS)
+    curves = []
+    for level, about in levels:
+        first, second = (k for k in range(3) if k != about)
+        L = np.zeros((_POINTS, 3))
+        for k, wave in ((first, np.cos(s)), (second, np.sin(s))):
+            L[:, k] = np.sqrt((level - values[about]) / (values[k] - values[about])) * wave
+        rest = 1.0 - np.sum(L**2, axis=1)
+        L[:, about] = np.sqrt(np.maximum(rest, 0.0))
+        for sign in (1.0, -1.0):
+            turned = L.copy()
+            turned[:, about] *= sign
+            curves.append(np.asarray(size * turned @ axes.T))
+    return curves
+
+
+def _frozen_inertia(system: System, x: Array) -> Array:
+    """Return the rotational inertia with the joints frozen, about pivot or centre of mass."""
+    I = Reduction(system).locked_inertia(x)
+    return I if len(I) == 3 else np.asarray(np.linalg.inv(np.linalg.inv(I)[3:, 3:]))
+
+
+def _view(L: Array) -> tuple[float, float]:
+    """Return elevation and azimuth [deg] from which a path is seen, and all three axes are."""
+    mean = np.mean(L, axis=0)
+    if np.linalg.norm(mean) < 0.2 * np.linalg.norm(L[0]):
+        mean = L[0]
+    up = np.degrees(np.arcsin(np.clip(mean[2] / np.linalg.norm(mean), -1.0, 1.0)))
+    azimuth = 30.0 + 90.0 * np.round((np.degrees(np.arctan2(mean[1], mean[0])) - 30.0) / 90.0)
+    return float(np.copysign(np.clip(abs(up), 25.0, 50.0), up)), float(azimuth)
+
+
+def _direction(elevation: float, azimuth: float) -> Array:
+    up, turn = np.radians([elevation, azimuth])
+    return np.array([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])
+
+
+def _draw(axes: Any, curve: Array, view: Array, label: str, **look: Any) -> None:
+    """Draw a curve on the sphere, pale and dotted where it is on the far side."""
+    front = curve @ view >= 0.0
+    near, far = curve.copy(), curve.copy()
+    near[~front] = np.nan
+    far[front] = np.nan
+    if front.any() or label:
+        axes.plot(*near.T, label=label or "_near", zorder=4, **look)
+    if not front.all():
+        axes.plot(*far.T, label="_far", zorder=2, **{**look, "linestyle": ":", "alpha": 0.45})
+
+
+def _ball(axes: Any, size: float, view: Array) -> None:
+    """Draw the sphere as it looks from afar: a disc."""
+    s = np.linspace(0.0, 2.0 * np.pi, _POINTS)
+    _, _, across = np.linalg.svd(view[None])
+    rim = size * (np.cos(s)[:, None] * across[1] + np.sin(s)[:, None] * across[2])
+    disc = Poly3DCollection([rim], facecolor="#EAF3F9", edgecolor="#8FB8D3", linewidth=0.8)
+    disc.set_zorder(1)
+    axes.add_collection3d(disc)
+
+
+def _draw_axes(axes: Any, reach: float) -> None:
+    """Give a cube of axes their limits, names and units."""
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(-reach, reach))
+    axes.set_box_aspect((1, 1, 1))
+    axes.set(xlabel="L1 [N·m·s]", ylabel="L2 [N·m·s]", zlabel="L3 [N·m·s]")
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_pane_color("white")
+        axis.set_major_locator(MaxNLocator(4, symmetric=True))

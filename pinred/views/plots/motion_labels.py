@@ -1,0 +1,121 @@
+"""What the numbers of a motion are called: robot, group, joints, units, and who stands together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from ...common.errors import InputError, LoadError
+from ...simulation.recording import Recording
+from ...simulation.trajectory import Trajectory
+from ...system.joints import shape_units
+from ...system.system import System
+
+Motion: TypeAlias = Trajectory | Recording
+
+FEW = 6  # joints that share a panel whatever they are
+MOST = 8  # lines that a panel can bear
+_SMALL = 4  # limbs of fewer joints in all share a panel
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Names of a motion.  units: of each joint.  limbs: indices of joints in one row."""
+
+    robot: str
+    group: str
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+    limbs: tuple[tuple[int, ...], ...]
+
+    def index(self, joint: str | int) -> int:
+        """Return where a joint stands in the shape.  Raises InputError."""
+        if isinstance(joint, str):
+            if joint not in self.joints:
+                raise InputError(
+                    f"'{self.robot}' has no joint '{joint}'; its joints are {self._listed()}"
+                )
+            return self.joints.index(joint)
+        if isinstance(joint, bool) or not 0 <= joint < len(self.joints):
+            raise InputError(f"joint {joint!r} is not among the {len(self.joints)} joints from 0")
+        return int(joint)
+
+    def indices(self, joints: Sequence[str | int] | str | int) -> list[int]:
+        """Return where some joints stand, each once.  Raises InputError."""
+        given = [joints] if isinstance(joints, (str, int)) else list(joints)
+        found = [self.index(joint) for joint in given]
+        if not found or len(set(found)) != len(found):
+            raise InputError(f"joints must be different ones, at least one, got {given}")
+        return found
+
+    def panels(self, joints: Sequence[str | int] | str | int | None = None) -> list[list[int]]:
+        """Return which joints share a panel: one unit, one limb or a few small ones."""
+        if joints is not None:
+            groups = [self.indices(joints)]
+        elif len(self.joints) <= FEW:
+            groups = [list(range(len(self.joints)))]
+        else:
+            groups = []
+            for limb in self.limbs:
+                if groups and len(groups[-1]) + len(limb) <= _SMALL:
+                    groups[-1].extend(limb)
+                else:
+                    groups.append(list(limb))
+        panels = []
+        for group in groups:
+            for unit in dict.fromkeys(self.units[k] for k in group):
+                same = [k for k in group if self.units[k] == unit]
+                panels += [same[i : i + MOST] for i in range(0, len(same), MOST)]
+        return panels
+
+    def _listed(self) -> str:
+        return ", ".join(self.joints) or "none"
+
+
+def labels(motion: Motion) -> Labels:
+    """Return the labels of a motion.  Raises InputError for anything else."""
+    if isinstance(motion, Trajectory):
+        return labels_of(motion.system)
+    if not isinstance(motion, Recording):
+        raise InputError(
+            f"a plot over time takes a Trajectory, or what read_recording makes of a npz file, "
+            f"got {type(motion).__name__}"
+        )
+    system = robot_of(motion)
+    if system is not None:
+        return labels_of(system)
+    row = tuple(range(len(motion.joints)))
+    limbs = tuple(row[i : i + MOST] for i in range(0, len(row), MOST))
+    units = ("rad | m",) * len(row)  # only the robot says which
+    return Labels(motion.robot, motion.group, motion.joints, units, limbs)
+
+
+def robot_of(motion: Motion) -> System | None:
+    """Return the robot of a motion, or None if that of a file cannot be found.
+
+    Raises InputError if it is not the one that moved.
+    """
+    try:
+        return motion.system
+    except LoadError:
+        return None
+
+
+def labels_of(system: System) -> Labels:
+    """Return the labels of a system."""
+    units = shape_units(system.model)
+    return Labels(system.name, system.group.name, system.shape_names, units, _limbs(system))
+
+
+def _limbs(system: System) -> tuple[tuple[int, ...], ...]:
+    """Return the joints in unbranched rows."""
+    parents = [int(system.model.parents[i]) for i in range(2, system.model.njoints)]
+    rows: list[list[int]] = []
+    for k, parent in enumerate(parents):
+        follows = k > 0 and parent == k + 1 and parents.count(parent) == 1
+        if follows:
+            rows[-1].append(k)
+        else:
+            rows.append([k])
+    return tuple(map(tuple, rows))

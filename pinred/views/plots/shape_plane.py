@@ -1,0 +1,111 @@
+"""A line or plane of shapes through shape space: some joints vary, the others stand still."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patheffects import Stroke, withStroke
+
+from ...common.arrays import Array, as_floats, vectors
+from ...common.errors import InputError
+from ...system.joints import is_prismatic
+from ...system.system import System
+from .motion_labels import Labels
+from .style import BLACK, RED
+
+_POINTS = {1: 241, 2: 61}  # along each axis of a line or a plane
+Limits: TypeAlias = Sequence[Sequence[float]]
+_PAST = 0.2  # of a path's extent that is shown beyond it
+_LEAST = {"rad": 0.4, "m": 0.05}  # half of the least that is shown
+_SLIDE = 0.5  # m; half of what is shown of a sliding joint without limits
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Shapes in which one or two joints vary.
+
+    joints: their indices.  axes: the values of each, (P,).  shapes: (P, m) of one joint,
+    (P, P, m) of two, the second joint first, as contours want it.
+    """
+
+    joints: tuple[int, ...]
+    axes: tuple[Array, ...]
+    shapes: Array
+
+
+def plane(joints: Sequence[int], limits: Limits, at: Array) -> Plane:
+    """Return the shapes in which `joints` take all values within limits, the others those in `at`.
+
+    Raises InputError unless the limits are a finite, increasing pair for each joint.
+    """
+    bounds = as_floats(limits, "limits")
+    if bounds.shape != (len(joints), 2) or not np.isfinite(bounds).all():
+        raise InputError(
+            f"limits must be a finite (low, high) for each of {len(joints)} joints, got {limits}"
+        )
+    if (bounds[:, 0] >= bounds[:, 1]).any():
+        raise InputError(f"limits must increase, got {limits}")
+    axes = tuple(np.linspace(low, high, _POINTS[len(joints)]) for low, high in bounds)
+    grids = np.meshgrid(*axes)
+    shapes = np.broadcast_to(at, (*grids[0].shape, len(at))).copy()
+    for joint, grid in zip(joints, grids, strict=True):
+        shapes[..., joint] = grid
+    return Plane(tuple(joints), axes, shapes)
+
+
+def around(path: Array, units: Sequence[str]) -> list[tuple[float, float]]:
+    """Return limits that show a path (T, k) with some room around it."""
+    limits = []
+    for values, unit in zip(path.T, units, strict=True):
+        low, high = float(values.min()), float(values.max())
+        half = max(0.5 * (high - low) * (1.0 + 2.0 * _PAST), _LEAST.get(unit, 0.4))
+        limits.append((0.5 * (low + high) - half, 0.5 * (low + high) + half))
+    return limits
+
+
+def reach(system: System, joints: Sequence[int]) -> list[tuple[float, float]]:
+    """Return limits that show all a joint can do: a turn, half a metre, its own limits."""
+    limits = []
+    for k in joints:
+        joint = system.model.joints[k + 2]
+        low, high = (-_SLIDE, _SLIDE) if is_prismatic(joint) else (-np.pi, np.pi)
+        least = float(system.model.lowerPositionLimit[joint.idx_q])
+        most = float(system.model.upperPositionLimit[joint.idx_q])
+        if joint.nq == 1 and least < most:
+            low, high = max(low, least), min(high, most)
+        limits.append((low, high))
+    return limits
+
+
+def checked_path(path: Any, m: int) -> Array:
+    """Return shapes over time, (T, m).  Raises ShapeError or InputError."""
+    array = vectors(path, m, "path")
+    if array.ndim != 2 or len(array) == 0:
+        raise InputError(f"path must be shapes over time, (T, {m}), got shape {array.shape}")
+    return array
+
+
+def draw_path(axes: Axes, x: Array, y: Array) -> None:
+    """Draw a curve over a field so that it stands out, with a dot where it starts."""
+    halo = [Stroke(linewidth=3.4, foreground="white"), withStroke(linewidth=0.0)]
+    axes.plot(x, y, color=RED, linewidth=1.6, label="path", path_effects=halo, zorder=4)
+    axes.plot(
+        x[:1], y[:1], "o", color="white", markeredgecolor=BLACK, markersize=6, label="start",
+        linestyle="none", zorder=5,
+    )  # fmt: skip
+
+
+def title_at(names: Labels, joints: Sequence[int], at: Array) -> str:
+    """Return where the joints that do not vary stand, "" if all vary, in few words."""
+    others = [k for k in range(len(names.joints)) if k not in joints]
+    if not others:
+        return ""
+    if len(others) > 3:
+        return f"drawn with the other {len(others)} joints frozen"
+    return "drawn for " + ", ".join(
+        f"{names.joints[k]} = {at[k]:.3g} {names.units[k]}" for k in others
+    )

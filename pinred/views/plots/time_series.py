@@ -1,0 +1,87 @@
+"""Shape and base over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ...common.arrays import Array
+from ...common.errors import InputError
+from .motion_labels import Labels, Motion, labels
+from .style import legend, line, over_time, shown, steady, styled
+
+_BASE: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
+    "R": (("position [m]", ("s",)),),
+    "SO2": (("angle [rad]", ("θ",)),),
+    "SE2": (("position [m]", ("x", "y")), ("angle [rad]", ("θ",))),
+    "SO3": (("quaternion [1]", ("qx", "qy", "qz", "qw")),),
+    "SE3": (
+        ("position [m]", ("x", "y", "z")),
+        ("quaternion [1]", ("qx", "qy", "qz", "qw")),
+    ),
+}
+
+
+@styled
+def shape(motion: Motion, *, joints: Sequence[str | int] | None = None) -> Figure:
+    """Draw the joints over time; many are spread over panels, limb by limb.
+
+    joints: names or indices of those to draw, all if None.
+    Raises InputError for joints that are not there, or a robot without joints.
+    """
+    names = labels(motion)
+    require_joints(names, 1, "a plot of the shape")
+    panels = names.panels(joints)
+    figure, every = over_time(f"{names.robot}: shape", len(panels))
+    for axes, panel in zip(every, panels, strict=True):
+        for k, joint in enumerate(panel):
+            axes.plot(motion.t, motion.x[:, joint], label=shown(names.joints[joint]), **line(k))
+        steady(axes, motion.x[:, panel])
+        axes.set_ylabel(
+            f"{names.joints[panel[0]]} [{names.units[panel[0]]}]"
+            if len(panel) == 1
+            else f"shape [{names.units[panel[0]]}]"
+        )
+        legend(axes)
+    return figure
+
+
+@styled
+def base(motion: Motion) -> Figure:
+    """Draw the pose of the base over time: position, and angle or quaternion.
+
+    Quaternions q and −q are one orientation; the sign is the one that makes the curves
+    continuous.  Raises InputError if the base was left out.
+    """
+    names = labels(motion)
+    parts = _BASE[names.group]
+    pose = continuous(motion.pose) if names.group in ("SO3", "SE3") else motion.pose
+    figure, every = over_time(f"{names.robot}: pose of the base ({names.group})", len(parts))
+    first = 0
+    for axes, (quantity, entries) in zip(every, parts, strict=True):
+        for k, entry in enumerate(entries):
+            axes.plot(motion.t, pose[:, first + k], label=entry, **line(k))
+        steady(axes, pose[:, first : first + len(entries)])
+        axes.set_ylabel(quantity if len(entries) > 1 else f"{entries[0]}: {quantity}")
+        legend(axes)
+        first += len(entries)
+    return figure
+
+
+def continuous(pose: Array) -> Array:
+    """Return poses (T, size) that end with a quaternion, its sign as that of the one before."""
+    quaternion = pose[:, -4:]
+    flips = np.sign(np.sum(quaternion[1:] * quaternion[:-1], axis=1))
+    signs = np.cumprod(np.append(1.0, np.where(flips == 0.0, 1.0, flips)))
+    return np.concatenate([pose[:, :-4], quaternion * signs[:, None]], axis=1)
+
+
+def require_joints(names: Labels, least: int, what: str) -> None:
+    """Raise InputError if a robot has fewer joints than a plot needs."""
+    if len(names.joints) < least:
+        raise InputError(
+            f"{what} needs a robot with at least {least} joint{'s' * (least > 1)}, "
+            f"but '{names.robot}' has {len(names.joints)}"
+        )
