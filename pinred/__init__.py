@@ -13,6 +13,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from .common.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from . import equations, forces, lie, plots, signals
     from .analysis.inspection import Inspection, inspect
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
         SymmetryError,
     )
     from .integrators.methods import DOP853, RKMK4, AdaptiveGauss, Gauss, Radau, Variational
+    from .kernels.casadi_functions import casadi_functions
     from .reduction.reduction import ReducedShape, Reduction
     from .reduction.shape_field import ShapeField
     from .scene.scene import Scene
@@ -44,10 +47,12 @@ if TYPE_CHECKING:
     from .system.load import load
     from .system.system import Configuration, InitialState, System, Velocity
     from .verification.compare import Report, compare
+    from .views.motions import play, plot, save_film, save_html
 
-__version__ = "0.1.0"
 
 _HOME = {
+    "casadi_functions": "kernels.casadi_functions",
+    **dict.fromkeys(("play", "plot", "save_film", "save_html"), "views.motions"),
     **dict.fromkeys(("Report", "compare"), "verification.compare"),
     **dict.fromkeys(
         (
@@ -120,6 +125,7 @@ __all__ = [
     "Trajectory",
     "Variational",
     "Velocity",
+    "casadi_functions",
     "compare",
     "equations",
     "forces",
@@ -127,8 +133,12 @@ __all__ = [
     "lie",
     "load",
     "load_scene",
+    "play",
+    "plot",
     "plots",
     "read_recording",
+    "save_film",
+    "save_html",
     "scene_schema",
     "signals",
     "simulate",

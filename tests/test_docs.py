@@ -43,7 +43,7 @@ def test_readme_scene_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 def test_scene_keys_are_documented(tmp_path: Path) -> None:
     """docs/scenes.md has the tables of the schema, and its error is what the reader says."""
     text = scene_tables.DOCUMENT.read_text(encoding="utf-8")
-    assert text == scene_tables.document(), "run tests/scene_tables.py"
+    assert text == scene_tables.document(), "run tests/helpers/scene_tables.py"
     (said,) = re.findall(r"```text\n(.*?)\n```", text)
     head = 'robot = "falling_cat"\n' + "\n" * 7
     spring = '[[forces]]\nkind = "spring"\njoint = "bend"\nstifness = 1\n'
@@ -98,10 +98,11 @@ def test_robots_readme_is_the_catalogue() -> None:
 def test_errata_name_tests_that_exist() -> None:
     """Each line of the errata points to a test."""
     text = (ROOT / "docs/errata.md").read_text(encoding="utf-8")
-    names = re.findall(r"`(?:tests/(\w+\.py)::)?(test_\w+)`", text)
+    names = re.findall(r"`(?:(tests/\w+/\w+\.py)::)?(test_\w+)`", text)
     assert len(names) >= 10
     for file, name in names:
-        source = (ROOT / "tests" / (file or "test_closed_forms.py")).read_text(encoding="utf-8")
+        path = ROOT / (file or "tests/reduction/test_closed_forms.py")
+        source = path.read_text(encoding="utf-8")
         assert f"def {name}(" in source
 
 

@@ -113,7 +113,7 @@ if not report.passed:
 # The shape swings in the potential; the body (`base`) drifts with the momentum and swings along.
 
 # %%
-traj.plot("phase") if drawing else None
+pinred.plot(traj, "phase") if drawing else None
 
 # %%
-traj.plot("base") if drawing else None
+pinred.plot(traj, "base") if drawing else None

@@ -104,4 +104,4 @@ if not report.passed:
     raise SystemExit("the reduced motion is not that of the full simulation")
 
 # %%
-traj.plot("base") if drawing else None
+pinred.plot(traj, "base") if drawing else None

@@ -116,4 +116,4 @@ if not (report.passed and abs(angle - 180.0) < 0.1):
     raise SystemExit("the cat does not land on its feet")
 
 # %%
-fall.plot("curvature", component="ω1") if drawing else None
+pinred.plot(fall, "curvature", component="ω1") if drawing else None

@@ -116,4 +116,4 @@ if not report.passed:
 # To see it: `traj.play()`, or `traj.save_html("solo.html")`, a page with the animation.
 
 # %%
-traj.plot("base") if drawing else None
+pinred.plot(traj, "base") if drawing else None

@@ -124,7 +124,7 @@ def _write(folder: Path | None, name: str, rows: Sequence[Row]) -> None:
     """Write rows of equal keys to FOLDER/name.csv, whole or not at all."""
     if folder is None:
         return
-    from ..simulation.files import write_table
+    from ..common.files import write_table
 
     path = folder / f"{name}.csv"
     write_table(path, list(rows[0]), rows)

@@ -65,7 +65,7 @@ def _measure(
     effort: Effort,
     folder: Path | None,
 ) -> None:
-    from ..simulation.files import write_atomic
+    from ..common.files import write_atomic
     from ..verification.bench.accuracy import YARDSTICK, bench_problem, run_name
     from ..verification.bench.overview import overview
     from ..verification.bench.record import NAME, read_record, write_record
@@ -123,7 +123,7 @@ def _draw(folder: Path, results: Sequence[WorkPrecision]) -> None:
 
 def _write_equal_error(folder: Path, results: Sequence[WorkPrecision]) -> None:
     """Write what follows from the points: times and ratios at equal error."""
-    from ..simulation.files import write_table
+    from ..common.files import write_table
     from ..verification.bench.accuracy import YARDSTICK
     from ..verification.bench.work_precision import ERRORS
 

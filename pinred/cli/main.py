@@ -12,8 +12,8 @@ import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
-from .. import __version__
 from ..common.errors import InputError, IntegrationError, PinredError
+from ..common.version import __version__
 from ..scene.toml.keys import GROUPS
 from . import play as play_command
 from . import plot as plot_command
@@ -260,8 +260,8 @@ def _simulate(options: argparse.Namespace) -> int:
 
     import numpy as np
 
+    from ..common.files import check_path
     from ..common.progress import ProgressBar
-    from ..simulation.files import check_path
     from ..simulation.simulate import simulate
 
     path = check_path(options.out)

@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
         ghost=options.ghost, speed=options.speed, fps=fps, pair=pair, meshes=not options.no_meshes
     )
     if out is not None:
-        from ..simulation.files import check_path
+        from ..common.files import check_path
         from ..views.playback.film import SUFFIXES
 
         check_path(out, (".html", *SUFFIXES))  # before a long simulation

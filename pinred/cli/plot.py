@@ -79,14 +79,14 @@ def save(figure: Figure, path: Path) -> None:
 
     Raises OutputError if writing fails.
     """
-    from ..simulation.files import write_atomic
+    from ..common.files import write_atomic
 
     kind = path.suffix
     write_atomic(path, lambda file: figure.savefig(file, format=kind[1:], metadata=_NO_DATE[kind]))
 
 
 def _paths(out: str, kinds: list[str]) -> dict[str, Path]:
-    from ..simulation.files import check_path
+    from ..common.files import check_path
 
     path = Path(out)
     if len(kinds) == 1:

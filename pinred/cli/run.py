@@ -33,10 +33,10 @@ def run(options: argparse.Namespace) -> int:
         return 0
     if options.scene is None:
         raise InputError("run needs a scene: the name of a TOML file; see `pinred run --help`")
+    from ..common.files import check_path
     from ..common.progress import ProgressBar
     from ..scene.toml.reader import read_scene_file
     from ..simulation.explain import explain_scene
-    from ..simulation.files import check_path
     from ..simulation.simulate import simulate
     from ..verification.compare import compare
 

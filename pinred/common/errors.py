@@ -8,7 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .arrays import Array
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 class PinredError(Exception):
@@ -62,7 +63,7 @@ class KernelMismatch(PinredError, ArithmeticError):  # noqa: N818
 class _Stopped(IntegrationError):  # noqa: N818
     """An integrator stopped.  time: the last it reached [s].  state: (n,) there."""
 
-    def __init__(self, message: str, time: float, state: Array) -> None:
+    def __init__(self, message: str, time: float, state: NDArray[np.float64]) -> None:
         super().__init__(message)
         self.time = time
         self.state = state
@@ -86,7 +87,7 @@ class TooManySteps(_Stopped):
 class NonFiniteState(_Stopped):
     """A state or its rate is not finite.  entry: index of the first such number."""
 
-    def __init__(self, message: str, time: float, state: Array, entry: int) -> None:
+    def __init__(self, message: str, time: float, state: NDArray[np.float64], entry: int) -> None:
         """Take the message, and where the integrator stopped and why."""
         super().__init__(message, time, state)
         self.entry = entry

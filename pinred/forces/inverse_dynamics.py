@@ -7,10 +7,9 @@ from collections.abc import Mapping
 import casadi as ca
 
 from ..common.errors import SymmetryError
-from ..kernels.casadi_functions import bracket, momenta
-from ..kernels.reduced_graph import centre_of_mass
 from ..reduction.potential import pivot_weight, shape_gravity
 from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.momenta import bracket, centre_of_mass, momenta
 from .base import Symbols
 
 

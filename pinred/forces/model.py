@@ -261,3 +261,8 @@ def _wrench_column(terms: Terms, r: int) -> ca.SX:
     entries: list[Any] = terms.wrench if terms.wrench is not None else [0.0] * r
     column: ca.SX = ca.vertcat(*entries)
     return column
+
+
+def touched_by(forces: ForceModel | None) -> frozenset[int]:
+    """Return the joints that forces act on or depend on."""
+    return frozenset() if forces is None else frozenset(forces.touched)

@@ -22,20 +22,13 @@ import casadi as ca
 from ..forces.model import ForceModel
 from ..lie.groups import SO2, SO3
 from ..reduction.base_parts import BaseParts, base_parts, root_of
-from ..reduction.tree.articulated_sweep import step_of, sweep
-from ..reduction.tree.body_frames import Body, bodies_of
+from ..reduction.tree.articulated_sweep import sweep
+from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.limbs import Lanes
-from ..reduction.tree.scalars import Scalar, Vec, add, dot, mul, plus, sub, total
+from ..reduction.tree.momenta import AXES, centre_of_mass
+from ..reduction.tree.scalars import Scalar, Vec, add, dot, mul, sub
 from ..system.system import System
 from .base_graph import BaseGraph
-
-AXES: dict[str, list[tuple[bool, int]]] = {
-    "R": [(False, 2)],
-    "SO2": [(True, 2)],
-    "SE2": [(False, 0), (False, 1), (True, 2)],
-    "SO3": [(True, 0), (True, 1), (True, 2)],
-    "SE3": [(False, 0), (False, 1), (False, 2), (True, 0), (True, 1), (True, 2)],
-}
 
 
 @dataclass(frozen=True)
@@ -342,23 +335,6 @@ def _weight(system: System, structure: Structure) -> tuple[float, float, float] 
         return None
     x, y, z = structure.gravity
     return system.mass * x, system.mass * y, system.mass * z
-
-
-def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
-    """Return the centre of mass in Pinocchio's root body frame, (3,)."""
-    mass: list[float] = [body.mass for body in bodies]
-    moment: list[Vec] = [[float(c) for c in body.moment] for body in bodies]
-    for i in range(len(bodies) - 1, 0, -1):
-        p, step = bodies[i].parent, step_of(bodies[i], x[i - 1])
-        moved = plus(moment[i], [0.0, 0.0, mul(mass[i], step.slide)])
-        for turn in reversed(step.turns):
-            moved = turn.vector(moved)
-        moved = plus(moved, [mul(mass[i], c) for c in step.shift])
-        moment[p] = plus(moment[p], moved)
-        mass[p] += mass[i]
-    own = bodies[0].frame.rotation
-    com = [mul(1.0 / mass[0], c) for c in moment[0]]
-    return [total([mul(float(own[i, k]), com[k]) for k in range(3)]) for i in range(3)]
 
 
 def _column(*parts: list[Scalar]) -> ca.SX:

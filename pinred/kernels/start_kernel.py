@@ -21,15 +21,14 @@ from ..reduction.inertia_split import symmetric
 from ..reduction.potential import translations
 from ..reduction.tree.articulated_sweep import sweep
 from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.momenta import AXES, centre_of_mass, momenta
 from ..reduction.tree.scalars import Scalar
 from ..system.system import System
 from .base_graph import BaseGraph
-from .casadi_functions import momenta
 from .evaluate import evaluate
 from .fingerprint import model_bytes
 from .judge import agree, slack_of
 from .machine.native import NativeCode, compile_object, load_object
-from .reduced_graph import AXES, centre_of_mass
 from .store import ObjectCache, cache_key
 
 Given = Literal["xi", "mu"]

@@ -26,8 +26,8 @@ from typing import BinaryIO, NamedTuple
 import llvmlite.binding as llvm
 from platformdirs import user_cache_path
 
-from .. import __version__
 from ..common.errors import CacheWarning, InputError
+from ..common.version import __version__
 
 LIMIT = 256 * 2**20  # bytes
 

@@ -6,7 +6,6 @@ Their momentum is constant and their angle a quadrature (Routh): reaction wheels
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -15,9 +14,6 @@ from ..common.errors import SymmetryError
 from ..system.system import System
 from .potential import pivot_weight
 from .reduction import Reduction
-
-if TYPE_CHECKING:
-    from ..forces.model import ForceModel
 
 _SAMPLES = 3  # random shapes at which a dependence would show
 _NO_DEPENDENCE = 1e-12  # of the mass matrix
@@ -54,7 +50,6 @@ def cyclic_joints(red: Reduction, touched: Collection[int] = ()) -> tuple[int, .
     return tuple(np.flatnonzero(~depends).tolist())
 
 
-def cyclic_of(system: System, forces: ForceModel | None) -> tuple[int, ...]:
-    """Return the cyclic joints of a system with forces on it, found once."""
-    touched = frozenset[int]() if forces is None else frozenset(forces.touched)
+def cyclic_of(system: System, touched: frozenset[int]) -> tuple[int, ...]:
+    """Return the cyclic joints of a system, but for those that are touched, found once."""
     return system.workspace((cyclic_of, touched), lambda: cyclic_joints(Reduction(system), touched))

@@ -22,6 +22,12 @@ if TYPE_CHECKING:
     from ..forces.model import ForceModel
     from ..forces.signals import Signal
 
+Engine = Literal["compiled", "pinocchio"]
+
+
+ENGINES: tuple[Engine, ...] = ("compiled", "pinocchio")
+
+
 OUTPUTS = ("all", "shape")
 DURATION = 2.0  # s, where neither scene nor robot says
 TIGHTEST = 1e-14  # relative tolerance; below it round-off decides the step

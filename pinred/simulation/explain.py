@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..forces.model import touched_by
 from ..reduction.cyclic_joints import cyclic_of
 from ..reduction.potential import falling, pivot_weight, shape_gravity
 from ..scene.scene import Scene
@@ -26,7 +27,7 @@ def reduced_size(scene: Scene) -> int:
     """Return how many numbers the compiled engine integrates."""
     forces = scene.force_model
     clock = int(forces is not None and forces.needs_time)
-    return ReducedFlow(scene).y0.size - len(cyclic_of(scene.system, forces)) + clock
+    return ReducedFlow(scene).y0.size - len(cyclic_of(scene.system, touched_by(forces))) + clock
 
 
 def skipped(scene: Scene) -> list[str]:
@@ -51,7 +52,7 @@ def skipped(scene: Scene) -> list[str]:
     driven = [names[k] for k in forces.joints] if forces is not None else []
     if driven:
         lines.append(f"dynamics of the prescribed joints: {', '.join(driven)}")
-    cyclic = [names[k] for k in cyclic_of(system, forces)]
+    cyclic = [names[k] for k in cyclic_of(system, touched_by(forces))]
     if cyclic:
         lines.append(f"momenta of the cyclic joints, which are constant: {', '.join(cyclic)}")
     if not system.m:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 from ..common.errors import InputError
 from ..common.progress import Progress, shown
-from ..scene.scene import Scene
+from ..scene.scene import ENGINES, Engine, Scene
 from ..system.system import System, checked_system
 from .pieces import follow
 from .trajectory import Run, Trajectory
-
-Engine = Literal["compiled", "pinocchio"]
-ENGINES: tuple[Engine, ...] = ("compiled", "pinocchio")
 
 
 def simulate(

@@ -93,6 +93,11 @@ class OverTime(ABC):
 
     @property
     @abstractmethod
+    def system(self) -> System:
+        """The system that moves."""
+
+    @property
+    @abstractmethod
     def _name(self) -> str:
         """What a message calls it."""
 

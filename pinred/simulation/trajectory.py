@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,14 +14,10 @@ from ..common.errors import InputError, ShapeError
 from .state import OverTime, ShapeState, State, with_base
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
-
-    from matplotlib.figure import Figure
 
     from ..scene.scene import Scene
     from ..system.system import System
-    from ..views.playback.server import Player
     from .balances import EnergyBalance, MomentumBalance
     from .pieces import Motion
 
@@ -160,67 +156,8 @@ class Trajectory(OverTime):
         kind = type(state)
         return kind(**{f.name: np.asarray(getattr(state, f.name)[0]) for f in fields(kind)})
 
-    def plot(self, kind: str = "shape", **options: Any) -> Figure:
-        """Return a figure of the motion: pinred.plots has a function for each kind.
-
-        Raises InputError for a kind or an option that there is not, listing those there are;
-        MissingPackageError if matplotlib is not installed.
-        """
-        from ..views.plots import plot
-
-        return plot(self, kind, **options)
-
     def save(self, path: str | Path) -> None:
         """Write the states to a .npz or .csv file (see export.py).  Raises InputError."""
         from .files import save
 
         save(self, path)
-
-    def play(
-        self,
-        *,
-        port: int | None = None,
-        show: bool = True,
-        wait: bool | None = None,
-        **options: Any,
-    ) -> Player:
-        """Play the motion in a browser on this machine, and return what serves it.
-
-        port: any free one if None.  show: open the browser.  wait: serve until Ctrl-C (in a
-        script; where somebody types on, return at once).  options: ghost, speed, fps, pair,
-        meshes (see pinred.views.playback.view.View).  Raises InputError, OutputError.
-        """
-        from ..views.playback.show import play
-        from ..views.playback.view import as_view
-
-        return play(self, as_view(options, "play"), port=port, show=show, wait=wait)
-
-    def save_html(self, path: str | Path, **options: Any) -> int:
-        """Write the playback as one HTML file that needs no network; return its size in bytes.
-
-        options: as of `play`.  Raises InputError, OutputError.
-        """
-        from ..views.playback.page import save_html
-        from ..views.playback.view import as_view
-
-        return save_html(self, path, as_view(options, "save_html"))
-
-    def save_film(
-        self,
-        path: str | Path,
-        *,
-        size: tuple[int, int] = (960, 720),
-        progress: Callable[[float], None] | None = None,
-        **options: Any,
-    ) -> int:
-        """Write the playback as film.mp4 or film.gif, or as frames film_0000.png and so on.
-
-        size: width and height in pixels.  progress: called with the part that is done.
-        options: as of `play`, with 30 for fps.  Returns the number of frames.  Raises
-        InputError, OutputError.
-        """
-        from ..views.playback.film import FPS, save_film
-        from ..views.playback.view import as_view
-
-        view = as_view({"fps": FPS, **options}, "save_film")
-        return save_film(self, path, view, size=size, progress=progress)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from threading import get_ident
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 import pinocchio as pin
@@ -15,9 +15,6 @@ from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, ModelError, ShapeError
 from ..lie.groups import SE2, SO2, Group
 from .admission import admit
-
-if TYPE_CHECKING:
-    from ..kernels.casadi_functions import CasadiFunctions
 
 T = TypeVar("T")
 Indices: TypeAlias = NDArray[np.intp]
@@ -216,12 +213,6 @@ class System:
         if full not in spaces:
             spaces[full] = make()
         return cast(T, spaces[full])
-
-    def casadi(self) -> CasadiFunctions:
-        """Return I, A, M, B and the reduced vector field with its Jacobian as CasADi Functions."""
-        from ..kernels.casadi_functions import casadi_functions  # heavy to import
-
-        return casadi_functions(self)
 
     def _last(self, value: ArrayLike, size: int, what: str) -> Array:
         array = as_floats(value, what)

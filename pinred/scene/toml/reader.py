@@ -19,11 +19,10 @@ from ...forces.model import remembered_model
 from ...forces.signals import Signal
 from ...forces.signals.expressions import parse
 from ...integrators.methods import METHODS
-from ...simulation.simulate import Engine
 from ...system.catalogue import bundled_robots
 from ...system.load import load
 from ...system.system import System
-from ..scene import DURATION, Scene
+from ..scene import DURATION, Engine, Scene
 from .csv_columns import read_text
 from .keys import SCENE
 from .places import Place, naming, one_line, unknown

@@ -8,7 +8,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError
 from ...integrators.methods import Method, Variational
 from ...kernels.evaluate import evaluate
-from ...kernels.kernel import Kernel, kernel_for
+from ...kernels.kernel import Kernel
 from ...kernels.start_kernel import Starts, start_kernel
 from ...kernels.tangent import tangent_of
 from ...kernels.wide_rate import wide_rate
@@ -20,6 +20,7 @@ from ...system.system import Indices
 from ..pinocchio.flow import entry_name
 from ..state import Sample, ShapeState, State
 from .choose_method import method_of
+from .kind import kernel_for
 
 _AT_ONCE = 512  # members that are set up together
 

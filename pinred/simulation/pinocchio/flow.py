@@ -10,13 +10,13 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
-from ...reduction.base_parts import Base
 from ...reduction.canonical_form import CanonicalForm
 from ...reduction.inertia_split import symmetric
 from ...reduction.potential import pivot_weight, shape_gravity
 from ...scene.scene import Scene
 from ...system.system import System
 from ..state import Sample, ShapeState, State, full_state
+from .base import Base
 
 
 class ReducedFlow:

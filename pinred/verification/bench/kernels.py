@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.progress import Progress, quiet, shown
-from ...kernels.kernel import build_kernel
+from ...kernels.build import build_kernel
 from ...kernels.reduced_graph import Structure
 from ...reduction.cyclic_joints import cyclic_joints
 from ...reduction.reduction import Reduction

@@ -14,7 +14,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from ...common.errors import InputError, LoadError
-from ...simulation.files import write_table
+from ...common.files import write_table
 from .work_precision import Point, WorkPrecision
 
 NAME = "accuracy.csv"

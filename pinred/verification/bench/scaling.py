@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
-from ...kernels.kernel import build_kernel
+from ...kernels.build import build_kernel
 from ...kernels.reduced_graph import Structure
 from ...reduction.cyclic_joints import cyclic_joints
 from ...reduction.reduction import Reduction

@@ -18,7 +18,7 @@ from types import FrameType
 
 from ...common.arrays import Array
 from ...common.errors import InputError, OutputError
-from ...simulation.files import check_path, write_atomic
+from ...common.files import check_path, write_atomic
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from .headless_browser import browser

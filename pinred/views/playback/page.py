@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.errors import LoadError
-from ...simulation.files import check_path, write_atomic
+from ...common.files import check_path, write_atomic
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from .bodies import Bodies, bodies_of

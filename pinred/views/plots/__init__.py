@@ -1,6 +1,6 @@
 """Figures of motions, as matplotlib Figures that are returned and never shown.
 
-    traj.plot("shape").savefig("shape.png")
+    pinred.plot(traj, "shape").savefig("shape.png")
     pinred.plots.curvature(system, joints=("bend", "sway")).savefig("curvature.pdf")
 
 Functions are imported when they are first used; they need the extra `plots`.  pyplot is not

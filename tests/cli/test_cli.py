@@ -1,0 +1,284 @@
+"""The command line: exit codes, one-line errors, files, and a light start."""
+
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pinred
+from pinred.cli.main import main
+from pinred.integrators.methods import METHODS
+from pinred.system.catalogue import bundled_robots
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of a command."""
+    try:
+        code = main(arguments)
+    except SystemExit as stop:
+        code = int(stop.code or 0)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_compare_passes(capsys: pytest.CaptureFixture[str]) -> None:
+    """The main job prints the table and the verdict, and exits with 0."""
+    code, out, err = run(capsys, "compare", "falling_cat", "--time", "1")
+    assert (code, err) == (0, "")
+    assert "SE3 ×" in out
+    assert "verdict: PASSED" in out
+
+
+def test_compare_fails_with_one(capsys: pytest.CaptureFixture[str]) -> None:
+    """A scene that cannot be judged does not pass, and exits with 1."""
+    code, out, _ = run(
+        capsys, "compare", "double_spherical_pendulum", "--x0", "2,1,2.5", "--xdot0", "4,-5,6",
+        "--xi0", "3", "--time", "15", "--rtol", "1e-6", "--atol", "1e-8",
+    )  # fmt: skip
+    assert code == 1
+    assert "verdict: FAILED" in out
+
+
+def test_random_state_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    """A seed is printed, so that anyone can repeat the run."""
+    code, out, _ = run(capsys, "compare", "rigid_body", "--seed", "3", "--time", "1")
+    assert code == 0
+    assert "seed 3" in out
+
+
+def test_inspect(capsys: pytest.CaptureFixture[str]) -> None:
+    """Inspect shows group, joints, I, A, M, |B|, symmetries, what is skipped, at a shape."""
+    code, out, _ = run(capsys, "inspect", "reaction_wheel_satellite", "--at", "-0.5,1,2,3")
+    assert code == 0
+    system = pinred.load("reaction_wheel_satellite")
+    seen = pinred.inspect(system, [-0.5, 1.0, 2.0, 3.0])
+    for words in ("group SE3", "locked inertia (6, 6)", "local connection (6, 4)",
+                  "reduced metric (4, 4)", "curvature", "x =      (-0.5, 1, 2, 3)",
+                  f"{seen.curvature_norm:.6g}", f"→ {seen.reduced_size} numbers"):  # fmt: skip
+        assert words in out
+    for name in system.shape_names:
+        assert name in out
+    assert len(seen.cyclic) == 3
+    assert f"cyclic joints, whose momentum is constant: {', '.join(seen.cyclic)}" in out
+    # Full: pose 7, twist 6, and an angle (cos and sin if continuous) and a rate a joint.
+    assert seen.full_size == system.model.nq + system.model.nv
+    # Reduced: quaternion, (x, π) of the hinge, angles of the three cyclic wheels.
+    assert seen.reduced_size == 4 + 2 + 3
+
+
+def test_inspect_a_pivot_in_gravity(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of SO(3), turning about the vertical is left, and the text says so."""
+    arguments = ("inspect", "coupled_spatial", "--group", "SO3", "--gravity", "0,0,-9.81")
+    code, out, _ = run(capsys, *arguments)
+    assert code == 0
+    assert "conserves angular momentum about the direction of gravity" in out
+    assert "integrated  16 → 13 numbers" in out
+
+
+def test_inspect_where_gravity_breaks_the_symmetry(capsys: pytest.CaptureFixture[str]) -> None:
+    """Inspect still shows the split and says what is broken."""
+    code, out, _ = run(capsys, "inspect", "double_spherical_pendulum", "--gravity", "1,0,0")
+    assert code == 0
+    assert "breaks the SO2 symmetry" in out
+    assert "locked inertia" in out
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".csv"])
+def test_simulate_writes_files(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, suffix: str
+) -> None:
+    """Files hold the states of the Python API, and other tools open them."""
+    path = tmp_path / f"traj{suffix}"
+    code, out, _ = run(
+        capsys, "simulate", "coupled_planar", "--time", "2", "--samples", "5", "--out", str(path)
+    )
+    assert code == 0
+    assert str(path) in out
+    assert os.listdir(tmp_path) == [path.name]
+    system = pinred.load("coupled_planar")
+    traj = pinred.simulate(system, duration=2.0, times=np.linspace(0.0, 2.0, 5))
+    if suffix == ".npz":
+        with np.load(path, allow_pickle=False) as file:
+            assert str(file["robot"]) == "coupled_planar"
+            assert list(file["joints"]) == list(system.shape_names)
+            for name in ("t", "x", "xdot", "xi", "pose", "q", "v", "body_momentum", "energy"):
+                np.testing.assert_array_equal(file[name], getattr(traj, name))
+        return
+    with path.open(encoding="utf-8") as text:
+        rows = list(csv.DictReader(text))
+    assert len(rows) == 5
+    for k, row in enumerate(rows):
+        assert float(row["t"]) == traj.t[k]
+        assert float(row["pose.theta"]) == traj.pose[k, 2]
+        assert float(row["x.hinge"]) == traj.x[k, 0]
+        assert float(row["energy"]) == traj.energy[k]
+
+
+def test_no_partial_file_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A write that fails half-way leaves the old file, and nothing else."""
+    traj = pinred.simulate(pinred.load("coupled_planar"), duration=0.1)
+    path = tmp_path / "traj.csv"
+    path.write_text("old")
+
+    def broken(file: object, *_: object, **__: object) -> None:
+        file.write(b"half")  # type: ignore[attr-defined]
+        raise OSError("disk full")
+
+    monkeypatch.setattr(np, "savetxt", broken)
+    with pytest.raises(pinred.OutputError, match="disk full"):
+        traj.save(path)
+    assert os.listdir(tmp_path) == ["traj.csv"]
+    assert path.read_text() == "old"
+
+
+def test_robots(capsys: pytest.CaptureFixture[str]) -> None:
+    """Every bundled robot is listed with its group and description."""
+    code, out, _ = run(capsys, "robots")
+    assert code == 0
+    for name, robot in bundled_robots().items():
+        assert f"{name} " in out
+        assert robot.description in out
+
+
+def test_engines(capsys: pytest.CaptureFixture[str]) -> None:
+    """Both engines pass the comparison, and the table says which it was."""
+    for engine in ("compiled", "pinocchio"):
+        code, out, _ = run(capsys, "compare", "cartpole", "--time", "1", "--engine", engine)
+        assert code == 0
+        assert f"reduced ({engine})" in out
+    code, _, err = run(capsys, "compare", "cartpole", "--engine", "steam")
+    assert code == 2
+    assert "the engines are compiled, pinocchio" in err
+
+
+def test_cache(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kernels on disk are shown and cleared."""
+    monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path / "kernels"))
+    assert run(capsys, "compare", "cartpole", "--time", "0.1")[0] == 0
+    code, out, _ = run(capsys, "cache")
+    assert code == 0
+    assert out.startswith("2 kernels, ")
+    code, out, _ = run(capsys, "cache", "--clear")
+    assert out.startswith("2 kernels removed")
+    assert run(capsys, "cache")[1].startswith("0 kernels")
+
+
+def test_bench_kernels(capsys: pytest.CaptureFixture[str]) -> None:
+    """The table has a row a robot, with a kernel far faster than ABA from Python."""
+    code, out, _ = run(capsys, "bench", "kernels", "coupled_planar", "falling_cat")
+    assert code == 0
+    rows = {line.split()[0]: line.split() for line in out.splitlines()[1:]}
+    assert set(rows) == {"coupled_planar", "falling_cat"}
+    assert float(rows["coupled_planar"][-1]) > 25.0
+    assert float(rows["falling_cat"][-1]) > 2.0
+
+
+URDF = """<robot name="r"><link name="base"><inertial><mass value="{mass}"/>
+<inertia ixx="{ixx}" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="tip"><inertial><origin xyz="1 0 0"/><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="elbow" type="continuous"><parent link="base"/><child link="tip"/>
+<axis xyz="0 1 0"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("compare", "missing.urdf"), "no such file"),
+        (("compare", "text.urdf"), "not XML"),
+        (("compare", "massless.urdf"), "mass"),
+        (("compare", "negative.urdf"), "negative mass -1"),
+        (("compare", "flat.urdf"), "triangle inequality"),
+        (("compare", "good.urdf", "--group", "SO4"), "unknown group 'SO4'; the groups are R, SO2"),
+        (
+            ("compare", "good.urdf", "--group", "SO2", "--gravity", "9,0,0"),
+            "breaks the SO2 symmetry",
+        ),
+        (("compare", "good.urdf", "--lock", "knee"), "no joint 'knee'; the joints are elbow"),
+        (("compare", "good.urdf", "--time", "0"), "duration must be finite and above zero"),
+        (("compare", "good.urdf", "--time", "-3"), "duration"),
+        (("compare", "good.urdf", "--time", "soon"), "--time"),
+        (("compare", "good.urdf", "--rtol", "nan"), "rtol"),
+        (("compare", "good.urdf", "--x0", "1,2"), r"x0 must have shape (1,) (elbow)"),
+        (("compare", "good.urdf", "--x0", "nan"), "finite"),
+        (("compare", "good.urdf", "--x0", "a"), "--x0 takes numbers"),
+        (("compare", "good.urdf", "--gravity", "1,2"), "gravity must have shape (3,)"),
+        (("compare", "good.urdf", "--spring", "elbow"), "--spring takes JOINT=STIFFNESS"),
+        (("inspect", "good.urdf", "--at", "0,0"), "must have shape (1,)"),
+        (("simulate", "good.urdf", "--out", "traj.txt"), "suffix must be .npz or .csv"),
+        (("simulate", "good.urdf", "--out", "no/traj.npz"), "no folder"),
+        (("simulate", "good.urdf", "--out", "t.npz", "--samples", "1"), "--samples"),
+        (("simulate", "good.urdf"), "--out"),
+        (("compare", "falling_dog"), "did you mean falling_cat"),
+        (("inspect",), "ROBOT"),
+        ((), "COMMAND"),
+        (("fly",), "fly"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_two(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    words: str,
+) -> None:
+    """Whatever is wrong with the input: one line that says what, exit code 2, no output."""
+    monkeypatch.chdir(tmp_path)
+    Path("good.urdf").write_text(URDF.format(mass=1, ixx=1))
+    Path("negative.urdf").write_text(URDF.format(mass=-1, ixx=1))
+    Path("flat.urdf").write_text(URDF.format(mass=1, ixx=3))
+    Path("massless.urdf").write_text('<robot name="r"><link name="base"/></robot>')
+    Path("text.urdf").write_text("hello")
+    code, _, err = run(capsys, *arguments)
+    assert code == 2
+    assert err.startswith("pinred: error: ")
+    assert err.count("\n") == 1
+    assert words in err
+    assert not list(tmp_path.glob("*.npz"))
+
+
+def python(code: str) -> str:
+    """What a fresh interpreter prints."""
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+
+
+def test_import_and_help_are_light() -> None:
+    """Neither `import pinred` nor `pinred --help` imports what is heavy."""
+    heavy = "{'pinocchio', 'numpy', 'scipy', 'meshcat', 'casadi', 'numba', 'matplotlib'}"
+    assert python(f"import sys, pinred; print({heavy} & set(sys.modules))") == "set()\n"
+    code = (
+        "import sys\nfrom pinred.cli.main import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        f"print({heavy} & set(sys.modules))"
+    )
+    assert python(code).endswith("set()\n")
+
+
+def test_public_names() -> None:
+    """Every public name resolves, in any order of imports, and unknown ones do not."""
+    for name in pinred.__all__:
+        assert getattr(pinred, name) is not None
+    code = "import pinred.verification.compare, pinred.simulation.simulate, pinred; "
+    code += "print(callable(pinred.compare))"
+    assert python(code) == "True\n"
+    with pytest.raises(AttributeError, match="no attribute 'nope'"):
+        _ = pinred.nope
+
+
+def test_help_names_every_method(capsys: pytest.CaptureFixture[str]) -> None:
+    """The integrators that --method takes, and that it chooses by itself without."""
+    for command in ("simulate", "compare"):
+        _, out, _ = run(capsys, command, "--help")
+        assert "auto (default)" in out
+        for name in METHODS:
+            assert name in out

@@ -1,0 +1,209 @@
+"""`pinred plot`: files of every kind, from every source, whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from pictures import measured
+
+import pinred
+from pinred import plots
+from pinred.cli.main import main
+from pinred.verification.bench import write_record
+
+SCENE = """robot = "elroys_beanie"
+[start]
+x0 = [0.4]
+momentum = [1.5]
+[run]
+duration = 1.0
+[springs]
+beanie = [1.0, 0.0]
+"""
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of a command."""
+    try:
+        code = main(["plot", *arguments])
+    except SystemExit as stop:
+        code = int(stop.code or 0)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+@pytest.mark.parametrize(
+    ("suffix", "begins"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")]
+)
+def test_every_kind_of_file(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, suffix: str, begins: bytes
+) -> None:
+    """The suffix says which; the same command writes the same bytes."""
+    path = tmp_path / f"cat.{suffix}"
+    arguments = ("falling_cat", "--time", "0.5", "--kind", "shape", "--out", str(path))
+    code, out, err = run(capsys, *arguments)
+    assert (code, err) == (0, "")
+    assert str(path) in out
+    first = path.read_bytes()
+    assert first.startswith(begins)
+    assert run(capsys, *arguments)[0] == 0
+    assert path.read_bytes() == first
+    assert os.listdir(tmp_path) == [path.name]
+
+
+def test_several_kinds_at_once(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """One file each, named after its kind; options go where they belong."""
+    code, _, err = run(
+        capsys, "falling_cat", "--time", "3", "--kind", "shape,phase,curvature,sphere,poincare",
+        "--joints", "bend,twist", "--component", "w2", "--direction", "0",
+        "--out", str(tmp_path / "cat.png"),
+    )  # fmt: skip
+    assert (code, err) == (0, "")
+    kinds = ("curvature", "phase", "poincare", "shape", "sphere")
+    assert sorted(os.listdir(tmp_path)) == [f"cat_{kind}.png" for kind in kinds]
+    for kind in kinds:
+        assert imread(tmp_path / f"cat_{kind}.png").std() > 0.01
+
+
+def test_the_same_figure_as_in_python(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A recording, and the scene that made it, give the picture of the Python API."""
+    scene = tmp_path / "scene.toml"
+    scene.write_text(SCENE, encoding="utf-8")
+    traj = pinred.simulate(pinred.load_scene(scene))
+    traj.save(tmp_path / "traj.npz")
+    pinred.plot(traj, "energy").savefig(tmp_path / "python.png")
+    expected = imread(tmp_path / "python.png")
+    out = tmp_path / "out.png"
+    assert run(capsys, str(scene), "--kind", "energy", "--out", str(out))[0] == 0
+    np.testing.assert_array_equal(imread(out), expected)
+    recording = pinred.read_recording(tmp_path / "traj.npz")
+    plots.shape(recording).savefig(tmp_path / "python.png")
+    assert run(capsys, str(tmp_path / "traj.npz"), "--kind", "shape", "--out", str(out))[0] == 0
+    np.testing.assert_array_equal(imread(out), imread(tmp_path / "python.png"))
+
+
+def test_robot_of_a_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """--robot names the robot of a file that does not; the wrong one is refused."""
+    path, out = str(tmp_path / "traj.npz"), str(tmp_path / "a.png")
+    pinred.simulate(pinred.load(pinred.load("falling_cat").model), seed=0, duration=0.5).save(path)
+    arguments = (path, "--kind", "curvature", "--out", out)
+    assert "--robot" in run(capsys, *arguments)[2]
+    assert "name the right robot" in run(capsys, *arguments, "--robot", "rigid_body")[2]
+    assert os.listdir(tmp_path) == ["traj.npz"]
+    assert run(capsys, *arguments, "--robot", "falling_cat")[0] == 0
+    assert imread(out).std() > 0.01
+
+
+def test_random_state_is_said(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A seed is printed, so that anyone can repeat the figure."""
+    out = str(tmp_path / "a.png")
+    arguments = ("rigid_body", "--seed", "4", "--time", "1", "--kind", "sphere", "--out", out)
+    assert "seed 4" in run(capsys, *arguments)[1]
+
+
+def test_measurements_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The record of a benchmark gives the figure that its results give."""
+    path, out = tmp_path / "accuracy.csv", tmp_path / "wp.png"
+    write_record(path, "quick", measured())
+    assert run(capsys, str(path), "--kind", "work_precision", "--out", str(out))[0] == 0
+    plots.work_precision(measured()).savefig(tmp_path / "python.png")
+    np.testing.assert_array_equal(imread(out), imread(tmp_path / "python.png"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("falling_cat", "--kind", "shapes", "--out", "a.png"), "the kinds are shape, base"),
+        (("falling_cat", "--kind", "shape,", "--out", "a.png"), "no plot of kind ''"),
+        (("falling_cat", "--kind", "shape", "--out", "a.jpg"), "must be .png or .pdf or .svg"),
+        (("falling_cat", "--kind", "shape", "--out", "no/a.png"), "no folder"),
+        (("falling_cat", "--kind", "base", "--joints", "bend", "--out", "a.png"), "--joints means"),
+        (("falling_cat", "--kind", "shape", "--joints", "tail", "--out", "a.png"), "no joint"),
+        (("falling_dog", "--kind", "shape", "--out", "a.png"), "did you mean falling_cat"),
+        (("cartpole", "--kind", "sphere", "--out", "a.png"), "not for R"),
+        (("falling_cat", "--kind", "work_precision", "--out", "a.png"), "pinred bench accuracy"),
+        (("no.csv", "--kind", "work_precision", "--out", "a.png"), "cannot read table"),
+        (("no.csv", "--kind", "shape", "--out", "a.png"), "work_precision only"),
+        (("no.npz", "--kind", "shape", "--out", "a.png"), "no such file"),
+        (("no.toml", "--kind", "shape", "--out", "a.png"), "no such scene file"),
+        (("a.npz", "--kind", "shape", "--seed", "1", "--out", "a.png"), "--seed is for robots"),
+        (("cartpole", "--robot", "ur5", "--kind", "shape", "--out", "a.png"), "--robot is for"),
+        (("falling_cat", "--kind", "shape"), "--out"),
+        (("falling_cat", "--out", "a.png"), "--kind"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_two(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    words: str,
+) -> None:
+    """Whatever is wrong: one line that says what, exit code 2, no file."""
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(capsys, *arguments)
+    assert code == 2
+    assert err.startswith("pinred: error: ")
+    assert err.count("\n") == 1
+    assert words in err
+    assert os.listdir(tmp_path) == []
+
+
+DOCUMENT = (Path(__file__).parents[2] / "docs/plots.md").read_text(encoding="utf-8")
+COMMANDS = re.findall(r"^\$ pinred plot (?!measured)(.*)$", DOCUMENT, re.MULTILINE)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_of_the_document(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    command: str,
+) -> None:
+    """Every command of docs/plots.md runs as it stands and writes a file a kind."""
+    if command.startswith("talos"):
+        pytest.importorskip("example_robot_data")
+    monkeypatch.chdir(tmp_path)
+    words = command.split()
+    assert run(capsys, *words)[0] == 0
+    kinds = words[words.index("--kind") + 1].split(",")
+    assert len(os.listdir(tmp_path)) == len(kinds)
+
+
+def test_document_names_kinds_and_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The table of docs/plots.md has all kinds with all their options; its example runs."""
+    rows = re.findall(r"^\| `(\w+)` \|.*\| (.*) ?\|$", DOCUMENT, re.MULTILINE)
+    assert {kind: tuple(re.findall(r"`(\w+)`", options)) for kind, options in rows} == {
+        kind: plots.options_of(kind) for kind in plots.KINDS
+    }
+    monkeypatch.chdir(tmp_path)
+    (code,) = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
+    exec(compile(code, "plots.md", "exec"), {})
+    assert sorted(os.listdir(tmp_path)) == ["curvature.svg", "phase.pdf", "shape.png"]
+
+
+def test_what_was_there_stays(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A write that fails half-way leaves the old file, and nothing else."""
+    path = tmp_path / "a.png"
+    path.write_text("old")
+
+    def broken(_: object, file: object, **__: object) -> None:
+        file.write(b"half")  # type: ignore[attr-defined]
+        raise OSError("disk full")
+
+    from pinred.views.plots.style import StyledFigure
+
+    monkeypatch.setattr(StyledFigure, "savefig", broken)
+    arguments = ("cartpole", "--time", "0.1", "--kind", "shape", "--out", str(path))
+    code, _, err = run(capsys, *arguments)
+    assert code == 2
+    assert "disk full" in err
+    assert os.listdir(tmp_path) == ["a.png"]
+    assert path.read_text() == "old"

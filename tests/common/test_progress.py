@@ -1,0 +1,187 @@
+"""Progress: a bar in a terminal and in a notebook, nothing elsewhere."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import pty
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+import pinred
+from pinred.common import progress
+
+ROOT = Path(__file__).parents[2]
+CLEAR = "\r\033[K"
+WORK = """
+import time
+from pinred.common.progress import ProgressBar
+
+try:
+    with ProgressBar("falling <b>") as bar:
+        bar(0.1)  # too early to be worth a bar
+        time.sleep(0.6)
+        bar(0.5)
+        bar(0.6)  # too soon after the one before
+        time.sleep(0.2)
+        bar(0.75)
+        raise KeyboardInterrupt
+except KeyboardInterrupt:
+    pass
+"""
+
+
+def test_a_terminal_gets_a_bar_and_keeps_nothing_of_it() -> None:
+    """In a real terminal the bar is drawn in one line, and an interrupted one is cleared."""
+    ours, theirs = pty.openpty()
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", WORK], cwd=ROOT, stderr=theirs, capture_output=False, check=True
+        )
+        written = os.read(ours, 65536).decode()
+    finally:
+        os.close(ours)
+        os.close(theirs)
+    assert done.returncode == 0
+    first, *frames, last = written.split(CLEAR)
+    assert first == last == "", written
+    assert frames == [
+        f"falling <b> {'█' * 15}{'·' * 15}  50 %",
+        f"falling <b> {'█' * 22}{'·' * 8}  75 %",
+    ]
+
+
+def test_a_file_gets_nothing() -> None:
+    """Where standard error is not a terminal, nothing is written."""
+    done = subprocess.run(
+        [sys.executable, "-c", WORK], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout + done.stderr == ""
+
+
+CELLS = (
+    # 0: a bar that is left open, so that this test can look at it
+    """
+    import time
+    from pinred.common.progress import ProgressBar
+    print("before")
+    bar = ProgressBar("falling <b>").__enter__()
+    time.sleep(0.6)
+    bar(0.5)
+    time.sleep(0.2)
+    bar(0.75)
+    print("after")
+    """,
+    # 1: closing it changes the output of the cell above
+    "bar.__exit__(None, None, None)",
+    # 2: the functions themselves; without patience, so that short work shows too
+    """
+    import pinred, pinred.common.progress
+    pinred.common.progress._PATIENCE = pinred.common.progress._EVERY = 0.0
+    cat = pinred.load("falling_cat")
+    traj = pinred.simulate(cat, duration=0.5, progress=True)
+    """,
+    "pinred.compare(traj, progress=True)",
+    # 4: what is worth no bar leaves no output
+    """
+    pinred.common.progress._PATIENCE = 60.0
+    traj = pinred.simulate(cat, duration=0.5, progress=True)
+    """,
+)
+
+
+@pytest.fixture(scope="module")
+def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
+    """Run the cells in a real kernel; the outputs of the first also before the second ran."""
+    v4: Any = nbformat.v4  # without types
+    cells = [v4.new_code_cell(textwrap.dedent(text).strip()) for text in CELLS]
+    client = NotebookClient(
+        v4.new_notebook(cells=cells),
+        timeout=120,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(ROOT)}},
+    )
+    home = str(tmp_path_factory.mktemp("jupyter"))
+    found: dict[str, list[Any]] = {}
+
+    async def run() -> None:
+        async with client.async_setup_kernel(env={**os.environ, "IPYTHONDIR": home}):
+            for k, cell in enumerate(cells):
+                await client.async_execute_cell(cell, k)
+                found[str(k)] = [dict(output) for output in cell.outputs]
+                found[f"first after {k}"] = [dict(output) for output in cells[0].outputs]
+
+    asyncio.run(run())
+    return found
+
+
+def test_a_notebook_gets_a_bar(outputs: dict[str, list[Any]]) -> None:
+    """One output of the cell, updated in place, with its title escaped."""
+    before, bar, after = outputs["0"]
+    assert (before["text"], after["text"]) == ("before\n", "after\n")
+    assert bar["output_type"] == "display_data"
+    assert bar["data"]["text/plain"] == f"falling <b> {'█' * 22}{'·' * 8}  75 %"
+    html = bar["data"]["text/html"]
+    assert '<progress value="0.750" max="1"></progress> 75 %' in html
+    assert "falling &lt;b&gt;" in html
+
+
+def test_a_notebook_keeps_nothing_of_it(outputs: dict[str, list[Any]]) -> None:
+    """The bar's output becomes empty, and the cell's others stay."""
+    before, bar, after = outputs["first after 1"]
+    assert (before["text"], after["text"]) == ("before\n", "after\n")
+    assert bar["data"] == {"text/plain": "", "text/html": ""}
+
+
+def test_progress_true_in_a_notebook(outputs: dict[str, list[Any]]) -> None:
+    """Functions of pinred draw a bar and leave an empty output; a report shows as a table."""
+    (bar,) = outputs["2"]
+    assert bar["data"] == {"text/plain": "", "text/html": ""}
+    bar, report = outputs["3"]
+    assert bar["data"] == {"text/plain": "", "text/html": ""}
+    assert report["output_type"] == "execute_result"
+    assert "PASSED" in report["data"]["text/html"]
+    assert outputs["4"] == []
+
+
+def test_progress_is_a_bar_or_a_function(monkeypatch: pytest.MonkeyPatch) -> None:
+    """True draws, None and False do not, a function is called, anything else is refused."""
+    drawn: list[tuple[str, float]] = []
+
+    class Screen:
+        def draw(self, title: str, part: float) -> None:
+            drawn.append((title, part))
+
+        def clear(self) -> None:
+            drawn.append(("cleared", 1.0))
+
+    monkeypatch.setattr(progress, "_screen", Screen)
+    monkeypatch.setattr(progress, "_PATIENCE", 0.0)
+    monkeypatch.setattr(progress, "_EVERY", 0.0)
+    system = pinred.load("elroys_beanie")
+    for engine in ("compiled", "pinocchio"):
+        drawn.clear()
+        traj = pinred.simulate(system, duration=1.0, engine=engine, progress=True)
+        assert drawn[0][0] == "reduced"
+        assert drawn[-2:] == [("reduced", 1.0), ("cleared", 1.0)]
+    drawn.clear()
+    pinred.compare(traj, progress=True)
+    assert drawn[-2:] == [("full", 1.0), ("cleared", 1.0)]
+    drawn.clear()
+    parts: list[float] = []
+    pinred.simulate(system, duration=1.0, progress=parts.append)
+    pinred.compare(traj, progress=parts.append)
+    assert parts.count(1.0) == 2
+    pinred.simulate(system, duration=1.0, progress=False)
+    pinred.compare(traj)
+    assert drawn == []
+    for wrong in (1, "yes", 0.5):
+        with pytest.raises(pinred.InputError, match="progress must be True or a function"):
+            pinred.simulate(system, duration=1.0, progress=wrong)  # type: ignore[arg-type]

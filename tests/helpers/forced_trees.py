@@ -1,0 +1,27 @@
+"""Random trees under forces, against ABA."""
+
+from __future__ import annotations
+
+import aba
+import numpy as np
+from trees import random_model
+
+import pinred
+
+GRAVITY = {"R": (1.0, -2.0, 3.0), "SE2": (1.0, -2.0, 3.0), "SO3": (2.0, 0.0, -3.0)}
+
+
+def tree(group: str, joints: int, seed: int) -> pinred.System:
+    """A random tree in gravity, where its group allows any."""
+    model = random_model(group, joints, seed)
+    model.gravity.linear = np.array(GRAVITY.get(group, (0.0, 0.0, 0.0)))
+    if group == "SE3":
+        model.gravity.linear = np.array([0.5, 0.0, -3.0])
+    return pinred.load(model)
+
+
+def against_aba(traj: pinred.Trajectory, tau: aba.Torques, stops: tuple[float, ...] = ()) -> float:
+    """How far a trajectory is from ABA under the torques tau."""
+    model = traj.system.model
+    q, _ = aba.integrate(model, traj.q[0], traj.v[0], traj.t, tau, rtol=1e-10, stops=stops)
+    return aba.apart(model, q, traj.q)

@@ -1,0 +1,56 @@
+"""Integrators through `simulate`: the orders that they claim, measured on robots against ABA."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from orders import ROBOTS, errors_at_the_end, measured
+
+import pinred
+from pinred import DOP853, RKMK4
+from pinred.common.arrays import Array
+
+
+def fixed(step: float) -> DOP853:
+    """DOP853 with steps that no error makes shorter."""
+    return DOP853(rtol=1e3, atol=1e3, max_step=step)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_order_of_rkmk4(robot: str) -> None:
+    """Order 4 in shape and attitude."""
+    counts = [60, 85, 120, 170, 240]
+    for errors in errors_at_the_end(robot, RKMK4, counts):
+        order = measured(errors, [1 / count for count in counts])
+        assert order == pytest.approx(RKMK4.order, abs=0.2)
+
+
+# A planar chain's eighth-order errors reach round-off before they are in the asymptotic range.
+@pytest.mark.parametrize("robot", [name for name in ROBOTS if name != "planar_chain5"])
+def test_order_of_dop853(robot: str) -> None:
+    """Order 8 in shape and attitude together, above the plateau of round-off."""
+    counts = [8, 9, 10, 11, 12, 13, 15, 18]
+    errors = np.hypot(*errors_at_the_end(robot, fixed, counts)).tolist()
+    kept = [(e, 1 / n) for e, n in zip(errors, counts, strict=True) if e > 3e-13]
+    assert len(kept) >= 5
+    order = measured([e for e, _ in kept], [h for _, h in kept])
+    assert order == pytest.approx(DOP853.order, abs=0.2)
+
+
+def test_a_method_has_its_own_tolerance() -> None:
+    """A looser DOP853 takes fewer steps than the scene's, and is as wrong as it says."""
+    system = pinred.load("falling_cat")
+    loose = pinred.simulate(system, duration=2.0, method=DOP853(rtol=1e-5, atol=1e-7))
+    tight = pinred.simulate(system, duration=2.0)
+    assert loose.run.steps < tight.run.steps
+    apart: Array = np.abs(loose.x - tight.x).max(axis=0)
+    assert 1e-9 < apart.max() < 1e-3
+
+
+def test_methods_that_are_none() -> None:
+    """A name is no method, and SciPy has DOP853 only."""
+    system = pinred.load("falling_cat")
+    with pytest.raises(pinred.InputError, match=r"method must be 'auto' or DOP853\(…\) or RKMK4\("):
+        pinred.simulate(system, method="RKMK4")
+    with pytest.raises(pinred.InputError, match="pinocchio"):
+        pinred.simulate(system, method=RKMK4(0.01), engine="pinocchio")

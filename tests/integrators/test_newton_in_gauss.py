@@ -1,0 +1,174 @@
+"""Newton's method in Gauss's methods: closed forms of stiff motions, and the fixed point's bits."""
+
+from __future__ import annotations
+
+from math import factorial
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from stiff_kernels import kernels
+
+import pinred
+from pinred import Gauss
+from pinred.common.arrays import Array
+from pinred.common.errors import InputError, NoConvergence, NonFiniteState
+from pinred.integrators import integrate as drive
+from pinred.integrators import steppers as stepper
+from pinred.integrators.gauss.newton import pairs
+from pinred.integrators.gauss.tables import tables
+from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate_many import STATUS, integrate_many
+from pinred.integrators.methods import STAGES
+
+ORDERS = range(2, 17, 2)
+
+
+def _wide(lanes: int) -> tuple[int, Any]:
+    """Two oscillators of rates 1 and p, coupled a little, at so many states at once."""
+
+    def rate(y: Any, p: Any, d: Any) -> None:
+        for j in range(lanes):
+            a, b, u, v = y[j], y[lanes + j], y[2 * lanes + j], y[3 * lanes + j]
+            d[j], d[lanes + j] = b, -a + u
+            d[2 * lanes + j], d[3 * lanes + j] = v, -p[0] * u + a
+
+    def slope(y: Any, p: Any, v: Any, d: Any) -> None:  # noqa: ARG001
+        for j in range(8):
+            d[j], d[8 + j] = v[8 + j], v[16 + j] - v[j]
+            d[16 + j], d[24 + j] = v[24 + j], v[j] - p[0] * v[16 + j]
+
+    return kernels(rate, slope)
+
+
+OSCILLATORS = {4: _wide(4), 8: _wide(8)}
+Y0 = [1.0, 0.0, 0.3, 0.0]
+TIMES = np.array([0.0, 0.0, 0.3, 0.301, 1.0, 2.5, 2.5, 4.0])
+
+
+def run(method: Gauss, square: float, times: Any, **more: Any) -> Solution:
+    """The oscillators for 4 s."""
+    address, tangent = OSCILLATORS[method.lanes]
+    return integrate(method, address, [square], Y0, 4.0, times, tangent=tangent, **more)
+
+
+def pade(A: Array, stages: int) -> Array:
+    """The diagonal Padé approximation of exp A, which Gauss's methods are for linear systems."""
+    s = stages
+    terms = [
+        factorial(2 * s - k) * factorial(s) / (factorial(2 * s) * factorial(k) * factorial(s - k))
+        for k in range(s + 1)
+    ]
+    powers = [np.linalg.matrix_power(A, k) for k in range(s + 1)]
+    top = sum(c * P for c, P in zip(terms, powers, strict=True))
+    low = sum((-1) ** k * c * P for k, (c, P) in enumerate(zip(terms, powers, strict=True)))
+    return np.asarray(np.linalg.solve(low, top))
+
+
+@pytest.mark.parametrize("stages", range(1, 9))
+def test_pairs(stages: int) -> None:
+    """Eigenvalues and eigenvectors of diag(b) μ; together they make up what they split."""
+    method, table = tables(stages), pairs(stages)
+    G = method.b[:stages, None] * method.mu[:stages, :stages]
+    whole = np.zeros((stages, stages))
+    for row in table:
+        v, vi, w, wi = (row[2 + k * STAGES :][:stages] for k in range(4))
+        value, right, left = row[0] + 1j * row[1], v + 1j * vi, w + 1j * wi
+        np.testing.assert_allclose(G @ right, value * right, atol=1e-13)
+        whole += 2.0 * np.real(value * np.outer(right, left))
+    np.testing.assert_allclose(whole, G, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("solver", ["auto", "Newton"])
+def test_stiff_oscillator(order: int, solver: str) -> None:
+    """Steps of 40 radians, where a fixed point is none: by Padé's approximation."""
+    square, count = 1e6, 100
+    method = Gauss(0.04, order, solver)
+    A = np.array([[0, 1, 0, 0], [-1, 0, 1, 0], [0, 0, 0, 1], [1, 0, -square, 0.0]])
+    found = run(method, square, [4.0])
+    assert found.steps == count
+    exact = np.linalg.matrix_power(pade(0.04 * A, order // 2), count) @ Y0
+    scale = np.array([1.0, 1.0, 1e-3, 1.0])  # of the slow motion, and round-off of the fast one
+    np.testing.assert_allclose(found.y[0] * scale, exact * scale, atol=3e-10)
+    with pytest.raises(NoConvergence, match="take shorter steps"):
+        run(Gauss(0.04, order, "fixed point"), square, [4.0])
+
+
+@pytest.mark.parametrize("order", [2, 4, 6, 10, 16])
+def test_the_two_solvers_agree(order: int) -> None:
+    """On a robot, to round-off: both go on until nothing improves."""
+    system = pinred.load("falling_cat")
+    ends = [
+        pinred.simulate(system, seed=3, times=[0.0, 2.0], method=Gauss(0.02, order, solver))
+        for solver in ("fixed point", "Newton", "auto")
+    ]
+    for other in ends[1:]:
+        np.testing.assert_allclose(other.q, ends[0].q, atol=3e-14)
+    assert np.array_equal(ends[2].q, ends[0].q)  # where it converges well
+
+
+def test_hard_springs_without_damping() -> None:
+    """Energy and momentum over 20000 steps far beyond the springs' period, and the way back."""
+    system = pinred.load("coupled_spatial")
+    hard = 1e7
+    scene: dict[str, Any] = {
+        "springs": dict.fromkeys(system.shape_names, (hard, 0.0)),
+        "xi0": [0.0, 0.0, 0.0, 0.3, 1.0, -0.2],
+        "x0": np.zeros(system.m),
+        "duration": 400.0,
+        "times": np.linspace(0.0, 400.0, 401),
+    }
+    traj = pinred.simulate(system, method=Gauss(0.02, 4), **scene)
+    with pytest.raises(NoConvergence):
+        pinred.simulate(system, method=Gauss(0.02, 4, "fixed point"), **scene)
+    data, J, E = system.model.createData(), [], []
+    for q, v, x in zip(traj.q, traj.v, traj.x, strict=True):
+        pin.ccrba(system.model, data, q, v)
+        J.append(data.hg.angular.copy())
+        E.append(pin.computeKineticEnergy(system.model, data, q, v) + 0.5 * hard * x @ x)
+    drift = np.abs(np.array(J) - J[0]).max(axis=1)
+    assert drift.max() < 1e-11 * np.linalg.norm(J[0])
+    energy = np.array(E) / E[0] - 1.0
+    assert abs(energy).max() < 1e-6
+    first, last = energy[:200].mean(), energy[200:].mean()
+    assert abs(last - first) < 0.1 * abs(energy).max() + 1e-11
+
+
+@pytest.mark.parametrize("method", [Gauss(0.04), Gauss(0.04, 16), Gauss(0.04, 2, "Newton")])
+def test_bits(method: Gauss) -> None:
+    """Neither pauses, nor reports, nor the store change a number; later is as at once."""
+    whole = run(method, 1e6, TIMES)
+    times = np.sort(np.concatenate([TIMES, np.linspace(0.0, 4.0, 201), whole.knots]))
+    once = run(method, 1e6, times)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stepper, "EVALUATIONS_BETWEEN_PAUSES", 1)
+        patch.setattr(drive, "_FIRST_KNOTS", 1)
+        paused = run(method, 1e6, TIMES)
+    for other in (once, paused):
+        assert np.array_equal(whole.states, other.states)
+    assert np.array_equal(whole.y, paused.y)
+    assert np.array_equal(whole.at(times), once.y)
+    assert np.array_equal(once.at(TIMES), whole.y)
+    address, tangent = OSCILLATORS[method.lanes]
+    many = integrate_many(
+        method, address, [[1e6], [np.nan], [1e6]], [Y0] * 3, 4.0, TIMES, threads=2, tangent=tangent
+    )
+    assert [STATUS[s] for s in many.status.tolist()] == ["done", "not finite", "done"]
+    assert np.array_equal(many.y[0], whole.y)
+    assert np.array_equal(many.y[2], whole.y)
+
+
+def test_what_cannot_be_solved() -> None:
+    """Without a derivative the fixed point is all there is; what is no number is named."""
+    address, tangent = OSCILLATORS[4]
+    with pytest.raises(NoConvergence):
+        integrate(Gauss(0.04), address, [1e6], Y0, 4.0, [])
+    with pytest.raises(InputError, match="needs the derivative"):
+        integrate(Gauss(0.04, 6, "Newton"), address, [1.0], Y0, 4.0, [])
+    with pytest.raises(NonFiniteState) as start:
+        integrate(Gauss(0.04, 6, "Newton"), address, [np.nan], Y0, 4.0, [], tangent=tangent)
+    assert (start.value.entry, start.value.time) == (3, 0.0)
+    with pytest.raises(InputError, match="solver must be one of auto, fixed point, Newton"):
+        Gauss(0.1, 6, "newton")

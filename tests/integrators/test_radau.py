@@ -1,0 +1,380 @@
+"""Radau IIA: order against ABA, stiff systems against SciPy, its failures, its derivative."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from aba import kinematics
+from orders import measured
+from scipy.integrate import solve_ivp
+from stiff_kernels import kernels
+
+import pinred
+from pinred import DOP853, Radau
+from pinred.common.arrays import Array
+from pinred.common.errors import (
+    InputError,
+    KernelMismatch,
+    NonFiniteState,
+    StepSizeUnderflow,
+    TooManySteps,
+)
+from pinred.forces import PD, Damper, Limit, Torque
+from pinred.integrators import integrate as drive
+from pinred.integrators import steppers as stepper
+from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate_many import STATUS, integrate_many
+from pinred.integrators.machine.newton import factor, factor_complex, solve, solve_complex
+from pinred.kernels import tangent
+from pinred.kernels.machine import native
+from pinred.kernels.tangent import jacobian_of, tangent_of
+from pinred.signals import Fourier
+from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.verification.full_state import FullMotion, FullState
+
+
+def _pol(y: Any, p: Any, d: Any) -> None:
+    d[0], d[1] = y[1], p[0] * (1.0 - y[0] * y[0]) * y[1] - y[0]
+
+
+def _pol_slope(y: Any, p: Any, v: Any, d: Any) -> None:
+    for j in range(8):
+        a, b = v[j], v[8 + j]
+        d[j] = b
+        d[8 + j] = (-2.0 * p[0] * y[0] * y[1] - 1.0) * a + p[0] * (1.0 - y[0] * y[0]) * b
+
+
+def _power(y: Any, p: Any, d: Any) -> None:
+    d[0] = p[0] * y[0] ** p[1]
+
+
+def _power_slope(y: Any, p: Any, v: Any, d: Any) -> None:
+    for j in range(8):
+        d[j] = p[0] * p[1] * y[0] ** (p[1] - 1.0) * v[j]
+
+
+def _edge(y: Any, p: Any, d: Any) -> None:  # noqa: ARG001
+    d[0], d[1], d[2] = 1.0, 0.0, np.sqrt(0.5 - y[0])
+
+
+def _edge_slope(y: Any, p: Any, v: Any, d: Any) -> None:  # noqa: ARG001
+    for j in range(8):
+        d[j], d[8 + j], d[16 + j] = 0.0, 0.0, -0.5 / np.sqrt(0.5 - y[0]) * v[j]
+
+
+POL, POL_SLOPE = kernels(_pol, _pol_slope)
+POWER, POWER_SLOPE = kernels(_power, _power_slope)
+EDGE, EDGE_SLOPE = kernels(_edge, _edge_slope)
+TIMES = np.array([0.0, 0.0, 0.3, 0.301, 1.0, 2.5, 2.5, 4.0])
+
+
+def pol(method: Radau, times: Any, end: float = 4.0, mu: float = 1e4, **more: Any) -> Solution:
+    """Van der Pol's oscillator from (2, 0)."""
+    return integrate(method, POL, [mu], [2.0, 0.0], end, times, tangent=POL_SLOPE, **more)
+
+
+# --- the derivative ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 8, 9, 30])
+def test_linear_systems(n: int) -> None:
+    """Real and complex ones, as by LAPACK; a singular one is seen."""
+    rng = np.random.default_rng(n)
+    wide = -(-n // 8) * 8
+    rows = np.zeros((2 * n + 1, wide))
+    rows[1:] = rng.normal(size=(2 * n, wide))
+    A, B, b, c = rows[1 : n + 1, :n].copy(), rows[n + 1 :, :n].copy(), *rng.normal(size=(2, n))
+    both = np.linalg.solve(A + 1j * B, b + 1j * c)
+    one, x, y, pivots = rows.copy(), b.copy(), c.copy(), np.zeros(n)
+    assert factor(one, 1, n, pivots)
+    solve(one, 1, n, pivots, x)
+    np.testing.assert_allclose(x, np.linalg.solve(A, b), rtol=1e-10, atol=1e-12)
+    x = b.copy()
+    assert factor_complex(rows, 1, n + 1, n, pivots)
+    solve_complex(rows, 1, n + 1, n, pivots, x, y)
+    np.testing.assert_allclose(x + 1j * y, both, rtol=1e-10, atol=1e-12)
+    rows[:, 0] = 0.0
+    assert not factor(rows.copy(), 1, n, pivots)
+    assert not factor_complex(rows, 1, n + 1, n, pivots)
+    rows[:, 0] = np.nan
+    assert not factor(rows.copy(), 1, n, pivots)
+    assert not factor_complex(rows, 1, n + 1, n, pivots)
+
+
+@pytest.mark.parametrize("robot", ["planar_chain5", "coupled_spatial", "solo12"])
+def test_derivative_by_pinocchio(robot: str) -> None:
+    """Along the motion ẋ changes as ABA says, and that as ABA's derivatives say."""
+    system = pinred.load(robot)
+    scene = pinred.Scene(system=system, seed=4)
+    flow = CompiledFlow(scene)
+    rate = flow.kernel.evaluate_rate(flow.y0, flow.parameters)
+    J = jacobian_of(flow.kernel, flow.y0, flow.parameters)
+    m, r, start = system.m, system.r, scene.start
+    v = np.concatenate([start.xi, start.xdot])
+    q = system.q(start.pose, start.x)
+    data = system.model.createData()
+    aba = pin.aba(system.model, data, q, v, np.zeros(system.n))
+    np.testing.assert_allclose(rate[:m], start.xdot, atol=1e-11)
+    np.testing.assert_allclose((J @ rate)[:m], aba[r:], atol=1e-9 * max(1.0, abs(aba).max()))
+    by_q, by_v, _ = pin.computeABADerivatives(system.model, data, q, v, np.zeros(system.n))
+    jerk = (by_q @ v + by_v @ aba)[r:]
+    h = 1e-4
+
+    def bend(s: float) -> Array:
+        y = flow.y0 + s * rate + 0.5 * s * s * (J @ rate)
+        moved = flow.kernel.evaluate_rate(y, flow.parameters)
+        return (jacobian_of(flow.kernel, y, flow.parameters) @ moved)[:m]
+
+    slope = (8.0 * (bend(h) - bend(-h)) - (bend(2 * h) - bend(-2 * h))) / (12.0 * h)
+    np.testing.assert_allclose(slope, jerk, atol=1e-6 * max(1.0, abs(jerk).max()))
+
+
+def test_derivative_with_forces() -> None:
+    """Time, prescribed joints, limits and given numbers, against differences of the rates."""
+    system = pinred.load("falling_cat")
+    scene = pinred.Scene(
+        system=system,
+        seed=2,
+        prescribed={"sway": Fourier(0.0, [0.3], [0.1], 2.0)},
+        forces=[
+            PD({"twist": Fourier(0.1, [0.2], [0.0], 3.0)}, kp=2.0, kd=0.1, limit=Limit(0.5)),
+            Torque(lambda t, x, xdot, mu: {"bend": -0.1 * mu[-1] * x[0] * xdot[0] * t}),
+        ],
+    )
+    flow = CompiledFlow(scene)
+    y = flow.y0 + 0.1
+    J = jacobian_of(flow.kernel, y, flow.parameters)
+    h = 1e-5
+    for j in range(len(y)):
+        step = h * (np.arange(len(y)) == j)
+        ends = [flow.kernel.evaluate_rate(y + s * step, flow.parameters) for s in (1, -1)]
+        np.testing.assert_allclose((ends[0] - ends[1]) / (2 * h), J[:, j], atol=1e-7)
+
+
+def test_a_wrong_derivative_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """One that is off by a part in a hundred thousand."""
+    monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+    right = native.compile_object
+
+    def wrong(function: Any, name: str, **options: Any) -> bytes:
+        import casadi as ca
+
+        y, p, v = (ca.SX.sym(s, function.size1_in(k)) for k, s in enumerate("ypv"))
+        value = function(y, p, v)
+        value *= 1.00001
+        return right(ca.Function(name, [y, p, v], [value]), name, **options)
+
+    monkeypatch.setattr(tangent, "compile_object", wrong)
+    kernel = CompiledFlow(pinred.Scene(system=pinred.load("falling_cat"), seed=1)).kernel
+    with pytest.raises(KernelMismatch, match="column 0 is off"):
+        tangent_of(kernel)
+
+
+# --- accuracy ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "robot", ["double_spherical_pendulum", "falling_cat", "satellite_two_arms"]
+)
+def test_order(robot: str) -> None:
+    """Order 5 in shape and attitude, by ABA, in steps and at their ends; errors as tolerances."""
+    system = pinred.load(robot)
+    tolerances, ends = np.geomspace(1e-8, 1e-12, 9), (0.8, 1.0, 1.2)
+    steps, errors = np.zeros(len(tolerances)), np.zeros((2, len(tolerances)))
+    for end in ends:
+        times = np.append(end * np.linspace(0.7, 0.8, 11), end)
+        scene = pinred.Scene(system=system, seed=3, times=times)
+        full, start = FullState(scene), scene.start
+        y0 = full.state(start.pose, start.x, start.xi, start.xdot)
+        truth = full.run(y0, times, 2e-14, 1e-15)
+        for k, rtol in enumerate(tolerances.tolist()):
+            traj = pinred.simulate(replace(scene, method=Radau(rtol, 0.01 * rtol)))
+            assert traj.run.method == "Radau"
+            apart = full.distance(truth, FullMotion(x=traj.x, q=traj.q))
+            both = np.hypot(apart.shape, apart.rotation)
+            assert both.max() < 30.0 * rtol
+            steps[k] += traj.run.steps
+            errors[0, k] += both[-1]
+            errors[1, k] += both[:-1].max()
+    assert Radau.order == Radau.dense_order == 5
+    for row in errors:
+        order = measured(row.tolist(), (1.0 / steps).tolist())
+        assert order == pytest.approx(5.0, abs=0.25)
+
+
+def test_hard_springs() -> None:
+    """A chain with joints of 1e8 N m/rad, well damped: by SciPy on the full state, in few steps."""
+    system, hard, damping = pinred.load("planar_chain5"), 1e8, 1e5
+    names = system.shape_names[2:]
+    scene = pinred.Scene(
+        system=system,
+        x0=[0.5, 0.0, 0.0, 0.0, 0.0],
+        xdot0=[0.0, 1.0, 0.0, 0.0, 0.0],
+        times=[0.1, 0.3],
+        springs=dict.fromkeys(names, (hard, 0.0)),
+        forces=[Damper(name, damping) for name in names],
+        method=Radau(1e-9, 1e-11),
+    )
+    traj = pinred.simulate(scene)
+    model, start, nq = system.model, scene.start, system.model.nq
+    data, q_rate = model.createData(), kinematics(model)
+
+    def rate(t: float, y: Array) -> Array:  # noqa: ARG001
+        q, v = pin.normalize(model, y[:nq]), y[nq:]
+        tau = np.zeros(system.n)
+        x = np.array([q[at] for _, at in system.plain])[-3:]
+        x = x if len(system.angles) == 0 else np.arctan2(q[-5::2], q[-6::2])
+        tau[-3:] = -hard * x - damping * v[-3:]
+        return np.concatenate([q_rate(y[:nq], v), pin.aba(model, data, q, v, tau)])
+
+    y0 = np.concatenate([system.q(start.pose, start.x), start.xi, start.xdot])
+    found = solve_ivp(rate, (0.0, 0.3), y0, "Radau", [0.1, 0.3], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(traj.v, found.y[nq:].T, atol=1e-7)
+    q = np.array([pin.normalize(model, row) for row in found.y[:nq].T])
+    assert (
+        max(abs(pin.difference(model, a, b)).max() for a, b in zip(q, traj.q, strict=True)) < 1e-7
+    )
+    assert traj.run.steps < 150
+    explicit = DOP853(1e-6, 1e-8, max_steps=100 * traj.run.steps)
+    with pytest.raises(TooManySteps):
+        pinred.simulate(replace(scene, method=explicit))
+
+
+def test_van_der_pol() -> None:
+    """The book's stiff oscillator over its jump, by SciPy."""
+    end, mu = 1.5, 1e3  # in the book's scaling, ε = 1e-6, it jumps at 0.8 mu
+    times = mu * np.array([0.5, end])
+
+    def rate(t: float, y: Array) -> Array:  # noqa: ARG001
+        return np.array([y[1], mu * (1.0 - y[0] ** 2) * y[1] - y[0]])
+
+    def slope(t: float, y: Array) -> Array:  # noqa: ARG001
+        return np.array([[0.0, 1.0], [-2.0 * mu * y[0] * y[1] - 1.0, mu * (1.0 - y[0] ** 2)]])
+
+    exact = solve_ivp(
+        rate, (0.0, times[-1]), [2.0, 0.0], "Radau", times, rtol=1e-12, atol=1e-14, jac=slope
+    ).y.T
+    run = integrate(Radau(1e-9, 1e-11), POL, [mu], [2.0, 0.0], times[-1], times, tangent=POL_SLOPE)
+    np.testing.assert_allclose(run.y, exact, rtol=1e-6)
+    assert run.steps < 1200
+
+
+# --- bits, ends and failures ---------------------------------------------------------------
+
+
+def test_pauses_and_later() -> None:
+    """The same bits with pauses, and for states recomputed from the knots."""
+    whole = pol(Radau(), TIMES)
+    times = np.sort(np.concatenate([TIMES, np.linspace(0.0, 4.0, 501), whole.knots]))
+    once = pol(Radau(), times)
+    parts: list[float] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stepper, "EVALUATIONS_BETWEEN_PAUSES", 1)
+        patch.setattr(drive, "_FIRST_KNOTS", 1)
+        paused = pol(Radau(), TIMES, progress=parts.append)
+    assert len(parts) > whole.steps
+    for other in (paused, once):
+        assert np.array_equal(whole.states, other.states)
+        assert (whole.steps, whole.rejected) == (other.steps, other.rejected)
+    assert whole.evaluations == paused.evaluations
+    assert np.array_equal(whole.y, paused.y)
+    shuffled = np.random.default_rng(0).permutation(len(times))
+    assert np.array_equal(whole.at(times[shuffled]), once.y[shuffled])
+    assert np.array_equal(once.at(TIMES), whole.y)
+    assert np.array_equal(whole.y[[0, -1]], whole.states[[0, -1]])
+
+
+def test_later_on_a_robot() -> None:
+    """With a quaternion, through the simulation."""
+    system = pinred.load("falling_cat")
+    traj = pinred.simulate(
+        system, seed=3, duration=1.0, method=Radau(), times=np.linspace(0, 1, 33)
+    )
+    other = pinred.simulate(system, seed=3, duration=1.0, method=Radau(), times=[0.0, 1.0])
+    assert np.array_equal(other(traj.t).q, traj.q)
+    np.testing.assert_allclose(np.linalg.norm(traj.pose[:, 3:], axis=1), 1.0, rtol=1e-15)
+
+
+def test_many_are_as_one() -> None:
+    """Whatever the number of threads; one that fails leaves the others alone."""
+    rng = np.random.default_rng(1)
+    y0, params = rng.normal(size=(9, 2)), 10.0 ** rng.uniform(0.0, 5.0, size=(9, 1))
+    params[4] = np.nan
+    for threads in (1, 3):
+        many = integrate_many(
+            Radau(), POL, params, y0, 4.0, TIMES, threads=threads, tangent=POL_SLOPE
+        )
+        assert many.ok.tolist() == [k != 4 for k in range(9)]
+        assert STATUS[int(many.status[4])] == "not finite"
+        for k in np.flatnonzero(many.ok).tolist():
+            one = integrate(Radau(), POL, params[k], y0[k], 4.0, TIMES, tangent=POL_SLOPE)
+            assert np.array_equal(many.y[k], one.y)
+    system = pinred.load("falling_cat")
+    several = pinred.simulate_many(system, seeds=range(3), duration=0.5, method=Radau())
+    for k in range(3):
+        alone = pinred.simulate(system, seed=k, duration=0.5, method=Radau())
+        assert np.array_equal(several[k].x, alone.x)
+
+
+def test_failures() -> None:
+    """A blow-up, a rate that is none, too many steps, no derivative."""
+    with pytest.raises(StepSizeUnderflow, match="singular") as blown:
+        integrate(Radau(), POWER, [1.0, 2.0], [1.0], 3.0, [], tangent=POWER_SLOPE)
+    assert blown.value.time == pytest.approx(1.0, abs=1e-6)
+    with pytest.raises(NonFiniteState, match="number 2 is not finite") as edge:
+        integrate(Radau(), EDGE, [], [0.0, 0.0, 0.0], 3.0, [], tangent=EDGE_SLOPE)
+    assert edge.value.entry == 2
+    assert 0.5 - 1e-6 < edge.value.time <= 0.5
+    with pytest.raises(NonFiniteState) as start:
+        integrate(Radau(), EDGE, [], [1.0, 0.0, 0.0], 3.0, [], tangent=EDGE_SLOPE)
+    assert (start.value.entry, start.value.time) == (2, 0.0)
+    with pytest.raises(TooManySteps, match="max_steps") as many:
+        pol(Radau(max_steps=5), [])
+    assert 0.0 < many.value.time < 4.0
+    steps = pol(Radau(), []).steps
+    assert pol(Radau(max_steps=10**6, max_step=0.01), []).steps > max(steps, 399)
+    with pytest.raises(InputError, match="Radau needs the derivative of the kernel"):
+        integrate(Radau(), POL, [1.0], [2.0, 0.0], 1.0, [])
+    for wrong in ({"rtol": 0.0}, {"atol": -1.0}, {"max_steps": 0}, {"max_step": np.nan}):
+        with pytest.raises(InputError):
+            Radau(**wrong)
+
+
+@pytest.mark.parametrize("t_end", [1e-300, 1e-15])
+def test_a_tiny_end_time(t_end: float) -> None:
+    """The state hardly moves."""
+    run = integrate(Radau(), POWER, [1.0, 1.0], [1.0], t_end, [0.0, t_end], tangent=POWER_SLOPE)
+    assert run.knots[-1] == t_end
+    assert abs(run.y - 1.0).max() < 2e-15
+
+
+def test_rest_stays_rest() -> None:
+    """Nothing moves, in few steps."""
+    run = integrate(Radau(), POWER, [1.0, 1.0], [0.0], 1e3, [1e3], tangent=POWER_SLOPE)
+    assert run.y.tolist() == [[0.0]]
+    assert run.steps < 5
+
+
+def test_interruption() -> None:
+    """Ctrl-C comes through soon."""
+    main = threading.main_thread().ident
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        timer = threading.Timer(0.1, signal.pthread_kill, (main, signal.SIGINT))
+        began = time.perf_counter()
+        timer.start()
+        with pytest.raises(KeyboardInterrupt):
+            pol(Radau(max_steps=10**7, max_step=1e-6), [], end=10.0)
+        assert time.perf_counter() - began < 5.0
+        timer.join()
+    finally:
+        signal.signal(signal.SIGINT, before)

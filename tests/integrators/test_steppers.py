@@ -1,0 +1,534 @@
+"""The steppers against closed forms and SciPy: order, bits, failures, interruption."""
+
+from __future__ import annotations
+
+import pickle
+import signal
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from numba import types
+from orbits import kepler_orbit
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from scipy.special import ellipj, erf
+
+from pinred.common.arrays import Array
+from pinred.common.errors import (
+    InputError,
+    IntegrationError,
+    NonFiniteState,
+    ShapeError,
+    StepSizeUnderflow,
+    TooManySteps,
+)
+from pinred.integrators import dop853, rkmk4
+from pinred.integrators import integrate as drive
+from pinred.integrators import steppers as stepper
+from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate_many import STATUS, integrate_many
+from pinred.integrators.machine.kernel_call import SOURCES
+from pinred.integrators.methods import DOP853, RKMK4, Method
+
+Rate = Callable[[Any, Any, Any], None]
+_NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
+_alive: list[Any] = []
+
+
+def kernel(rate: Rate) -> int:
+    """Compile a vector field and return its address."""
+    compiled: Any = numba.cfunc(types.void(_NUMBERS, _NUMBERS, _NUMBERS))(rate)
+    _alive.append(compiled)
+    address: int = compiled.address
+    return address
+
+
+@kernel
+def oscillator(y: Any, p: Any, d: Any) -> None:
+    """ẋ = ω v, v̇ = −ω x."""
+    d[0], d[1] = p[0] * y[1], -p[0] * y[0]
+
+
+@kernel
+def counted(y: Any, p: Any, d: Any) -> None:
+    """The oscillator; counts its calls in its parameter."""
+    p[0] += 1.0
+    d[0], d[1] = y[1], -y[0]
+
+
+@kernel
+def power(y: Any, p: Any, d: Any) -> None:
+    """ẏ = a y^k."""
+    d[0] = p[0] * y[0] ** p[1]
+
+
+@kernel
+def kepler(y: Any, p: Any, d: Any) -> None:  # noqa: ARG001
+    """Motion in the plane about a mass at the origin."""
+    square = y[0] * y[0] + y[1] * y[1]
+    force = 1.0 / (square * np.sqrt(square))
+    d[0], d[1], d[2], d[3] = y[2], y[3], -force * y[0], -force * y[1]
+
+
+@kernel
+def kick(y: Any, p: Any, d: Any) -> None:
+    """A clock, and a velocity that a short force changes at clock time one."""
+    s = (y[0] - 1.0) / p[0]
+    d[0], d[1] = 1.0, np.exp(-s * s) / p[0]
+
+
+@kernel
+def edge(y: Any, p: Any, d: Any) -> None:  # noqa: ARG001
+    """A rate that is no number once the clock has passed one half."""
+    d[0], d[1], d[2] = 1.0, 0.0, np.sqrt(0.5 - y[0])
+
+
+def top_rate(y: Any, p: Any, d: Any) -> None:
+    """A top: ω (3,), attitude (4,); params: inertias (3,), weight times height of the CoM."""
+    a, b, c, x, s, z, w = y[0], y[1], y[2], y[3], y[4], y[5], y[6]
+    square = x * x + s * s + z * z + w * w
+    up_x, up_y = 2.0 * (x * z - s * w) / square, 2.0 * (s * z + x * w) / square
+    d[0] = ((p[1] - p[2]) * b * c + p[3] * up_y) / p[0]
+    d[1] = ((p[2] - p[0]) * c * a - p[3] * up_x) / p[1]
+    d[2] = (p[0] - p[1]) * a * b / p[2]
+    d[3], d[4] = 0.5 * (w * a + s * c - z * b), 0.5 * (w * b + z * a - x * c)
+    d[5], d[6] = 0.5 * (w * c + x * b - s * a), 0.5 * (-x * a - s * b - z * c)
+
+
+top = kernel(top_rate)
+FREE, HEAVY = np.array([1.0, 2.0, 3.0, 0.0]), np.array([1.0, 2.0, 3.0, 2.0])
+TOP0 = np.array([0.7, -0.4, 1.1, 0.1, 0.5, -0.3, 0.8])
+TOP0[3:] /= np.linalg.norm(TOP0[3:])
+TIGHT = DOP853(rtol=1e-13, atol=1e-14)
+
+
+def top_by_scipy(params: Array, y0: Array, times: Array) -> Array:
+    """Return the top's states (T, 7) by SciPy, quaternions of length one."""
+
+    def rate(t: float, y: Array) -> Array:  # noqa: ARG001
+        d = np.empty(7)
+        top_rate(y, params, d)
+        return d
+
+    y = solve_ivp(rate, (0, times[-1]), y0, "DOP853", times, rtol=3e-14, atol=1e-15).y.T
+    y[:, 3:] /= np.linalg.norm(y[:, 3:], axis=1, keepdims=True)
+    return np.asarray(y)
+
+
+def momentum(y: Array) -> Array:
+    """Return the spatial momentum of free tops (T, 7), (T, 3)."""
+    return np.asarray(Rotation.from_quat(y[:, 3:]).apply(FREE[:3] * y[:, :3]))
+
+
+def slope(steps: list[float], errors: list[float]) -> float:
+    """Return the order with which the errors fall."""
+    return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
+
+
+def fixed(step: float) -> DOP853:
+    """DOP853 with steps that no error makes shorter."""
+    return DOP853(rtol=100.0, atol=100.0, max_step=step)
+
+
+# --- accuracy ------------------------------------------------------------------------------
+
+
+def test_order_of_dop853() -> None:
+    """Order 8 at the end of many steps of equal length."""
+    t_end, steps, errors = 2.0 * np.pi, [], []
+    start = kepler_orbit(0.1, np.zeros(1))[0]
+    for count in (25, 32, 40, 50, 64):
+        run = integrate(fixed(t_end / count), kepler, [], start, t_end, [t_end])
+        assert abs(run.steps - count) <= 1
+        assert run.rejected == 0
+        steps.append(t_end / count)
+        errors.append(float(np.linalg.norm(run.y - kepler_orbit(0.1, run.times))))
+    assert min(errors) > 1e-12
+    assert slope(steps, errors) == pytest.approx(DOP853.order, abs=0.2)
+
+
+@pytest.mark.parametrize("family", [DOP853, RKMK4])
+def test_order_of_the_dense_output(family: type[DOP853] | type[RKMK4]) -> None:
+    """Within one step the error of a polynomial of order p falls with h^(p + 1)."""
+    steps, errors = list(np.geomspace(0.15, 0.4, 6)), []
+    if family is RKMK4:
+        steps = [h / 8 for h in steps]
+    for h in steps:
+        times = h * np.array([0.2, 0.4, 0.6, 0.8])
+        method: Method = fixed(h) if family is DOP853 else RKMK4(h)
+        run = integrate(method, top, HEAVY, TOP0, h, times, 3)
+        assert run.steps == 1
+        exact = top_by_scipy(HEAVY, TOP0, np.append(times, h))[:-1]
+        errors.append(float(np.linalg.norm(run.y - exact)))
+    assert slope(steps, errors) == pytest.approx(family.dense_order + 1, abs=0.2)
+
+
+def test_order_of_rkmk4() -> None:
+    """Order 4 at the ends of steps and between them, in velocity and in attitude."""
+    t_end = 3.0
+    times = np.linspace(0.0, t_end, 38)
+    exact = top_by_scipy(HEAVY, TOP0, times)
+    steps = [t_end / count for count in (80, 120, 180, 270, 400)]
+    runs = [integrate(RKMK4(step), top, HEAVY, TOP0, t_end, times, 3) for step in steps]
+    for part in (slice(0, 3), slice(3, 7)):
+        for when in (slice(-1, None), slice(1, -1)):
+            errors = [float(abs(run.y - exact)[when, part].max()) for run in runs]
+            assert slope(steps, errors) == pytest.approx(RKMK4.order, abs=0.2)
+
+
+def test_momentum_of_rkmk4_needs_the_correction() -> None:
+    """The momentum's error has order 4; with plainly weighted body rates it has order 2."""
+    t_end = 2.0
+
+    def plain(count: int) -> Array:
+        h, y = t_end / count, TOP0.copy()
+
+        def rate(y: Array) -> Array:
+            d = np.empty(7)
+            top_rate(y, FREE, d)
+            return np.append(d[:3], y[:3])
+
+        def move(k: Array, h: float) -> Array:
+            turned = Rotation.from_quat(y[3:]) * Rotation.from_rotvec(h * k[3:])
+            return np.append(y[:3] + h * k[:3], turned.as_quat())
+
+        for _ in range(count):
+            k1 = rate(y)
+            k2 = rate(move(k1, h / 2))
+            k3 = rate(move(k2, h / 2))
+            k4 = rate(move(k3, h))
+            y = move((k1 + 2 * k2 + 2 * k3 + k4) / 6, h)
+        return y[None]
+
+    counts, start = (40, 60, 90, 135), momentum(TOP0[None])
+    steps = [t_end / count for count in counts]
+    ours = [integrate(RKMK4(h), top, FREE, TOP0, t_end, [t_end], 3).y for h in steps]
+    drift = [float(np.linalg.norm(momentum(y) - start)) for y in ours]
+    naive = [float(np.linalg.norm(momentum(plain(count)) - start)) for count in counts]
+    assert slope(steps, drift) == pytest.approx(4.0, abs=0.2)
+    assert slope(steps, naive) == pytest.approx(2.0, abs=0.2)
+    assert max(drift) < 1e-2 * min(naive)
+
+
+@pytest.mark.parametrize(("method", "bound"), [(TIGHT, 2e-12), (RKMK4(1e-3), 1e-10)])
+def test_free_top_in_closed_form(method: Method, bound: float) -> None:
+    """ω by Jacobi's elliptic functions, the attitude by the constant spatial momentum."""
+    I1, I2, I3 = FREE[:3]
+    a = np.array([0.4, 0.0, 1.2])  # ω at the start, on the cn and dn axes
+    E2, L2 = a**2 @ FREE[:3], a**2 @ FREE[:3] ** 2
+    t = np.linspace(0.0, 20.0, 41)
+    nu = np.sqrt((I3 - I2) * (L2 - E2 * I1) / (I1 * I2 * I3))
+    k2 = (I2 - I1) * (E2 * I3 - L2) / ((I3 - I2) * (L2 - E2 * I1))
+    sn, cn, dn, _ = ellipj(nu * t, k2)
+    b = np.sqrt((E2 * I3 - L2) / (I2 * (I3 - I2)))
+    exact = np.stack([a[0] * cn, b * sn, a[2] * dn], axis=1)
+    run = integrate(method, top, FREE, np.append(a, TOP0[3:]), 20.0, t, 3)
+    assert abs(run.y[:, :3] - exact).max() < bound
+    assert abs(momentum(run.y) - momentum(run.y[:1])).max() < bound
+    assert abs(np.linalg.norm(run.y[:, 3:], axis=1) - 1.0).max() < 5e-16
+
+
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12])
+def test_heavy_top_against_scipy(tolerance: float) -> None:
+    """The error follows the tolerance."""
+    t = np.linspace(0.0, 10.0, 57)
+    run = integrate(DOP853(tolerance, tolerance), top, HEAVY, TOP0, 10.0, t, 3)
+    assert abs(run.y - top_by_scipy(HEAVY, TOP0, t)).max() < 200 * tolerance
+
+
+def test_kepler_orbit_in_closed_form() -> None:
+    """Between steps too."""
+    t = np.linspace(0.0, 20.0, 101)
+    run = integrate(TIGHT, kepler, [], kepler_orbit(0.6, np.zeros(1))[0], 20.0, t)
+    assert abs(run.y - kepler_orbit(0.6, t)).max() < 1e-10
+
+
+def test_decay_against_radau() -> None:
+    """One number, against an implicit method and in closed form."""
+    t = np.linspace(0.0, 3.0, 10)
+    run = integrate(DOP853(1e-11, 1e-13), power, [-2.0, 3.0], [1.5], 3.0, t)
+    radau = solve_ivp(lambda _, y: -2.0 * y**3, (0, 3), [1.5], "Radau", t, rtol=1e-10, atol=1e-12)
+    assert abs(run.y.T - radau.y).max() < 1e-8
+    assert abs(run.y[:, 0] - 1.5 / np.sqrt(1.0 + 4.0 * 1.5**2 * t)).max() < 1e-10
+
+
+@pytest.mark.parametrize("omega", [1e-9, 1.0, 1e9])
+def test_time_scales(omega: float) -> None:
+    """The same motion in other units of time takes the same steps, a good first one too."""
+    t = np.linspace(0.0, 10.0 / omega, 7)
+    run = integrate(DOP853(), oscillator, [omega], [1.0, 0.0], t[-1], t)
+    assert abs(run.y[:, 0] - np.cos(omega * t)).max() < 1e-9
+    assert (run.steps, run.rejected) == (33, 0)
+    assert 0.005 < omega * run.knots[1] < 0.5
+    still = integrate(DOP853(), oscillator, [omega], [0.0, 0.0], t[-1], t)
+    assert not still.y.any()
+    assert still.steps < 30
+
+
+def test_a_kick_makes_steps_shorter() -> None:
+    """Steps that run into it are rejected."""
+    width, t = 0.02, np.linspace(0.0, 2.0, 41)
+    run = integrate(DOP853(1e-9, 1e-9, max_step=0.1), kick, [width], [0.0, 0.0], 2.0, t)
+    exact = 0.5 * np.sqrt(np.pi) * (erf((t - 1.0) / width) + erf(1.0 / width))
+    assert run.rejected > 0
+    assert abs(run.y[:, 1] - exact).max() < 1e-7
+    assert run.steps < 200
+
+
+def test_evaluations_are_counted() -> None:
+    """Twelve a step, eleven a rejection, three where there is dense output, two to begin."""
+    run = integrate(DOP853(), counted, [0.0], [1.0, 0.0], 10.0, [0.0, 10.0])
+    assert run.evaluations == run._params[0] == 12 * run.steps + 11 * run.rejected + 2
+    run = integrate(DOP853(), counted, [0.0], [1.0, 0.0], 10.0, [5.0, 5.001, 10.0])
+    assert run.evaluations == run._params[0] == 12 * run.steps + 11 * run.rejected + 5
+    run = integrate(RKMK4(0.1), counted, [0.0], [1.0, 0.0], 10.0, [5.01])
+    assert run.evaluations == run._params[0] == 4 * run.steps + 1
+    assert run.steps == 100
+
+
+def test_steps_do_not_depend_on_the_attitude() -> None:
+    """Nor on the length in which a quaternion is given."""
+    turned = TOP0.copy()
+    turned[3:] = [0.0, 0.0, 0.0, -3.0]
+    one, other = (integrate(DOP853(), top, FREE, y, 20.0, [20.0], 3) for y in (TOP0, turned))
+    assert abs(one.steps - other.steps) <= 1
+    assert abs(one.y - other.y)[:, :3].max() < 1e-8
+    turn = Rotation.from_quat(TOP0[3:]) * Rotation.from_quat(-other.y[0, 3:])
+    assert (turn.inv() * Rotation.from_quat(one.y[0, 3:])).magnitude() < 1e-8
+
+
+# --- bits ----------------------------------------------------------------------------------
+
+METHODS: list[Method] = [DOP853(), RKMK4(0.013)]
+PROBLEMS = [(top, HEAVY, TOP0, 3), (top, HEAVY, TOP0, -1), (power, [-1.0, 2.0], [1.0], -1)]
+TIMES = np.array([0.0, 0.0, 0.3, 0.301, 1.0, 2.5, 2.5, 4.0])
+
+
+def same(one: Solution, other: Solution) -> bool:
+    """Whether two runs agree in every bit."""
+    names = ("y", "knots", "states", "steps", "rejected")
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("problem", PROBLEMS)
+def test_a_run_that_pauses_has_the_same_bits(
+    method: Method, problem: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither pauses nor the growth of the store change a number."""
+    address, params, y0, quaternion = problem
+    whole = integrate(method, address, params, y0, 4.0, TIMES, quaternion)
+    monkeypatch.setattr(stepper, "EVALUATIONS_BETWEEN_PAUSES", 1)
+    monkeypatch.setattr(drive, "_FIRST_KNOTS", 1)
+    parts: list[float] = []
+    paused = integrate(method, address, params, y0, 4.0, TIMES, quaternion, parts.append)
+    assert len(parts) > whole.steps
+    assert parts == sorted(parts)
+    assert parts[-1] == 1.0
+    assert same(whole, paused)
+    assert whole.evaluations == paused.evaluations
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("problem", PROBLEMS)
+def test_later_is_as_at_once(method: Method, problem: Any) -> None:
+    """States recomputed from the knots are those of a run that was asked for them."""
+    address, params, y0, quaternion = problem
+    later = integrate(method, address, params, y0, 4.0, [], quaternion)
+    assert later.y.shape == (0, len(y0))
+    times = np.sort(np.concatenate([TIMES, np.linspace(0.0, 4.0, 501), later.knots]))
+    once = integrate(method, address, params, y0, 4.0, times, quaternion)
+    shuffled = np.random.default_rng(0).permutation(len(times))
+    assert np.array_equal(later.at(times), once.y)
+    assert np.array_equal(once.at(times[shuffled]), once.y[shuffled])
+    assert np.array_equal(later.knots, once.knots)
+    assert later.at([]).shape == (0, len(y0))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_many_are_as_one(method: Method) -> None:
+    """Whatever the number of threads."""
+    rng = np.random.default_rng(1)
+    y0, params = rng.normal(size=(23, 7)), np.abs(rng.normal(size=(23, 4))) + 1.0
+    runs = [integrate(method, top, p, y, 4.0, TIMES, 3) for p, y in zip(params, y0, strict=True)]
+    for threads in (None, 1, 3):
+        many = integrate_many(method, top, params, y0, 4.0, TIMES, 3, threads)
+        assert np.array_equal(many.y, np.stack([run.y for run in runs]))
+        assert many.steps.tolist() == [run.steps for run in runs]
+        assert many.evaluations.tolist() == [run.evaluations for run in runs]
+        assert many.ok.all()
+        assert (many.end == 4.0).all()
+
+
+def test_a_failing_member_leaves_the_others_alone() -> None:
+    """It has a status, and its states as far as it came."""
+    params = np.array([[-1.0, 2.0], [1.0, 2.0], [-0.5, 1.0], [np.nan, 1.0], [2.0, 2.0]])
+    times = np.array([0.0, 0.25, 3.0])
+    many = integrate_many(DOP853(), power, params, np.ones((5, 1)), 3.0, times)
+    assert [STATUS[s] for s in many.status.tolist()] == [
+        "done", "step size underflow", "done", "not finite", "step size underflow",
+    ]  # fmt: skip
+    np.testing.assert_allclose(many.end, [3.0, 1.0, 3.0, 0.0, 0.5], atol=1e-9)
+    assert many.entry.tolist() == [-1, -1, -1, 0, -1]
+    for i in (0, 2):
+        one = integrate(DOP853(), power, params[i], [1.0], 3.0, times)
+        assert np.array_equal(many.y[i], one.y)
+    assert np.isfinite(many.y[[1, 4], :2]).all()
+    assert np.isnan(many.y[[1, 4], 2]).all()
+    short = integrate_many(DOP853(max_steps=3), power, params[:1], [[1.0]], 3.0, times)
+    assert [STATUS[s] for s in short.status.tolist()] == ["too many steps"]
+    assert integrate_many(DOP853(), power, np.ones((0, 2)), np.ones((0, 1)), 1.0, []).ok.all()
+
+
+def test_machine_code_on_disk_is_as_old_as_all_sources() -> None:
+    """A change in one file makes the machine code of all others stale."""
+    for function in (dop853.advance, rkmk4.advance, dop853.recall):
+        held: Any = function
+        assert held._cache._cache_file._source_stamp == SOURCES
+
+
+# --- ends and failures ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", [DOP853(), RKMK4(1.0)])
+@pytest.mark.parametrize("t_end", [1e-300, 1e-15])
+def test_a_tiny_end_time(method: Method, t_end: float) -> None:
+    """The state hardly moves."""
+    run = integrate(method, power, [1.0, 1.0], [1.0], t_end, [0.0, t_end])
+    assert run.steps >= 1
+    assert run.knots[-1] == t_end
+    assert abs(run.y - 1.0).max() < 2e-15
+
+
+def test_rkmk4_meets_the_end_with_equal_steps() -> None:
+    """None of them longer than asked for."""
+    run = integrate(RKMK4(0.3), oscillator, [1.0], [1.0, 0.0], 1.0, [1.0])
+    np.testing.assert_allclose(np.diff(run.knots), 0.25, rtol=1e-15)
+    assert integrate(RKMK4(0.1), oscillator, [1.0], [1.0, 0.0], 0.3, []).steps == 3
+
+
+def test_blow_up_is_an_underflow() -> None:
+    """The solution 1/(1 − t) cannot be followed to t = 1."""
+    with pytest.raises(StepSizeUnderflow, match="singular") as caught:
+        integrate(DOP853(), power, [1.0, 2.0], [1.0], 3.0, [])
+    error = caught.value
+    assert error.time == pytest.approx(1.0, abs=1e-9)
+    assert error.state.shape == (1,)
+    assert error.state[0] > 1e9
+    again = pickle.loads(pickle.dumps(error))
+    assert (again.time, str(again)) == (error.time, str(error))
+
+
+def test_what_is_not_finite_is_named() -> None:
+    """At the start, in a step, and where the rate has an edge."""
+    with pytest.raises(NonFiniteState, match="number 2 is not finite") as caught:
+        integrate(DOP853(), edge, [], [0.0, 0.0, 0.0], 3.0, [])
+    assert caught.value.entry == 2
+    assert caught.value.time == pytest.approx(0.5, abs=1e-6)
+    assert caught.value.time <= 0.5
+    assert pickle.loads(pickle.dumps(caught.value)).entry == 2
+    for method in METHODS:
+        with pytest.raises(NonFiniteState) as caught:
+            integrate(method, edge, [], [1.0, 0.0, 0.0], 3.0, [])
+        assert (caught.value.entry, caught.value.time) == (2, 0.0)
+        assert caught.value.state.tolist() == [1.0, 0.0, 0.0]
+    with pytest.raises(NonFiniteState) as caught:
+        integrate(RKMK4(0.1), edge, [], [0.0, 0.0, 0.0], 3.0, [])
+    assert caught.value.time == pytest.approx(0.5, abs=0.11)
+    with pytest.raises(NonFiniteState) as caught:
+        integrate(RKMK4(0.1), top, np.full(4, np.nan), TOP0, 3.0, [], 3)
+    assert caught.value.entry == 0
+
+
+def test_too_many_steps() -> None:
+    """The error says how far the run came; the limit itself is allowed."""
+    with pytest.raises(TooManySteps, match="max_steps") as caught:
+        integrate(DOP853(max_steps=5), oscillator, [1.0], [1.0, 0.0], 100.0, [])
+    error = caught.value
+    assert isinstance(error, IntegrationError)
+    assert 0.0 < error.time < 5.0
+    assert error.state[0] == pytest.approx(np.cos(error.time), abs=1e-9)
+    assert integrate(DOP853(max_steps=33), oscillator, [1.0], [1.0, 0.0], 10.0, []).steps == 33
+
+
+def test_interruption() -> None:
+    """Ctrl-C comes through soon, on several threads too."""
+
+    def stop(part: float) -> None:
+        assert 0.0 < part < 1.0
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        integrate(RKMK4(1e-3), oscillator, [1.0], [1.0, 0.0], 1e4, [], progress=stop)
+    long = DOP853(max_steps=10**7)  # ends by itself where the signal does not come through
+    main = threading.main_thread().ident
+    runs: list[Callable[[], object]] = [
+        lambda: integrate(long, oscillator, [1.0], [1.0, 0.0], 1e9, []),
+        lambda: integrate_many(long, oscillator, np.ones((9, 1)), np.ones((9, 2)), 1e9, []),
+    ]
+    # A process that was started in the background ignores the signal unless told otherwise.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        for run in runs:
+            timer = threading.Timer(0.1, signal.pthread_kill, (main, signal.SIGINT))
+            began = time.perf_counter()
+            timer.start()
+            with pytest.raises(KeyboardInterrupt):
+                run()
+            assert time.perf_counter() - began < 5.0
+            timer.join()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize(
+    ("error", "message", "changes"),
+    [
+        (InputError, "sorted", {"times": [1.0, 0.5]}),
+        (InputError, "between 0 and 2 s", {"times": [0.5, 2.5]}),
+        (InputError, "between 0", {"times": [-1e-9]}),
+        (InputError, "between 0", {"times": [np.nan]}),
+        (ShapeError, "times", {"times": 1.0}),
+        (InputError, "t_end", {"t_end": 0.0}),
+        (InputError, "t_end", {"t_end": np.inf}),
+        (ShapeError, "y0 must have shape", {"y0": []}),
+        (ShapeError, "y0 must have shape", {"y0": [[1.0]]}),
+        (ShapeError, "y0 must be finite", {"y0": [1.0, np.nan]}),
+        (InputError, "quaternion must be", {"quaternion": 0}),
+        (InputError, "quaternion must be", {"quaternion": -2}),
+        (InputError, "is zero", {"quaternion": 0, "y0": [0.0] * 4}),
+        (InputError, "address", {"address": 0}),
+    ],
+)
+def test_what_cannot_be_run_is_refused(
+    error: type[InputError], message: str, changes: dict[str, Any]
+) -> None:
+    """The message names the argument."""
+    given: dict[str, Any] = {
+        "method": DOP853(), "address": oscillator, "params": [1.0], "y0": [1.0, 0.0],
+        "t_end": 2.0, "times": [1.0],
+    }  # fmt: skip
+    with pytest.raises(error, match=message):
+        integrate(**(given | changes))
+
+
+def test_other_refusals() -> None:
+    """Of methods, of `at`, and of many."""
+    for make in (
+        lambda: DOP853(rtol=0.0),
+        lambda: DOP853(atol=-1.0),
+        lambda: DOP853(max_steps=0),
+        lambda: DOP853(max_steps=1.5),  # type: ignore[arg-type]
+        lambda: DOP853(max_step=0.0),
+        lambda: RKMK4(0.0),
+        lambda: integrate(DOP853(), oscillator, [1.0], [1.0, 0.0], 1.0, []).at([1.1]),
+        lambda: integrate_many(DOP853(), oscillator, [[1.0]], [[1.0, 0.0]] * 2, 1.0, []),
+        lambda: integrate_many(DOP853(), oscillator, [[1.0]], [[1.0, 0.0]], 1.0, [], threads=0),
+    ):
+        with pytest.raises(InputError):
+            make()

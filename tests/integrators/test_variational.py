@@ -1,0 +1,248 @@
+"""The variational integrator: discrete action by Pinocchio, order by ABA, invariants."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import casadi
+import numpy as np
+import pinocchio as pin
+import pytest
+from orders import errors_at_the_end, measured
+from scipy.spatial.transform import Rotation
+
+import pinred
+from pinred import Gauss, Variational
+from pinred.common.arrays import Array
+from pinred.common.errors import InputError, NoConvergence, NonFiniteState
+from pinred.forces import Damper, Torque, Wrench
+from pinred.integrators import integrate as drive
+from pinred.integrators import steppers as stepper
+from pinred.integrators.integrate import integrate
+from pinred.signals import Fourier
+from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.system.system import System
+from pinred.verification.full_state import FullMotion, FullState
+
+ROOT = Path(__file__).parents[2]
+STIFFNESS, REST = 3.0, 0.2
+
+
+class Action:
+    """The discrete action of points (x, R) at equal times, from Pinocchio's mass matrix.
+
+    In the frame of the centre of mass: what is linear is eliminated from the mass matrix.
+    """
+
+    def __init__(self, system: System, h: float) -> None:
+        """Steps of a length."""
+        self._system, self._h, self._data = system, h, system.model.createData()
+
+    def metric(self, x: Array) -> Array:
+        """Mass matrix of (ω, ẋ)."""
+        system, k = self._system, self._system.group.linear
+        H = pin.crba(system.model, self._data, system.q(system.group.identity(), x))
+        H = np.triu(H) + np.triu(H, 1).T
+        return np.asarray(H[k:, k:] - H[k:, :k] @ np.linalg.solve(H[:k, :k], H[:k, k:]))
+
+    def term(self, a: tuple[Array, Any], b: tuple[Array, Any]) -> float:
+        """L_d: the harmonic mean of the metrics at both ends, with the mean velocity."""
+        (x0, g0), (x1, g1), h = a, b, self._h
+        if isinstance(g0, Rotation):
+            turn = (g0.inv() * g1).as_quat()
+            u = 2.0 * turn[:3] / turn[3]
+        else:
+            u = g1 - g0
+        v = np.append(u, x1 - x0) / h
+        both = np.linalg.inv(self.metric(x0)) + np.linalg.inv(self.metric(x1))
+        potential = 0.5 * STIFFNESS * sum(float(((x - REST) ** 2).sum()) for x in (x0, x1))
+        return h * float(v @ np.linalg.solve(both, v)) - 0.5 * h * potential
+
+    def slope(self, points: list[tuple[Array, Any]], k: int, along: Array, eps: float) -> float:
+        """Derivative of the action as one inner point moves along a direction."""
+        x, g = points[k]
+
+        def at(s: float) -> float:
+            turn = s * along[: len(along) - len(x)]
+            turned = g * Rotation.from_rotvec(turn) if isinstance(g, Rotation) else g + turn
+            moved = (x + s * along[len(along) - len(x) :], turned)
+            return self.term(points[k - 1], moved) + self.term(moved, points[k + 1])
+
+        return (8.0 * (at(eps) - at(-eps)) - (at(2 * eps) - at(-2 * eps))) / (12.0 * eps)
+
+
+def points_of(
+    system: System, method: Variational | Gauss, count: int, **start: Any
+) -> list[tuple[Array, Any]]:
+    """Shape and attitude at the ends of steps."""
+    end = count * method.step
+    traj = pinred.simulate(
+        system,
+        times=np.linspace(0.0, end, count + 1),
+        springs=dict.fromkeys(system.shape_names, (STIFFNESS, REST)),
+        method=method,
+        **start,
+    )
+    assert traj.run.steps == count
+    g = traj.pose[:, system.group.linear :]
+    return [
+        (x, Rotation.from_quat(q) if len(q) == 4 else q) for x, q in zip(traj.x, g, strict=True)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("robot", "start"),
+    [
+        ("falling_cat", {"seed": 3}),
+        ("satellite_two_arms", {"seed": 1}),
+        ("satellite_two_arms", {"x0": np.full(6, 0.3), "xdot0": np.full(6, 0.7), "momentum": 0}),
+        ("planar_chain5", {"seed": 2}),
+        ("coupled_spatial", {"seed": 5}),
+    ],
+)
+def test_the_discrete_action_is_stationary(robot: str, start: dict[str, Any]) -> None:
+    """Under any variation of any inner point; not so for another method of order 2."""
+    system, h, count = pinred.load(robot), 0.02, 12
+    action, rng = Action(system, h), np.random.default_rng(0)
+    points = points_of(system, Variational(h), count, **start)
+    other = points_of(system, Gauss(h, 2), count, **start)
+    found, by_other = 0.0, 0.0
+    size = 0.0
+    for k in range(1, count):
+        along = rng.normal(size=system.n - system.group.linear)
+        found = max(found, abs(action.slope(points, k, along, 1e-4)))
+        by_other = max(by_other, abs(action.slope(other, k, along, 1e-4)))
+        # What cancels: the momentum at the end of one step, and at the begin of the next.
+        one = (points[k][0] - points[k - 1][0]) / h
+        size = max(size, float(abs(action.metric(points[k][0])[:, -system.m :] @ one).max()))
+    assert found < 1e-9 * max(size, 0.1)
+    assert by_other > 1e3 * found
+
+
+@pytest.mark.parametrize("robot", ["planar_chain5", "coupled_spatial", "falling_cat"])
+def test_order(robot: str) -> None:
+    """Order 2 in shape and attitude, by ABA."""
+    counts = [150, 200, 270, 360]
+    for errors in errors_at_the_end(robot, Variational, counts):
+        order = measured(errors, [1 / count for count in counts])
+        assert order == pytest.approx(Variational.order, abs=0.1)
+
+
+def test_order_with_forces_and_a_plan() -> None:
+    """What has no potential acts in the stages: order 2 by ABA, at the ends and between them."""
+    system = pinred.load("falling_cat")
+    scene = pinred.Scene(
+        system=system,
+        seed=2,
+        times=[0.501, 1.0],
+        prescribed={"sway": Fourier(0.0, [0.3], [0.1], 2.0)},
+        forces=[
+            Damper("bend", 0.05),
+            Torque(lambda t, x, xdot, mu: {"twist": 0.05 * mu[-1] * t - 0.02 * x[0] * xdot[0]}),
+        ],
+    )
+    full, start = FullState(scene), scene.start
+    y0 = full.state(start.pose, start.x, start.xi, start.xdot)
+    truth = full.run(y0, np.array([0.501, 1.0]), 1e-12, 1e-14)
+    steps, errors = [1 / 100, 1 / 140, 1 / 200, 1 / 280], []
+    for h in steps:
+        traj = pinred.simulate(replace(scene, method=Variational(h)))
+        apart = full.distance(truth, FullMotion(x=traj.x, q=traj.q))
+        errors.append(np.hypot(apart.shape, apart.rotation))
+    for k in range(2):
+        assert measured([float(e[k]) for e in errors], steps) == pytest.approx(2.0, abs=0.15)
+
+
+def test_momentum_and_energy() -> None:
+    """Over 1e5 steps: the one at round-off, the other bounded and without a slope."""
+    system = pinred.load("falling_cat")
+    springs = dict.fromkeys(system.shape_names, (STIFFNESS, REST))
+    traj = pinred.simulate(
+        system, seed=3, duration=1000.0, times=np.linspace(0.0, 1000.0, 2001), springs=springs,
+        method=Variational(0.01),
+    )  # fmt: skip
+    assert traj.run.steps == 100_000
+    data, J, E = system.model.createData(), [], []
+    for q, v, x in zip(traj.q, traj.v, traj.x, strict=True):
+        pin.ccrba(system.model, data, q, v)
+        J.append(data.hg.angular.copy())
+        kinetic = pin.computeKineticEnergy(system.model, data, q, v)
+        kinetic -= 0.5 * data.hg.linear @ data.hg.linear / system.mass
+        E.append(kinetic + 0.5 * STIFFNESS * float(((x - REST) ** 2).sum()))
+    drift = np.abs(np.array(J) - J[0]).max()
+    # As far as numbers tell: the centre of mass has gone a long way.
+    assert drift < 1e-11 * np.linalg.norm(J[0])
+    energy = np.array(E) / E[0] - 1.0
+    assert 1e-6 < abs(energy).max() < 0.05
+    slope = np.polyfit(np.linspace(0.0, 1.0, len(energy)), energy, 1)[0]
+    assert abs(slope) < 0.2 * abs(energy).max()
+
+
+def test_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pauses, reports and the store change no number; later is as at once; many are as one."""
+    system = pinred.load("coupled_spatial")
+    flow = CompiledFlow(pinred.Scene(system=system, seed=1, method=Variational(0.02)))
+    layout = flow.kernel.layout
+    assert layout.canonical == (system.m, 3)
+
+    def run(times: Any) -> drive.Solution:
+        return integrate(
+            Variational(0.02), flow.kernel.rate.address, flow.parameters, flow.y0, 2.0, times,
+            layout.quaternion, canonical=layout.canonical,
+        )  # fmt: skip
+
+    whole = run([0.0, 0.3, 2.0])
+    times = np.sort(np.concatenate([np.linspace(0.0, 2.0, 333), whole.knots]))
+    once = run(times)
+    monkeypatch.setattr(stepper, "EVALUATIONS_BETWEEN_PAUSES", 1)
+    monkeypatch.setattr(drive, "_FIRST_KNOTS", 1)
+    paused = run([0.0, 0.3, 2.0])
+    for other in (once, paused):
+        assert np.array_equal(whole.states, other.states)
+    assert np.array_equal(whole.y, paused.y)
+    assert np.array_equal(whole.at(times), once.y)
+    assert np.array_equal(paused.at([0.3]), whole.y[1:2])
+    several = pinred.simulate_many(system, seeds=range(3), duration=0.5, method=Variational(0.01))
+    for k in range(3):
+        alone = pinred.simulate(system, seed=k, duration=0.5, method=Variational(0.01))
+        assert np.array_equal(several[k].x, alone.x)
+        shape = pinred.simulate(
+            system, seed=k, duration=0.5, method=Variational(0.01), outputs="shape"
+        )
+        assert np.array_equal(shape.x, alone.x)
+
+
+def test_there_and_back() -> None:
+    """The method is its own adjoint: with all velocities turned round it goes back."""
+    system = pinred.load("satellite_two_arms")
+    there = pinred.simulate(system, seed=1, times=[0.0, 5.0], method=Variational(0.02))
+    back = pinred.simulate(
+        system, x0=there.x[-1], xdot0=-there.xdot[-1], pose0=there.pose[-1], xi0=-there.xi[-1],
+        times=[0.0, 5.0], method=Variational(0.02),
+    )  # fmt: skip
+    np.testing.assert_allclose(back.x[-1], there.x[0], atol=1e-10)
+    turn = Rotation.from_quat(there.pose[0, 3:]).inv() * Rotation.from_quat(back.pose[-1, 3:])
+    assert turn.magnitude() < 1e-10
+
+
+def test_refusals() -> None:
+    """Momentum that changes, steps that are too long, and numbers that are none."""
+    top = pinred.load(ROOT / "examples/heavy_top.urdf", group="SO3")
+    with pytest.raises(InputError, match="Variational needs a constant angular momentum"):
+        pinred.simulate(top, seed=1, duration=0.1, method=Variational(0.01))
+    cat = pinred.load("falling_cat")
+    pushed: dict[str, Any] = {"forces": Wrench([0, 0, 0.5, 0, 0, 0]), "duration": 0.1}
+    with pytest.raises(InputError, match="constant angular momentum"):
+        pinred.simulate(cat, seed=1, method=Variational(0.01), **pushed)
+    hard = dict.fromkeys(cat.shape_names, (1e6, 0.0))
+    with pytest.raises(NoConvergence, match="take shorter steps"):
+        pinred.simulate(cat, seed=1, duration=1.0, method=Variational(0.1), springs=hard)
+    gone = Torque(lambda t, *_: {"bend": casadi.sqrt(0.5 - t)})
+    with pytest.raises(NonFiniteState) as caught:
+        pinred.simulate(cat, seed=1, duration=2.0, method=Variational(0.01), forces=gone)
+    assert caught.value.time == pytest.approx(0.5, abs=0.011)
+    for step in (0.0, -1.0, np.nan):
+        with pytest.raises(InputError):
+            Variational(step)

@@ -1,0 +1,387 @@
+"""Machine code of CasADi Functions, against CasADi's own evaluation and extended precision."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from native_functions import build, callable_of
+
+from pinred.common.arrays import Array
+from pinred.common.errors import InputError, UnsupportedOperationError
+from pinred.kernels.machine import native
+from pinred.kernels.machine.native import compile_object, load_object
+
+INF, NAN = np.inf, np.nan
+SPECIAL = [
+    NAN, INF, -INF, 0.0, -0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -3.0, 2.5, 1e-300, -1e300, 5e-324,
+    0.1, 1e6, -2e7, 1e22, np.pi / 2, -np.pi,
+]  # fmt: skip
+
+# Results of these are the same to the last bit.
+EXACT = [
+    "ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE", "INV", "SQRT", "FABS", "FLOOR", "CEIL",
+    "COPYSIGN", "FMIN", "FMAX", "SIGN", "LT", "LE", "EQ", "NE", "NOT", "AND", "OR",
+    "IF_ELSE_ZERO", "FMOD", "REMAINDER",
+]  # fmt: skip
+ROUNDED = [
+    "EXP", "LOG", "LOG1P", "EXPM1", "POW", "CONSTPOW", "SIN", "COS", "TAN", "ASIN", "ACOS",
+    "ATAN", "ATAN2", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH", "HYPOT", "ERF",
+]  # fmt: skip
+BINARY = {
+    "ADD", "SUB", "MUL", "DIV", "COPYSIGN", "FMIN", "FMAX", "LT", "LE", "EQ", "NE", "AND", "OR",
+    "IF_ELSE_ZERO", "FMOD", "REMAINDER", "POW", "CONSTPOW", "ATAN2", "HYPOT",
+}  # fmt: skip
+
+
+def apply(name: str, *arguments: ca.SX) -> ca.SX:
+    """Return an SX node of the operation OP_<name>."""
+    op = getattr(ca, f"OP_{name}")
+    return ca.SX.binary(op, *arguments) if name in BINARY else ca.SX.unary(op, *arguments)
+
+
+def reference(function: ca.Function, *arguments: Array) -> Array:
+    """Return what CasADi's interpreter gives."""
+    return np.array(function(*arguments)).ravel()
+
+
+def ulps(got: Array, expected: Array) -> Array:
+    """Return the distance in units of the last place; 0 where both are NaN or one infinity."""
+    same = (got == expected) | (np.isnan(got) & np.isnan(expected))
+    with np.errstate(invalid="ignore", over="ignore"):
+        distance = np.abs(got - expected) / np.spacing(np.abs(expected))
+    return np.where(same, 0.0, np.where(np.isfinite(distance), distance, INF))
+
+
+@pytest.mark.parametrize("name", EXACT + ROUNDED)
+def test_operation(name: str) -> None:
+    """An operation gives what CasADi gives, for NaN, infinities and zeros of both signs too."""
+    x = ca.SX.sym("x", 2)
+    fast, function = build(apply(name, *([x[0], x[1]] if name in BINARY else [x[0]])), inputs=[x])
+    rng = np.random.default_rng(0)
+    points = [(a, b) for a in SPECIAL for b in SPECIAL]
+    points += [tuple(v) for v in rng.normal(size=(500, 2))]
+    points += [tuple(v) for v in rng.uniform(-60, 60, size=(500, 2))]
+    points += [tuple(v) for v in np.round(rng.normal(size=(200, 2)))]
+    got = np.concatenate([fast(np.array(p)) for p in points])
+    expected = np.concatenate([reference(function, np.array(p)) for p in points])
+    bound = 0.0 if name in EXACT else 2.0
+    k = int(np.argmax(ulps(got, expected)))
+    assert ulps(got, expected)[k] <= bound, (points[k], got[k], expected[k])
+    if name not in {"FMIN", "FMAX"}:  # where C leaves the sign of fmin(0, −0) open
+        signed = ~np.isnan(expected)
+        wrong = np.signbit(got[signed]) != np.signbit(expected[signed])
+        assert not wrong.any(), np.array(points)[signed][wrong]
+
+
+@pytest.mark.parametrize("exponent", [2.5, -1.5, 1 / 3, 7.0, 0.5])
+def test_constant_power(exponent: float) -> None:
+    """A constant exponent is an operation of its own, here without any other power."""
+    x = ca.SX.sym("x")
+    fast, function = build(x**exponent, inputs=[x])
+    for at in SPECIAL:
+        got, expected = fast(np.array([at])), reference(function, np.array([at]))
+        assert ulps(got, expected) <= 2.0, (at, got, expected)
+
+
+@pytest.mark.parametrize("name", ["ERFINV", "PRINTME"])
+def test_operation_without_machine_code_is_named(name: str) -> None:
+    """What cannot be compiled is refused by its name."""
+    x = ca.SX.sym("x")
+    node = x.printme(x) if name == "PRINTME" else ca.erfinv(x)
+    with pytest.raises(UnsupportedOperationError, match=rf"'{name.lower()}'"):
+        compile_object(ca.Function("f", [x], [node]), "f")
+
+
+def test_calls_and_free_variables_are_refused() -> None:
+    """A Function that calls another, or that has an unknown, has no machine code."""
+    x = ca.SX.sym("x", 2)
+    inner = ca.Function("inner", [x], [2 * x], {"never_inline": True})
+    with pytest.raises(UnsupportedOperationError, match="'call'"):
+        compile_object(ca.Function("f", [x], [inner(x)]), "f")
+    free = ca.Function("f", [x], [x * ca.SX.sym("p")], {"allow_free": True})
+    with pytest.raises(UnsupportedOperationError, match="'parameter'"):
+        compile_object(free, "f")
+
+
+def test_functions_of_another_form_are_refused() -> None:
+    """Inputs and output are dense columns of SX; the name is one in C."""
+    x, y = ca.SX.sym("x", 2), ca.MX.sym("y", 2)
+    good = ca.Function("f", [x], [x])
+    wrong = [
+        ca.Function("f", [y], [y]),
+        ca.Function("f", [x], [x, x]),
+        ca.Function("f", [x], [x.T]),
+        ca.Function("f", [x], [ca.SX(2, 1)]),
+        ca.Function("f", [ca.SX.sym("A", 2, 2)], [ca.SX(0.0)]),
+    ]
+    for function in wrong:
+        with pytest.raises(InputError, match="'f'"):
+            compile_object(function, "f")
+    for name in ("", "2f", "a b", "sin", "pow", "ä", 'f" {'):
+        with pytest.raises(InputError, match="name"):
+            compile_object(good, name)
+
+
+def test_constants_are_exact() -> None:
+    """Constants keep every bit."""
+    rng = np.random.default_rng(1)
+    bits = rng.integers(0, 2**64, 200, dtype=np.uint64).view(float)
+    values = [0.1, 1 / 3, 5e-324, 1.7976931348623157e308, INF, -INF, NAN, 1e-310, -7.0, 0.0]
+    values += [float(v) for v in bits if np.isfinite(v)]
+    x = ca.SX.sym("x", 0)
+    fast, _ = build(*(ca.SX(v) for v in values), inputs=[x])
+    np.testing.assert_array_equal(fast(np.empty(0)), values)
+
+
+def test_empty_and_unused() -> None:
+    """No inputs, no outputs, unused inputs, inputs handed through and repeated."""
+    x, y, z = ca.SX.sym("x", 3), ca.SX.sym("y", 2), ca.SX.sym("z", 0)
+    fast, _ = build(ca.SX(0, 1), inputs=[x, z])
+    assert fast(np.zeros(3), np.zeros(0)).shape == (0,)
+    fast, _ = build(ca.SX(4.0), ca.SX(0.0), inputs=[])
+    np.testing.assert_array_equal(fast(), [4.0, 0.0])
+    fast, _ = build(y[1], y[1], ca.sin(y[1]), ca.SX(2.0), inputs=[x, y, z])
+    np.testing.assert_array_equal(
+        fast(np.zeros(3), np.array([1.0, -0.0]), np.zeros(0)), [-0.0, -0.0, -0.0, 2.0]
+    )
+
+
+@pytest.mark.parametrize("angles", [1, 2, 3, 4, 5, 7, 12, 33])
+@pytest.mark.parametrize("fma", [True, False])
+def test_sines_of_sines(angles: int, fma: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Batches of any size, one after another; sine alone, cosine alone, both."""
+    if not fma:
+        monkeypatch.setattr(native, "_has_fma", lambda: False)
+    x = ca.SX.sym("x", angles)
+    sines, cosines = ca.sin(x), ca.cos(x[: (angles + 1) // 2])
+    inner = sines * 3.0 + ca.sum1(cosines)
+    fast, function = build(
+        sines, cosines, ca.sin(inner), ca.cos(ca.sin(inner[0]) + cosines[0]), inputs=[x]
+    )
+    rng = np.random.default_rng(angles)
+    for scale in (1.0, 100.0, 1e7):
+        at = rng.uniform(-scale, scale, angles)
+        np.testing.assert_allclose(fast(at), reference(function, at), rtol=1e-12, atol=1e-14)
+    at[angles // 2] = NAN
+    np.testing.assert_array_equal(np.isnan(fast(at)), np.isnan(reference(function, at)))
+    ordinary = np.delete(np.arange(angles), angles // 2)
+    np.testing.assert_allclose(fast(at)[ordinary], np.sin(at[ordinary]), rtol=4e-16, atol=0)
+
+
+def multiples_of_half_pi(rng: np.random.Generator, most: int, count: int) -> Array:
+    """Return the numbers nearest to k π/2, |k| < most, or next to them, (count,)."""
+    half_pi = np.longdouble("1.57079632679489661923132169163975144")
+    k = rng.integers(-most, most, count)
+    nearest = (np.longdouble(k) * half_pi).astype(float)
+    neighbour = np.nextafter(nearest, rng.choice([-INF, INF], count))
+    out: Array = np.where(rng.random(count) < 0.5, nearest, neighbour)
+    return out
+
+
+@pytest.mark.skipif(np.finfo(np.longdouble).nmant < 60, reason="no extended precision")
+def test_sine_and_cosine_to_an_ulp() -> None:
+    """Sine and cosine are within 0.8 ulp, near multiples of π/2 and far from zero too."""
+    width, count = 64, 64 * 1500
+    x = ca.SX.sym("x", width)
+    fast, _ = build(ca.sin(x), ca.cos(x), inputs=[x])
+    rng = np.random.default_rng(2)
+    ranges = {
+        "first octant": rng.uniform(-0.8, 0.8, count),
+        "a few turns": rng.uniform(-20.0, 20.0, count),
+        "1e5": rng.uniform(-1e5, 1e5, count),
+        "to the branch": rng.uniform(-(2.0**20), 2.0**20, count),
+        "beyond": rng.uniform(-1e9, 1e9, count),
+        "all sizes": rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(-300, 6, count),
+        "multiples of half pi": multiples_of_half_pi(rng, 650_000, count),
+        "multiples beyond": multiples_of_half_pi(rng, 2**36, count),
+    }
+    for name, at in ranges.items():
+        rows = at.reshape(-1, width)
+        got = np.array([fast(row) for row in rows]).reshape(-1, 2, width)
+        wide = rows.astype(np.longdouble)
+        for k, exact in enumerate((np.sin(wide), np.cos(wide))):
+            unit = np.spacing(np.abs(exact.astype(float)))
+            error = np.abs(got[:, k] - exact) / unit
+            assert error.max() < 0.8, (name, ["sin", "cos"][k], float(error.max()))
+
+
+def test_nan_stays_visible() -> None:
+    """Nothing is cancelled that would hide a NaN or an infinity."""
+    x = ca.SX.sym("x", 2)
+    a, b = x[0], x[1]
+    s, p, q = apply("ADD", a, b), apply("MUL", a, b), apply("DIV", a, b)
+    # CasADi sees that x and x are the same; LLVM, that these are.
+    one, two = ((((a * b) * b) * a) * b for _ in range(2))
+    expressions = [
+        one - two, (one + b) - two, two - (one + b), two - (b + one), one / two, (one * b) / two,
+        ca.sqrt(one) * ca.sqrt(two), apply("LT", one, two), apply("EQ", one, two) + b,
+        ca.fmax(one, two), s - a, a - s, b + (a - b), p / a, q * b, a / b - 3 / b,
+        ca.sqrt(a) ** 2 + b, ca.fabs(a) - a, (a * 2) * 3 - b, apply("NEG", s) + a, p - p * b,
+        (one - b) * (two - b), ca.if_else(one < two, a, b), apply("NE", one, two),
+    ]  # fmt: skip
+    for k, expression in enumerate(expressions):  # one by one: nothing else needs what is inside
+        fast, function = build(expression, inputs=[x])
+        for at in [(u, v) for u in SPECIAL[:11] for v in SPECIAL[:11]]:
+            got, expected = fast(np.array(at))[0], reference(function, np.array(at))[0]
+            np.testing.assert_allclose(got, expected, rtol=1e-14, err_msg=f"{k} at {at}")
+
+
+Recipe = list[tuple[str, int, int]]
+
+
+def recipes(names: list[str], longest: int) -> st.SearchStrategy[Recipe]:
+    """Return programs: each line an operation on two of the values so far."""
+    line = st.tuples(st.sampled_from(names), st.integers(0, 10_000), st.integers(0, 10_000))
+    return st.lists(line, min_size=1, max_size=longest)
+
+
+def graph(recipe: Recipe, start: list[ca.SX]) -> list[ca.SX]:
+    """Return every value of a program."""
+    values = list(start)
+    for name, i, j in recipe:
+        pair = values[i % len(values)], values[j % len(values)]
+        values.append(apply(name, *(pair if name in BINARY else pair[:1])))
+    return values
+
+
+INTEGER = [
+    "ADD", "SUB", "MUL", "NEG", "TWICE", "SQ", "FABS", "FMIN", "FMAX", "SIGN", "LT", "LE", "EQ",
+    "NE", "NOT", "AND", "OR", "IF_ELSE_ZERO", "COPYSIGN", "FLOOR", "CEIL",
+]  # fmt: skip
+
+
+@settings(max_examples=60)
+@given(
+    recipe=recipes(INTEGER, 40),
+    at=st.lists(st.integers(-9, 9), min_size=4, max_size=4),
+    last=st.booleans(),
+)
+def test_random_graphs_of_integers_are_exact(recipe: Recipe, at: list[int], last: bool) -> None:
+    """While every value is an integer below 2⁵³, nothing is rounded in any order."""
+    x, y = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
+    values = graph(recipe, [x[0], x[1], y[0], y[1]])
+    arguments = np.array(at[:2], dtype=float), np.array(at[2:], dtype=float)
+    every = reference(ca.Function("all", [x, y], [ca.vertcat(*values)]), *arguments)
+    assume(np.abs(every).max() < 2.0**53)
+    fast, _ = build(*(values[-1:] if last else values), inputs=[x, y])
+    np.testing.assert_array_equal(fast(*arguments), every[-1:] if last else every)
+
+
+@settings(max_examples=60)
+@given(
+    recipe=recipes(["ADD", "SUB", "MUL", "DIV", "NEG", "TWICE", "SQ", "SQRT", "INV"], 25),
+    at=st.lists(st.sampled_from([NAN, INF, -INF, 0.0, 1.0, -1.0, 3.0]), min_size=3, max_size=3),
+)
+def test_random_graphs_show_the_same_nans(recipe: Recipe, at: list[float]) -> None:
+    """A result is NaN or infinite where CasADi's is."""
+    x = ca.SX.sym("x", 3)
+    values = graph(recipe, [x[0], x[1], x[2]])
+    every = reference(ca.Function("all", [x], [ca.vertcat(*values)]), np.array(at))
+    small = np.abs(every[np.isfinite(every) & (every != 0.0)])
+    # Where nothing is rounded, no sum is zero in one order and not in another.
+    assume(((small > 1e-6) & (small < 1e6) & (small * 64 % 1 == 0)).all())
+    fast, function = build(values[-1], inputs=[x])
+    np.testing.assert_array_equal(fast(np.array(at)), reference(function, np.array(at)))
+
+
+@settings(max_examples=40)
+@given(
+    recipe=recipes(["SIN", "COS", "MEAN", "MUL", "TANH", "SQ"], 25),
+    at=st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
+)
+def test_random_graphs_of_smooth_functions(recipe: Recipe, at: list[float]) -> None:
+    """Values within ±1 and slopes at most 2: rounding grows less than 2²⁵ times."""
+    x = ca.SX.sym("x", 3)
+    values = [x[0], x[1], x[2]]
+    for name, i, j in recipe:
+        a, b = values[i % len(values)], values[j % len(values)]
+        mean = name == "MEAN"
+        values.append(0.5 * (a + b) if mean else graph([(name, 0, 1)], [a, b])[-1])
+    fast, function = build(*values, inputs=[x])
+    np.testing.assert_allclose(fast(np.array(at)), reference(function, np.array(at)), atol=1e-8)
+
+
+def ladder(rungs: int) -> ca.Function:
+    """Return a graph of about 10 instructions per rung that no one can shorten."""
+    x = ca.SX.sym("x", 40)
+    v = [x[k] for k in range(4)]
+    outputs = []
+    for k in range(rungs):
+        c, s = ca.cos(x[k % 40]), ca.sin(x[k % 40])
+        v = [c * v[0] + s * v[1] + 0.1 * k, c * v[1] - s * v[0], v[3] + v[0], v[2] / (2 + c)]
+        outputs.append(v[3] * v[0] - v[1])
+    return ca.Function("f", [x], [ca.vertcat(*outputs[-40:])], {"cse": True})
+
+
+def test_compile_time_grows_with_size() -> None:
+    """Four times the instructions take about four times as long, not sixteen."""
+    seconds, sizes = [], []
+    for rungs in (250, 1000):
+        function = ladder(rungs)
+        sizes.append(function.n_instructions())
+        tries = []
+        for _ in range(2):
+            begun = time.perf_counter()
+            code = compile_object(function, "f")
+            tries.append(time.perf_counter() - begun)
+        seconds.append(min(tries))
+    assert sizes[1] > 10_000
+    assert seconds[1] < 3 * (sizes[1] / sizes[0]) * seconds[0]
+    fast = callable_of(load_object(code, "f"), 1, function.numel_out(0))
+    at = np.random.default_rng(3).normal(size=40)
+    expected = reference(function, at)
+    np.testing.assert_allclose(fast(at), expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+def test_load_again_and_from_threads() -> None:
+    """One code may be loaded many times; each has a life of its own."""
+    x = ca.SX.sym("x", 2)
+
+    def work(k: int) -> float:
+        function = ca.Function("f", [x], [ca.sin(x[0]) + k * x[1]])
+        code = compile_object(function, "f")
+        first, second = load_object(code, "f"), load_object(code, "f")
+        assert first.address != second.address
+        del first
+        return float(callable_of(second, 1, 1)(np.array([0.0, 2.0]))[0])
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(work, range(16))) == [2.0 * k for k in range(16)]
+
+
+def test_what_cannot_be_loaded() -> None:
+    """No object code, and object code of another function."""
+    x = ca.SX.sym("x")
+    code = compile_object(ca.Function("f", [x], [2 * x]), "f")
+    with pytest.raises(InputError, match="'g'"):
+        load_object(code, "g")
+    for bad in (b"", b"no object code at all"):
+        with pytest.raises(InputError, match="'f'"):
+            load_object(bad, "f")
+    assert compile_object(ca.Function("f", [x], [2 * x]), "f") == code
+
+
+@pytest.mark.parametrize("wide", [4, 8])
+@pytest.mark.parametrize("name", EXACT + ROUNDED)
+def test_many_places_at_once(name: str, wide: int) -> None:
+    """Every operation, in every lane, is what CasADi's interpreter gives for it alone."""
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
+    value = apply(name, x[0], x[1]) if name in BINARY else apply(name, x[0])
+    function = ca.Function("f", [x, p], [ca.vertcat(value, p * value, p, ca.SX(2.0))])
+    code = load_object(compile_object(function, "f", wide=wide), "f")
+    call = callable_of(code, 2, 4 * wide)
+    places = np.random.default_rng(3).uniform(0.1, 0.9, (2, wide))
+    found = call(places.ravel(), np.array([1.5])).reshape(4, wide)
+    for lane in range(wide):
+        expected = reference(function, places[:, lane], np.array([1.5]))
+        np.testing.assert_allclose(found[:, lane], expected, rtol=4e-16)
+    places[0, 1] = np.nan
+    again = call(places.ravel(), np.array([1.5])).reshape(4, wide)
+    others = np.arange(wide) != 1
+    assert np.array_equal(again[:, others], found[:, others], equal_nan=True)

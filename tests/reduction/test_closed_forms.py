@@ -1,0 +1,136 @@
+"""The textbook examples in closed form; docs/errata.md says which misprints they decide."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+from textbook import DELTA, I1, I2, J1, J2, M1, M2, D, M
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.equations import euler_poincare, hamilton_poincare, lagrange_poincare
+
+rng = np.random.default_rng(5)
+SHAPES = [np.zeros(1), np.array([0.7]), np.array([-2.5])]
+
+
+def bar(values: ArrayLike, expected: ArrayLike) -> None:
+    """Assert equality to 1e-13."""
+    np.testing.assert_allclose(np.asarray(values), np.asarray(expected), rtol=0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("x", SHAPES)
+def test_elroys_beanie(x: Array) -> None:
+    """I = I1 + I2, A = I2/I, M = I1 I2/I, no curvature, and θ̈2 = −V′ (I1 + I2)/(I1 I2)."""
+    k, rest = 3.0, 0.2
+    system = pinred.load("elroys_beanie")
+    red = pinred.Reduction(system, springs={system.shape_names[0]: (k, rest)})
+    at = red.at(x)
+    bar(at.locked_inertia, [[I1 + I2]])
+    bar(at.local_connection, [[I2 / (I1 + I2)]])
+    bar(at.reduced_metric, [[I1 * I2 / (I1 + I2)]])
+    bar(at.curvature, np.zeros((1, 1, 1)))
+    force = k * (x - rest)
+    bar(red.potential(x), 0.5 * k * (x[0] - rest) ** 2)
+    bar(red.amended_potential(x, [0.3]), 0.5 * k * (x[0] - rest) ** 2 + 0.5 * 0.09 / (I1 + I2))
+    xdot, omega = np.array([0.4]), np.array([-0.9])
+    terms = lagrange_poincare(red, x, xdot, omega)
+    bar(terms.xddot, -force * (I1 + I2) / (I1 * I2))
+    bar(terms.momentum.total, [0.0])  # Ω̇ = 0 where Ω = θ̇1 + A θ̇2
+    p, mu = at.reduced_metric @ xdot, at.locked_inertia @ omega
+    h = 0.5 * p[0] ** 2 / (I1 * I2 / (I1 + I2)) + red.potential(x) + 0.5 * mu[0] ** 2 / (I1 + I2)
+    bar(hamilton_poincare(red, x, p, mu).energy, h)
+
+
+@pytest.mark.parametrize("x", SHAPES)
+def test_coupled_planar_bodies(x: Array) -> None:
+    """The second body is pinned at its centre of mass: nothing depends on the shape."""
+    red = pinred.Reduction(pinred.load("coupled_planar"))
+    at = red.at(x)
+    locked = [[M, 0, 0], [0, M, M2 * D], [0, M2 * D, J1 + J2 + M2 * D**2]]
+    bar(at.locked_inertia, locked)
+    bar(at.local_connection[:, 0], [0.0, -J2 * M2 * D / DELTA, J2 * M / DELTA])
+    bar(at.reduced_metric, [[(J1 * J2 * M + J2 * M1 * M2 * D**2) / DELTA]])
+    for derivative in (at.dI, at.dA, at.dM, at.curvature):
+        bar(derivative, np.zeros(derivative.shape))
+    mu = np.array([0.5, -1.0, 2.0])
+    bar(at.amended_potential(mu), 0.5 * mu @ np.linalg.solve(np.array(locked), mu))
+
+
+def test_euler_poincare_on_the_plane() -> None:
+    """ξ̇1 = ξ2ξ3 + (m2 d/m) ξ3², ξ̇2 = −ξ1ξ3, ξ̇3 = 0 with the locked inertia above."""
+    red = pinred.Reduction(pinred.load("coupled_planar"))
+    for xi in rng.normal(size=(5, 3)):
+        found = euler_poincare(red, [0.3], xi).xidot
+        bar(found, [xi[1] * xi[2] + M2 * D / M * xi[2] ** 2, -xi[0] * xi[2], 0.0])
+
+
+def test_bracket_of_the_plane() -> None:
+    """[e1, e3] = −e2, [e2, e3] = e1, [e1, e2] = 0, as the matrices of se(2) give."""
+    e1, e2, e3 = np.eye(3)
+    bracket = pinred.lie.SE2.bracket
+    bar(bracket(e1, e3), -e2)
+    bar(bracket(e2, e3), e1)
+    bar(bracket(e1, e2), np.zeros(3))
+
+
+def test_eulers_top() -> None:
+    """I1 ξ̇1 = (I2 − I3) ξ2 ξ3 and cyclic."""
+    red = pinred.Reduction(pinred.load("rigid_body"))
+    moments = np.diag(red.locked_inertia([]))
+    bar(red.locked_inertia([]), np.diag(moments))
+    assert len(set(moments)) == 3
+    a, b, c = moments
+    for xi in rng.normal(size=(5, 3)):
+        u, v, w = xi
+        expected = [(b - c) * v * w / a, (c - a) * w * u / b, (a - b) * u * v / c]
+        bar(euler_poincare(red, [], xi).xidot, expected)
+
+
+def test_signs_and_factors_of_the_shape_equation() -> None:
+    """Each quadratic term carries ½, the potential −, the coadjoint −; dropping one shows.
+
+    The terms, rebuilt from central differences of the energy of a robot on which all of
+    them act, decide the factors and signs that the notes misprint.
+    """
+    system = pinred.load("falling_cat")
+    red = pinred.Reduction(system, springs={system.shape_names[0]: (2.0, 0.5)})
+    x, xdot, omega = rng.normal(size=system.m), rng.normal(size=system.m), rng.normal(size=6)
+    terms = lagrange_poincare(red, x, xdot, omega).shape
+    step, mu = 1e-4, red.locked_inertia(x) @ omega
+    for k, e in enumerate(np.eye(system.m)):
+
+        def slope(f: object, e: Array = e) -> float:
+            assert callable(f)
+            steps = ((1, 2 / 3), (2, -1 / 12))
+            return float(
+                sum(w * (f(x + n * step * e) - f(x - n * step * e)) for n, w in steps) / step
+            )
+
+        metric = slope(lambda s: 0.5 * xdot @ red.reduced_metric(s) @ xdot)
+        inertia = slope(lambda s: 0.5 * omega @ red.locked_inertia(s) @ omega)
+        assert terms.metric[k] == pytest.approx(metric, abs=1e-9)
+        assert terms.centrifugal[k] == pytest.approx(inertia, abs=1e-9)
+        assert terms.potential[k] == pytest.approx(-slope(red.potential), abs=1e-9)
+        twisted = system.group.bracket(omega, red.local_connection(x)[:, k])
+        assert terms.coadjoint[k] == pytest.approx(-mu @ twisted, abs=1e-12)
+        assert min(abs(metric), abs(inertia), abs(float(mu @ twisted))) > 1e-6
+
+
+def test_stretched_chain() -> None:
+    """Six unit links in a row: 6 · 0.1 about their middles and Σ (k − 2.5)² between them, 18.1."""
+    red = pinred.Reduction(pinred.load("planar_chain5"))
+    at = red.at(np.zeros(5))
+    bar(at.com[:2], [3.0, 0.0])
+    bar(at.locked_inertia[2, 2] - 6.0 * 3.0**2, 18.1)
+
+
+def test_cartpole() -> None:
+    """A = −m l cos(x)/3, M = I_pole − (m l cos x)²/3, V = −m g l cos(x), with m l = 0.5."""
+    red = pinred.Reduction(pinred.load("cartpole"))
+    for x in (0.0, 0.7, 2.5):
+        bar(red.local_connection([x]), [[-np.cos(x) / 6]])
+        bar(red.reduced_metric([x]), [[0.34 - np.cos(x) ** 2 / 12]])
+        bar(red.potential([x]), -9.81 * 0.5 * np.cos(x))
+        bar(red.potential_gradient([x]), [9.81 * 0.5 * np.sin(x)])

@@ -1,0 +1,442 @@
+"""Scenes from files: the same motion as the Scene written in Python; `pinred run`."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinred
+from pinred.cli.main import main
+from pinred.forces import PD, ComputedTorque, Damper, PotentialEnergy, Spring, Torque, Wrench
+from pinred.forces.base import Force, Limit
+from pinred.forces.signals.tables import _ENDS
+from pinred.integrators.methods import (
+    DOP853,
+    METHODS,
+    RKMK4,
+    AdaptiveGauss,
+    Gauss,
+    Radau,
+    Variational,
+)
+from pinred.lie import GROUPS
+from pinred.scene.toml.keys import _METHODS, ENDS, FORCES, LOAD, RUN, START
+from pinred.scene.toml.keys import GROUPS as GROUP_KEYS
+from pinred.scene.toml.reader import _FORCES, read_scene_file
+from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Spline
+from pinred.system.catalogue import has_example_robots
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def written(folder: Path, text: str, name: str = "scene.toml") -> Path:
+    """A file with a text in a folder."""
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def assert_same_motion(scene: pinred.Scene, other: pinred.Scene, engine: Any = "compiled") -> None:
+    """Both scenes give the same states, bit for bit."""
+    ours = pinred.simulate(scene, engine=engine).outputs
+    theirs = pinred.simulate(other, engine=engine).outputs
+    assert type(ours) is type(theirs)
+    for entry in fields(ours):
+        np.testing.assert_array_equal(getattr(ours, entry.name), getattr(theirs, entry.name))
+
+
+HEAD = """
+robot = "falling_cat"
+start = { x0 = [0.3, -0.2, 0.4], xi0 = [0.1, 0, 0, 0.2, -0.1, 0.3] }
+run = { duration = 0.5, samples = 6 }
+"""
+CSV = "time,angle,torque\n0,0.3,0.1\n0.2,0.35,-0.2\n0.4,0.5,0.3\n0.6,0.4,0\n"
+TIMES, ANGLES, TORQUES = [0.0, 0.2, 0.4, 0.6], [0.3, 0.35, 0.5, 0.4], [0.1, -0.2, 0.3, 0.0]
+
+
+def scene_in_python(**options: Any) -> pinred.Scene:
+    """The scene of HEAD."""
+    return pinred.Scene(
+        system=pinred.load("falling_cat"),
+        x0=[0.3, -0.2, 0.4],
+        xi0=[0.1, 0.0, 0.0, 0.2, -0.1, 0.3],
+        duration=0.5,
+        times=np.linspace(0.0, 0.5, 6),
+        **options,
+    )
+
+
+def sine(t: Any, x: Any, xdot: Any, mu: Any) -> Any:
+    """0.1 sin(3t) x₀ + 0.02 ẋ₂ μ₄."""
+    import casadi as ca
+
+    return 0.1 * ca.sin(3 * t) * x[0] + 0.02 * xdot[2] * mu[4]
+
+
+def well(x: Any) -> Any:
+    """x₀² x₂ / 2."""
+    return 0.5 * x[0] ** 2 * x[2]
+
+
+SINE = "0.1*sin(3*t)*x['bend'] + 0.02*xdot[2]*mu[4]"
+FORCE_CASES: dict[str, tuple[str, Callable[[], Force]]] = {
+    "spring": (
+        "kind = 'spring'\njoint = 'bend'\nstiffness = 2\nrest = 0.1",
+        lambda: Spring("bend", 2.0, 0.1),
+    ),
+    "spring between": (
+        "kind = 'spring'\njoint = 'bend'\nstiffness = 2\nto = 'twist'",
+        lambda: Spring("bend", 2.0, to="twist"),
+    ),
+    "damper": (
+        "kind = 'damper'\njoint = 'bend'\ncoefficient = 0.2\nto = 'sway'",
+        lambda: Damper("bend", 0.2, to="sway"),
+    ),
+    "potential": (
+        "kind = 'potential'\nname = 'well'\nfunction = \"0.5*x['bend']**2*x[2]\"",
+        lambda: PotentialEnergy(well, name="well"),
+    ),
+    "torque by formula": (
+        f'kind = "torque"\nfunction = {{ sway = "{SINE}", twist = 0.05 }}',
+        lambda: Torque({"sway": sine, "twist": 0.05}),
+    ),
+    "torque by formula is Python's": (
+        f'kind = "torque"\nfunction = {{ sway = "{SINE}" }}',
+        lambda: Torque(lambda *state: {"sway": sine(*state)}),
+    ),
+    "torque by table": (
+        "kind = 'torque'\nfunction.bend = { linear = { file = 't.csv', columns = [0, 2] } }",
+        lambda: Torque({"bend": Linear(TIMES, TORQUES)}),
+    ),
+    "torque held, limited": (
+        "kind = 'torque'\nlimit = { bend = 0.15 }\n"
+        "function.bend.hold = { times = [0, 0.2, 0.4, 0.6], values = [0.1, -0.2, 0.3, 0] }",
+        lambda: Torque({"bend": Hold(TIMES, TORQUES)}, limit=Limit({"bend": 0.15})),
+    ),
+    "pd": (
+        "kind = 'pd'\nkp = 2\nkd = { bend = 0.1, sway = 0.2 }\nlimit = 0.3\nsmooth = true\n"
+        "reference = { bend = '0.3 + 0.1*t', sway = 0.2 }",
+        lambda: PD(
+            {"bend": Expression("0.3 + 0.1*t"), "sway": 0.2},
+            kp=2.0, kd={"bend": 0.1, "sway": 0.2}, limit=Limit(0.3, smooth=True),
+        ),
+    ),
+    "computed torque": (
+        "kind = 'computed_torque'\nkp = 9\nkd = 6\n"
+        "reference.bend.spline = { file = 't.csv', columns = ['time', 'angle'], end = 'clamped' }\n"
+        "reference.sway = -0.2\nreference.twist = '0.4*cos(t)'",
+        lambda: ComputedTorque(
+            {
+                "bend": Spline(TIMES, ANGLES, end="clamped"),
+                "sway": -0.2,
+                "twist": Expression("0.4*cos(t)"),
+            },
+            kp=9.0, kd=6.0,
+        ),
+    ),
+    "wrench": (
+        f'kind = "wrench"\nname = "jet"\nfunction = [0.1, 0, 0, "{SINE}", '
+        "{ fourier = { sines = [0.1], period = 2 } }, 0]",
+        lambda: Wrench(
+            [0.1, 0.0, 0.0, sine, Fourier(0.0, [], [0.1], 2.0), 0.0], name="jet"
+        ),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", FORCE_CASES)
+def test_forces(kind: str, tmp_path: Path) -> None:
+    """A force from a file does what the same force in Python does."""
+    text, force = FORCE_CASES[kind]
+    written(tmp_path, CSV, "t.csv")
+    scene = pinred.load_scene(written(tmp_path, f"{HEAD}[[forces]]\n{text}\n"))
+    plain = pinred.simulate(scene_in_python()).x
+    assert_same_motion(scene, scene_in_python(forces=[force()]))
+    assert np.abs(pinred.simulate(scene).x - plain).max() > 1e-4
+
+
+def test_every_kind_of_force_is_tested() -> None:
+    """The cases above hold each kind of force."""
+    kinds = {text.split("\n")[0].split("=")[1].strip(" '\"") for text, _ in FORCE_CASES.values()}
+    assert kinds == set(FORCES) == set(_FORCES)
+
+
+SIGNAL_CASES = {
+    "number": ("0.25", Constant(0.25)),
+    "formula": ("'0.3*sin(2*t) + exp(-t)'", Expression("0.3*sin(2*t) + exp(-t)")),
+    "spline": (
+        "{ spline = { times = [0, 0.2, 0.4, 0.6], values = [0.3, 0.35, 0.5, 0.4] } }",
+        Spline(TIMES, ANGLES),
+    ),
+    "spline of a file": ("{ spline = { file = 't.csv' } }", Spline(TIMES, ANGLES)),
+    "fourier": (
+        "{ fourier = { mean = 0.1, cosines = [0.2, 0.1], sines = [0.3], period = 0.7 } }",
+        Fourier(0.1, [0.2, 0.1], [0.3], 0.7),
+    ),
+}
+
+
+@pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
+@pytest.mark.parametrize("kind", SIGNAL_CASES)
+def test_prescribed(kind: str, engine: str, tmp_path: Path) -> None:
+    """A joint that follows a signal of a file moves as one that follows it in Python."""
+    text, signal = SIGNAL_CASES[kind]
+    written(tmp_path, CSV, "t.csv")
+    scene = pinred.load_scene(written(tmp_path, f"{HEAD}[prescribed]\nsway = {text}\n"))
+    assert_same_motion(scene, scene_in_python(prescribed={"sway": signal}), engine)
+    t = scene.report_times
+    np.testing.assert_allclose(pinred.simulate(scene).x[:, 1], signal.value(t), atol=1e-12)
+
+
+def test_springs_and_joints_by_name(tmp_path: Path) -> None:
+    """Springs in short, and shapes by name, are those of Python."""
+    text = (
+        "robot = 'falling_cat'\nsprings = { bend = [2, 0.1], twist = [1.0, 0] }\n"
+        "[start]\nx0 = { twist = 0.4 }\nxdot0 = { bend = 1 }\nmomentum = 0\n"
+        "pose0 = [1, 2, 3, 0, 0, 0, 1]\n"
+        "[run]\ntimes = [0, 0.1, 0.5]\nrtol = 1e-9\natol = 1e-11\noutputs = 'shape'\n"
+    )
+    other = pinred.Scene(
+        system=pinred.load("falling_cat"),
+        x0=[0.0, 0.0, 0.4], xdot0=[1.0, 0.0, 0.0], momentum=0, pose0=[1, 2, 3, 0, 0, 0, 1],
+        times=[0.0, 0.1, 0.5], rtol=1e-9, atol=1e-11, outputs="shape",
+        springs={"bend": (2.0, 0.1), "twist": (1.0, 0.0)},
+    )  # fmt: skip
+    assert_same_motion(pinred.load_scene(written(tmp_path, text)), other)
+
+
+@pytest.mark.parametrize(
+    ("text", "method"),
+    [
+        ("{ name = 'auto' }", "auto"),
+        ("{ name = 'RKMK4', step = 0.01 }", RKMK4(0.01)),
+        ("{ name = 'DOP853', rtol = 1e-8, max_step = 0.05 }", DOP853(rtol=1e-8, max_step=0.05)),
+        ("{ name = 'Gauss', step = 0.01, order = 4 }", Gauss(0.01, 4)),
+        ("{ name = 'AdaptiveGauss' }", AdaptiveGauss()),
+        ("{ name = 'Variational', step = 0.02 }", Variational(0.02)),
+        ("{ name = 'Radau', atol = 1e-7 }", Radau(atol=1e-7)),
+    ],
+)
+def test_methods(text: str, method: Any, tmp_path: Path) -> None:
+    """An integrator from a file is the one of Python."""
+    scene = pinred.load_scene(
+        written(tmp_path, f"robot='cartpole'\nrun={{duration=0.5, method={text}}}")
+    )
+    assert scene.method == method
+    assert_same_motion(
+        scene, pinred.Scene(system=pinred.load("cartpole"), duration=0.5, method=method)
+    )
+
+
+def test_load_and_seed(tmp_path: Path) -> None:
+    """Group, gravity, locked joints and the seed go where they go in Python."""
+    text = (
+        "robot = 'satellite_two_arms'\nstart = { seed = 3 }\nrun = { duration = 0.3 }\n"
+        "[load]\ngroup = 'SE3'\ngravity = [0, 0, -2]\n"
+        "lock = { left_wrist = 0.3, right_elbow = 0 }\n"
+    )
+    scene = pinred.load_scene(written(tmp_path, text))
+    system = pinred.load(
+        "satellite_two_arms", group="SE3", gravity=[0, 0, -2],
+        lock={"left_wrist": 0.3, "right_elbow": 0.0},
+    )  # fmt: skip
+    assert scene.system.shape_names == system.shape_names
+    assert_same_motion(scene, pinred.Scene(system=system, seed=3, duration=0.3))
+    listed = text.replace("{ left_wrist = 0.3, right_elbow = 0 }", "['left_wrist', 'right_elbow']")
+    assert pinred.load_scene(written(tmp_path, listed)).system.m == 4
+
+
+def test_files_count_from_the_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot's file and a table are found beside the scene, from wherever it is run."""
+    (tmp_path / "models").mkdir()
+    robot = (EXAMPLES / "heavy_top.urdf").read_text(encoding="utf-8")
+    written(tmp_path, robot, "models/top.urdf")
+    written(tmp_path, robot, "plain")
+    written(tmp_path, "0,0\n1,0.1\n", "models/t.csv")
+    monkeypatch.chdir(EXAMPLES)
+    for name in ("models/top.urdf", "plain", str(tmp_path / "models/top.urdf")):
+        text = (
+            f"robot = '{name}'\nload = {{ group = 'SO3' }}\nstart = {{ xi0 = [0, 0.1, 1] }}\n"
+            "run = { duration = 0.1 }\n[[forces]]\nkind = 'wrench'\n"
+            "function = [{ linear = { file = 'models/t.csv' } }, 0, 0]\n"
+        )
+        scene = pinred.load_scene(written(tmp_path, text))
+        assert scene.system.mass == pytest.approx(1.0)
+    assert read_scene_file(tmp_path / "scene.toml").engine == "compiled"
+
+
+def test_momentum_of_one_number(tmp_path: Path) -> None:
+    """On a group of one dimension the momentum is a number."""
+    text = "robot = 'cartpole'\nstart = { x0 = [0.2], momentum = 0.7 }\n"
+    scene = pinred.load_scene(written(tmp_path, text))
+    assert scene.start.mu == pytest.approx([0.7])
+
+
+def test_keys_are_those_of_python() -> None:
+    """Every option of the Python API has its key, by the same name, and no other is there."""
+    scene = {entry.name for entry in fields(pinred.Scene)} - {"system"}
+    keys = {*START.keys, *RUN.keys, "springs", "forces", "prescribed"}
+    assert keys == scene | {"samples", "engine"}
+    assert set(LOAD.keys) == {"group", "gravity", "lock"}
+    for name, table in FORCES.items():
+        wanted = {entry.name for entry in fields(_FORCES[name])}  # type: ignore[arg-type]
+        assert set(table.keys) - {"smooth"} == wanted
+        assert ("smooth" in table.keys) == ("limit" in wanted)
+    assert set(_METHODS) == {"auto", *METHODS}
+    for name, method in METHODS.items():
+        assert set(_METHODS[name].keys) == {entry.name for entry in fields(method)}
+        for entry in fields(method):  # the defaults are as the tables say
+            said = _METHODS[name].keys[entry.name].default
+            if entry.default is MISSING:
+                assert said == ""
+            elif said != "none":
+                assert said == entry.default or float(said) == entry.default
+    assert ENDS == _ENDS
+    assert tuple(GROUPS) == GROUP_KEYS
+
+
+PATHS = sorted(EXAMPLES.glob("*.toml"))
+
+
+@pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
+def test_examples(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every example passes the comparison with ABA, from any folder, cut to a second."""
+    if "solo12" in path.stem and not has_example_robots():
+        pytest.skip("needs example-robot-data")
+    monkeypatch.chdir(tmp_path)
+    assert path.read_text(encoding="utf-8").startswith("# ")
+    assert main(["run", str(path), "--check"]) == 0
+    assert capsys.readouterr().out.startswith("ok: ")
+    full = pinred.load_scene(path)
+    traj = pinred.simulate(full, times=None, duration=min(full.end, 1.0))
+    report = pinred.compare(traj)
+    assert report.passed
+    # The other route is as near.
+    readable = pinred.simulate(traj.scene, method="auto", engine="pinocchio")
+    worst = max(report.shape_bound, report.rotation_bound, report.position_bound)
+    scale = max(1.0, float(np.abs(traj.q).max()))
+    np.testing.assert_allclose(readable.q, traj.q, rtol=0, atol=2 * worst * scale)
+
+
+def test_the_cat_turns_over() -> None:
+    """The example turns the cat by half a turn, about its long axis, without momentum."""
+    traj = pinred.simulate(pinred.load_scene(EXAMPLES / "cat_turns_over.toml"))
+    group = traj.system.group
+    turn = group.log(group.compose(group.inverse(traj.pose[0]), traj.pose[-1]))[3:]
+    assert math.pi - 0.05 < np.linalg.norm(turn) < math.pi + 0.05
+    assert abs(turn[0]) > 0.99 * np.linalg.norm(turn)
+    np.testing.assert_allclose(traj.x[-1], 0.0, atol=1e-12)
+    model, data = traj.system.model, traj.system.model.createData()
+    for q, v in zip(traj.q, traj.v, strict=True):
+        momentum = pin.computeCentroidalMomentum(model, data, q, v)
+        np.testing.assert_allclose(momentum.angular, 0.0, atol=1e-12)
+
+
+def test_the_top_precesses_steadily() -> None:
+    """The example precesses by 2 rad/s at a tilt of 60° (Lagrange)."""
+    traj = pinred.simulate(pinred.load_scene(EXAMPLES / "heavy_top.toml"))
+    axis = traj.system.group.matrix(traj.pose)[:, :3, 2]
+    np.testing.assert_allclose(axis[:, 2], 0.5, atol=1e-8)
+    turned = np.unwrap(np.arctan2(axis[:, 1], axis[:, 0]))
+    np.testing.assert_allclose(turned - turned[0], 2.0 * traj.t, atol=1e-7)
+
+
+def test_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command prints the table, writes the file, judges and returns 0."""
+    path, out = str(EXAMPLES / "thruster.toml"), tmp_path / "traj.npz"
+    assert main(["run", path, "--out", str(out), "--compare", "--explain"]) == 0
+    printed = capsys.readouterr().out
+    traj = pinred.simulate(pinred.load_scene(path))
+    work = traj.energy_balance.work[-1, 0]
+    for words in (
+        "skipped: ", "reaction_wheel_satellite: SE3 × 4 joints, 5 s", "steps ", "wall time",
+        f"work of thruster [J]  {work:.6g}", "energy balance", "momentum balance",
+        f"written to {out}", "verdict: PASSED",
+    ):  # fmt: skip
+        assert words in printed
+    with np.load(out) as file:
+        np.testing.assert_array_equal(file["q"], traj.q)
+
+
+def test_run_fails_with_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A motion that is followed too coarsely does not pass, and the exit code is 1."""
+    text = "robot = 'falling_cat'\nrun = { duration = 1, method = { name = 'RKMK4', step = 0.2 } }"
+    assert main(["run", str(written(tmp_path, text)), "--compare"]) == 1
+    assert "verdict: FAILED" in capsys.readouterr().out
+
+
+def test_run_engine_and_shape(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The engine of the file runs unless the command line says another; no base, no balance."""
+    path = written(
+        tmp_path,
+        "robot = 'cartpole'\nrun = { duration = 0.2, engine = 'pinocchio', outputs = 'shape' }",
+    )
+    assert main(["run", str(path)]) == 0
+    printed = capsys.readouterr().out
+    assert "(pinocchio)" in printed
+    assert "no balance" in printed
+    assert main(["run", str(path), "--engine", "compiled"]) == 0
+    assert "(compiled)" in capsys.readouterr().out
+
+
+def test_same_scene_same_bits(tmp_path: Path) -> None:
+    """Two processes write the same bytes."""
+    files = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    for seed, file in enumerate(files):
+        subprocess.run(
+            [sys.executable, "-m", "pinred", "run", str(EXAMPLES / "thruster.toml"), "--out", file],
+            check=True, capture_output=True,
+            env=dict(os.environ, PYTHONHASHSEED=str(seed)),
+        )  # fmt: skip
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_methods_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """--method, --step and --outputs of simulate and compare are the options of Scene."""
+    out = tmp_path / "traj.npz"
+    arguments = ["simulate", "falling_cat", "--time", "0.5", "--out", str(out), "--samples", "5"]
+    extra = ["--method", "RKMK4", "--step", "0.01", "--outputs", "shape"]
+    assert main([*arguments, *extra]) == 0
+    assert "RKMK4" in capsys.readouterr().out
+    traj = pinred.simulate(
+        pinred.load("falling_cat"), duration=0.5, times=np.linspace(0, 0.5, 5),
+        method=RKMK4(0.01), outputs="shape",
+    )  # fmt: skip
+    with np.load(out) as file:
+        np.testing.assert_array_equal(file["x"], traj.x)
+        assert "pose" not in file
+    for given, method in (
+        (["--method", "Gauss", "--step", "0.01", "--order", "4"], Gauss(0.01, 4)),
+        (["--method", "Variational", "--step", "0.01"], Variational(0.01)),
+        (["--method", "Radau", "--rtol", "1e-6"], Radau(1e-6, 1e-12)),
+    ):
+        assert main([*arguments, *given]) == 0
+        assert method.name in capsys.readouterr().out
+        found = pinred.simulate(
+            pinred.load("falling_cat"), times=np.linspace(0, 0.5, 5), method=method
+        )
+        with np.load(out) as file:
+            np.testing.assert_array_equal(file["x"], found.x)
+    for wrong, words in (
+        (["--method", "RKMK4"], "go together"),
+        (["--step", "0.1"], "go together"),
+        (["--method", "Euler"], f"the methods are {', '.join(METHODS)}"),
+        (["--method", "Radau", "--order", "4"], "--order P goes with --method Gauss"),
+        (["--method", "Gauss", "--step", "0.1", "--order", "5"], "order must be one of 2"),
+        (["--outputs", "base"], "outputs must be one of all, shape"),
+        ([*extra, "--engine", "pinocchio"], "give no method"),
+    ):
+        assert main([*arguments, *wrong]) == 2
+        assert words in capsys.readouterr().err

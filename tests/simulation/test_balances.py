@@ -1,0 +1,112 @@
+"""Balances of energy and momentum against quadratures and closed forms of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from forced_trees import tree
+from scipy.integrate import cumulative_simpson
+
+import pinred
+from pinred.forces import Controller, Damper, Spring, Torque, Wrench
+from pinred.scene.scene import ENGINES, Engine
+from pinred.signals import Fourier, Hold
+
+G = np.array([0.5, 0.0, -3.0])  # of tree("SE3", …)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_impulse_of_gravity(engine: Engine) -> None:
+    """In free fall m g t, and about the origin ∫ c × m g with c on its parabola."""
+    system = tree("SE3", 2, 4)
+    traj = pinred.simulate(system, seed=1, duration=1.5, engine=engine)
+    model, data, t = system.model, system.model.createData(), traj.t[:, None]
+    pin.centerOfMass(model, data, traj.q[0], traj.v[0])
+    place = model.jointPlacements[1]
+    c0, v0 = data.com[0] - place.translation, data.vcom[0]
+    weight = system.mass * G
+    about = np.cross(c0 * t + 0.5 * v0 * t**2, weight)  # g × g is zero
+    expected = np.hstack([weight * t @ place.rotation, about @ place.rotation])
+    balance = traj.momentum_balance
+    np.testing.assert_allclose(balance.impulse, expected, atol=1e-9)
+    np.testing.assert_allclose(balance.residual, 0.0, atol=1e-9)
+    np.testing.assert_array_equal(balance.momentum, traj.spatial_momentum)
+    assert traj.energy_balance.labels == ()
+    np.testing.assert_allclose(traj.energy_balance.residual, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_work_of_each(engine: Engine) -> None:
+    """Each label's work is ∫ τ·ẋ dt, or ∫ f·ξ dt, by Simpson's rule on the trajectory."""
+    system = tree("SE3", 3, 6)
+    a, b, c = system.shape_names
+    push = np.array([0.4, 0.0, -0.3, 0.1, 0.2, 0.0])
+    forces = [
+        Spring(a, 2.0),
+        Damper(a, 0.3),
+        Torque({b: Hold([0.0, 0.5], [0.4, -0.2])}, name="table"),
+        Controller(lambda t, *_: [0.1 if t < 0.6 else -0.3], 0.25, (b,), name="robot"),
+        Wrench(push.tolist(), name="jet"),
+    ]
+    plan = {c: Fourier(0.0, [], [0.4], 1.0)}
+    traj = pinred.simulate(
+        system, seed=2, duration=1.0, forces=forces, prescribed=plan, engine=engine,
+        times=np.linspace(0.0, 1.0, 201),
+    )  # fmt: skip
+    balance, t = traj.energy_balance, traj.t
+    assert balance.labels == (f"damper {a}", "table", "robot", "jet", "prescribed joints")
+    x, at = traj.x[:, 1], {s: float(traj(s).x[1]) for s in (0.5, 0.75)}
+    table = np.where(t < 0.5, 0.4 * (x - x[0]), 0.4 * (at[0.5] - x[0]) - 0.2 * (x - at[0.5]))
+    robot = np.where(t < 0.75, 0.1 * (x - x[0]), 0.1 * (at[0.75] - x[0]) - 0.3 * (x - at[0.75]))
+    for k, work in ((1, table), (2, robot)):
+        np.testing.assert_allclose(balance.work[:, k], work, atol=1e-8)
+    # The others by Simpson's rule, as long as nothing jumps.
+    powers = {
+        0: -0.3 * traj.xdot[:, 0] ** 2,
+        3: traj.xi @ push,
+        4: traj.driving_torques[:, 0] * traj.xdot[:, 2],
+    }
+    for k, power in powers.items():
+        work = cumulative_simpson(power, x=t, initial=0.0)
+        np.testing.assert_allclose(balance.work[:98:2, k], work[:98:2], atol=1e-8)
+    np.testing.assert_allclose(balance.residual, 0.0, atol=1e-8)
+    # The energy is Pinocchio's, and the spring's.
+    bare = system.model.copy()
+    armature, bare.armature = np.array(bare.armature), np.zeros(bare.nv)
+    data = bare.createData()
+    energy = [
+        pin.computeKineticEnergy(bare, data, q, v)
+        + 0.5 * armature @ v**2
+        + pin.computePotentialEnergy(bare, data, q)
+        for q, v in zip(traj.q[::20], traj.v[::20], strict=True)
+    ]
+    expected = np.array(energy) + traj.x[::20, 0] ** 2
+    np.testing.assert_allclose(balance.energy[::20], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_impulse_of_a_wrench(engine: Engine) -> None:
+    """On a tumbling body: ∫ R F dt and ∫ (p × R F + R N) dt by Simpson's rule."""
+    system = pinred.load("rigid_body", group="SE3", gravity=(0.0, 0.0, 0.0))
+    push = np.array([0.4, -0.1, -0.3, 0.1, 0.2, 0.3])
+    traj = pinred.simulate(
+        system, xi0=[0.1, 0.2, 0.3, 0.5, 0.7, 1.6], forces=[Wrench(push.tolist())],
+        times=np.linspace(0.0, 1.0, 201), engine=engine,
+    )  # fmt: skip
+    R = np.array([pin.Quaternion(g[3:]).matrix() for g in traj.pose])
+    F, N = R @ push[:3], R @ push[3:]
+    given = np.hstack([F, np.cross(traj.pose[:, :3], F) + N])
+    expected = cumulative_simpson(given, x=traj.t, axis=0, initial=0.0)[::2]
+    np.testing.assert_allclose(traj.momentum_balance.impulse[::2], expected, atol=1e-8)
+    np.testing.assert_allclose(traj.momentum_balance.residual, 0.0, atol=1e-8)
+
+
+def test_times_that_start_late() -> None:
+    """A balance is since the start of the motion, whatever times are asked for."""
+    system = pinred.load("elroys_beanie")
+    damper = [Damper("beanie", 0.5)]
+    whole = pinred.simulate(system, duration=2.0, forces=damper, times=[0.0, 1.0, 2.0])
+    late = pinred.simulate(system, duration=2.0, forces=damper, times=[1.0, 2.0])
+    np.testing.assert_allclose(late.energy_balance.work, whole.energy_balance.work[1:], rtol=1e-9)
+    np.testing.assert_allclose(late.energy_balance.residual, 0.0, atol=1e-9)

@@ -1,0 +1,426 @@
+"""Refusals: what pinred cannot reduce raises a typed error that names the culprit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from robot_texts import FLOATING, HINGE, MASS, body, joint, link, mjcf, robot, write
+from trees import random_model
+
+import pinred
+from pinred import InputError, LoadError, ModelError, PinredError, ShapeError
+from pinred.common.arrays import Array
+
+FREE = "<freejoint/>"
+Z = '<axis xyz="0 0 1"/>'
+
+
+def inertial(mass: str = "2", ixx: str = "1", izz: str = "2.5", xyz: str = "0 0 0") -> str:
+    """A URDF inertial element with anything in its attributes."""
+    return (
+        f'<inertial><origin xyz="{xyz}"/><mass value="{mass}"/><inertia ixx="{ixx}" iyy="2" '
+        f'izz="{izz}" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+
+
+def with_b(inside: str) -> str:
+    """A floating URDF whose moving link 'bee' has the given inertial element."""
+    return robot(link("a"), f'<link name="bee">{inside}</link>', joint("a", "bee"))
+
+
+def with_merged(inside: str) -> str:
+    """The same, with the inertial element in a link 'sea' that is fixed to a heavier one."""
+    sea = f'<link name="sea">{inside}</link>'
+    return robot(link("a"), link("b", 9), sea, joint("a", "b"), joint("b", "sea", "fixed"))
+
+
+def three(*joints: str) -> str:
+    """Links a, b, c on the given joints, one of them a-b."""
+    return robot(*(link(name) for name in "abc"), joint("a", "b"), *joints)
+
+
+def chain(kind: str, inside: str = Z) -> str:
+    """Three links in a row, the last on a joint 'b-c' of the kind."""
+    return three(joint("b", "c", kind, inside))
+
+
+def on_arm(joints: str, inside: str = MASS, head: str = "", more: str = "") -> str:
+    """A free MJCF body that carries an arm on the given joints."""
+    return mjcf(body(f'{FREE}<body name="arm" {more}>{joints}{inside}</body>'), head)
+
+
+BALL = '<joint name="socket" type="ball"/>'
+BEE, SEA = "'bee'", "'sea'"
+MIMIC = chain("revolute", '<mimic joint="a-b"/>')
+TIED = '<equality><weld name="tie" body1="base" active="true"/></equality>'
+TWO = HINGE + '<joint name="second" axis="1 0 0"/>'
+
+# text of the file; the error; what its message says
+FILES: dict[str, tuple[str, type[PinredError], list[str]]] = {
+    "empty": ("", LoadError, ["arm.urdf", "not XML"]),
+    "not XML": ("robot: r", LoadError, ["arm.urdf", "not XML"]),
+    "entities": ('<!DOCTYPE r SYSTEM "r.dtd"><robot>&e;</robot>', LoadError, ["arm.urdf"]),
+    "entity in a mass": (
+        '<!DOCTYPE r [<!ENTITY m "2">]>' + with_merged(inertial("&m;")),
+        LoadError, ["arm.urdf", "document type"],
+    ),
+    "another format": ("<sdf/>", LoadError, ["arm.urdf", "<sdf>", "URDF"]),
+    "encoding unknown": ('<?xml version="1.0" encoding="u-8"?><robot/>', LoadError, ["arm.urdf"]),
+    "no links": (robot(), LoadError, ["arm.urdf"]),
+    "two roots": (robot(link("a"), link("b")), LoadError, ["arm.urdf"]),
+    "link twice": (robot(link("a"), link("a")), LoadError, ["arm.urdf"]),
+    "cycle": (robot(link("a"), link("b"), joint("a", "b"), joint("b", "a")), ModelError, ["cycle"]),
+    "cycle beside the root": (
+        robot(*(link(n) for n in "abc"), joint("b", "c"), joint("c", "b")), ModelError, ["cycle"],
+    ),
+    "loop": (three(joint("a", "c"), joint("b", "c")), PinredError, ["'c'"]),
+    "loop, fixed": (three(joint("a", "c"), joint("b", "c", "fixed")), PinredError, ["'c'"]),
+    "joint of unknown kind": (chain("spring"), LoadError, ["arm.urdf"]),
+    "axis not finite": (chain("revolute", '<axis xyz="nan 0 1"/>'), ModelError, ["b-c", "axis"]),
+    "axis zero": (chain("revolute", '<axis xyz="0 0 0"/>'), PinredError, ["b-c", "axis"]),
+    "axis zero, sliding": (chain("prismatic", '<axis xyz="0 0 0"/>'), PinredError, ["b-c", "axis"]),
+    "axis empty": (chain("continuous", "<axis/>"), PinredError, ["b-c", "axis"]),
+    "mimic": (MIMIC, ModelError, ["mimic", "b-c", "lock"]),
+    "floating inside": (chain("floating"), ModelError, ["b-c", "6 degrees of freedom"]),
+    "planar inside": (chain("planar"), ModelError, ["b-c", "3 degrees of freedom"]),
+    "planar, another normal": (
+        robot(link("w", 0), link("a"), joint("w", "a", "planar", '<axis xyz="1 0 0"/>')),
+        ModelError, ["w-a", "normal", "origin"],
+    ),
+    "no mass at all": (robot(link("world", 0)), ModelError, ["world", "no mass"]),
+    "no mass, moving": (with_b(""), ModelError, [BEE, "a-bee", "no mass", "lock"]),
+    "no mass, in the middle": (
+        chain("revolute").replace(link("b"), link("b", 0)), ModelError, ["'b'", "a-b", "no mass"],
+    ),
+    "mass zero": (with_b(inertial("0")), ModelError, [BEE, "no mass"]),
+    "mass negative": (with_b(inertial("-2")), ModelError, [BEE, "negative mass -2"]),
+    "mass negative, merged": (with_merged(inertial("-2")), ModelError, [SEA, "negative mass"]),
+    "mass not finite": (with_b(inertial("nan")), ModelError, [BEE, "finite", "nan"]),
+    "mass overflows": (with_merged(inertial("1e999")), ModelError, [SEA, "finite"]),
+    "mass missing": (with_merged(re.sub("<mass[^>]*>", "", inertial())), PinredError, [SEA]),
+    "moments missing": (
+        with_merged(re.sub("<inertia ixx[^>]*>", "", inertial())), PinredError, [SEA],
+    ),
+    "moment missing": (with_merged(inertial().replace("ixx", "x")), PinredError, [SEA]),
+    "moment not finite": (with_merged(inertial(ixx="nan")), PinredError, [SEA]),
+    "moments zero": (with_b(inertial(ixx="0")), ModelError, [BEE, "positive"]),
+    "moments negative": (with_b(inertial(ixx="-1")), ModelError, [BEE, "positive"]),
+    "triangle": (with_b(inertial(izz="3.1")), ModelError, [BEE, "a-bee", "triangle inequality"]),
+    "centre of mass": (with_merged(inertial(xyz="nan 0 0")), PinredError, [SEA]),
+    "frame of inertia": (
+        with_merged(inertial().replace('xyz="0', 'rpy="x')), PinredError, [SEA],
+    ),
+    "two joints on the anchor": (
+        robot(link("w", 0), link("a"), link("b"), joint("w", "a"), joint("w", "b")),
+        ModelError, ["'w'", "no mass"],
+    ),
+    "two floating bodies": (
+        robot(link("w", 0), link("a"), link("b"), *(joint("w", n, "floating") for n in "ab")),
+        ModelError, ["w-b", "fixed world", "w-a"],
+    ),
+    "MJCF no body": (mjcf(""), LoadError, ["arm.xml"]),
+    "MJCF two bodies": (mjcf(body(FREE) + body(FREE, "other")), PinredError, ["other"]),
+    "MJCF no mass": (on_arm(HINGE, ""), ModelError, ["'arm'", "hinge", "no mass"]),
+    "MJCF mass negative": (
+        on_arm("", MASS.replace('"2"', '"-2"')), ModelError, ["'arm'", "negative mass"],
+    ),
+    "MJCF mass in a mesh": (on_arm(HINGE, '<geom type="mesh" mesh="m"/>'), ModelError, ["'arm'"]),
+    "MJCF mass in a mesh by default": (
+        on_arm(HINGE, "<geom/>", '<default><geom type="mesh" mesh="m"/></default>'),
+        PinredError, ["'arm'"],
+    ),
+    "MJCF mass in a plane": (
+        on_arm(HINGE, '<geom type="plane" size="1 1 1"/>'), PinredError, ["'arm'"],
+    ),
+    "MJCF mass negative in a geom": (
+        on_arm(HINGE, '<geom size="1"/><geom size="1" mass="-1"/>'), PinredError, ["'arm'"],
+    ),
+    "MJCF geom too short": (
+        on_arm(HINGE, '<geom type="capsule" size="0.1" fromto="0 0 0 1 1"/>'),
+        PinredError, ["'arm'"],
+    ),
+    "MJCF armature bad by default": (
+        on_arm('<joint name="h"/>', head='<default><joint armature="nan"/></default>'),
+        PinredError, ["armature"],
+    ),
+    "MJCF moments missing": (
+        on_arm(HINGE, '<inertial pos="0 0 0" mass="1"/>'), PinredError, ["'arm'"],
+    ),
+    "MJCF ball inside": (on_arm(BALL), ModelError, ["socket", "3 degrees of freedom"]),
+    "MJCF two hinges": (on_arm(TWO), ModelError, ["hinge", "2 degrees of freedom"]),
+    "MJCF axis zero": (on_arm('<joint name="h" axis="0 0 0"/>'), PinredError, ["'h'", "axis"]),
+    "MJCF axis bad": (on_arm('<joint name="h" axis="a b c"/>'), PinredError, ["'h'", "axis"]),
+    "MJCF position bad": (on_arm(HINGE, more='pos="1 2"'), PinredError, ["'arm'"]),
+    "MJCF class unknown": (on_arm(HINGE, more='childclass="none"'), LoadError, ["arm.xml"]),
+    "MJCF armature bad": (on_arm('<joint name="h" armature="nan"/>'), PinredError, ["armature"]),
+    "MJCF armature negative": (
+        on_arm('<joint name="h" armature="-1"/>'), ModelError, ["armature", "-1"],
+    ),
+    "MJCF armature on the root": (
+        mjcf(body('<joint name="j" type="ball" armature="1"/>')), ModelError, ["'j'", "armature"],
+    ),
+    "MJCF equality": (on_arm(HINGE, head=TIED), ModelError, ["weld", "tie", "active"]),
+    "MJCF gravity bad": (
+        on_arm(HINGE, head='<option gravity="0 nan 0"/>'), ModelError, ["gravity", "0 nan 0"],
+    ),
+    "MJCF include": (on_arm(HINGE, head='<include file="b.xml"/>'), PinredError, ["b.xml"]),
+}  # fmt: skip
+
+
+def refused(action: Callable[[], object], error: type[PinredError], words: list[str]) -> str:
+    """Check that the action raises the error with the words in its message; return that."""
+    with pytest.raises(error) as caught:
+        action()
+    message = str(caught.value)
+    assert [word for word in words if word not in message] == [], message
+    return message
+
+
+@pytest.mark.parametrize("row", FILES.values(), ids=FILES.keys())
+def test_file(tmp_path: Path, row: tuple[str, type[PinredError], list[str]]) -> None:
+    """The file is refused and the message names the joint, the link or the file."""
+    text, error, words = row
+    refused(lambda: pinred.load(write(tmp_path, text)), error, words)
+
+
+# text of the file; the mass that is in it
+WHOLE = {
+    "mass, space": (with_merged(inertial("2 ")), 13.0),
+    "centre of mass, tab": (with_merged(inertial(xyz="0\t0\t0")), 13.0),
+    "MJCF frame": (mjcf(body(f"{FREE}<frame>{body('', 'lid')}</frame>")), 4.0),
+    "MJCF replicate": (
+        mjcf(body(f"{FREE}<replicate count='2'>{body('', 'lid')}</replicate>")),
+        6.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("row", WHOLE.values(), ids=WHOLE.keys())
+def test_read_whole_or_refused(tmp_path: Path, row: tuple[str, float]) -> None:
+    """No body and no inertia is dropped without a word."""
+    text, mass = row
+    try:
+        system = pinred.load(write(tmp_path, text))
+    except PinredError:
+        return
+    assert system.mass == pytest.approx(mass)
+
+
+TURN = 'euler="0 0 1.5707963267948966"'
+QUARTER = pin.exp3(np.array([0.0, 0.0, np.pi / 2]))
+# the head of an MJCF file; the gravity and the placement of a joint with TURN that follow
+HEADS = {
+    "compiler twice": ('<compiler/><compiler angle="radian"/>', -9.81, QUARTER),
+    "option twice": ('<option timestep="1"/><option gravity="0 0 -1"/>', -1.0, None),
+    "flag": ('<option><flag gravity="disable"/></option>', 0.0, None),
+}
+
+
+@pytest.mark.parametrize("row", HEADS.values(), ids=HEADS.keys())
+def test_mjcf_settings_are_honoured_or_refused(
+    tmp_path: Path, row: tuple[str, float, Array | None]
+) -> None:
+    """A setting that Pinocchio passes over does not silently keep its default."""
+    head, gravity, turned = row
+    try:
+        system = pinred.load(write(tmp_path, on_arm(HINGE, head=head, more=TURN)))
+    except PinredError:
+        return
+    assert system.gravity == pytest.approx([0.0, 0.0, gravity])
+    if turned is not None:
+        assert system.model.jointPlacements[2].rotation == pytest.approx(turned, abs=1e-9)
+
+
+def test_group_mismatch(tmp_path: Path) -> None:
+    """An anchored root keeps its group; the message says which it is and three ways out."""
+    path = write(tmp_path, robot(link("w", 0), link("a"), joint("w", "a")))
+    words = ["SE3", "SO2", "w-a", "lock", "mass"]
+    refused(lambda: pinred.load(path, group="SE3"), ModelError, words)
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        (chain("planar"), "b-c"),
+        (chain("floating"), "b-c"),
+        (on_arm(BALL), "socket"),
+        (on_arm(TWO), "Composite_hinge"),
+        (MIMIC, "b-c"),
+    ],
+    ids=["planar", "floating", "ball", "two hinges", "mimic"],
+)
+def test_locking_is_a_way_out_where_the_message_says_so(
+    tmp_path: Path, text: str, name: str
+) -> None:
+    """If the refusal advises to lock the joint, locking it works."""
+    path = write(tmp_path, text)
+    message = refused(lambda: pinred.load(path), ModelError, [name])
+    if "lock" in message:
+        assert name not in pinred.load(path, lock=[name]).shape_names
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"\x7fELF\0\1\2\xff", b"\0" * 64, FLOATING.encode("utf-16"), FLOATING.encode()[:40]],
+    ids=["binary", "zeros", "UTF-16", "cut"],
+)
+def test_content_that_is_no_text(tmp_path: Path, content: bytes) -> None:
+    """Bytes that are no URDF raise LoadError with the path."""
+    path = tmp_path / "robot.urdf"
+    path.write_bytes(content)
+    refused(lambda: pinred.load(path), LoadError, [str(path)])
+
+
+def test_latin_1(tmp_path: Path) -> None:
+    """An encoding Pinocchio cannot read is refused, not half read."""
+    path = tmp_path / "robot.urdf"
+    text = '<?xml version="1.0" encoding="iso-8859-1"?>' + FLOATING.replace("a-b", "épaule")
+    path.write_text(text, encoding="iso-8859-1")
+    refused(lambda: pinred.load(path), PinredError, ["robot.urdf"])
+
+
+def test_nothing_to_refuse(tmp_path: Path) -> None:
+    """A constraint switched off, a byte order mark, spaces and any script in names are fine."""
+    assert pinred.load(write(tmp_path, on_arm(HINGE, head=TIED.replace("true", "false")))).m == 1
+    path = tmp_path / "mon robot.urdf"
+    path.write_text(FLOATING.replace("a-b", "épaule 肩"), encoding="utf-8-sig")
+    system = pinred.load(path)
+    assert (system.name, system.shape_names) == ("mon robot", ("épaule 肩",))
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("none/none.urdf", ["none/none.urdf", "no such file"]),
+        ("none.xml", ["none.xml", "no such file"]),
+        (Path("/"), ["/"]),
+        ("falling_dog", ["falling_dog", "falling_cat", "pinred robots"]),
+        ("", ["''"]),
+        ("a" * 300, ["aaa"]),
+        (FLOATING, ["<robot"]),
+    ],
+    ids=["path", "suffix", "folder", "misspelt", "empty", "long", "text of a URDF"],
+)
+def test_nothing_there(source: str | Path, words: list[str]) -> None:
+    """A source that does not exist raises LoadError with its name."""
+    refused(lambda: pinred.load(source), LoadError, words)
+
+
+ARGUMENTS: dict[str, tuple[dict[str, Any], type[PinredError], list[str]]] = {
+    "group unknown": ({"group": "SE4"}, InputError, ["SE4", "SE2", "SO3"]),
+    "group in small letters": ({"group": "se3"}, InputError, ["se3", "SE3"]),
+    "group of another type": ({"group": 3}, InputError, ["3", "SE3"]),
+    "lock unknown": ({"lock": ["elbow"]}, InputError, ["elbow", "a-b"]),
+    "lock the world": ({"lock": ["universe"]}, InputError, ["universe", "a-b"]),
+    "lock a link": ({"lock": ["b"]}, InputError, ["'b'", "a-b"]),
+    "lock text": ({"lock": "a-b"}, InputError, ["a-b", "list"]),
+    "lock nothing": ({"lock": None}, InputError, ["lock", "None"]),
+    "lock a number": ({"lock": 1}, InputError, ["lock", "1"]),
+    "lock at text": ({"lock": {"a-b": "up"}}, InputError, ["a-b", "up"]),
+    "lock at nothing": ({"lock": {"a-b": None}}, InputError, ["a-b", "None"]),
+    "lock not finite": ({"lock": {"a-b": np.nan}}, InputError, ["a-b", "finite", "nan"]),
+    "gravity too short": ({"gravity": [0, -9.81]}, ShapeError, ["gravity", "(3,)", "(2,)"]),
+    "gravity a number": ({"gravity": 9.81}, ShapeError, ["gravity", "(3,)", "()"]),
+    "gravity not finite": ({"gravity": [0, 0, np.inf]}, ShapeError, ["gravity", "entry 2", "inf"]),
+    "gravity text": ({"gravity": "down"}, ShapeError, ["gravity", "down"]),
+}
+
+
+@pytest.mark.parametrize("row", ARGUMENTS.values(), ids=ARGUMENTS.keys())
+def test_argument(tmp_path: Path, row: tuple[dict[str, Any], type[PinredError], list[str]]) -> None:
+    """A bad argument raises InputError that says what was given and what could be."""
+    arguments, error, words = row
+    path = write(tmp_path, FLOATING)
+    refused(lambda: pinred.load(path, **arguments), error, words)
+
+
+def grown(kind: pin.JointModel, parent: int = 1, mass: float = 1.0) -> pin.Model:
+    """A free tree joint0-joint1 with a further joint 'odd' on the parent."""
+    return add(random_model("SE3", 1, seed=0), kind, "odd", parent, mass)
+
+
+def add(
+    model: pin.Model, kind: pin.JointModel, name: str, parent: int, mass: float = 1.0, z: float = 0
+) -> pin.Model:
+    """Add a joint and its body at height z; return the model."""
+    i = model.addJoint(parent, kind, pin.SE3(np.eye(3), np.array([0.0, 0.0, z])), name)
+    model.appendBodyToJoint(i, pin.Inertia(mass, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    return model
+
+
+def changed(**attributes: Any) -> pin.Model:
+    """A sound model with some attributes changed."""
+    model = grown(pin.JointModelRX())
+    for name, value in attributes.items():
+        setattr(model, name, value)
+    return model
+
+
+RX, E = pin.JointModelRX(), np.eye(3)
+MODELS: dict[str, tuple[Callable[[], pin.Model], list[str]]] = {
+    "no joint, no mass": (pin.Model, ["no mass"]),
+    "out of order": (lambda: add(grown(RX), RX, "late", 2), ["odd", "late", "depth-first"]),
+    "mimic": (
+        lambda: pin.transformJointIntoMimic(grown(RX, parent=2), 2, 3, 1.0, 0.0), ["mimic", "odd"],
+    ),
+    "beside the root": (lambda: grown(RX, parent=0), ["odd", "fixed world"]),
+    "spherical": (lambda: grown(pin.JointModelSpherical()), ["odd", "Spherical"]),
+    "universal": (lambda: grown(pin.JointModelUniversal(E[0], E[1])), ["odd", "Universal"]),
+    "helical": (lambda: grown(pin.JointModelHX(0.1)), ["odd", "HX"]),
+    "axis too long": (lambda: grown(pin.JointModelRevoluteUnaligned(2 * E[0])), ["odd", "axis"]),
+    "axis zero": (lambda: grown(pin.JointModelPrismaticUnaligned(0 * E[0])), ["odd", "axis"]),
+    "no mass": (lambda: grown(RX, mass=0.0), ["odd", "no mass"]),
+    "mass negative": (lambda: grown(RX, mass=-1.0), ["odd", "negative mass"]),
+    "mass not finite": (lambda: grown(RX, mass=np.nan), ["odd", "finite"]),
+    "placement not finite": (lambda: add(grown(RX), RX, "far", 3, z=np.nan), ["far", "finite"]),
+    "gravity": (lambda: changed(gravity=pin.Motion(np.full(6, np.inf))), ["gravity", "finite"]),
+    "armature": (lambda: changed(armature=np.full(8, np.nan)), ["armature", "finite"]),
+    "armature negative": (lambda: changed(armature=np.full(8, -1.0)), ["armature", "-1"]),
+    "armature on the root": (lambda: changed(armature=np.ones(8)), ["joint0", "armature"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("row", MODELS.values(), ids=MODELS.keys())
+def test_model(row: tuple[Callable[[], pin.Model], list[str]]) -> None:
+    """A model made in Python is held to the same rules."""
+    build, words = row
+    refused(lambda: pinred.load(build()), ModelError, words)
+
+
+def test_a_joint_that_another_follows_cannot_be_locked_alone() -> None:
+    """Locking the leader leaves a mimic joint without one."""
+    model = pin.transformJointIntoMimic(grown(RX, parent=2), 2, 3, 1.0, 0.0)
+    refused(lambda: pinred.load(model, lock=["joint1"]), PinredError, ["odd"])
+
+
+def test_system_needs_a_root() -> None:
+    """A bare System adds no root: the model must have one that moves in a group."""
+    refused(lambda: pinred.System(pin.Model()), ModelError, ["no joint", "group"])
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "odd")
+    refused(lambda: pinred.System(model), ModelError, ["odd", "Translation", "SE3"])
+
+
+def test_wrong_lengths() -> None:
+    """Each conversion names the argument whose last axis has the wrong length."""
+    system = pinred.load("satellite_two_arms")
+    pose, x, xi = system.group.identity(), np.zeros(system.m), np.zeros(system.r)
+    refused(lambda: system.q(pose[:-1], x), ShapeError, ["pose", "(7,)", "(6,)"])
+    refused(lambda: system.q(pose, x[1:]), ShapeError, ["x", f"({system.m},)"])
+    refused(lambda: system.v(0.0, x), ShapeError, ["xi", "(6,)", "()"])
+    refused(lambda: system.v(xi, np.zeros((2, system.m + 1))), ShapeError, ["xdot"])
+    refused(lambda: system.configuration(pose), ShapeError, ["q", f"({system.model.nq},)"])
+    refused(lambda: system.velocity("v"), ShapeError, ["v", "numbers"])
+
+
+def test_time_axes_that_do_not_match() -> None:
+    """Pose and shape over different numbers of times cannot be put together."""
+    system = pinred.load("elroys_beanie")
+    refused(lambda: system.q(np.zeros((3, 1)), np.zeros((2, 1))), ShapeError, ["pose", "x"])
+    refused(lambda: system.v(np.zeros((3, 1)), np.zeros((2, 1))), ShapeError, ["xi", "xdot"])
