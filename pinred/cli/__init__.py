@@ -1,1 +1,1 @@
-"""cli."""
+"""The command line, a file a command.  Imports everything; nothing imports it."""

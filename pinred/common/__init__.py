@@ -1,1 +1,4 @@
-"""common."""
+"""What every room uses: arrays, errors, files written whole, progress, cards of notebooks.
+
+Imports nothing of pinred.
+"""

@@ -1,4 +1,8 @@
-"""What acts on a system.  Names are imported when they are first used."""
+"""What acts on a system: forces, controllers, and the signals they follow.
+
+One set of expressions serves every route.  Imports `reduction` and what lies below it.
+Names are imported when they are first used.
+"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

@@ -1,5 +1,6 @@
-"""Steppers for the compiled kernels, and their drivers: one run at a time, or many.
+"""Integrators as values with their claims, their compiled steppers, and the drivers of runs.
 
-They are compiled by numba once per machine and serve every kernel, which they call by its
-address.  `method` has the integrators as values, `drive` runs one, `many` runs a batch.
+Steppers are compiled by numba once per machine and serve every kernel, which they call by
+its address.  `methods` has the integrators as values, `integrate` runs one, `integrate_many`
+a batch.  Imports `common` alone.
 """

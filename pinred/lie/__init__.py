@@ -1,4 +1,4 @@
-"""The symmetry groups."""
+"""The symmetry groups: poses, twists, momenta, rotations.  Imports `common`."""
 
 from .groups import GROUPS as GROUPS
 from .groups import SE2 as SE2

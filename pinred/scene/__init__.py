@@ -1,1 +1,4 @@
-"""scene."""
+"""What a simulation is to do: a Scene, its initial state, and the files that hold one.
+
+Imports `forces`, `integrators` for their names, and what lies below them.
+"""

@@ -1,1 +1,4 @@
-"""system."""
+"""A robot file becomes a System: a group of the base times shape coordinates, read exactly.
+
+Loading, the catalogue of robots, what is refused and why.  Imports `common` and `lie`.
+"""

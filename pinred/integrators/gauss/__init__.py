@@ -1,1 +1,1 @@
-"""gauss."""
+"""Gauss's collocation methods of order 2 to 16, with equal and with controlled steps."""

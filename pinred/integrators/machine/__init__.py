@@ -1,1 +1,1 @@
-"""machine."""
+"""What compiled steppers are made of: calls of kernels, sums of rows, lanes, Newton's method."""

@@ -1,1 +1,1 @@
-"""radau."""
+"""Radau IIA of order 5, for stiff systems, with controlled steps."""

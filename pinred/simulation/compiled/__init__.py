@@ -1,1 +1,1 @@
-"""compiled."""
+"""The compiled route: kernels under the integrators of pinred."""

@@ -1,1 +1,1 @@
-"""What a motion looks like: playback in a browser, films, plots."""
+"""Playback of a motion in a browser, as one HTML file, or as a film."""
