@@ -13,7 +13,8 @@ from ..reduction.cyclic_joints import cyclic_joints
 from ..reduction.potential import pivot_weight
 from ..reduction.reduction import ReducedShape, Reduction
 from ..scene.scene import Scene
-from ..simulation.explain import reduced_size, skipped
+from ..simulation.explain import skipped
+from ..simulation.plan import plan_of
 from ..system.joints import is_prismatic
 from ..system.system import System, checked_system
 
@@ -94,10 +95,12 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
     names = system.shape_names
     cyclic = tuple(names[k] for k in cyclic_joints(red))
     size: int | None
-    # A generic motion: with momentum, and every joint moving.
+    # A generic motion has momentum.
     generic = Scene(system=system, x0=at.x, xi0=np.ones(system.r))
     try:
-        size, not_needed, broken = reduced_size(generic), skipped(generic), ""
+        plan = plan_of(generic)
+        size = plan.kind(zero_momentum=False).layout.size
+        not_needed, broken = skipped(plan, zero_momentum=False), ""
     except SymmetryError as error:
         size, not_needed, broken = None, [], str(error)
     return Inspection(

@@ -36,13 +36,14 @@ def run(options: argparse.Namespace) -> int:
     from ..common.files import check_path
     from ..common.progress import ProgressBar
     from ..scene.toml.reader import read_scene_file
-    from ..simulation.explain import explain_scene
+    from ..simulation.explain import explain
+    from ..simulation.plan import plan_of
     from ..simulation.simulate import simulate
     from ..verification.compare import compare
 
     file = read_scene_file(options.scene)
     scene = file.scene
-    explanation = explain_scene(scene)  # finds out whether the scene can run, too
+    explanation = explain(plan_of(scene))  # finds out whether the scene can run, too
     if options.explain:
         print(explanation)
     if options.check:
@@ -65,11 +66,11 @@ def run(options: argparse.Namespace) -> int:
 
 def summary(traj: Trajectory) -> str:
     """Return what came of a simulation, as a short table."""
-    from ..simulation.explain import reduced_size
+    from ..simulation.explain import integrated
 
-    scene, run, model = traj.scene, traj.run, traj.system.model
+    scene, run = traj.scene, traj.run
     rows = [
-        ("integrated", f"{model.nq + model.nv} → {reduced_size(scene)} numbers"),
+        ("integrated", integrated(traj.plan)),
         ("steps", f"{run.steps} of {run.method} ({run.engine}), {run.evaluations} evaluations"),
         ("wall time [s]", f"{run.wall:.5f}"),
     ]

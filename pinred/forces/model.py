@@ -14,6 +14,7 @@ import numpy as np
 from ..common.arrays import Array, freeze
 from ..common.casadi_calls import Numeric
 from ..common.errors import InputError
+from ..common.memo import once
 from ..reduction.potential import spring_pair
 from ..system.system import System
 from .base import Force, Symbols, Terms
@@ -217,7 +218,7 @@ def remembered_model(
         *(force if isinstance(force, (Spring, Damper)) else id(force) for force in forces),
         *((name, id(signal)) for name, signal in prescribed.items()),
     )
-    models: dict[Hashable, tuple[ForceModel, object]] = vars(system).setdefault("_forces", {})
+    models: dict[Hashable, tuple[ForceModel, object]] = once(system, remembered_model, dict)
     if key not in models:
         model = _force_model(system, springs, forces, prescribed)
         while len(models) >= _REMEMBERED:

@@ -8,7 +8,8 @@ import casadi as ca
 
 from ..reduction.tree.momenta import bracket, momenta
 from ..system.system import System
-from .reduced_graph import Layout, ReducedGraph, Structure
+from .layout import Layout, Structure
+from .reduced_graph import ReducedGraph
 
 
 @dataclass(frozen=True)

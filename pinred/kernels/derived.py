@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict
 
+from ..common.memo import once
 from .fingerprint import model_bytes
 from .kernel import Kernel
 from .machine.native import NativeCode, load_object
@@ -26,9 +27,8 @@ def derived_code(
     gives the object code.  judge: raises an error if it disagrees with the kernel, which
     Pinocchio has judged.
     """
-    ready: dict[str, NativeCode] = kernel.__dict__.setdefault("_derived", {})
-    text = json.dumps(kind)
-    if text not in ready:
+
+    def native() -> NativeCode:
         forces = None if kernel.forces is None else kernel.forces.key
         whole = asdict(kernel.structure) | {"forces": forces} | kind
         cache, key = ObjectCache(), cache_key(model_bytes(kernel.system), json.dumps(whole))
@@ -36,8 +36,8 @@ def derived_code(
         if code is None:
             code = make(ReducedGraph(kernel.system, kernel.structure, kernel.forces))
             cache.put(key, code)
-        native = load_object(code, name)
-        judge(native)
-        # Another thread may have been faster, and its address may be in use.
-        return ready.setdefault(text, native)
-    return ready[text]
+        made = load_object(code, name)
+        judge(made)
+        return made
+
+    return once(kernel, (derived_code, json.dumps(kind)), native)

@@ -13,8 +13,8 @@ import numpy as np
 from ..common.arrays import Array
 from ..forces.model import ForceModel
 from ..system.system import System
+from .layout import Layout, Outputs, Structure, outputs_of
 from .machine.native import NativeCode
-from .reduced_graph import Layout, Outputs, Structure, outputs_of
 
 _POINTER = ctypes.POINTER(ctypes.c_double)
 _SIGNATURE = ctypes.CFUNCTYPE(None, _POINTER, _POINTER, _POINTER)

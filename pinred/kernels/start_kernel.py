@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
+from ..common.memo import once
 from ..lie.groups import SO2
 from ..reduction.base_parts import BaseParts
 from ..reduction.inertia_split import symmetric
@@ -72,8 +73,8 @@ def start_kernel(system: System, given: Given) -> StartKernel:
 
     Raises KernelMismatch if it disagrees with Pinocchio.
     """
-    kernels: dict[str, StartKernel] = vars(system).setdefault("_start_kernels", {})
-    if given not in kernels:
+
+    def make() -> StartKernel:
         cache = ObjectCache()
         key = cache_key(model_bytes(system), f"start from {given}")
         code = cache.get(key)
@@ -82,8 +83,9 @@ def start_kernel(system: System, given: Given) -> StartKernel:
             cache.put(key, code)
         kernel = StartKernel(system, load_object(code, _NAME))
         _judge(kernel, given)
-        kernels[given] = kernel
-    return kernels[given]
+        return kernel
+
+    return once(system, (StartKernel, given), make)
 
 
 def _graph(system: System, given: Given) -> ca.Function:

@@ -16,9 +16,9 @@ import pinocchio as pin
 from numpy.polynomial import legendre
 
 from ..common.arrays import Array, freeze
-from ..scene.scene import Scene
 from .driving_torques import driving_torques
 from .pieces import Motion
+from .plan import Plan
 from .state import State, with_base
 
 _POINTS = 8
@@ -87,37 +87,36 @@ class MomentumBalance:
         return card("Spatial momentum", f"balance to {self.t[-1]:g} s", table("", head, rows))
 
 
-def energy_balance(scene: Scene, motion: Motion, states: State) -> EnergyBalance:
+def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
     """Return the energy balance of a motion at the times of some states."""
-    forces = scene.force_model
+    forces = plan.forces
     if forces is None or not (forces.labels or forces.joints):
         none = np.zeros((len(states.t), 0))
         return EnergyBalance(states.t, states.energy, (), none)
     labels = (*forces.labels, *([_DRIVES] if forces.joints else []))
 
     def powers(t: Array) -> Array:
-        seen, full = motion.samples(t), with_base(motion.states(t), scene.system.name)
+        seen, full = motion.samples(t), with_base(motion.states(t), plan.system.name)
         out = np.empty((len(t), len(labels)))
         for k, (s, numbers) in enumerate(seen):
             out[k, : len(forces.labels)] = forces.powers(
                 float(t[k]), s.x, s.xdot, s.xi, s.mu, numbers, full.xi[k]
             )
         if forces.joints:
-            drive = driving_torques(scene, t, seen)
+            drive = driving_torques(plan, t, seen)
             out[:, -1] = np.sum(drive * full.xdot[:, list(forces.joints)], axis=1)
         return out
 
     return EnergyBalance(states.t, states.energy, labels, _integral(motion, states.t, powers))
 
 
-def momentum_balance(scene: Scene, motion: Motion, states: State) -> MomentumBalance:
+def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalance:
     """Return the momentum balance of a motion at the times of some states."""
-    system, forces = scene.system, scene.force_model
+    system, forces = plan.system, plan.forces
     model, data = system.model, system.model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     axes = np.array(data.joints[1].S).reshape(6, system.r)
     placement, weight = model.jointPlacements[1], system.mass * system.gravity
-    pushed = forces is not None and forces.has_wrench
 
     def impulses(t: Array) -> Array:
         full = with_base(motion.states(t), system.name)
@@ -126,7 +125,7 @@ def momentum_balance(scene: Scene, motion: Motion, states: State) -> MomentumBal
             arm = pin.centerOfMass(model, data, q) - placement.translation
             parts = np.append(weight, np.cross(arm, weight)).reshape(2, 3)
             out[k] = axes.T @ (parts @ placement.rotation).ravel()
-        if forces is not None and pushed:
+        if forces is not None and plan.wrench:
             body = [
                 forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers).wrench
                 for time, (s, numbers) in zip(t, motion.samples(t), strict=True)
@@ -135,7 +134,7 @@ def momentum_balance(scene: Scene, motion: Motion, states: State) -> MomentumBal
         return out
 
     impulse = np.zeros((len(states.t), system.r))
-    if pushed or weight.any():
+    if plan.wrench or weight.any():
         impulse = _integral(motion, states.t, impulses)
     return MomentumBalance(states.t, states.spatial_momentum, impulse)
 

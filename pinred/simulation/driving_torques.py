@@ -16,24 +16,23 @@ from ..reduction.canonical_form import CanonicalForm
 from ..reduction.equations import lagrange_poincare
 from ..reduction.potential import shape_gravity
 from ..reduction.reduction import Reduction
-from ..scene.scene import Scene
 from ..system.system import System
+from .plan import Plan
 from .state import Sample
 
 
-def driving_torques(scene: Scene, t: Array, seen: list[tuple[Sample, Array]]) -> Array:
+def driving_torques(plan: Plan, t: Array, seen: list[tuple[Sample, Array]]) -> Array:
     """Return the torques of the prescribed joints, (T, k) [N·m | N], in their order.
 
     t: (T,) times.  seen: what forces see then, and the numbers in them.
     """
-    system, forces = scene.system, scene.force_model
-    if forces is None or not forces.joints:
+    system, forces = plan.system, plan.forces
+    if forces is None or not plan.driven:
         return read_only(np.zeros((len(t), 0)))
     red = system.workspace((Reduction, "weightless"), lambda: Reduction(_weightless(system)))
     form = system.workspace(CanonicalForm, lambda: CanonicalForm(system, shape_gravity(system)))
     gravity = shape_gravity(system)
-    driven = np.array(forces.joints)
-    free = np.setdiff1d(np.arange(system.m), driven)
+    driven, free = np.array(plan.driven), np.array(plan.free, dtype=np.intp)
     out = np.empty((len(t), len(driven)))
     for k, (time, (s, numbers)) in enumerate(zip(t, seen, strict=True)):
         acting = forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers)

@@ -2,61 +2,61 @@
 
 from __future__ import annotations
 
-from ..forces.model import touched_by
-from ..reduction.cyclic_joints import cyclic_of
-from ..reduction.potential import falling, pivot_weight, shape_gravity
-from ..scene.scene import Scene
-from .compiled.choose_method import choose
-from .pinocchio.flow import ReducedFlow
+from ..reduction.potential import falling
+from .compiled.compiled_flow import without_momentum
+from .plan import Plan
 
 
-def explain_scene(scene: Scene) -> str:
-    """Return what is skipped and how many numbers are integrated, as lines of text.
+def explain(plan: Plan) -> str:
+    """Return what the compiled engine skips and how many numbers it integrates, as lines."""
+    lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=_begins_without(plan))]
+    lines.append(f"integrated: {integrated(plan)}")
+    return "\n".join([*lines, f"method: {plan.method.name} ({plan.choice.why})"])
 
-    Raises SymmetryError if gravity breaks the symmetry.
+
+def integrated(plan: Plan) -> str:
+    """Return how many numbers a full simulation and the compiled engine integrate."""
+    full = plan.system.model.nq + plan.system.n
+    kind = plan.kind(zero_momentum=_begins_without(plan))
+    return f"{full} → {kind.layout.size} numbers"
+
+
+def _begins_without(plan: Plan) -> bool:
+    """Return whether the compiled engine sees no angular momentum."""
+    return bool(without_momentum(plan, plan.scene.given).all())
+
+
+def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:
+    """Return what is not integrated or not computed, a line each.
+
+    zero_momentum: whether the base has no angular momentum at the start.
     """
-    system = scene.system
-    lines = [f"skipped: {line}" for line in skipped(scene)]
-    full = system.model.nq + system.n
-    lines.append(f"integrated: {full} → {reduced_size(scene)} numbers")
-    choice = choose(scene)
-    return "\n".join([*lines, f"method: {choice.method.name} ({choice.why})"])
-
-
-def reduced_size(scene: Scene) -> int:
-    """Return how many numbers the compiled engine integrates."""
-    forces = scene.force_model
-    clock = int(forces is not None and forces.needs_time)
-    return ReducedFlow(scene).y0.size - len(cyclic_of(scene.system, touched_by(forces))) + clock
-
-
-def skipped(scene: Scene) -> list[str]:
-    """Return what is not integrated or not computed, a line each."""
-    system, flow, forces = scene.system, ReducedFlow(scene), scene.force_model
-    names = system.shape_names
+    system, forces = plan.system, plan.forces
+    names, group = system.shape_names, system.group
+    layout = plan.kind(zero_momentum=zero_momentum).layout
     lines = []
-    if scene.outputs == "shape":
+    if not plan.wanted:
         lines.append("the base: nobody asks for it")
-    if system.group.linear:
-        if forces is not None and forces.has_wrench and scene.outputs == "all":
+    if group.linear:
+        if plan.wrench and plan.wanted:
             lines.append("translation of the base: it follows the centre of mass")
         else:
             lines.append("translation of the base: the centre of mass moves on a known path")
         if falling(system).any():
             lines.append("gravity along it: it only makes the centre of mass fall")
-    if flow.base.turns and not flow.base.parts.momentum:
-        if flow.base.has_momentum:
-            lines.append("angular momentum: it follows from the attitude, or is constant")
-        else:
+    if group.dim > group.linear and not layout.base.momentum:
+        if zero_momentum:
             lines.append("all terms with momentum: it is zero, and the base follows the shape")
-    driven = [names[k] for k in forces.joints] if forces is not None else []
-    if driven:
-        lines.append(f"dynamics of the prescribed joints: {', '.join(driven)}")
-    cyclic = [names[k] for k in cyclic_of(system, touched_by(forces))]
-    if cyclic:
-        lines.append(f"momenta of the cyclic joints, which are constant: {', '.join(cyclic)}")
+        else:
+            lines.append("angular momentum: it follows from the attitude, or is constant")
+    if plan.driven:
+        driven = ", ".join(names[k] for k in plan.driven)
+        lines.append(f"dynamics of the prescribed joints: {driven}")
+    if plan.cyclic:
+        cyclic = ", ".join(names[k] for k in plan.cyclic)
+        lines.append(f"momenta of the cyclic joints, which are constant: {cyclic}")
     if not system.m:
         lines.append("shape: there is none")
-    elif shape_gravity(system).is_zero and forces is None and not pivot_weight(system).any():
+    elif plan.gravity is None and forces is None:
         lines.append("potential: nothing acts on the shape")
     return lines

@@ -10,9 +10,10 @@ from typing import Protocol
 import numpy as np
 
 from ..common.arrays import Array
-from ..scene.scene import Scene
 from ..system.system import Indices
+from .plan import Plan
 from .state import Sample, ShapeState, State
+from .stops import begin_stretch
 
 
 class Flow(Protocol):
@@ -49,7 +50,7 @@ class Piece:
         return float(self.knots[-1])
 
 
-Solve = Callable[[float, float, Array], Piece]  # from start, end and state there
+Integrate = Callable[[float, float, Array], Piece]  # from start, end and state there
 
 
 class Motion:
@@ -111,21 +112,19 @@ class Motion:
         return y
 
 
-def follow(scene: Scene, flow: Flow, solve: Solve) -> Motion:
+def follow(plan: Plan, flow: Flow, integrate: Integrate) -> Motion:
     """Integrate a flow from stop to stop, setting the torques that controllers hold."""
-    forces = scene.force_model
     t, y = 0.0, flow.y0
-    stops = stops_of(scene)
     pieces: list[Piece] = []
-    for stop in stops:
+    for stop in plan.stops:
         see = partial(flow.sample, t, y, flow.numbers)
-        begin_stretch(scene, flow.numbers, t, stop, see)
-        piece = solve(t, stop, y)
+        begin_stretch(plan.scene, flow.numbers, t, stop, see)
+        piece = integrate(t, stop, y)
         pieces.append(piece)
         t = stop
-        if stop != stops[-1]:
+        if stop != plan.stops[-1]:
             y = piece.at(np.array([stop]))[0]
-    varies = forces is not None and len(forces.joints) > 0 and len(pieces) > 1
+    varies = bool(plan.driven) and len(pieces) > 1
     return Motion(flow, pieces, varies=varies)
 
 
@@ -138,41 +137,3 @@ def _joined(parts: Sequence[State | ShapeState], order: Indices) -> State | Shap
         for field in fields(kind)
     }
     return kind(**columns)
-
-
-def begin_stretch(
-    scene: Scene, numbers: Array, t: float, stop: float, see: Callable[[], Sample]
-) -> None:
-    """Set the numbers in the forces of a scene for the stretch from t to its stop.
-
-    see: gives what forces see at t, and is called only if a controller is due.
-    """
-    forces = scene.force_model
-    if forces is None:
-        return
-    numbers[forces.within] = 0.5 * (t + stop)
-    # The first sample is at the start; the others at multiples of the period.
-    due = [
-        (controller, where)
-        for controller, where in forces.held
-        if abs(t / controller.period - round(t / controller.period)) < 1e-9
-    ]
-    if due:
-        seen, names = see(), scene.system.shape_names
-        for controller, where in due:
-            numbers[where] = controller.sample(names, t, seen.x, seen.xdot, seen.mu)
-
-
-def stops_of(scene: Scene) -> Array:
-    """Return the times at which integration stops, the end of the scene last, (S,) [s]."""
-    forces, end = scene.force_model, scene.end
-    if forces is None:
-        return np.array([end])
-    times = [forces.breaks(end), np.array([end])]
-    for controller, _ in forces.held:
-        times.append(controller.period * np.arange(1, int(end / controller.period) + 1))
-    inside = np.unique(np.concatenate(times))
-    inside = inside[inside <= end]
-    # What round-off holds apart is one stop; the end stays.
-    apart = np.append(np.diff(inside) > 1e-12 * end, True)
-    return np.asarray(inside[apart])

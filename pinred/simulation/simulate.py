@@ -10,7 +10,8 @@ from ..common.errors import InputError
 from ..common.progress import Progress, shown
 from ..scene.scene import ENGINES, Engine, Scene
 from ..system.system import System, checked_system
-from .pieces import follow
+from .pieces import Flow, Integrate, follow
+from .plan import Plan, plan_of
 from .trajectory import Run, Trajectory
 
 
@@ -42,13 +43,14 @@ def simulate(
     scene = as_scene(scene, options, "simulate")
     if engine == "pinocchio" and scene.method != "auto":
         raise InputError("engine 'pinocchio' has SciPy's DOP853 for integrator; give no method")
+    plan = plan_of(scene)
     if explain:
-        from .explain import explain_scene
+        from .explain import explain as explained
 
-        print(explain_scene(scene))
+        print(explained(plan))
     route = _compiled if engine == "compiled" else _pinocchio
     with shown(progress, "reduced") as done:
-        return route(scene, done)
+        return route(plan, done)
 
 
 def as_scene(scene: System | Scene, options: dict[str, Any], what: str) -> Scene:
@@ -62,27 +64,28 @@ def as_scene(scene: System | Scene, options: dict[str, Any], what: str) -> Scene
     return replace(scene, **options) if options else scene
 
 
-def _pinocchio(scene: Scene, progress: Progress | None) -> Trajectory:
-    from .pinocchio.flow import ReducedFlow
-    from .pinocchio.solve import solve
+def _pinocchio(plan: Plan, progress: Progress | None) -> Trajectory:
+    from .pinocchio.readable_flow import ReducedFlow
+    from .pinocchio.scipy_integrator import integrator
 
-    flow = ReducedFlow(scene)
+    flow = ReducedFlow(plan)
+    return _followed(plan, flow, integrator(flow, plan, progress), "pinocchio", "DOP853")
+
+
+def _compiled(plan: Plan, progress: Progress | None) -> Trajectory:
+    from .compiled.compiled_flow import CompiledFlow
+    from .compiled.integrator import integrator, prepare
+
+    flow = CompiledFlow(plan)
+    prepare(flow, plan)
+    return _followed(plan, flow, integrator(flow, plan, progress), "compiled", plan.method.name)
+
+
+def _followed(
+    plan: Plan, flow: Flow, integrate: Integrate, engine: Engine, method: str
+) -> Trajectory:
     began = time.perf_counter()
-    motion = follow(scene, flow, solve(flow, scene, progress))
+    motion = follow(plan, flow, integrate)
     wall = time.perf_counter() - began
-    run = Run("pinocchio", "DOP853", motion.steps, motion.evaluations, wall)
-    return Trajectory(scene, motion, run)
-
-
-def _compiled(scene: Scene, progress: Progress | None) -> Trajectory:
-    from .compiled.choose_method import method_of
-    from .compiled.flow import CompiledFlow
-    from .compiled.solve import prepare, solve
-
-    flow = CompiledFlow(scene)
-    prepare(flow, scene)
-    began = time.perf_counter()
-    motion = follow(scene, flow, solve(flow, scene, progress))
-    wall = time.perf_counter() - began
-    run = Run("compiled", method_of(scene).name, motion.steps, motion.evaluations, wall)
-    return Trajectory(scene, motion, run)
+    run = Run(engine, method, motion.steps, motion.evaluations, wall)
+    return Trajectory(plan.scene, motion, run)

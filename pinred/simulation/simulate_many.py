@@ -16,12 +16,12 @@ from ..common.progress import Progress, shown
 from ..scene.initial_state import Given
 from ..scene.scene import Scene, checked_seed, random_state
 from ..system.system import System, checked_system
-from .pieces import stops_of
+from .plan import Plan, plan_of
 from .simulate import as_scene
 from .state import ShapeState, State, with_base
 
 if TYPE_CHECKING:
-    from .compiled.flow import CompiledFlow
+    from .compiled.compiled_flow import CompiledFlow
 
 _VARYING = ("x0", "xdot0", "xi0", "momentum", "pose0")
 
@@ -129,19 +129,20 @@ def simulate_many(
     if seeds is not None:
         first["seed"] = int(seeds[0])
     scene = as_scene(system, common | first, "simulate_many")
-    _refuse_stops(scene)
+    plan = plan_of(scene)
+    _refuse_stops(plan)
     given = _given(scene, varying, count) if seeds is None else _drawn(scene, seeds)
     with shown(progress, f"simulating {count} of {system.name}") as done:
-        return _run(scene, given, threads, done)
+        return _run(plan, given, threads, done)
 
 
-def _refuse_stops(scene: Scene) -> None:
+def _refuse_stops(plan: Plan) -> None:
     """Raise InputError if a scene has to be integrated in pieces."""
-    forces = scene.force_model
-    if forces is not None and forces.held:
-        what = f"{forces.held[0][0].name} has to be called every {forces.held[0][0].period:g} s"
-    elif len(stops_of(scene)) > 1:
-        what = f"a function of time is not smooth at t = {stops_of(scene)[0]:g} s"
+    if plan.forces is not None and plan.forces.held:
+        controller, _ = plan.forces.held[0]
+        what = f"{controller.name} has to be called every {controller.period:g} s"
+    elif len(plan.stops) > 1:
+        what = f"a function of time is not smooth at t = {plan.stops[0]:g} s"
     else:
         return
     raise InputError(
@@ -201,18 +202,16 @@ def _drawn(scene: Scene, seeds: Sequence[int]) -> Given:
     return Given(np.repeat(scene.given.pose, len(states), axis=0), x, xdot, xi, None)
 
 
-def _run(
-    scene: Scene, given: Given, threads: int | None, progress: Progress | None
-) -> Trajectories:
-    from .compiled.flow import CompiledFlow, flows_of
-    from .compiled.solve import integrate_many
+def _run(plan: Plan, given: Given, threads: int | None, progress: Progress | None) -> Trajectories:
+    from .compiled.compiled_flow import CompiledFlow, flows_of
+    from .compiled.integrator import integrate_many
 
-    t, count = scene.report_times, len(given.x)
-    kinds = flows_of(scene, given)  # members without momentum have a kernel of their own
+    t, count = plan.scene.report_times, len(given.x)
+    kinds = flows_of(plan, given)  # members without momentum have a kernel of their own
     runs, before = [], 0
     for members, flows in kinds:
         done = progress and partial(_part, progress, before / count, len(members) / count)
-        runs.append(integrate_many(flows, scene, threads, done))
+        runs.append(integrate_many(flows, plan, threads, done))
         before += len(members)
     y = runs[0].y  # the results are there once, if all members are of one kind
     if len(runs) > 1:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
+from ..common.memo import once
 from ..forces.model import ForceModel
 from ..reduction.reduction import Reduction
 from ..scene.scene import Scene
@@ -37,19 +38,15 @@ def rates_near_rest(scene: Scene) -> Rates:
     if forces is None or not forces.labels or len(forces.joints) == scene.system.m:
         return Rates(0.0, 0.0)
     numbers = forces.numbers_from(0.0, scene.end)
-    known: dict[bytes, Rates] = vars(forces).setdefault("_rates", {})
-    key = numbers.tobytes()
-    if key not in known:
-        try:
-            known[key] = _rates(scene.system, forces, numbers)
-        except SingularInertiaError:  # at shape zero, where the scene need not be
-            known[key] = Rates(0.0, 0.0)
-    return known[key]
+    return once(forces, (Rates, numbers.tobytes()), lambda: _rates(scene.system, forces, numbers))
 
 
 def _rates(system: System, forces: ForceModel, numbers: Array) -> Rates:
     m, r = system.m, system.r
-    at = Reduction(system).at(np.zeros(m))
+    try:
+        at = Reduction(system).at(np.zeros(m))
+    except SingularInertiaError:  # at shape zero, where the scene need not be
+        return Rates(0.0, 0.0)
 
     def torque(x: Array, xdot: Array) -> Array:
         xi = -at.local_connection @ xdot  # no momentum

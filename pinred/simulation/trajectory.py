@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, ShapeError
+from .plan import Plan, plan_of
 from .state import OverTime, ShapeState, State, with_base
 
 if TYPE_CHECKING:
@@ -51,6 +52,11 @@ class Trajectory(OverTime):
         """The system that was simulated."""
         return self.scene.system
 
+    @property
+    def plan(self) -> Plan:
+        """What the scene came to: see Plan."""
+        return plan_of(self.scene)
+
     @cached_property
     def outputs(self) -> State | ShapeState:
         """What the scene asks for, at the report times, time first; made when first looked at."""
@@ -73,7 +79,7 @@ class Trajectory(OverTime):
         """
         from .balances import energy_balance
 
-        return energy_balance(self.scene, self.motion, self.states)
+        return energy_balance(self.plan, self.motion, self.states)
 
     @cached_property
     def momentum_balance(self) -> MomentumBalance:
@@ -83,14 +89,14 @@ class Trajectory(OverTime):
         """
         from .balances import momentum_balance
 
-        return momentum_balance(self.scene, self.motion, self.states)
+        return momentum_balance(self.plan, self.motion, self.states)
 
     @cached_property
     def driving_torques(self) -> Array:
         """Torques that the prescribed joints need, (T, k) [N·m | N], in their order."""
         from .driving_torques import driving_torques
 
-        return driving_torques(self.scene, self.t, self.motion.samples(self.t))
+        return driving_torques(self.plan, self.t, self.motion.samples(self.t))
 
     def __len__(self) -> int:
         return len(self.t)

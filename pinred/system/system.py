@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
-from threading import get_ident
-from typing import Any, TypeAlias, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, ModelError, ShapeError
+from ..common.memo import once_a_thread
 from ..lie.groups import SE2, SO2, Group
 from .admission import admit
 
@@ -208,11 +208,7 @@ class System:
         For what is costly to set up and owns Pinocchio work space; it takes the model as it
         is, which is not changed after loading.
         """
-        spaces: dict[Hashable, Any] = vars(self).setdefault("_workspaces", {})
-        full = (get_ident(), key)
-        if full not in spaces:
-            spaces[full] = make()
-        return cast(T, spaces[full])
+        return once_a_thread(self, key, make)
 
     def _last(self, value: ArrayLike, size: int, what: str) -> Array:
         array = as_floats(value, what)

@@ -23,7 +23,6 @@ import numpy as np
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError
 from ..common.progress import Progress, shown
-from ..reduction.potential import pivot_weight
 from ..simulation.balances import energy_balance, momentum_balance
 from ..simulation.state import State
 from ..simulation.trajectory import Trajectory
@@ -225,10 +224,8 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
 
 def audited(traj: Trajectory, states: State) -> Audit:
     """Return what Pinocchio says of states of a trajectory, work and impulse taken off."""
-    scene = traj.scene
-    forces = scene.force_model
-    work = energy_balance(scene, traj.motion, states).work.sum(axis=1)
+    work = energy_balance(traj.plan, traj.motion, states).work.sum(axis=1)
     impulse = None
-    if (forces is not None and forces.has_wrench) or pivot_weight(traj.system).any():
-        impulse = momentum_balance(scene, traj.motion, states).impulse
-    return FullState(scene).audit(states, work, impulse)
+    if traj.plan.momentum_changes:
+        impulse = momentum_balance(traj.plan, traj.motion, states).impulse
+    return FullState(traj.scene).audit(states, work, impulse)

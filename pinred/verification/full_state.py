@@ -17,8 +17,8 @@ from scipy.integrate import ode
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
 from ..scene.scene import Scene
-from ..simulation.pieces import begin_stretch, stops_of
 from ..simulation.state import Sample, State
+from ..simulation.stops import begin_stretch, stops_of
 
 _MOST_STEPS = 10_000_000
 
@@ -99,6 +99,7 @@ class FullState:
         """Prepare Pinocchio's work space."""
         system = scene.system
         self._scene, self._forces = scene, scene.force_model
+        self._stops = stops_of(scene)
         self._numbers = np.empty(0) if self._forces is None else self._forces.numbers.copy()
         self._model, self._data = system.model, system.model.createData()
         self._root = system.model.joints[1]
@@ -145,7 +146,7 @@ class FullState:
         Raises IntegrationError if it cannot be followed.
         """
         end = float(times[-1])
-        stops = stops_of(self._scene)
+        stops = self._stops
         wanted = np.union1d(times, stops[stops < end])
         found = {0.0: y0}
         y = y0
@@ -173,8 +174,7 @@ class FullState:
 
     def _solver(self, method: str, y: Array, t: float, rtol: float, atol: float) -> ode:
         """Return a solver that begins here, with the torques that controllers give here."""
-        stops = stops_of(self._scene)
-        later = stops[stops > t]
+        later = self._stops[self._stops > t]
         stop = float(later[0]) if later.size else t
         begin_stretch(self._scene, self._numbers, t, stop, lambda: self._sample(y))
         solver = ode(self.rate).set_integrator(method, rtol=rtol, atol=atol, nsteps=_MOST_STEPS)

@@ -20,7 +20,8 @@ from pinred.forces import PD, Controller, Damper, PotentialEnergy, Spring, Torqu
 from pinred.forces.base import Force
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Constant, Hold, Linear, Spline
-from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.simulation.compiled.compiled_flow import CompiledFlow
+from pinred.simulation.plan import plan_of
 
 SATELLITE = pinred.load("reaction_wheel_satellite")
 I1, I2 = 2.0, 1.0  # of elroys_beanie
@@ -210,7 +211,7 @@ def test_torque_from_a_table(kind: Any, engine: Engine) -> None:
 def wheels(*forces: Force) -> tuple[int, ...]:
     """The cyclic joints of the reaction wheel satellite under some forces."""
     scene = pinred.Scene(system=SATELLITE, forces=forces)
-    return CompiledFlow(scene).kernel.layout.cyclic
+    return CompiledFlow(plan_of(scene)).kernel.layout.cyclic
 
 
 def test_wheels_with_forces() -> None:
@@ -255,7 +256,9 @@ def test_time_enters_only_where_something_depends_on_it() -> None:
     name = system.shape_names[0]
 
     def clock(*forces: Force) -> int:
-        flow = CompiledFlow(pinred.Scene(system=system, seed=1, duration=2.0, forces=forces))
+        flow = CompiledFlow(
+            plan_of(pinred.Scene(system=system, seed=1, duration=2.0, forces=forces))
+        )
         assert flow.y0.size == 10 + flow.kernel.layout.clock
         return flow.kernel.layout.clock
 

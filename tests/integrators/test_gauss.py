@@ -28,7 +28,8 @@ from pinred.kernels.kernel import Kernel
 from pinred.kernels.machine.native import NativeCode, compile_object, load_object
 from pinred.kernels.tangent import tangent_of
 from pinred.kernels.wide_rate import wide_rate
-from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.simulation.compiled.compiled_flow import CompiledFlow
+from pinred.simulation.plan import plan_of
 from pinred.verification.full_state import FullMotion, FullState
 
 ORDERS = (2, 4, 6, 8)
@@ -145,7 +146,7 @@ def code_alone() -> NativeCode:
 def flow_of(robot: str, method: Any, **options: Any) -> CompiledFlow:
     """Return the flow of a robot's scene."""
     system = pinred.load(robot)
-    return CompiledFlow(pinred.Scene(system=system, times=[1.0], method=method, **options))
+    return CompiledFlow(plan_of(pinred.Scene(system=system, times=[1.0], method=method, **options)))
 
 
 def stepped(flow: CompiledFlow, method: Any, y0: Array, end: float) -> Array:
@@ -444,7 +445,7 @@ def test_code_that_two_threads_make_is_one(
 ) -> None:
     """Who is second takes what is there: the first may be running it, and nothing else holds it."""
     system = pinred.load("coupled_planar")
-    kernel = CompiledFlow(pinred.Scene(system=system, seed=1, times=[1.0])).kernel
+    kernel = CompiledFlow(plan_of(pinred.Scene(system=system, seed=1, times=[1.0]))).kernel
     found: list[NativeCode] = []
 
     def load(code: bytes, name: str) -> NativeCode:

@@ -22,7 +22,8 @@ from pinred.integrators import integrate as drive
 from pinred.integrators import steppers as stepper
 from pinred.integrators.integrate import integrate
 from pinred.signals import Fourier
-from pinred.simulation.compiled.flow import CompiledFlow
+from pinred.simulation.compiled.compiled_flow import CompiledFlow
+from pinred.simulation.plan import plan_of
 from pinred.system.system import System
 from pinred.verification.full_state import FullMotion, FullState
 
@@ -183,7 +184,7 @@ def test_momentum_and_energy() -> None:
 def test_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pauses, reports and the store change no number; later is as at once; many are as one."""
     system = pinred.load("coupled_spatial")
-    flow = CompiledFlow(pinred.Scene(system=system, seed=1, method=Variational(0.02)))
+    flow = CompiledFlow(plan_of(pinred.Scene(system=system, seed=1, method=Variational(0.02))))
     layout = flow.kernel.layout
     assert layout.canonical == (system.m, 3)
 

@@ -16,13 +16,14 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.kernels.build import build_kernel
 from pinred.kernels.judge import judge
+from pinred.kernels.layout import Structure
 from pinred.kernels.machine.native import NativeCode
-from pinred.kernels.reduced_graph import Structure
 from pinred.kernels.store import ObjectCache
 from pinred.reduction.cyclic_joints import cyclic_joints
-from pinred.simulation.compiled.flow import CompiledFlow
-from pinred.simulation.compiled.kind import kernel_for
-from pinred.simulation.pinocchio.flow import ReducedFlow
+from pinred.simulation.compiled.compiled_flow import CompiledFlow
+from pinred.simulation.compiled.kernel_of_plan import kernel_of
+from pinred.simulation.pinocchio.readable_flow import ReducedFlow
+from pinred.simulation.plan import plan_of
 from pinred.system.catalogue import bundled_robots
 
 
@@ -43,7 +44,7 @@ def test_kernels_of_random_trees(case: Case) -> None:
         scene = pinred.Scene(
             system=system, x0=case.x, xdot0=case.xdot, pose0=case.pose, springs=springs, **options
         )
-        compiled, readable = CompiledFlow(scene), ReducedFlow(scene)
+        compiled, readable = CompiledFlow(plan_of(scene)), ReducedFlow(plan_of(scene))
         kernel = compiled.kernel
         assert kernel.structure.zero_momentum == (not readable.base.has_momentum)
         rate = kernel.evaluate_rate(compiled.y0, compiled.parameters)
@@ -64,7 +65,7 @@ def test_kernels_obey_hamilton_poincare(case: Case) -> None:
     """
     system, red = case.system, pinred.Reduction(case.system)
     scene = pinred.Scene(system=system, x0=case.x, xdot0=case.xdot, xi0=case.xi, pose0=case.pose)
-    flow = CompiledFlow(scene)
+    flow = CompiledFlow(plan_of(scene))
     mu = flow.sample(0.0, flow.y0, flow.numbers).mu  # about the centre of mass
     at = red.at(case.x)
     p = at.reduced_metric @ case.xdot
@@ -124,12 +125,12 @@ def test_wheels_turn_by_quadrature() -> None:
     """Cyclic joints leave the integrated pairs, and their angles are still right."""
     system = pinred.load("reaction_wheel_satellite")
     traj = pinred.simulate(system, duration=5.0)
-    flow = CompiledFlow(traj.scene)
+    flow = CompiledFlow(plan_of(traj.scene))
     assert len(flow.y0) == 2 + 3 + 4
     assert len(flow.kernel.layout.cyclic) == 3
     assert pinred.compare(traj).passed
     sprung = pinred.simulate(system, duration=1.0, springs={"wheel_x": (0.1, 0.0)})
-    assert len(CompiledFlow(sprung.scene).kernel.layout.cyclic) == 2
+    assert len(CompiledFlow(plan_of(sprung.scene)).kernel.layout.cyclic) == 2
     assert pinred.compare(sprung).passed
 
 
@@ -137,9 +138,9 @@ def test_just_off_zero_momentum_is_off_zero() -> None:
     """Zero momentum is recognised only if it is exactly zero."""
     system = pinred.load("falling_cat")
     xdot0 = np.full(system.m, 0.3)
-    still = CompiledFlow(pinred.Scene(system=system, xdot0=xdot0, momentum=0))
+    still = CompiledFlow(plan_of(pinred.Scene(system=system, xdot0=xdot0, momentum=0)))
     tiny = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e-300])
-    off = CompiledFlow(pinred.Scene(system=system, xdot0=xdot0, momentum=tiny))
+    off = CompiledFlow(plan_of(pinred.Scene(system=system, xdot0=xdot0, momentum=tiny)))
     assert still.kernel.layout.base.spin == 0
     assert off.kernel.layout.base.spin == 3
     assert still.kernel.instructions < off.kernel.instructions
@@ -148,7 +149,7 @@ def test_just_off_zero_momentum_is_off_zero() -> None:
 def test_a_wrong_kernel_never_runs() -> None:
     """A kernel of another robot, or with a number off, is refused with the numbers."""
     cat = pinred.load("falling_cat")
-    kernel = kernel_for(pinred.Scene(system=cat, seed=0), zero_momentum=False)
+    kernel = kernel_of(plan_of(pinred.Scene(system=cat, seed=0)), zero_momentum=False)
     judge(kernel)
     other = pinred.load("falling_cat")
     inertia = other.model.inertias[2]
@@ -200,7 +201,7 @@ def test_slanted_axes_are_part_of_the_key(tmp_path: Path) -> None:
 def test_nan_stays_visible() -> None:
     """A state that is not a number gives a rate that is not, in every entry that depends on it."""
     cat = pinred.load("falling_cat")
-    kernel = kernel_for(pinred.Scene(system=cat, seed=0), zero_momentum=False)
+    kernel = kernel_of(plan_of(pinred.Scene(system=cat, seed=0)), zero_momentum=False)
     y, p = np.full(kernel.layout.size, 0.3), np.ones(kernel.layout.parameters)
     assert np.isfinite(kernel.evaluate_rate(y, p)).all()
     y[0] = np.nan

@@ -16,13 +16,15 @@ from trees import limbed_model, mirrored_model
 
 import pinred
 from pinred.common.arrays import Array
+from pinred.kernels.layout import Structure
 from pinred.kernels.machine.native import compile_object, load_object
-from pinred.kernels.reduced_graph import ReducedGraph, Structure
+from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.reduction.tree.body_frames import bodies_of, cosine, sine
 from pinred.reduction.tree.limbs import Lanes, links_of
 from pinred.reduction.tree.scalars import Turn
-from pinred.simulation.compiled.flow import CompiledFlow
-from pinred.simulation.pinocchio.flow import ReducedFlow
+from pinred.simulation.compiled.compiled_flow import CompiledFlow
+from pinred.simulation.pinocchio.readable_flow import ReducedFlow
+from pinred.simulation.plan import plan_of
 
 MADE = [limbed_model, mirrored_model]
 POINTER = ctypes.POINTER(ctypes.c_double)
@@ -125,7 +127,7 @@ def test_kernels_of_alike_limbs(
         xi0=rng.normal(size=system.r),
         springs=springs,
     )
-    compiled, readable = CompiledFlow(scene), ReducedFlow(scene)
+    compiled, readable = CompiledFlow(plan_of(scene)), ReducedFlow(plan_of(scene))
     layout, m = compiled.kernel.layout, system.m
     rate = compiled.kernel.evaluate_rate(compiled.y0, compiled.parameters)
     expected = readable.rate(0.0, readable.y0)

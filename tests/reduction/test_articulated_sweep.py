@@ -10,8 +10,8 @@ from strategies import Case, cases, make_case
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.kernels.build import structure_of
-from pinred.kernels.reduced_graph import ReducedGraph, Structure
+from pinred.kernels.layout import Structure
+from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.lie.rotations import rotation
 from pinred.reduction.canonical_form import CanonicalForm
 from pinred.reduction.cyclic_joints import cyclic_joints
@@ -19,7 +19,8 @@ from pinred.reduction.potential import shape_gravity
 from pinred.reduction.tree.articulated_sweep import sweep
 from pinred.reduction.tree.body_frames import bodies_of
 from pinred.reduction.tree.momenta import AXES
-from pinred.simulation.pinocchio.flow import ReducedFlow
+from pinred.simulation.pinocchio.readable_flow import ReducedFlow
+from pinred.simulation.plan import plan_of
 
 
 def evaluate(function: ca.Function, *arguments: Array) -> Array:
@@ -88,8 +89,8 @@ def test_reduced_rates_are_those_of_the_pinocchio_route(name: str, zero: bool) -
         springs=springs,
         **options,
     )
-    flow = ReducedFlow(scene)
-    structure = structure_of(system, scene.force_model, zero_momentum=zero)
+    flow = ReducedFlow(plan_of(scene))
+    structure = plan_of(scene).kind(zero_momentum=zero).structure
     graph = ReducedGraph(system, structure, scene.force_model)
     layout, m = graph.layout, system.m
     active, cyclic = list(layout.active), list(layout.cyclic)

@@ -25,7 +25,8 @@ from pinred.common.errors import InputError, LoadError, ModelError, PinredError,
 from pinred.scene.toml.csv_columns import LARGEST
 from pinred.scene.toml.keys import SCENE, scene_schema
 from pinred.scene.toml.places import Place
-from pinred.simulation.explain import explain_scene
+from pinred.simulation.explain import explain
+from pinred.simulation.plan import plan_of
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.toml"))
@@ -392,7 +393,7 @@ def test_nothing_but_errors_of_pinred(text: str, tmp_path_factory: pytest.TempPa
         assert "\n" not in said
     else:
         with suppress(PinredError), warnings.catch_warnings(action="ignore"):
-            assert explain_scene(scene)
+            assert explain(plan_of(scene))
         # What the numbers make of each other is said when somebody wants it.
         with suppress(PinredError):
             assert math.isfinite(scene.start.mu.sum())

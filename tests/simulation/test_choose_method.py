@@ -13,7 +13,8 @@ import pinred
 from pinred import DOP853, AdaptiveGauss, Gauss, Radau
 from pinred.forces import PD, Controller, Damper, Limit, Spring, Torque
 from pinred.signals import Hold
-from pinred.simulation.compiled.choose_method import Choice, choose
+from pinred.simulation.choose_method import Choice
+from pinred.simulation.plan import plan_of
 from pinred.simulation.stiffness import rates_near_rest
 from pinred.verification.full_state import FullMotion, FullState
 
@@ -28,13 +29,13 @@ def test_what_is_asked_for_is_taken() -> None:
     """A method is a method."""
     system = pinred.load("falling_cat")
     for method in (Gauss(0.1), DOP853(1e-5, 1e-7)):
-        assert choose(scene(system, method=method)).method is method
+        assert plan_of(scene(system, method=method)).choice.method is method
 
 
 def test_a_chain_gets_lanes_over_stages() -> None:
     """Where no limbs are lanes, eight stages at once pay off; with the scene's tolerance."""
     for name in ("planar_chain5", "falling_cat"):
-        found = choose(scene(pinred.load(name), rtol=1e-9, atol=1e-11))
+        found = plan_of(scene(pinred.load(name), rtol=1e-9, atol=1e-11)).choice
         assert found.method == AdaptiveGauss(1e-10, 1e-12)
         assert "evaluations a sweep" in found.why
 
@@ -43,9 +44,9 @@ def test_limbs_of_one_build_keep_the_lanes() -> None:
     """Four legs fill the lanes already; two arms leave room at tight tolerances."""
     four = pinred.load(limbed_model("SE3", 4, 3, 1))
     two = pinred.load(limbed_model("SE3", 2, 3, 1))
-    assert isinstance(choose(scene(four, rtol=1e-10)).method, DOP853)
-    assert isinstance(choose(scene(two, rtol=1e-4)).method, DOP853)
-    assert isinstance(choose(scene(two, rtol=1e-12)).method, AdaptiveGauss)
+    assert isinstance(plan_of(scene(four, rtol=1e-10)).choice.method, DOP853)
+    assert isinstance(plan_of(scene(two, rtol=1e-4)).choice.method, DOP853)
+    assert isinstance(plan_of(scene(two, rtol=1e-12)).choice.method, AdaptiveGauss)
 
 
 def test_reports_and_pieces_ask_for_short_steps() -> None:
@@ -53,16 +54,16 @@ def test_reports_and_pieces_ask_for_short_steps() -> None:
     system = pinred.load("falling_cat")
     joint = system.shape_names[0]
     many = scene(system, times=np.linspace(0.0, 1.0, 50))
-    assert choose(many).method == DOP853(*many.tolerance)
-    assert "48 reports" in choose(many).why
+    assert plan_of(many).choice.method == DOP853(*many.tolerance)
+    assert "48 reports" in plan_of(many).choice.why
     few = scene(system, times=[0.0, 0.5, 1.0])
-    assert isinstance(choose(few).method, AdaptiveGauss)
+    assert isinstance(plan_of(few).choice.method, AdaptiveGauss)
     stops: list[Any] = [
         Controller(lambda t, x, xdot, mu: {joint: 0.1}, period=0.1),  # noqa: ARG005
         Torque({joint: Hold([0.0, 0.5, 1.0], [0.0, 1.0, 0.0])}),
     ]
     for force in stops:
-        assert "in pieces" in choose(scene(system, forces=[force])).why
+        assert "in pieces" in plan_of(scene(system, forces=[force])).choice.why
 
 
 @pytest.mark.parametrize("damping", [1.0, 300.0])
@@ -73,15 +74,15 @@ def test_stiff_forces_get_radau(damping: float) -> None:
     forces = [Spring(joint, 5 * damping), Damper(joint, damping)]
     hard = scene(cat, forces=forces, rtol=1e-8, atol=1e-10)
     stiff = damping > 10
-    assert isinstance(choose(hard).method, Radau) == stiff
-    assert ("stability alone" in choose(hard).why) == stiff
+    assert isinstance(plan_of(hard).choice.method, Radau) == stiff
+    assert ("stability alone" in plan_of(hard).choice.why) == stiff
     traj = pinred.simulate(hard)
     other = pinred.simulate(hard, method=DOP853(1e-10, 1e-12))
     np.testing.assert_allclose(traj.x, other.x, atol=1e-7)
     assert pinred.compare(pinred.simulate(hard, times=[0.002])).passed
     # A spring alone swings, and has to be followed.
     swinging = scene(cat, forces=[Spring(joint, 1e6)], rtol=1e-8)
-    assert not isinstance(choose(swinging).method, Radau)
+    assert not isinstance(plan_of(swinging).choice.method, Radau)
 
 
 def test_damping_below_that_asks_for_short_steps() -> None:
@@ -91,7 +92,7 @@ def test_damping_below_that_asks_for_short_steps() -> None:
 
     def found(stiffness: float, damping: float) -> Choice:
         forces = [Spring(joint, stiffness), Damper(joint, damping)]
-        return choose(scene(chain, forces=forces, times=[2.0], rtol=1e-8))
+        return plan_of(scene(chain, forces=forces, times=[2.0], rtol=1e-8)).choice
 
     assert isinstance(found(1e4, 100.0).method, DOP853)
     assert "forces decay at" in found(1e4, 100.0).why
@@ -118,8 +119,8 @@ def test_kinks_ask_for_short_steps(limit: Limit) -> None:
     system = pinred.load("falling_cat")
     forces = [PD({system.shape_names[0]: 0.5}, kp=2.0, kd=0.1, limit=limit)]
     asked = scene(system, times=[2.0], forces=forces, rtol=1e-8, atol=1e-10)
-    assert isinstance(choose(asked).method, AdaptiveGauss if limit.smooth else DOP853)
-    assert ("kinks" in choose(asked).why) != limit.smooth
+    assert isinstance(plan_of(asked).choice.method, AdaptiveGauss if limit.smooth else DOP853)
+    assert ("kinks" in plan_of(asked).choice.why) != limit.smooth
     traj, start = pinred.simulate(asked), asked.start
     full = FullState(asked)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
@@ -140,9 +141,9 @@ def test_every_kind_of_kink_is_seen(force: Any) -> None:
     system = pinred.load("falling_cat")
     joint = system.shape_names[0]
     torque = Torque(lambda t, x, xdot, mu: {joint: force(x[0])})  # noqa: ARG005
-    assert "kinks" in choose(scene(system, forces=[torque])).why
+    assert "kinks" in plan_of(scene(system, forces=[torque])).choice.why
     smooth = Torque(lambda t, x, xdot, mu: {joint: ca.tanh(x[0]) + ca.exp(-t)})  # noqa: ARG005
-    assert "kinks" not in choose(scene(system, forces=[smooth])).why
+    assert "kinks" not in plan_of(scene(system, forces=[smooth])).choice.why
 
 
 def test_it_is_said(capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,8 +12,9 @@ from trees import random_model
 import pinred
 from pinred.forces import Torque, Wrench
 from pinred.scene.scene import ENGINES
-from pinred.simulation.compiled.flow import CompiledFlow
-from pinred.simulation.pinocchio.flow import ReducedFlow
+from pinred.simulation.compiled.compiled_flow import CompiledFlow
+from pinred.simulation.pinocchio.readable_flow import ReducedFlow
+from pinred.simulation.plan import plan_of
 
 MOVING = {"R": [0.3], "SO2": [0.3], "SE2": [0.3, -0.1, 0.4], "SO3": [0.3, -0.2, 0.4]}
 MOVING["SE3"] = [0.1, 0.2, -0.1, 0.3, -0.2, 0.4]
@@ -36,9 +37,9 @@ def test_the_base_is_left_out(group: str) -> None:
             times=np.linspace(0.0, 1.0, 11), outputs="shape",
         )  # fmt: skip
         for scene, base in ((every, SIZES[group][2 * k]), (shape, SIZES[group][2 * k + 1])):
-            cyclic = len(CompiledFlow(scene).kernel.layout.cyclic)
-            assert ReducedFlow(scene).y0.size == 4 + base
-            assert CompiledFlow(scene).y0.size == 4 - cyclic + base
+            cyclic = len(CompiledFlow(plan_of(scene)).kernel.layout.cyclic)
+            assert ReducedFlow(plan_of(scene)).y0.size == 4 + base
+            assert CompiledFlow(plan_of(scene)).y0.size == 4 - cyclic + base
         start = every.start
         q0, v0 = system.q(start.pose, start.x), system.v(start.xi, start.xdot)
         q, v = aba.integrate(system.model, q0, v0, every.report_times)
@@ -53,7 +54,7 @@ def test_the_base_is_left_out(group: str) -> None:
 
 def flow(system: pinred.System, **options: Any) -> CompiledFlow:
     """The compiled flow of a scene."""
-    return CompiledFlow(pinred.Scene(system=system, **options))
+    return CompiledFlow(plan_of(pinred.Scene(system=system, **options)))
 
 
 @pytest.mark.parametrize("momentum", [1e-300, 1e-12])
@@ -90,7 +91,9 @@ def test_an_almost_balanced_wheel(offset: float) -> None:
         system=system, x0=[0.4, 0, 0, 0], xdot0=[0.2, 20, -15, 30], xi0=MOVING["SE3"],
         times=[0.0, 0.5, 1.0],
     )  # fmt: skip
-    assert CompiledFlow(scene).kernel.layout.cyclic == ((1, 2, 3) if offset == 0.0 else (2, 3))
+    assert CompiledFlow(plan_of(scene)).kernel.layout.cyclic == (
+        (1, 2, 3) if offset == 0.0 else (2, 3)
+    )
     traj = pinred.simulate(scene)
     q, _ = aba.integrate(model, traj.q[0], traj.v[0], traj.t, rtol=1e-10)
     assert aba.apart(model, q, traj.q) < 1e-7
@@ -101,7 +104,7 @@ def test_almost_no_gravity(size: float) -> None:
     """Gravity across a rail: nothing at 1e-300, a potential at a millionth; ABA either way."""
     system = pinred.load("cartpole", gravity=(0.0, 0.0, -size))
     scene = pinred.Scene(system=system, x0=[1.0], xdot0=[0.5], xi0=[0.3], duration=2.0)
-    assert (CompiledFlow(scene).kernel.structure.gravity is not None) == (size == 1e-6)
+    assert (CompiledFlow(plan_of(scene)).kernel.structure.gravity is not None) == (size == 1e-6)
     for engine in ENGINES:
         traj = pinred.simulate(scene, engine=engine)
         q, _ = aba.integrate(system.model, traj.q[0], traj.v[0], traj.t[::50])

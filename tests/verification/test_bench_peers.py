@@ -15,7 +15,8 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError, UnsupportedOperationError
-from pinred.kernels.reduced_graph import ReducedGraph, Structure
+from pinred.kernels.layout import Structure
+from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.lie import GROUPS
 from pinred.scene.scene import random_state
 from pinred.system.system import System

@@ -23,7 +23,8 @@ from scipy.integrate import solve_ivp
 from ...common.arrays import Array
 from ...common.errors import InputError, IntegrationError
 from ...common.progress import Progress, quiet, shown
-from ...simulation.compiled.flow import CompiledFlow
+from ...simulation.compiled.compiled_flow import CompiledFlow
+from ...simulation.plan import plan_of
 from ...simulation.state import with_base
 from ..full_state import FullMotion
 from .problems import Problem
@@ -135,13 +136,13 @@ def _own_norm(tol: float) -> Tolerances:
 
 
 def _without_base(problem: Problem) -> Norm:
-    weights = np.ones(len(CompiledFlow(problem.scene(1e-10, 1e-12)).y0))
+    weights = np.ones(len(CompiledFlow(plan_of(problem.scene(1e-10, 1e-12))).y0))
     weights[2 * problem.system.m :] = _NEVER
     return lambda tol: (max(tol, 1e-13), ATOL * tol * weights)
 
 
 def _scale_a_kind(problem: Problem) -> Norm:
-    flow = CompiledFlow(problem.scene(1e-10, 1e-12))
+    flow = CompiledFlow(plan_of(problem.scene(1e-10, 1e-12)))
     largest = np.abs(_solve(flow, problem, "DOP853", 1e-6, 1e-8).y).max(axis=1)
     m = problem.system.m
     for kind in (slice(0, m), slice(m, 2 * m), slice(2 * m, None)):
@@ -163,7 +164,7 @@ def _other(
     problem: Problem, truth: FullMotion, kind: Any, norm: Norm, tol: float
 ) -> tuple[float, float]:
     scene = problem.scene(1e-10, 1e-12)
-    flow = CompiledFlow(scene)
+    flow = CompiledFlow(plan_of(scene))
     try:
         found = _solve(flow, problem, kind, *norm(tol))
     except (ValueError, InputError, IntegrationError):

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from ...common.progress import Progress, quiet, shown
 from ...kernels.build import build_kernel
-from ...kernels.reduced_graph import Structure
+from ...kernels.layout import Structure
 from ...reduction.cyclic_joints import cyclic_joints
 from ...reduction.reduction import Reduction
 from ...system.catalogue import has_example_robots

@@ -53,18 +53,20 @@ def own_method(
 
 
 def _integration(problem: Problem, tolerance: float) -> Prepared:
-    from ...simulation.compiled.flow import CompiledFlow
-    from ...simulation.compiled.solve import solve
+    from ...simulation.compiled.compiled_flow import CompiledFlow
+    from ...simulation.compiled.integrator import integrator
+    from ...simulation.plan import plan_of
 
     scene = problem.scene(tolerance, ATOL * tolerance)
-    flow = CompiledFlow(scene)
+    plan = plan_of(scene)
+    flow = CompiledFlow(plan)
 
     def end(found: Any) -> End:
         times = scene.report_times
         states = with_base(flow.states(times, found.at(times), flow.numbers), scene.system.name)
         return _end(states, found.evaluations)
 
-    integrate = solve(flow, scene, None)
+    integrate = integrator(flow, plan, None)
     return Prepared(lambda: integrate(0.0, scene.end, flow.y0), end)
 
 

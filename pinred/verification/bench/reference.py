@@ -55,11 +55,12 @@ def reference_of(problem: Problem) -> Reference:
 
 
 def _quadruple(problem: Problem, aba: FullMotion) -> Reference:
-    from ...simulation.compiled.flow import CompiledFlow
+    from ...simulation.compiled.compiled_flow import CompiledFlow
+    from ...simulation.plan import plan_of
 
     hy = import_module("heyoka")
     scene = problem.scene(1e-10, 1e-12)  # its tolerances are not used
-    flow = CompiledFlow(scene)
+    flow = CompiledFlow(plan_of(scene))
     expressions = taylor_expressions(reduced_graph(problem), flow.parameters.tolist())
 
     def end(y: Any) -> FullMotion:

@@ -13,7 +13,7 @@ from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
 from ...kernels.build import build_kernel
-from ...kernels.reduced_graph import Structure
+from ...kernels.layout import Structure
 from ...reduction.cyclic_joints import cyclic_joints
 from ...reduction.reduction import Reduction
 from .chains import FAMILIES, chain

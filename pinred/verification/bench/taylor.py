@@ -23,9 +23,10 @@ def has_heyoka() -> bool:
 def reduced_graph(problem: Problem) -> ca.Function:
     """Return the CasADi Function of the reduced vector field that pinred compiles."""
     from ...kernels.reduced_graph import ReducedGraph
-    from ...simulation.compiled.flow import CompiledFlow
+    from ...simulation.compiled.compiled_flow import CompiledFlow
+    from ...simulation.plan import plan_of
 
-    kernel = CompiledFlow(problem.scene(1e-10, 1e-12)).kernel
+    kernel = CompiledFlow(plan_of(problem.scene(1e-10, 1e-12))).kernel
     return ReducedGraph(problem.system, kernel.structure).rate()
 
 

@@ -124,10 +124,11 @@ def _full(problem: Problem, tolerance: float) -> Prepared:
 
 
 def _reduced(problem: Problem, tolerance: float) -> Prepared:
-    from ....simulation.compiled.flow import CompiledFlow
+    from ....simulation.compiled.compiled_flow import CompiledFlow
+    from ....simulation.plan import plan_of
 
     scene = problem.scene(1e-10, 1e-12)  # its tolerances are not used
-    flow = CompiledFlow(scene)
+    flow = CompiledFlow(plan_of(scene))
     code = problem.system.workspace(
         ("reduced C", problem.name), lambda: compiled(reduced_graph(problem))
     )

@@ -20,10 +20,11 @@ QUICK = 300  # instructions that heyoka unrolls in seconds
 
 
 def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> Prepared:
-    from ....simulation.compiled.flow import CompiledFlow
+    from ....simulation.compiled.compiled_flow import CompiledFlow
+    from ....simulation.plan import plan_of
 
     scene = problem.scene(1e-10, 1e-12)  # its tolerances are not used
-    flow = CompiledFlow(scene)
+    flow = CompiledFlow(plan_of(scene))
     began = time.perf_counter()
     ta = taylor_integrator(
         reduced_graph(problem), flow.parameters.tolist(), flow.y0, tolerance, unrolled=unrolled

@@ -10,19 +10,22 @@ from scipy.integrate import DOP853, DenseOutput, OdeSolution
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...integrators.methods import DOP853_LEAST
-from ...scene.scene import Scene
-from ..pieces import Piece, Solve
-from .flow import ReducedFlow
+from ..pieces import Integrate, Piece
+from ..plan import Plan
+from .readable_flow import ReducedFlow
 
 MOST_STEPS = 1_000_000
 
 
-def solve(flow: ReducedFlow, scene: Scene, progress: Callable[[float], None] | None) -> Solve:
-    """Return what integrates a flow from one time of its scene to another.
+def integrator(
+    flow: ReducedFlow, plan: Plan, progress: Callable[[float], None] | None
+) -> Integrate:
+    """Return what integrates a flow from one time of its plan to another.
 
     That raises IntegrationError, with the time and the entry at fault, if the flow cannot be
     followed.
     """
+    scene = plan.scene
     rtol, atol = scene.tolerance
     rtol = max(rtol, DOP853_LEAST)
 

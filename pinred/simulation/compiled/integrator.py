@@ -21,9 +21,9 @@ from ...integrators.integrate_many import STATUS
 from ...integrators.integrate_many import integrate_many as _integrate_many
 from ...integrators.methods import Method
 from ...scene.scene import Scene
-from ..pieces import Piece, Solve
-from .choose_method import method_of
-from .flow import CompiledFlow, CompiledFlows
+from ..pieces import Integrate, Piece
+from ..plan import Plan
+from .compiled_flow import CompiledFlow, CompiledFlows
 
 
 @dataclass(frozen=True)
@@ -36,12 +36,12 @@ class ManyRuns:
 
 def integrate_many(
     flows: CompiledFlows,
-    scene: Scene,
+    plan: Plan,
     threads: int | None,
     progress: Callable[[float], None] | None,
 ) -> ManyRuns:
-    """Integrate flows of one kernel, with the times and tolerance of one scene, over threads."""
-    kernel, method, first = flows.kernel, method_of(scene), CompiledFlow.of(flows, 0)
+    """Integrate flows of one kernel, with the times and tolerance of one plan, over threads."""
+    kernel, method, first = flows.kernel, plan.method, CompiledFlow.of(flows, 0)
     # One body that only translates carries a zero, which costs nothing.
     y0 = flows.y0 if flows.y0.shape[1] else np.zeros((len(flows.y0), 1))
     found = _integrate_many(
@@ -49,8 +49,8 @@ def integrate_many(
         first.address(method),
         flows.parameters,
         y0,
-        scene.end,
-        scene.report_times,
+        plan.scene.end,
+        plan.scene.report_times,
         kernel.layout.quaternion,
         threads,
         first.tangent,
@@ -71,23 +71,25 @@ _prepared: set[type[Method]] = set()
 _NO_TIMES = read_only(np.empty(0))
 
 
-def prepare(flow: CompiledFlow, scene: Scene) -> None:
+def prepare(flow: CompiledFlow, plan: Plan) -> None:
     """Have the machine code of kernel and integrator ready: a run's time is then its own."""
-    method = method_of(scene)
+    method = plan.method
     flow.address(method)
     if type(method) in _prepared:
         return
     _prepared.add(type(method))
     with suppress(IntegrationError):  # the run itself will say so
-        solve(flow, scene, None)(0.0, 1e-9 * scene.end, flow.y0)
+        integrator(flow, plan, None)(0.0, 1e-9 * plan.scene.end, flow.y0)
 
 
-def solve(flow: CompiledFlow, scene: Scene, progress: Callable[[float], None] | None) -> Solve:
-    """Return what integrates a flow from one time of its scene to another.
+def integrator(
+    flow: CompiledFlow, plan: Plan, progress: Callable[[float], None] | None
+) -> Integrate:
+    """Return what integrates a flow from one time of its plan to another.
 
     That raises an IntegrationError with time and shape.
     """
-    method, layout = method_of(scene), flow.kernel.layout
+    scene, method, layout = plan.scene, plan.method, flow.kernel.layout
     asked, address = scene.report_times, flow.address(method)
     # Between knots the power of a force is like a polynomial of degree 7; a step of eight
     # stages is too long for that.

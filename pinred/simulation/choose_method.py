@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import log10
 
-from ...integrators.methods import DOP853, DOP853_LEAST, AdaptiveGauss, Method, Radau
-from ...reduction.tree.body_frames import bodies_of
-from ...reduction.tree.limbs import Lanes, links_of
-from ...scene.scene import Scene
-from ...system.system import System
-from ..pieces import stops_of
-from ..stiffness import rates_near_rest
+from ..common.arrays import Array
+from ..integrators.methods import DOP853, DOP853_LEAST, AdaptiveGauss, Method, Radau
+from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.limbs import Lanes, links_of
+from ..scene.scene import Scene
+from ..system.system import System
+from .stiffness import rates_near_rest
 
 _FEW = 3  # reports inside steps; each costs a step of AdaptiveGauss
 _STABLE = 4.0  # decay over a step of DOP853 at the bound of its stability
@@ -35,25 +35,10 @@ class Choice:
     why: str
 
 
-def method_of(scene: Scene) -> Method:
-    """Return the integrator of a scene."""
-    return choose(scene).method
-
-
-def choose(scene: Scene) -> Choice:
-    """Return the integrator of a scene, chosen once, with the reason."""
-    made: Choice | None = vars(scene).get("_choice")
-    if made is None:
-        made = _asked(scene) or _chosen(scene)
-        object.__setattr__(scene, "_choice", made)
-    return made
-
-
-def _asked(scene: Scene) -> Choice | None:
-    return None if scene.method == "auto" else Choice(scene.method, "the scene asks for it")
-
-
-def _chosen(scene: Scene) -> Choice:
+def choose(scene: Scene, stops: Array) -> Choice:
+    """Return the integrator of a scene that stops at these times, (S,), with the reason."""
+    if scene.method != "auto":
+        return Choice(scene.method, "the scene asks for it")
     rtol, atol = scene.tolerance
     dop853 = DOP853(max(rtol, DOP853_LEAST), atol)
     rates = rates_near_rest(scene)
@@ -67,7 +52,7 @@ def _chosen(scene: Scene) -> Choice:
     inside = int((scene.report_times < scene.end).sum()) - int(scene.report_times[0] == 0.0)
     if inside > _FEW:
         return Choice(dop853, f"{inside} reports before the end cost it least")
-    if scene.force_model is not None and len(stops_of(scene)) > 1:
+    if scene.force_model is not None and len(stops) > 1:
         return Choice(dop853, "the scene is integrated in pieces")
     if scene.force_model is not None and scene.force_model.has_kinks:
         return Choice(dop853, "a force has kinks, which long steps do not see")

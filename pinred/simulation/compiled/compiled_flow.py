@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import InputError
@@ -13,14 +14,12 @@ from ...kernels.start_kernel import Starts, start_kernel
 from ...kernels.tangent import tangent_of
 from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import into_body, root_of
-from ...reduction.potential import pivot_weight
 from ...scene.initial_state import Given, finite_start
-from ...scene.scene import Scene
 from ...system.system import Indices
-from ..pinocchio.flow import entry_name
+from ..entry_name import entry_name
+from ..plan import Plan
 from ..state import Sample, ShapeState, State
-from .choose_method import method_of
-from .kind import kernel_for
+from .kernel_of_plan import kernel_of
 
 _AT_ONCE = 512  # members that are set up together
 
@@ -33,9 +32,9 @@ class CompiledFlow:
     torques that controllers hold are set in it as time goes on.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        """Set up the flow.  Raises SymmetryError if gravity breaks the symmetry."""
-        self._take(CompiledFlows(scene, scene.given), 0)
+    def __init__(self, plan: Plan) -> None:
+        """Set up the flow from the plan's own initial state."""
+        self._take(CompiledFlows(plan, plan.scene.given), 0)
 
     @classmethod
     def of(cls, flows: CompiledFlows, member: int) -> CompiledFlow:
@@ -45,7 +44,7 @@ class CompiledFlow:
         return flow
 
     def _take(self, flows: CompiledFlows, member: int) -> None:
-        self._system, self.kernel = flows.scene.system, flows.kernel
+        self._system, self.kernel = flows.kernel.system, flows.kernel
         self.y0, self.parameters = flows.y0[member], flows.parameters[member]
         self._line = flows.line[member]
         layout = self.kernel.layout
@@ -111,38 +110,33 @@ class CompiledFlow:
 
 
 class CompiledFlows:
-    """Flows of one scene from many initial states, all with or all without momentum.
+    """Flows of one plan from many initial states, all with or all without momentum.
 
     kernel: of all of them.  y0: (N, k).  parameters: (N, p).  line: (N, 3k) where their
     centres of mass begin, how fast, and how they fall.
     """
 
-    scene: Scene
     kernel: Kernel
     y0: Array
     parameters: Array
     line: Array
 
-    def __init__(self, scene: Scene, given: Given) -> None:
-        """Set up the flows.  given: (N, …).
-
-        Raises SymmetryError if gravity breaks the symmetry.
-        """
-        start = _started(scene, given)
-        changes = _momentum_changes(scene)
-        self._begin(scene, given, start, zero=not (changes or bool(start.about.any())))
+    def __init__(self, plan: Plan, given: Given) -> None:
+        """Set up the flows.  given: (N, …)."""
+        start = _started(plan, given)
+        self._begin(plan, given, start, zero=not start.about.any())
 
     @classmethod
-    def several(cls, scene: Scene, given: Given, members: Indices, *, zero: bool) -> CompiledFlows:
+    def several(cls, plan: Plan, given: Given, members: Indices, *, zero: bool) -> CompiledFlows:
         """Set up the flows of some members, a few at a time: memory beside them stays small."""
         parts = [members[k : k + _AT_ONCE] for k in range(0, len(members), _AT_ONCE)]
         flows = cls.__new__(cls)
         for n, part in enumerate(parts):
             some = given[part]
             new = cls.__new__(cls)
-            new._begin(scene, some, _started(scene, some), zero=zero)
+            new._begin(plan, some, _started(plan, some), zero=zero)
             if n == 0:
-                flows.scene, flows.kernel = scene, new.kernel
+                flows.kernel = new.kernel
                 for name in ("y0", "parameters", "line"):
                     columns = getattr(new, name).shape[1]
                     setattr(flows, name, np.empty((len(members), columns)))
@@ -151,58 +145,54 @@ class CompiledFlows:
                 getattr(flows, name)[rows] = getattr(new, name)
         return flows
 
-    def _begin(self, scene: Scene, given: Given, start: Starts, *, zero: bool) -> None:
-        forces, x, N = scene.force_model, given.x, len(given.x)
-        method = method_of(scene)
-        self.scene = scene
-        self.kernel = kernel_for(scene, zero_momentum=zero, lifted=method.symplectic)
+    def _begin(self, plan: Plan, given: Given, start: Starts, *, zero: bool) -> None:
+        x, N = given.x, len(given.x)
+        self.kernel = kernel_of(plan, zero_momentum=zero)
         layout = self.kernel.layout
         parts = layout.base
-        if isinstance(method, Variational) and parts.momentum:
+        if isinstance(plan.method, Variational) and parts.momentum:
             raise InputError(
                 "Variational needs a constant angular momentum, and here gravity or a wrench "
                 "changes it; Gauss and the others take that"
             )
         active, cyclic = list(layout.active), list(layout.cyclic)
-        attitude = given.pose[:, scene.system.group.linear :]
+        attitude = given.pose[:, plan.system.group.linear :]
         pieces = [x[:, active], start.pi[:, active], x[:, cyclic], attitude[:, : parts.attitude]]
         if parts.down:
-            weight = pivot_weight(scene.system)
-            pieces.append(into_body(attitude, weight / np.linalg.norm(weight)))
+            pieces.append(into_body(attitude, plan.weight / np.linalg.norm(plan.weight)))
         pieces += [start.about[:, : parts.momentum], np.zeros((N, parts.push + layout.clock))]
         self.y0 = np.concatenate(pieces, axis=1)
-        own = np.empty(0) if forces is None else forces.numbers_from(0.0, scene.end)
-        numbers = np.broadcast_to(own, (N, len(own)))
+        numbers = np.broadcast_to(plan.numbers, (N, len(plan.numbers)))
         spin = start.fixed[:, : parts.spin]
         self.parameters = np.concatenate([spin, start.pi[:, cyclic], numbers], axis=1)
-        fall = np.broadcast_to(root_of(scene.system).g, start.c0.shape)
+        fall = np.broadcast_to(root_of(plan.system).g, start.c0.shape)
         self.line = np.concatenate([start.c0, start.v0, fall], axis=1)
         finite_start(self.y0, self.parameters, self.line)
 
 
-def flows_of(scene: Scene, given: Given) -> list[tuple[Indices, CompiledFlows]]:
+def flows_of(plan: Plan, given: Given) -> list[tuple[Indices, CompiledFlows]]:
     """Return the flows of many initial states (N, …): of members with momentum, and without.
 
     Each with the indices of the members, sorted.
     """
-    moving = np.full(len(given.x), _momentum_changes(scene))
-    for k in range(0, 0 if moving.all() else len(moving), _AT_ONCE):
-        some = slice(k, k + _AT_ONCE)
-        moving[some] = _started(scene, given[some]).about.any(axis=1)
-    groups = [(np.flatnonzero(moving), False), (np.flatnonzero(~moving), True)]
+    still = without_momentum(plan, given)
+    groups = [(np.flatnonzero(~still), False), (np.flatnonzero(still), True)]
     return [
-        (members, CompiledFlows.several(scene, given, members, zero=zero))
+        (members, CompiledFlows.several(plan, given, members, zero=zero))
         for members, zero in groups
         if members.size
     ]
 
 
-def _started(scene: Scene, given: Given) -> Starts:
-    kernel = start_kernel(scene.system, "xi" if given.mu is None else "mu")
+def without_momentum(plan: Plan, given: Given) -> NDArray[np.bool_]:
+    """Return which initial states (N, …) have no angular momentum, nor will ever have any."""
+    still = np.full(len(given.x), not plan.momentum_changes)
+    for k in range(0, len(still) if still.any() else 0, _AT_ONCE):
+        some = slice(k, k + _AT_ONCE)
+        still[some] = ~_started(plan, given[some]).about.any(axis=1)
+    return still
+
+
+def _started(plan: Plan, given: Given) -> Starts:
+    kernel = start_kernel(plan.system, "xi" if given.mu is None else "mu")
     return kernel(given.pose, given.x, given.xdot, given.motion)
-
-
-def _momentum_changes(scene: Scene) -> bool:
-    """Return whether something acts on the angular momentum."""
-    forces = scene.force_model
-    return bool(pivot_weight(scene.system).any()) or (forces is not None and forces.has_wrench)

@@ -8,9 +8,8 @@ from ...common.arrays import Array
 from ...lie.groups import SE2, SE3, SO3, Group
 from ...lie.rotations import apply, hat, plane_rotation, rotation
 from ...reduction.base_parts import base_parts, into_body, quaternion_rate, root_of
-from ...reduction.potential import pivot_weight
 from ...scene.initial_state import Start
-from ...system.system import System
+from ..plan import Plan
 
 
 class Base:
@@ -23,21 +22,22 @@ class Base:
     many numbers that is.
     """
 
-    def __init__(self, system: System, start: Start, *, wanted: bool, wrench: bool) -> None:
-        """Take over the initial state.  wanted, wrench: as in base_parts."""
-        group, weight, root = system.group, pivot_weight(system), root_of(system)
+    def __init__(self, plan: Plan, start: Start) -> None:
+        """Take over the initial state."""
+        system, weight, wrench = plan.system, plan.weight, plan.wrench
+        group, root = system.group, root_of(system)
         k = self._k = group.linear
         self._group, self._mass, self.turns = group, system.mass, group.dim - k
         self.axes, self._g, self._weight = root.axes, root.g, weight
         self._lift = float(root.origin @ root.axes @ root.g)
         self._pivot = float(weight @ root.origin)
-        heavy = bool(weight.any())
+        heavy = plan.turned
         attitude, c, P = start.pose[k:], start.com @ root.axes, start.mu[:k]
         about = start.mu[k:] - _moment(group, c, P)
         self.parts = base_parts(
-            group, wanted=wanted, heavy=heavy, wrench=wrench, zero_momentum=not about.any()
+            group, wanted=plan.wanted, heavy=heavy, wrench=wrench, zero_momentum=not about.any()
         )
-        self.has_momentum = heavy or wrench or bool(about.any())
+        self.has_momentum = plan.momentum_changes or bool(about.any())
         self._c0 = start.pose[:k] + self._turn(attitude, c)
         self._v0 = self._turn(attitude, P / system.mass)
         self.spin = self._fixed(attitude, about)[: self.parts.spin]

@@ -12,11 +12,11 @@ from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...reduction.canonical_form import CanonicalForm
 from ...reduction.inertia_split import symmetric
-from ...reduction.potential import pivot_weight, shape_gravity
-from ...scene.scene import Scene
-from ...system.system import System
+from ...reduction.potential import shape_gravity
+from ..entry_name import entry_name
+from ..plan import Plan
 from ..state import Sample, ShapeState, State, full_state
-from .base import Base
+from .base_motion import Base
 
 
 class ReducedFlow:
@@ -26,19 +26,17 @@ class ReducedFlow:
     that controllers hold are set in it as time goes on.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        """Set up the flow.  Raises SymmetryError if gravity breaks the symmetry."""
-        system, start = scene.system, scene.start
-        self._system, self._wanted = system, scene.outputs == "all"
-        self._forces = forces = scene.force_model
-        self._driven = list(forces.joints) if forces else []
-        self._free = [k for k in range(system.m) if k not in self._driven]
+    def __init__(self, plan: Plan) -> None:
+        """Set up the flow from the plan's own initial state."""
+        system, start = plan.system, plan.scene.start
+        self._system, self._wanted = system, plan.wanted
+        self._forces = plan.forces
+        self._driven, self._free = list(plan.driven), list(plan.free)
         self._potential = shape_gravity(system)
-        self._weight = pivot_weight(system)
+        self._weight = plan.weight
         self._form = CanonicalForm(system, self._potential)
-        self.numbers = forces.numbers.copy() if forces else np.empty(0)
-        wrench = forces is not None and forces.has_wrench
-        self.base = base = Base(system, start, wanted=self._wanted, wrench=wrench)
+        self.numbers = plan.numbers.copy()
+        self.base = base = Base(plan, start)
         pi = start.mass_matrix[system.r :] @ np.concatenate([base.relative_twist0, start.xdot])
         self.y0 = np.concatenate([start.x[self._free], pi[self._free], base.b0])
 
@@ -124,15 +122,3 @@ class ReducedFlow:
     def entry_name(self, entry: int) -> str:
         """Return what an entry of the reduced state is, for messages."""
         return entry_name(self._system, self._free, [], entry)
-
-
-def entry_name(system: System, active: list[int], cyclic: list[int], entry: int) -> str:
-    """Return what an entry of y = (x, π of active joints, x of cyclic ones, base) is."""
-    names, k = system.shape_names, len(active)
-    if entry < k:
-        return f"the position of joint '{names[active[entry]]}'"
-    if entry < 2 * k:
-        return f"the momentum of joint '{names[active[entry - k]]}'"
-    if entry < 2 * k + len(cyclic):
-        return f"the position of joint '{names[cyclic[entry - 2 * k]]}'"
-    return f"the motion of the root joint '{system.root_name}'"

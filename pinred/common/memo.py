@@ -1,0 +1,26 @@
+"""Values made once for the object they belong to, and kept for as long as it lives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from threading import get_ident
+from typing import Any, TypeVar
+
+_T = TypeVar("_T")
+
+
+def once(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
+    """Return what `make` made for this owner and key the first time it was asked for.
+
+    It is kept in the owner, to which it may refer: a table of weak references would keep both
+    alive for ever.  Of two threads that come at once both make one, and the first one's serves
+    both.
+    """
+    kept: dict[Hashable, Any] = vars(owner).setdefault("_once", {})
+    found: _T = kept[key] if key in kept else kept.setdefault(key, make())
+    return found
+
+
+def once_a_thread(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
+    """Return what `make` made for this owner, key and thread: for what owns work space."""
+    return once(owner, (get_ident(), key), make)

@@ -1,0 +1,134 @@
+"""The structure of a kernel, and where things stand in its state, parameters and outputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+from ..forces.model import ForceModel
+from ..lie.groups import SO3
+from ..reduction.base_parts import BaseParts, base_parts
+from ..system.system import System
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What decides which terms a kernel has, besides the forces.
+
+    zero_momentum: of the base.  cyclic: indices of the cyclic joints.  gravity: (3,) what
+    acts on the shape, or turns a pivoted base, in the root joint's fixed frame, or None.
+    base: whether somebody asks for the base.  lifted: whether a quaternion of any length
+    stands for the angular momentum, μ = q̄ J q, which grows as the square of that length.
+    Under this map (Cayley and Klein's) of ℝ⁴ to so(3)* the canonical bracket becomes that of
+    Lie and Poisson, so that a symplectic method for (x, π, q) is a Poisson map of (x, π, μ).
+    """
+
+    zero_momentum: bool = True
+    cyclic: tuple[int, ...] = ()
+    gravity: tuple[float, float, float] | None = None
+    base: bool = True
+    lifted: bool = False
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where things stand in y and in the parameters.
+
+    active, cyclic, prescribed: indices of shape joints.  base: what is integrated of the
+    base, and its constants.  clock: 1 if the time is the last number of y, else 0.
+    numbers: how many there are in the forces.
+    """
+
+    active: tuple[int, ...]
+    cyclic: tuple[int, ...]
+    prescribed: tuple[int, ...]
+    base: BaseParts
+    wanted: bool
+    heavy: bool
+    clock: int
+    numbers: int
+
+    @property
+    def base_at(self) -> int:
+        """Index in y of the first number of the base."""
+        return 2 * len(self.active) + len(self.cyclic)
+
+    @property
+    def size(self) -> int:
+        """Length of y."""
+        return self.base_at + self.base.size + self.clock
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters."""
+        return self.base.spin + len(self.cyclic) + self.numbers
+
+    @property
+    def quaternion(self) -> int:
+        """Index of the first of four quaternion entries in y, or −1."""
+        return self.base_at if self.base.attitude == 4 else -1
+
+    @property
+    def canonical(self) -> tuple[int, int]:
+        """Number of positions with momenta behind them, and of constant angular momenta."""
+        return len(self.active), self.base.spin
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Where things stand in the outputs: slices.
+
+    xi, xdot, com, mu, weight, driven_x, driven_pi: as seen from the centre of mass; com in
+    the root body's frame, (3,); the weight that turns a pivoted base, (3,) in its frame, or
+    none; x and π of the prescribed joints.  The rest are fields of State, or of
+    ShapeState, whose energy is the last.
+    """
+
+    xi: slice
+    xdot: slice
+    com: slice
+    mu: slice
+    weight: slice
+    driven_x: slice
+    driven_pi: slice
+    x: slice
+    pose: slice
+    q: slice
+    v: slice
+    body_momentum: slice
+    spatial_momentum: slice
+    size: int
+
+
+def outputs_of(system: System, layout: Layout) -> Outputs:
+    """Return where things stand in the outputs of a kernel."""
+    m, r, k = system.m, system.r, len(layout.prescribed)
+    full = [system.group.size, system.model.nq, system.n, r, r]
+    sizes = [r, m, 3, r, 3 * layout.heavy, k, k, m, *(full if layout.wanted else [0] * len(full))]
+    ends = [sum(sizes[:i]) for i in range(len(sizes) + 1)]
+    places: list[Any] = [*(slice(a, b) for a, b in pairwise(ends)), ends[-1] + 1]
+    return Outputs(*places)
+
+
+def layout_of(system: System, structure: Structure, forces: ForceModel | None) -> Layout:
+    """Return where things stand in y and in the parameters of a kernel of this structure."""
+    prescribed = forces.joints if forces is not None else ()
+    heavy = system.group is SO3 and structure.gravity is not None
+    parts = base_parts(
+        system.group,
+        wanted=structure.base or structure.lifted,
+        heavy=heavy,
+        wrench=forces is not None and forces.has_wrench,
+        zero_momentum=structure.zero_momentum,
+    )
+    return Layout(
+        active=tuple(k for k in range(system.m) if k not in {*structure.cyclic, *prescribed}),
+        cyclic=structure.cyclic,
+        prescribed=prescribed,
+        base=parts,
+        wanted=structure.base,
+        heavy=heavy,
+        clock=int(forces is not None and forces.needs_time),
+        numbers=len(forces.numbers) if forces is not None else 0,
+    )
