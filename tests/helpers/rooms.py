@@ -128,8 +128,8 @@ def drawing() -> str:
     """The rooms as a Mermaid diagram and a table of what each holds."""
     direct = arrows(imports())
     lines = ["```mermaid", "graph TD"]
-    for room, below in needed_arrows(direct).items():
-        lines += [f"    {room} --> {of}" for of in sorted(below, key=ROOMS.index)]
+    for room, needed in needed_arrows(direct).items():
+        lines += [f"    {room} --> {of}" for of in sorted(needed, key=ROOMS.index)]
     lines += ["```", "", "| room | what lives there | imports |", "|---|---|---|"]
     for room in reversed(ROOMS):
         text = ast.get_docstring(ast.parse((PACKAGE / room / "__init__.py").read_text("utf-8")))

@@ -21,13 +21,8 @@ from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.explain import explain
 from pinred.simulation.plan import plan_of
 
-METHODS: list[Any] = [
-    "auto",
-    DOP853(1e-9, 1e-11),
-    Gauss(0.01),
-    Radau(1e-9, 1e-11),
-    Variational(0.01),
-]
+AUTO: Any = "auto"
+METHODS = [AUTO, DOP853(1e-9, 1e-11), Gauss(0.01), Radau(1e-9, 1e-11), Variational(0.01)]
 
 
 @settings(max_examples=30)
@@ -57,7 +52,7 @@ def test_a_quaternion_in_place_of_momenta(method: Any) -> None:
     """Symplectic methods integrate four numbers where others take three, and say so."""
     system = pinred.load("falling_cat")
     options: dict[str, Any] = {"xi0": np.ones(6), "outputs": "shape"}
-    for each, size in ((method, 10), ("auto", 9)):
+    for each, size in ((method, 10), (AUTO, 9)):
         lines = explain(plan_of(pinred.Scene(system=system, method=each, **options)))
         assert f"integrated: 19 → {size} numbers" in lines
 
