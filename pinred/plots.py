@@ -7,6 +7,5 @@ from .views import plots as _plots
 
 if TYPE_CHECKING:
     from .views.plots import *  # noqa: F403
-    from .views.plots import options_of as options_of
 else:
     sys.modules[__name__] = _plots

@@ -264,17 +264,6 @@ def test_import_and_help_are_light() -> None:
     assert python(code).endswith("set()\n")
 
 
-def test_public_names() -> None:
-    """Every public name resolves, in any order of imports, and unknown ones do not."""
-    for name in pinred.__all__:
-        assert getattr(pinred, name) is not None
-    code = "import pinred.verification.compare, pinred.simulation.simulate, pinred; "
-    code += "print(callable(pinred.compare))"
-    assert python(code) == "True\n"
-    with pytest.raises(AttributeError, match="no attribute 'nope'"):
-        _ = pinred.nope
-
-
 def test_help_names_every_method(capsys: pytest.CaptureFixture[str]) -> None:
     """The integrators that --method takes, and that it chooses by itself without."""
     for command in ("simulate", "compare"):

@@ -1,0 +1,29 @@
+"""Every name and where it stands: for type checkers, and for the first use of a name."""
+
+from .accuracy import DEFAULT as DEFAULT
+from .accuracy import FULL as FULL
+from .accuracy import QUICK as QUICK
+from .accuracy import Effort as Effort
+from .accuracy import bench_accuracy as bench_accuracy
+from .evaluations import Evaluations as Evaluations
+from .evaluations import bench_evaluations as bench_evaluations
+from .kernels import KernelTiming as KernelTiming
+from .kernels import bench_kernels as bench_kernels
+from .own_methods import own_method as own_method
+from .problems import Problem as Problem
+from .record import read_record as read_record
+from .record import write_record as write_record
+from .reference import Reference as Reference
+from .reference import reference_of as reference_of
+from .scaling import Scaling as Scaling
+from .scaling import bench_scaling as bench_scaling
+from .scenes import SCENES as SCENES
+from .scenes import problems_named as problems_named
+from .solver import End as End
+from .solver import Method as Method
+from .solver import Prepared as Prepared
+from .solvers import METHODS as METHODS
+from .threads import ManyTiming as ManyTiming
+from .threads import bench_many as bench_many
+from .work_precision import Point as Point
+from .work_precision import WorkPrecision as WorkPrecision

@@ -1,0 +1,17 @@
+"""Every name and where it stands: for type checkers, and for the first use of a name."""
+
+from .by_kind import options_of as options_of
+from .by_kind import plot as plot
+from .conserved import energy as energy
+from .conserved import momentum as momentum
+from .curvature_field import curvature as curvature
+from .full_error import error as error
+from .momentum_sphere import sphere as sphere
+from .phase_portrait import phase as phase
+from .poincare_section import poincare as poincare
+from .time_series import base as base
+from .time_series import shape as shape
+from .work import work_precision as work_precision
+
+INSTALL: str
+KINDS: tuple[str, ...]
