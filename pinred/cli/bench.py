@@ -6,23 +6,24 @@ Nothing heavy is imported before a measurement runs.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TypeAlias
 
 from ..common.errors import OutputError
 from . import bench_accuracy as accuracy_command
 
-Row = dict[str, object]
+Row: TypeAlias = dict[str, object]
+Measurement: TypeAlias = Callable[[argparse.Namespace], int]
 
 
-def add_measurements(parser: argparse.ArgumentParser) -> None:
-    """Add a command a measurement to a parser; each sets `run`."""
-    commands = parser.add_subparsers(title="measurements", metavar="WHAT", required=True)
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add a command for each measurement; each sets `measure`."""
+    commands = sub.add_subparsers(title="measurements", metavar="WHAT", required=True)
 
-    def command(name: str, run: Any, text: str) -> argparse.ArgumentParser:
+    def command(name: str, measure: Measurement, text: str) -> argparse.ArgumentParser:
         sub: argparse.ArgumentParser = commands.add_parser(name, help=text, description=text)
-        sub.set_defaults(run=run)
+        sub.set_defaults(measure=measure)
         sub.add_argument("--out", metavar="FOLDER", help="write the numbers there, as csv")
         return sub
 
@@ -36,6 +37,12 @@ def add_measurements(parser: argparse.ArgumentParser) -> None:
     sub = command("many", _many, "simulate_many on one and two threads, and its memory")
     sub.add_argument("robot", nargs="?", default="solo12", metavar="ROBOT", help="(solo12)")
     sub.add_argument("--members", metavar="N", type=int, default=1000, help="trajectories (1000)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Make the measurement asked for, print it, and write it.  Returns 0."""
+    measure: Measurement = options.measure
+    return measure(options)
 
 
 def _kernels(options: argparse.Namespace) -> int:

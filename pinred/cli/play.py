@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..common.errors import InputError
-
-if TYPE_CHECKING:
-    from ..simulation.recording import Recording
-    from ..simulation.trajectory import Trajectory
+from .motions import motion_in
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -49,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
         from ..views.playback.server import check_port
 
         check_port(options.port)
-    motion = _motion(options)
+    motion = motion_in(options.motion, options.robot)
     if out is None:
         from ..views.playback.show import play
 
@@ -69,7 +65,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Raise InputError for an option that would change nothing."""
+    """Raise InputError for a motion of another kind, or an option that would change nothing."""
+    if Path(options.motion).suffix not in (".npz", ".toml"):
+        raise InputError(f"play takes a .npz or a scene file (.toml), got '{options.motion}'")
     if options.out is not None and options.port is not None:
         raise InputError("--port is for playing in a browser, not with --out")
     page = options.out is None or Path(options.out).suffix == ".html"
@@ -78,23 +76,3 @@ def _check(options: argparse.Namespace) -> None:
             "--fps is for films and for scenes; a page shows a .npz at the times that it holds "
             "(`pinred simulate --samples` makes more of them)"
         )
-
-
-def _motion(options: argparse.Namespace) -> Trajectory | Recording:
-    """Return the motion in a file.  Raises InputError for a file of another kind."""
-    suffix = Path(options.motion).suffix
-    if suffix == ".npz":
-        from ..simulation.recording import read_recording
-
-        return read_recording(options.motion, options.robot)
-    if suffix != ".toml":
-        raise InputError(f"play takes a .npz or a scene file (.toml), got '{options.motion}'")
-    if options.robot is not None:
-        raise InputError("--robot is for .npz files; a scene names its robot itself")
-    from ..common.progress import ProgressBar
-    from ..scene.toml.reader import read_scene_file
-    from ..simulation.simulate import simulate
-
-    file = read_scene_file(options.motion)
-    with ProgressBar("reduced") as bar:
-        return simulate(file.scene, engine=file.engine, progress=bar)

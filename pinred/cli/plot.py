@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
 from ..views.plots import KINDS, options_of, plot
+from .motions import check_robot, motion_in
+from .options import scene_with
+from .written import written
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ..scene.scene import Scene
+    from ..simulation.trajectory import Trajectory
 
 SUFFIXES = (".png", ".pdf", ".svg")
 SAMPLES = 501  # report times of a robot that is simulated here
@@ -35,7 +37,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--kind", metavar="K[,K]", required=True, help=", ".join(KINDS))
     sub.add_argument(
         "--out", metavar="FILE", required=True,
-        help="FILE.png, .pdf or .svg; of several kinds, FILE_KIND.png",
+        help=f"FILE{' or '.join(SUFFIXES)}; of several kinds, FILE_KIND.png",
     )  # fmt: skip
     sub.add_argument("--robot", metavar="R", help="the robot of an npz that does not name its own")
     sub.add_argument("--joints", metavar="J1,J2,…", help="joints to draw, by name")
@@ -70,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
     figures = {kind: plot(source, kind, **own[kind]) for kind in paths}
     for kind, path in paths.items():
         save(figures[kind], path)
-        print(f"written to {path} ({path.stat().st_size / 1e3:.0f} kB)")
+        print(written(path))
     return 0
 
 
@@ -99,12 +101,7 @@ def _paths(out: str, kinds: list[str]) -> dict[str, Path]:
 
 def _source(options: argparse.Namespace, kinds: list[str]) -> Any:
     """Return what a plot takes: of a file, a scene or a robot."""
-    read: dict[str, Callable[[], Any]] = {
-        ".npz": lambda: _recording(options.source, options.robot),
-        ".csv": lambda: _measurements(options.source),
-        ".toml": lambda: _simulated_file(options.source),
-    }
-    suffix = Path(options.source).suffix
+    source, suffix = options.source, Path(options.source).suffix
     measured = "work_precision" in kinds
     if measured and (suffix != ".csv" or len(kinds) > 1):
         raise InputError(
@@ -112,57 +109,29 @@ def _source(options: argparse.Namespace, kinds: list[str]) -> Any:
             "`pinred bench accuracy --out FOLDER` writes it"
         )
     if suffix == ".csv" and not measured:
-        raise InputError(f"'{options.source}' can be drawn as work_precision only; motions are npz")
-    if options.robot is not None and suffix != ".npz":
-        raise InputError(f"--robot is for .npz files; '{options.source}' names its robot itself")
-    if suffix not in read:
-        return _simulated(_robot_scene(options))
+        raise InputError(f"'{source}' can be drawn as work_precision only; motions are npz")
+    check_robot(source, options.robot)
+    if suffix not in (".npz", ".toml", ".csv"):
+        return _motion_of_robot(options)
     for name in ("time", "seed", "group"):
         if getattr(options, name) is not None:
-            raise InputError(f"--{name} is for robots; '{options.source}' says itself")
-    return read[suffix]()
+            raise InputError(f"--{name} is for robots; '{source}' says itself")
+    if suffix == ".csv":
+        from ..verification.bench.record import read_record
+
+        return read_record(Path(source))
+    return motion_in(source, options.robot)
 
 
-def _recording(path: str, robot: str | None) -> Any:
-    from ..simulation.recording import read_recording
-
-    return read_recording(path, robot)
-
-
-def _measurements(path: str) -> Any:
-    from ..verification.bench.record import read_record
-
-    return read_record(Path(path))
-
-
-def _simulated_file(path: str) -> Any:
-    from ..scene.toml.reader import read_scene_file
-
-    file = read_scene_file(path)
-    return _simulated(file.scene, engine=file.engine)
-
-
-def _robot_scene(options: argparse.Namespace) -> Scene:
+def _motion_of_robot(options: argparse.Namespace) -> Trajectory:
     from dataclasses import replace
 
     import numpy as np
 
-    from ..scene.scene import Scene
+    from ..simulation.simulate import simulate
     from ..system.load import load
 
     system = load(options.source, group=options.group)
-    seed = options.seed
-    if seed is None and system.initial is None:
-        seed = 0
-    if seed is not None:
-        print(f"initial state: random, seed {seed}")
-    scene = Scene(system=system, seed=seed, duration=options.time)
-    return replace(scene, times=np.linspace(0.0, scene.end, SAMPLES))
-
-
-def _simulated(scene: Scene, **options: Any) -> Any:
-    from ..common.progress import ProgressBar
-    from ..simulation.simulate import simulate
-
-    with ProgressBar("reduced") as bar:
-        return simulate(scene, progress=bar, **options)
+    scene = scene_with(system, options.seed, duration=options.time)
+    scene = replace(scene, times=np.linspace(0.0, scene.end, SAMPLES))
+    return simulate(scene, progress=True)

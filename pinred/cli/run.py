@@ -7,6 +7,8 @@ import json
 from typing import TYPE_CHECKING
 
 from ..common.errors import InputError
+from .compare import judged
+from .written import written
 
 if TYPE_CHECKING:
     from ..scene.scene import Scene
@@ -15,12 +17,15 @@ if TYPE_CHECKING:
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
+    from ..scene.scene import ENGINES
+
     sub.add_argument("scene", metavar="SCENE", nargs="?", help="a TOML file (docs/scenes.md)")
     sub.add_argument("--check", action="store_true", help="say whether it can run; do not run it")
     sub.add_argument("--explain", action="store_true", help="print what is skipped")
     sub.add_argument("--compare", action="store_true", help="judge by full ABA; exit 1 if it fails")
     sub.add_argument("--out", metavar="FILE", help="write the motion: traj.npz or traj.csv")
-    sub.add_argument("--engine", metavar="E", help="compiled or pinocchio, whatever the file says")
+    engines = " or ".join(ENGINES)
+    sub.add_argument("--engine", metavar="E", help=f"{engines}, whatever the file says")
     sub.add_argument("--schema", action="store_true", help="print the JSON Schema of scenes")
 
 
@@ -34,12 +39,10 @@ def run(options: argparse.Namespace) -> int:
     if options.scene is None:
         raise InputError("run needs a scene: the name of a TOML file; see `pinred run --help`")
     from ..common.files import check_path
-    from ..common.progress import ProgressBar
     from ..scene.toml.reader import read_scene_file
     from ..simulation.explain import explain
     from ..simulation.plan import plan_of
     from ..simulation.simulate import simulate
-    from ..verification.compare import compare
 
     file = read_scene_file(options.scene)
     scene = file.scene
@@ -50,18 +53,12 @@ def run(options: argparse.Namespace) -> int:
         print(f"ok: {_title(scene)}")
         return 0
     path = None if options.out is None else check_path(options.out)
-    with ProgressBar("reduced") as bar:
-        traj = simulate(scene, engine=options.engine or file.engine, progress=bar)
+    traj = simulate(scene, engine=options.engine or file.engine, progress=True)
     print(summary(traj))
     if path is not None:
         traj.save(path)
-        print(f"  written to {path} ({path.stat().st_size / 1e3:.0f} kB)")
-    if not options.compare:
-        return 0
-    with ProgressBar("full   ") as bar:
-        report = compare(traj, progress=bar)
-    print(report)
-    return 0 if report.passed else 1
+        print(f"  {written(path)}")
+    return judged(traj) if options.compare else 0
 
 
 def summary(traj: Trajectory) -> str:

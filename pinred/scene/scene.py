@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,13 +22,11 @@ if TYPE_CHECKING:
     from ..forces.model import ForceModel
     from ..forces.signals import Signal
 
-Engine = Literal["compiled", "pinocchio"]
-
-
-ENGINES: tuple[Engine, ...] = ("compiled", "pinocchio")
-
-
-OUTPUTS = ("all", "shape")
+Engine: TypeAlias = Literal["compiled", "pinocchio"]
+Outputs: TypeAlias = Literal["all", "shape"]
+ENGINES: tuple[Engine, ...] = get_args(Engine)
+OUTPUTS: tuple[Outputs, ...] = get_args(Outputs)
+SAMPLES = 201  # report times, where the scene does not say
 DURATION = 2.0  # s, where neither scene nor robot says
 TIGHTEST = 1e-14  # relative tolerance; below it round-off decides the step
 # Momenta are integrated, and rates are wanted: where a light joint sits beside heavy ones, a
@@ -72,7 +70,7 @@ class Scene:
     springs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     forces: Sequence[Force] | Force = ()
     prescribed: Mapping[str, Signal] = field(default_factory=dict)
-    outputs: Literal["all", "shape"] = "all"
+    outputs: Outputs = "all"
     method: Method | Literal["auto"] = "auto"
 
     def __post_init__(self) -> None:
@@ -198,7 +196,7 @@ class Scene:
     def _checked_times(self) -> Array:
         if self.times is None:
             own = self.system.initial.duration if self.system.initial else DURATION
-            return np.linspace(0.0, own if self.duration is None else float(self.duration), 201)
+            return np.linspace(0.0, own if self.duration is None else float(self.duration), SAMPLES)
         times = np.atleast_1d(as_floats(self.times, "times")).copy()
         end = np.inf if self.duration is None else float(self.duration)
         if times.ndim != 1 or times.size == 0 or not np.isfinite(times).all():

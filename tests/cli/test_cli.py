@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.cli.main import main
+from pinred.cli.main import COMMANDS, main
 from pinred.integrators.methods import METHODS
+from pinred.lie import GROUPS
+from pinred.scene.scene import ENGINES, OUTPUTS
 from pinred.system.catalogue import bundled_robots
 
 
@@ -264,10 +266,19 @@ def test_import_and_help_are_light() -> None:
     assert python(code).endswith("set()\n")
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help(capsys: pytest.CaptureFixture[str], command: str) -> None:
+    """A command is a file of its name, which is imported when the command is asked for."""
+    code, out, _ = run(capsys, command, "--help")
+    assert code == 0
+    assert f"pinred {command}" in out
+    assert COMMANDS[command][1:] in " ".join(out.split())
+
+
 def test_help_names_every_method(capsys: pytest.CaptureFixture[str]) -> None:
     """The integrators that --method takes, and that it chooses by itself without."""
     for command in ("simulate", "compare"):
         _, out, _ = run(capsys, command, "--help")
         assert "auto (default)" in out
-        for name in METHODS:
+        for name in (*METHODS, *GROUPS, *ENGINES, *OUTPUTS):
             assert name in out

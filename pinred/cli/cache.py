@@ -1,0 +1,32 @@
+"""`pinred cache`: the compiled kernels kept on disk."""
+
+from __future__ import annotations
+
+import argparse
+
+_LISTED = 20  # kernels
+
+
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    sub.add_argument("--clear", action="store_true", help="remove them")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Show or remove them.  Returns 0."""
+    from ..kernels.store import ObjectCache
+
+    cache = ObjectCache()
+    if options.clear:
+        print(f"{cache.clear()} kernels removed from {cache.folder}")
+        return 0
+    entries = cache.entries()
+    size = sum(entry.size for entry in entries)
+    print(
+        f"{len(entries)} kernels, {size / 1e6:.2f} MB of {cache.limit / 1e6:.0f}, in {cache.folder}"
+    )
+    for entry in entries[: -_LISTED - 1 : -1]:  # the last used first
+        print(f"  {entry.key[:16]}  {entry.size / 1e3:8.1f} kB")
+    if len(entries) > _LISTED:
+        print(f"  … and {len(entries) - _LISTED} more")
+    return 0

@@ -1,0 +1,35 @@
+"""Motions for commands that show them: read from a .npz file, or simulated from a scene file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..common.errors import InputError
+
+if TYPE_CHECKING:
+    from ..simulation.recording import Recording
+    from ..simulation.trajectory import Trajectory
+
+
+def motion_in(path: str, robot: str | None) -> Recording | Trajectory:
+    """Return the motion in a .npz file, or that of a scene file.
+
+    robot: that of a .npz which does not name its own.
+    """
+    check_robot(path, robot)
+    if Path(path).suffix == ".npz":
+        from ..simulation.recording import read_recording
+
+        return read_recording(path, robot)
+    from ..scene.toml.reader import read_scene_file
+    from ..simulation.simulate import simulate
+
+    file = read_scene_file(path)
+    return simulate(file.scene, engine=file.engine, progress=True)
+
+
+def check_robot(source: str, robot: str | None) -> None:
+    """Raise InputError for a robot beside what names its own: all but a .npz file."""
+    if robot is not None and Path(source).suffix != ".npz":
+        raise InputError(f"--robot is for .npz files; '{source}' names its robot itself")

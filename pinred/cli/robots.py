@@ -1,0 +1,43 @@
+"""`pinred robots`: the robots that can be loaded by name."""
+
+from __future__ import annotations
+
+import argparse
+
+from ..common.errors import PinredError
+
+
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    sub.add_argument("--check", action="store_true", help="load each and say what is refused")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the names.  Returns 0."""
+    from ..system import catalogue
+
+    bundled = catalogue.bundled_robots()
+    width = max(map(len, bundled))
+    print("bundled:")
+    for name, robot in bundled.items():
+        print(f"  {name:<{width}}  {robot.group:<3}  {robot.description}")
+    examples = catalogue.example_robots()
+    if not examples:
+        print(f"more (solo12, talos, ur5, …): {catalogue.INSTALL_ROBOTS}")
+        return 0
+    print("from example-robot-data:")
+    if not options.check:
+        print("  " + ", ".join(examples))
+        return 0
+    from ..system.load import load
+
+    width = max(map(len, examples))
+    for name in examples:
+        try:
+            system = load(name)
+            print(
+                f"  {name:<{width}}  {system.group.name:<3}  {system.m} joints, {system.mass:g} kg"
+            )
+        except PinredError as error:
+            print(f"  {name:<{width}}  refused: {error}")
+    return 0
