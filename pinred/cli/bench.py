@@ -63,9 +63,9 @@ def _accuracy(options: argparse.Namespace) -> int:
 
 def _evaluations(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
-    from ..verification.bench.evaluations import ERRORS, SCENES, bench_evaluations
+    from ..verification.bench.evaluations import ERRORS, FEW_SCENES, bench_evaluations
 
-    found = bench_evaluations(options.scenes or SCENES, progress=True)
+    found = bench_evaluations(options.scenes or FEW_SCENES, progress=True)
     print("\n\n".join(map(str, found)))
     rows: list[Row] = [
         {"problem": each.problem, "method": name, "error": error, "evaluations": count}

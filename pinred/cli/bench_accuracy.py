@@ -18,7 +18,7 @@ _LOOKED_AT = 1e-8  # error at which the fastest method of each tool is drawn
 if TYPE_CHECKING:
     from ..verification.bench.accuracy import Effort
     from ..verification.bench.problems import Problem
-    from ..verification.bench.solver import Method
+    from ..verification.bench.solver import Solver
     from ..verification.bench.work_precision import WorkPrecision
 
 
@@ -39,18 +39,18 @@ def run(options: argparse.Namespace, folder: Path | None) -> int:
     """Measure what is missing in the folder, print it, and write it."""
     from ..verification.bench.accuracy import DEFAULT, FULL, QUICK
     from ..verification.bench.scenes import SCENES, problems_named
-    from ..verification.bench.solvers import ALL_METHODS, METHODS, methods_named
+    from ..verification.bench.solvers import ALL_SOLVERS, SOLVERS, solvers_named
 
     if options.list:
         print("scenes:", ", ".join(SCENES))
-        print("methods:", ", ".join(method.name for method in METHODS))
+        print("methods:", ", ".join(method.name for method in SOLVERS))
         return 0
     effort = QUICK if options.quick else FULL if options.full else DEFAULT
-    among = ALL_METHODS if options.full else METHODS
+    among = ALL_SOLVERS if options.full else SOLVERS
     names = _names(options.scenes)
     if names == ["all"] or (names is None and options.full):
         names = list(SCENES)
-    methods = methods_named(_names(options.methods), among)
+    methods = solvers_named(_names(options.methods), among)
     problems, missing = problems_named(names)
     _measure(problems, methods, _tolerances(options.tolerances), effort, folder)
     for line in missing:
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace, folder: Path | None) -> int:
 
 def _measure(
     problems: Sequence[Problem],
-    methods: Sequence[Method],
+    methods: Sequence[Solver],
     tolerances: Sequence[float] | None,
     effort: Effort,
     folder: Path | None,
@@ -69,7 +69,7 @@ def _measure(
     from ..verification.bench.accuracy import YARDSTICK, bench_problem, run_name
     from ..verification.bench.overview import overview
     from ..verification.bench.record import NAME, read_record, write_record
-    from ..verification.bench.solvers import methods_named
+    from ..verification.bench.solvers import solvers_named
 
     asked = effort.name
     if tolerances is not None:
@@ -86,7 +86,7 @@ def _measure(
             continue
         if before and YARDSTICK not in [method.name for method in wanted]:
             # Other runs are not to be compared with: this one measures pinred again.
-            wanted = [*methods_named([YARDSTICK]), *wanted]
+            wanted = [*solvers_named([YARDSTICK]), *wanted]
         with ProgressBar(f"{problem.name} ({k + 1} of {len(problems)})") as bar:
             found = bench_problem(problem, wanted, tolerances, effort, run=run, progress=bar)
         print(found, end="\n\n", flush=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from .options import add_robot, system_of, vector
+from .options import add_robot, numbers_in, system_of
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -17,5 +17,5 @@ def run(options: argparse.Namespace) -> int:
     """Print what is seen.  Returns 0."""
     from ..analysis.inspection import inspect
 
-    print(inspect(system_of(options), vector(options.at, "at")))
+    print(inspect(system_of(options), numbers_in(options.at, "at")))
     return 0

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 from ..common.errors import InputError
 
 if TYPE_CHECKING:
-    from ..simulation.recording import Recording
-    from ..simulation.trajectory import Trajectory
+    from ..views.motion_source import MotionSource
 
 
-def motion_in(path: str, robot: str | None) -> Recording | Trajectory:
+def motion_in(path: str, robot: str | None) -> MotionSource:
     """Return the motion in a .npz file, or that of a scene file.
 
     robot: that of a .npz which does not name its own.

@@ -50,8 +50,8 @@ def system_of(options: argparse.Namespace) -> System:
     lock: dict[str, float] = {}
     for entry in options.lock.split(",") if options.lock else ():
         name, _, value = entry.partition("=")
-        lock[name] = (vector(value, "lock") or [0.0])[0]
-    gravity = vector(options.gravity, "gravity")
+        lock[name] = (numbers_in(value, "lock") or [0.0])[0]
+    gravity = numbers_in(options.gravity, "gravity")
     return load(options.robot, group=options.group, lock=lock, gravity=gravity)
 
 
@@ -85,13 +85,13 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
 def scene_of(options: argparse.Namespace) -> Scene:
     """Return the scene that the options of `add_robot` and `add_scene` describe."""
     system = system_of(options)
-    state = {name: vector(getattr(options, name), name) for name in STATE}
+    state = {name: numbers_in(getattr(options, name), name) for name in STATE}
     if state["momentum"] == [0.0]:
         state["momentum"] = [0.0] * system.r
     springs: dict[str, tuple[float, float]] = {}
     for entry in options.spring:
         name, _, text = entry.partition("=")
-        values = vector(text, "spring") or []
+        values = numbers_in(text, "spring") or []
         if len(values) not in (1, 2):
             raise InputError(
                 f"--spring takes JOINT=STIFFNESS or JOINT=STIFFNESS,REST, got '{entry}'"
@@ -126,7 +126,7 @@ def scene_with(system: System, seed: int | None, **given: Any) -> Scene:
     return scene
 
 
-def vector(text: str | None, option: str) -> list[float] | None:
+def numbers_in(text: str | None, option: str) -> list[float] | None:
     """Return the numbers of an option, None if it is not given.  Raises InputError."""
     if text is None:
         return None

@@ -12,13 +12,13 @@ from .written import written
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..scene.scene import SAMPLES
+    from ..scene.scene import EVEN_TIMES
 
     add_robot(sub)
     add_scene(sub)
     sub.add_argument("--out", metavar="FILE", required=True, help="traj.npz or traj.csv")
     sub.add_argument(
-        "--samples", metavar="N", type=int, default=SAMPLES, help=f"report times ({SAMPLES})"
+        "--samples", metavar="N", type=int, default=EVEN_TIMES, help=f"report times ({EVEN_TIMES})"
     )
 
 

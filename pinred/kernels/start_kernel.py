@@ -32,7 +32,7 @@ from .judge import agree, slack_of
 from .machine.native import NativeCode, compile_object, load_object
 from .store import ObjectCache, cache_key
 
-Given = Literal["xi", "mu"]
+TwistOrMomentum = Literal["xi", "mu"]
 _NAME = "start"
 
 
@@ -68,7 +68,7 @@ class StartKernel:
         return Starts(*(out[:, a:b] for a, b in zip([0, *ends], ends, strict=False)))
 
 
-def start_kernel(system: System, given: Given) -> StartKernel:
+def start_kernel(system: System, given: TwistOrMomentum) -> StartKernel:
     """Return the kernel for initial states with a body twist ("xi") or a body momentum ("mu").
 
     Raises KernelMismatch if it disagrees with Pinocchio.
@@ -88,7 +88,7 @@ def start_kernel(system: System, given: Given) -> StartKernel:
     return once(system, (StartKernel, given), make)
 
 
-def _graph(system: System, given: Given) -> ca.Function:
+def _graph(system: System, given: TwistOrMomentum) -> ca.Function:
     group, m, r = system.group, system.m, system.r
     k = group.linear
     pose, x, xdot = ca.SX.sym("pose", group.size), ca.SX.sym("x", m), ca.SX.sym("xdot", m)
@@ -123,7 +123,7 @@ def _graph(system: System, given: Given) -> ca.Function:
     return ca.Function(_NAME, [inputs, ca.SX.sym("none")], [ca.densify(out)], {"cse": True})
 
 
-def _judge(kernel: StartKernel, given: Given) -> None:
+def _judge(kernel: StartKernel, given: TwistOrMomentum) -> None:
     """Compare a kernel with Pinocchio's mass matrix at a random state."""
     system, rng = kernel.system, np.random.default_rng(0)
     group, r = system.group, system.r

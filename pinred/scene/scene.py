@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     from ..forces.signals import Signal
 
 Engine: TypeAlias = Literal["compiled", "pinocchio"]
-Outputs: TypeAlias = Literal["all", "shape"]
+WantedOutputs: TypeAlias = Literal["all", "shape"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
-OUTPUTS: tuple[Outputs, ...] = get_args(Outputs)
-SAMPLES = 201  # report times, where the scene does not say
+OUTPUTS: tuple[WantedOutputs, ...] = get_args(WantedOutputs)
+EVEN_TIMES = 201  # report times, where the scene does not say
 DURATION = 2.0  # s, where neither scene nor robot says
 TIGHTEST = 1e-14  # relative tolerance; below it round-off decides the step
 # Momenta are integrated, and rates are wanted: where a light joint sits beside heavy ones, a
 # small part of a large momentum is a ten times larger part of the light joint's rate.
 MOMENTUM_MARGIN = 10.0
-MOST_SAMPLES = 1_000_000  # of one controller; each ends a run of the integrator
+MOST_CALLS = 1_000_000  # of one controller; each ends a run of the integrator
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,7 +70,7 @@ class Scene:
     springs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     forces: Sequence[Force] | Force = ()
     prescribed: Mapping[str, Signal] = field(default_factory=dict)
-    outputs: Outputs = "all"
+    outputs: WantedOutputs = "all"
     method: Method | Literal["auto"] = "auto"
 
     def __post_init__(self) -> None:
@@ -186,17 +186,18 @@ class Scene:
                     f"but the scene goes from 0 to {self.end:g} s"
                 )
         for controller, _ in model.held:
-            if self.end / controller.period > MOST_SAMPLES:
+            if self.end / controller.period > MOST_CALLS:
                 raise InputError(
                     f"a period of {controller.period:g} s would call {controller.name} more than "
-                    f"{MOST_SAMPLES} times in {self.end:g} s"
+                    f"{MOST_CALLS} times in {self.end:g} s"
                 )
         object.__setattr__(self, "_forces", model)
 
     def _checked_times(self) -> Array:
         if self.times is None:
             own = self.system.initial.duration if self.system.initial else DURATION
-            return np.linspace(0.0, own if self.duration is None else float(self.duration), SAMPLES)
+            last = own if self.duration is None else float(self.duration)
+            return np.linspace(0.0, last, EVEN_TIMES)
         times = np.atleast_1d(as_floats(self.times, "times")).copy()
         end = np.inf if self.duration is None else float(self.duration)
         if times.ndim != 1 or times.size == 0 or not np.isfinite(times).all():

@@ -26,16 +26,14 @@ from ..common.progress import Progress, shown
 from ..simulation.balances import energy_balance, momentum_balance
 from ..simulation.state import State
 from ..simulation.trajectory import Trajectory
-from .full_state import Audit, FullMotion, FullState
+from .full_state import FINEST, KICK, Audit, FullMotion, FullState
 
 TIGHTER = 100.0  # the reference's tolerance is this much below the one asked for
 ALLOWANCE = 100.0  # steps whose local errors add up
 SAMPLES = 101  # times at which a motion is judged, besides those it reports
 CONSISTENT = 1e-9  # relative; pose, twist, momenta and energy are functions of q and v
 JUDGEABLE = 0.1  # rad; a bound above it says nothing
-_TIGHTEST = 2e-14
 _RESOLVED = 1e-13  # relative; what the reference and its energies can tell from round-off
-_KICK = 1e-6  # relative size of the perturbation whose growth is measured
 
 
 @dataclass(frozen=True)
@@ -181,17 +179,16 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
     full.run(y0, np.array([scene.end]), rtol, atol)
     wall_full = time.perf_counter() - began
     done(0.1)
-    tight = max(rtol / TIGHTER, _TIGHTEST), atol / TIGHTER
+    tight = max(rtol / TIGHTER, FINEST[0]), atol / TIGHTER
     truth = full.run(y0, times, *tight)
     done(0.3)
-    kicked = full.run(full.kick(y0, scene.end, _KICK), times, *tight)
+    growth = full.growth(y0, truth, times, *tight)
     done(0.5)
     second = full.run(y0, times, *tight, method="dopri5")
     done(0.9)
     error = full.distance(truth, FullMotion(x=states.x, q=states.q))
     audit = audited(traj, states)
     size = full.size(truth)
-    growth = max(1.0, full.distance(truth, kicked).worst(size) / _KICK)
     done(1.0)
     resolved = max(rtol, _RESOLVED) + atol
     allowed = ALLOWANCE * growth * resolved
@@ -216,7 +213,7 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
         rotation_bound=allowed,
         position_bound=allowed * size.position,
         drift_bound=ALLOWANCE * resolved,
-        growth_bound=JUDGEABLE / max(_KICK, ALLOWANCE * resolved),
+        growth_bound=JUDGEABLE / max(KICK, ALLOWANCE * resolved),
         wall_reduced=traj.run.wall,
         wall_full=wall_full,
     )

@@ -20,6 +20,8 @@ from ..scene.scene import Scene
 from ..simulation.state import Sample, State
 from ..simulation.stops import begin_stretch, stops_of
 
+FINEST = (2e-14, 1e-16)  # the tightest rtol and atol that Hairer's codes can keep
+KICK = 1e-6  # relative size of the perturbation whose growth is measured
 _MOST_STEPS = 10_000_000
 
 
@@ -136,6 +138,16 @@ class FullState:
         least[where : where + self._linear] *= self.radius(self.q(y0))
         sign = np.random.default_rng(0).choice([-1.0, 1.0], len(y0))
         return np.asarray(y0 + part * sign * np.maximum(np.abs(y0), least))
+
+    def growth(
+        self, y0: Array, motion: FullMotion, times: Array, rtol: float, atol: float
+    ) -> float:
+        """Return the factor, at least 1, by which a small kick of y0 has grown in its motion.
+
+        times: those of the motion, (T,).  rtol, atol: of the kicked one.
+        """
+        kicked = self.run(self.kick(y0, self._scene.end, KICK), times, rtol, atol)
+        return max(1.0, self.distance(motion, kicked).worst(self.size(motion)) / KICK)
 
     def run(
         self, y0: Array, times: Array, rtol: float, atol: float, *, method: str = "dop853"

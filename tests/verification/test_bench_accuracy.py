@@ -19,15 +19,15 @@ from pinred.common.errors import InputError, IntegrationError, LoadError
 from pinred.integrators.methods import RKMK4
 from pinred.system.system import InitialState
 from pinred.verification.bench import (
-    METHODS,
     QUICK,
     SCENES,
+    SOLVERS,
     Effort,
     End,
-    Method,
     Point,
     Prepared,
     Problem,
+    Solver,
     WorkPrecision,
     accuracy,
     bench_accuracy,
@@ -42,11 +42,11 @@ from pinred.verification.bench import (
 from pinred.verification.bench.drift import drift
 from pinred.verification.bench.overview import overview
 from pinred.verification.bench.reference import _quadruple
-from pinred.verification.bench.solvers import methods_named
+from pinred.verification.bench.solvers import solvers_named
 from pinred.verification.full_state import FullMotion
 
 needs_heyoka = pytest.mark.skipif(find_spec("heyoka") is None, reason="heyoka is not installed")
-OWN = methods_named(["pinred", "pinred-integration", "aba-dop853"])
+OWN = solvers_named(["pinred", "pinred-integration", "aba-dop853"])
 BRIEF = Effort("brief", rounds=1, patience=10.0, budget=1.0)
 
 
@@ -233,7 +233,7 @@ def test_failures_are_kept() -> None:
 
         return Prepared(run, lambda _: End(np.array([np.nan]), np.zeros(6), np.zeros(4), 1))
 
-    broken = Method("broken", "fails", (1e-2, 1e-4), stops)
+    broken = Solver("broken", "fails", (1e-2, 1e-4), stops)
     (found,) = bench_accuracy([short_planar()], methods=[broken, OWN[0]], effort=BRIEF)
     failures = [p for p in found.points if p.method == "broken"]
     assert [p.failure for p in failures] == ["the end is not finite", "stopped at t = 0.5 s"]
@@ -246,7 +246,7 @@ def test_failures_are_kept() -> None:
 
 def test_what_is_too_slow_is_said() -> None:
     """Once a run takes longer than one waits, finer ones are rows that say so."""
-    method = methods_named(["aba-rk4"])[0]
+    method = solvers_named(["aba-rk4"])[0]
     impatient = Effort("impatient", rounds=1, patience=1e-6, budget=1.0, every=4)
     (found,) = bench_accuracy([short_planar()], methods=[method], effort=impatient)
     assert len(found.points) == len(method.tolerances[::4])
@@ -338,14 +338,14 @@ def test_commands_refuse(capsys: pytest.CaptureFixture[str]) -> None:
         assert message in capsys.readouterr().err
     assert main(["bench", "accuracy", "--list"]) == 0
     out = capsys.readouterr().out
-    assert all(name in out for name in (*SCENES, *(method.name for method in METHODS)))
+    assert all(name in out for name in (*SCENES, *(method.name for method in SOLVERS)))
 
 
 def test_without_heyoka(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is not installed is left out, with a line that says how to install it."""
     monkeypatch.setattr("pinred.verification.bench.peers.heyoka.has_heyoka", lambda: False)
     monkeypatch.setattr("pinred.verification.bench.reference.has_heyoka", lambda: False)
-    methods = methods_named(["pinred", "heyoka", "heyoka-unrolled"])
+    methods = solvers_named(["pinred", "heyoka", "heyoka-unrolled"])
     (found,) = bench_accuracy([short_planar()], methods=methods, effort=QUICK)
     assert list(found.about) == ["pinred"]
     assert 'heyoka is left out: pip install "pinred[bench]"' in str(found).splitlines()[2]

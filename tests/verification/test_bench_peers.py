@@ -20,7 +20,7 @@ from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.lie import GROUPS
 from pinred.scene.scene import random_state
 from pinred.system.system import System
-from pinred.verification.bench import METHODS, Problem, reference_of
+from pinred.verification.bench import SOLVERS, Problem, reference_of
 from pinred.verification.bench.full_field import full_field
 from pinred.verification.bench.peers.aba import ABA
 from pinred.verification.bench.peers.drake import DrakeModel
@@ -36,7 +36,7 @@ from pinred.verification.bench.peers.exudyn import ExudynModel
 from pinred.verification.bench.peers.first_principles import full_graph
 from pinred.verification.bench.peers.mujoco import MujocoModel
 from pinred.verification.bench.peers.survived import survived
-from pinred.verification.bench.solver import Method
+from pinred.verification.bench.solver import Solver
 from pinred.verification.full_state import FullMotion, FullState
 
 needs_heyoka = pytest.mark.skipif(find_spec("heyoka") is None, reason="heyoka is not installed")
@@ -140,8 +140,8 @@ def solved(robot: str) -> tuple[Problem, FullMotion]:
     return problem, reference_of(problem).end
 
 
-@pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
-def test_methods_come_to_the_reference(method: Method) -> None:
+@pytest.mark.parametrize("method", SOLVERS, ids=lambda method: method.name)
+def test_methods_come_to_the_reference(method: Solver) -> None:
     """In every group, errors fall as claimed: by the order, or with the tolerance."""
     expected = {"euler": 1.0, "implicitfast": 1.0, "rk4": 4.0, "rkmk4": 4.0, "rk67": 6.0}
     expected |= {"gauss6": 6.0}

@@ -15,7 +15,7 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.lie.rotations import rotation
-from pinred.views.playback.bodies import bodies_of
+from pinred.views.playback.bodies import drawn_bodies
 from pinred.views.playback.film import write_frames, write_gif
 from pinred.views.playback.framing import frame
 from pinred.views.playback.playback import Playback, playback
@@ -213,7 +213,7 @@ def test_shapes_sit_where_the_file_puts_them() -> None:
     ours = system.model.createData()
     pose = pin.SE3ToXYZQUAT(base)
     pin.forwardKinematics(system.model, ours, system.q(pose, list(angles.values())))
-    drawn = bodies_of(system)
+    drawn = drawn_bodies(system)
     assert (drawn.note, len(drawn.solids), len(drawn.meshes)) == ("", 17, 10)
     for solid, wanted in zip(drawn.solids, place.oMg, strict=True):
         found = ours.oMi[solid.joint] * pin.XYZQUATToSE3(solid.placement)
@@ -226,11 +226,11 @@ def test_shapes_from_inertias() -> None:
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
     model.appendBodyToJoint(joint, pin.Inertia.FromBox(3.0, 0.6, 0.4, 0.2), pin.SE3.Random())
-    drawn = bodies_of(pinred.load(model))
+    drawn = drawn_bodies(pinred.load(model))
     assert "without its file" in drawn.note
     sizes = sorted(next(solid.size for solid in drawn.solids if solid.kind == "ellipsoid"))
     np.testing.assert_allclose(sizes, np.sqrt(5.0 / 3.0) * np.array([0.1, 0.2, 0.3]), rtol=1e-9)
-    capsules = [solid for solid in bodies_of(pinred.load("solo12"), meshes=False).solids
+    capsules = [solid for solid in drawn_bodies(pinred.load("solo12"), meshes=False).solids
                 if solid.kind == "capsule"]  # fmt: skip
     assert len(capsules) >= 12
 
@@ -242,13 +242,13 @@ def test_missing_meshes_are_said(tmp_path: Path) -> None:
         'izz="1" ixy="0" ixz="0" iyz="0"/></inertial><visual><geometry><mesh '
         'filename="package://gone/gone.stl"/></geometry></visual></link></robot>'
     )
-    drawn = bodies_of(pinred.load(tmp_path / "r.urdf"))
+    drawn = drawn_bodies(pinred.load(tmp_path / "r.urdf"))
     assert drawn.note.startswith("bodies drawn from their inertias: ")
     assert "gone.stl" in drawn.note
     assert [solid.kind for solid in drawn.solids] == ["ellipsoid"]
     (tmp_path / "gone").mkdir()
     (tmp_path / "gone/gone.stl").write_text("solid nonsense")
-    note = bodies_of(pinred.load(tmp_path / "r.urdf")).note
+    note = drawn_bodies(pinred.load(tmp_path / "r.urdf")).note
     assert note.startswith("bodies drawn from their inertias: Could not load resource")
     assert "gone.stl Mesh with invalid primitive type: nonsense" in note
     assert ".cpp" not in note
@@ -258,7 +258,7 @@ def test_missing_meshes_are_said(tmp_path: Path) -> None:
 def test_framing() -> None:
     """The robot is within its radius, all of its way within the span, the arrow seen sidelong."""
     seen = film("falling_cat", duration=10.0)
-    framing = frame(seen, bodies_of(seen.system))
+    framing = frame(seen, drawn_bodies(seen.system))
     _, centre, _, _ = bodies(seen)
     assert np.linalg.norm(centre - seen.com[:, None], axis=2).max() < framing.radius < 0.6
     assert np.linalg.norm(seen.com - framing.middle, axis=1).max() < framing.span
@@ -269,16 +269,16 @@ def test_framing() -> None:
     assert framing.grid[2] < seen.com[:, 2].min() - framing.radius
     np.testing.assert_array_equal(framing.normal, [0.0, 0.0, 1.0])
     fallen = film("solo12", seed=0, duration=2.0)  # 20 m down: a wall behind, all the way
-    framing = frame(fallen, bodies_of(fallen.system))
+    framing = frame(fallen, drawn_bodies(fallen.system))
     assert framing.normal[2] == 0.0
     assert ((fallen.com - framing.grid) @ framing.normal > framing.radius).all()
     assert framing.cell * framing.cells * framing.wide > np.ptp(fallen.com[:, 2])
     assert framing.cells < 50  # as many lines as that, squared
     swung = film("double_spherical_pendulum", duration=2.0)
-    framing = frame(swung, bodies_of(swung.system))
+    framing = frame(swung, drawn_bodies(swung.system))
     arm = np.linalg.norm(swung.com - swung.momentum.tail, axis=1).max()
     assert framing.radius + arm < framing.reach
-    assert not frame(film("rigid_body"), bodies_of(pinred.load("rigid_body"))).follow
+    assert not frame(film("rigid_body"), drawn_bodies(pinred.load("rigid_body"))).follow
 
 
 def test_frames_are_written_all_or_none(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from ...integrators.methods import DOP853, SOLVERS, STAGES, AdaptiveGauss, Gauss, Radau
+from ..scene import DURATION, ENGINES, EVEN_TIMES, OUTPUTS, Scene
 from .schema import (
     ByName,
     Either,
@@ -97,13 +99,14 @@ START = Table(
 _STEP = Key(POSITIVE, "longest step [s]", required=True)
 
 
-def _controlled(rtol: str, atol: str, title: str) -> Table:
-    """A method with step control."""
+def _controlled(kind: type[DOP853 | AdaptiveGauss | Radau], title: str) -> Table:
+    """Return the table of a method with step control."""
+    most = str(kind.max_steps)
     return Table(
         {
-            "rtol": Key(POSITIVE, "relative tolerance of a step", default=rtol),
-            "atol": Key(POSITIVE, "absolute tolerance of a step", default=atol),
-            "max_steps": Key(Whole(1), "largest number of trial steps", default="1000000"),
+            "rtol": Key(POSITIVE, "relative tolerance of a step", default=f"{kind.rtol:g}"),
+            "atol": Key(POSITIVE, "absolute tolerance of a step", default=f"{kind.atol:g}"),
+            "max_steps": Key(Whole(1), "largest number of trial steps", default=most),
             "max_step": Key(POSITIVE, "longest step [s]", default="none"),
         },
         title,
@@ -112,35 +115,35 @@ def _controlled(rtol: str, atol: str, title: str) -> Table:
 
 _METHODS = {
     "auto": Table({}, "one that suits the scene and its tolerance"),
-    "DOP853": _controlled("1e-10", "1e-12", "Dormand and Prince's method of order 8"),
+    "DOP853": _controlled(DOP853, "Dormand and Prince's method of order 8"),
     "RKMK4": Table({"step": _STEP}, "Munthe-Kaas's form of RK4, with fixed steps"),
     "Gauss": Table(
         {
             "step": _STEP,
-            "order": Key(Whole(2, 16), "order, an even number", default="6"),
-            "solver": Key(
-                Text(("auto", "fixed point", "Newton")), "how stages are found", default="auto"
-            ),
+            "order": Key(Whole(2, 2 * STAGES), "order, an even number", default=str(Gauss.order)),
+            "solver": Key(Text(tuple(SOLVERS)), "how stages are found", default=Gauss.solver),
         },
         "Gauss–Legendre collocation with fixed steps, symplectic",
     ),
     "AdaptiveGauss": _controlled(
-        "1e-12", "1e-14", "Gauss–Legendre collocation of order 16, for tight tolerances"
+        AdaptiveGauss, "Gauss–Legendre collocation of order 16, for tight tolerances"
     ),
-    "Radau": _controlled("1e-8", "1e-10", "Radau IIA of order 5, for hard springs and dampers"),
+    "Radau": _controlled(Radau, "Radau IIA of order 5, for hard springs and dampers"),
     "Variational": Table({"step": _STEP}, "discrete Lagrange–Poincaré equations of order 2"),
 }
 RUN = Table(
     {
-        "duration": Key(POSITIVE, "how long to simulate [s]", default="the robot's own, or 2"),
+        "duration": Key(
+            POSITIVE, "how long to simulate [s]", default=f"the robot's own, or {DURATION:g}"
+        ),
         "times": Key(NUMBERS, "where to report [s], increasing", default="even ones"),
         "samples": Key(
-            Whole(2, MOST_SAMPLES), "number of even report times instead", default="201"
+            Whole(2, MOST_SAMPLES), "number of even report times instead", default=str(EVEN_TIMES)
         ),
-        "rtol": Key(POSITIVE, "relative tolerance", default="1e-10"),
-        "atol": Key(POSITIVE, "absolute tolerance", default="1e-12"),
-        "outputs": Key(Text(("all", "shape")), "shape leaves out the base", default="all"),
-        "engine": Key(Text(("compiled", "pinocchio")), "what integrates", default="compiled"),
+        "rtol": Key(POSITIVE, "relative tolerance", default=f"{Scene.rtol:g}"),
+        "atol": Key(POSITIVE, "absolute tolerance", default=f"{Scene.atol:g}"),
+        "outputs": Key(Text(OUTPUTS), "shape leaves out the base", default=Scene.outputs),
+        "engine": Key(Text(ENGINES), "what integrates", default=ENGINES[0]),
         "method": Key(
             Tagged("name", _METHODS, "an integrator {name = …}"),
             "an integrator of the compiled engine",

@@ -20,9 +20,9 @@ from .scaling import bench_scaling as bench_scaling
 from .scenes import SCENES as SCENES
 from .scenes import problems_named as problems_named
 from .solver import End as End
-from .solver import Method as Method
 from .solver import Prepared as Prepared
-from .solvers import METHODS as METHODS
+from .solver import Solver as Solver
+from .solvers import SOLVERS as SOLVERS
 from .threads import ManyTiming as ManyTiming
 from .threads import bench_many as bench_many
 from .work_precision import Point as Point

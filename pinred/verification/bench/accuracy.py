@@ -16,7 +16,7 @@ from .drift import drift
 from .problems import Problem
 from .reference import Reference, reference_of
 from .scenes import problems_named
-from .solver import Method, Prepared
+from .solver import Prepared, Solver
 from .timing import alternating, repeated
 from .work_precision import Point, WorkPrecision
 
@@ -52,21 +52,21 @@ def run_name() -> str:
 def bench_accuracy(
     problems: Sequence[Problem] | None = None,
     *,
-    methods: Sequence[Method] | None = None,
+    methods: Sequence[Solver] | None = None,
     tolerances: Sequence[float] | None = None,
     effort: Effort = DEFAULT,
     progress: Progress | bool | None = None,
 ) -> list[WorkPrecision]:
     """Return what accuracy costs on each problem, by each method.
 
-    problems: those of `scenes.BARS` if None.  methods: those of `methods.METHODS` if None.
+    problems: those of `scenes.BARS` if None.  methods: SOLVERS if None.
     tolerances: of the methods that have one; each method's own if None.  progress: as for
     `simulate`.
     """
-    from .solvers import METHODS
+    from .solvers import SOLVERS
 
     problems = problems_named()[0] if problems is None else problems
-    methods = METHODS if methods is None else methods
+    methods = SOLVERS if methods is None else methods
     run, found = run_name(), []
     with shown(progress, "accuracy") as bar:
         done = bar or quiet
@@ -83,7 +83,7 @@ def bench_accuracy(
 
 def bench_problem(
     problem: Problem,
-    methods: Sequence[Method],
+    methods: Sequence[Solver],
     tolerances: Sequence[float] | None = None,
     effort: Effort = DEFAULT,
     *,
@@ -128,7 +128,7 @@ def bench_problem(
 def _first_runs(
     problem: Problem,
     truth: Reference,
-    method: Method,
+    method: Solver,
     tolerances: Sequence[float] | None,
     effort: Effort,
 ) -> Iterator[tuple[Point, Prepared | None]]:

@@ -26,7 +26,7 @@ from ...common.progress import Progress, quiet, shown
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...simulation.state import with_base
-from ..full_state import FullMotion
+from ..full_state import FINEST, FullMotion
 from .problems import Problem
 from .scenes import problems_named
 from .solver import ATOL
@@ -34,7 +34,7 @@ from .solver import ATOL
 Tolerances: TypeAlias = tuple[float, float | Array]  # rtol and atol, as SciPy takes them
 Norm: TypeAlias = Callable[[float], Tolerances]
 
-SCENES = ("planar5", "satellite", "solo12", "talos")
+FEW_SCENES = ("planar5", "satellite", "solo12", "talos")
 ERRORS = (1e-4, 1e-6, 1e-8, 1e-10)
 INSTALL = "pip install extensisq"
 _OF_THE_BASE = "DOP853, base left out"
@@ -73,7 +73,7 @@ class Evaluations:
 
 
 def bench_evaluations(
-    scenes: Sequence[str] = SCENES, *, progress: Progress | bool | None = None
+    scenes: Sequence[str] = FEW_SCENES, *, progress: Progress | bool | None = None
 ) -> list[Evaluations]:
     """Return what errors cost on scenes, by their names.
 
@@ -92,7 +92,7 @@ def bench_evaluations(
 def _measured(problem: Problem) -> Evaluations:
     from ...integrators.methods import DOP853, AdaptiveGauss
 
-    truth = problem.full.run(problem.full_start(), problem.times, 2e-14, 1e-16)
+    truth = problem.full.run(problem.full_start(), problem.times, *FINEST)
     runs: dict[str, Callable[[float], tuple[float, float]]] = {
         "DOP853": lambda tol: _own(problem, truth, DOP853(max(tol, 1e-13), ATOL * tol), 1),
         "AdaptiveGauss, sweeps": lambda tol: _own(

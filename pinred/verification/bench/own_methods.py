@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ...integrators.methods import DOP853, RKMK4, AdaptiveGauss, Gauss
+from ...integrators.methods import DOP853, DOP853_LEAST, RKMK4, AdaptiveGauss, Gauss
 from ...integrators.methods import Method as Integrator
 from ...simulation.state import State, with_base
 from .problems import Problem
-from .solver import ATOL, End, Method, Prepared, decades, halvings
+from .solver import ATOL, End, Prepared, Solver, decades, halvings
 
 FROM_TOLERANCE = decades(2, 14)
 
@@ -25,11 +25,11 @@ def own_method(
     *,
     tolerances: tuple[float, ...] = FROM_TOLERANCE,
     fixed: bool = False,
-) -> Method:
+) -> Solver:
     """Return the method that simulates with an integrator of pinred, whole call.
 
     make: the integrator of a tolerance, or with fixed=True of a step [s]; what `simulate`
-    takes by itself if None.  tolerances: as Method has them.
+    takes by itself if None.  tolerances: as Solver has them.
     """
 
     def prepare(problem: Problem, tolerance: float) -> Prepared:
@@ -49,7 +49,7 @@ def own_method(
 
         return Prepared(run, lambda found: _end(*found))
 
-    return Method(name, about, tolerances, prepare, fixed=fixed)
+    return Solver(name, about, tolerances, prepare, fixed=fixed)
 
 
 def _integration(problem: Problem, tolerance: float) -> Prepared:
@@ -76,7 +76,7 @@ def _end(states: State, evaluations: int) -> End:
 
 OWN = (
     own_method("pinred", "simulate(), whole call from initial values"),
-    Method(
+    Solver(
         "pinred-integration",
         "its integration alone: as heyoka is timed",
         FROM_TOLERANCE,
@@ -85,7 +85,7 @@ OWN = (
     own_method(
         "pinred-dop853",
         "simulate() with DOP853, whole call",
-        lambda tol: DOP853(max(tol, 2.3e-14), ATOL * tol),
+        lambda tol: DOP853(max(tol, DOP853_LEAST), ATOL * tol),
     ),
     own_method(
         "pinred-gauss",

@@ -17,12 +17,10 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...simulation.state import with_base
-from ..full_state import FullMotion
+from ..full_state import FINEST, FullMotion
 from .problems import Problem
 from .taylor import has_heyoka, reduced_graph, taylor_expressions
 
-# What Hairer's codes can do in double precision.
-_RTOL, _ATOL = 2e-14, 1e-16
 _QUAD = (1e-23, 1e-20)  # tolerances in quadruple precision
 _EPS = float(np.finfo(float).eps)
 CONFIRMED = 1e-9  # rad | m; if ABA is farther away, it counts as the reference's error
@@ -46,12 +44,14 @@ class Reference:
 def reference_of(problem: Problem) -> Reference:
     """Return the end of a problem.  Raises IntegrationError if it cannot be followed."""
     y0, times = problem.full_start(), problem.times
-    aba = problem.full.run(y0, times, _RTOL, _ATOL)
+    aba = problem.full.run(y0, times, *FINEST)
     if has_heyoka():
         return _quadruple(problem, aba)
-    second = problem.full.run(y0, times, _RTOL, _ATOL, method="dopri5")
+    second = problem.full.run(y0, times, *FINEST, method="dopri5")
     error = problem.apart(aba, second)
-    return Reference(aba, error, error, "ABA on the full state, by DOP853 and DOPRI5 at 2e-14")
+    return Reference(
+        aba, error, error, f"ABA on the full state, by DOP853 and DOPRI5 at {FINEST[0]:g}"
+    )
 
 
 def _quadruple(problem: Problem, aba: FullMotion) -> Reference:

@@ -17,7 +17,7 @@ UNKNOWN = float("nan")
 class End:
     """The end of a motion.
 
-    x: (m,) shape, unwrapped.  q: (nq,) and v: (n,), Pinocchio's.  evaluations: see Method.
+    x: (m,) shape, unwrapped.  q: (nq,) and v: (n,), Pinocchio's.  evaluations: see Solver.
     """
 
     x: Array
@@ -40,7 +40,7 @@ class Prepared:
 
 
 @dataclass(frozen=True)
-class Method:
+class Solver:
     """A way to solve a problem.
 
     about: what is timed.  tolerances: those at which it is measured, from coarse to fine:

@@ -1,4 +1,4 @@
-"""The methods whose accuracy is measured.  A further one is one more entry of METHODS."""
+"""The methods whose accuracy is measured.  A further one is one more entry of SOLVERS."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from .peers.drake import DRAKE
 from .peers.exudyn import EXUDYN
 from .peers.heyoka import HEYOKA, HEYOKA_SLOW
 from .peers.mujoco import MUJOCO
-from .solver import Method
+from .solver import Solver
 
-METHODS: tuple[Method, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA)
+SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA)
 # With what takes minutes to prepare.
-ALL_METHODS: tuple[Method, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA_SLOW)
+ALL_SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA_SLOW)
 
 
-def methods_named(
-    names: Sequence[str] | None, among: Sequence[Method] = METHODS
-) -> tuple[Method, ...]:
+def solvers_named(
+    names: Sequence[str] | None, among: Sequence[Solver] = SOLVERS
+) -> tuple[Solver, ...]:
     """Return the methods of these names, all if None.  Raises InputError listing them."""
     if names is None:
         return tuple(among)

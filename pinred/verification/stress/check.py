@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import Literal, TypeAlias, TypeVar
 
-from ...integrators.methods import DOP853, RKMK4, AdaptiveGauss, Gauss, Method
+from ...integrators.methods import DOP853, DOP853_LEAST, RKMK4, AdaptiveGauss, Gauss, Method
 from ...scene.scene import MOMENTUM_MARGIN
 from ...simulation.simulate import simulate
 from ...simulation.simulate_many import Trajectories, simulate_many
@@ -119,7 +119,7 @@ def tolerance(rtol: float) -> dict[str, float]:
 
 def tight(rtol: float) -> tuple[float, float]:
     """Return what an integrator gets for the tolerance of a scene: a tenth, as DOP853 does."""
-    return max(rtol / MOMENTUM_MARGIN, 2.3e-14), 1e-2 * rtol / MOMENTUM_MARGIN
+    return max(rtol / MOMENTUM_MARGIN, DOP853_LEAST), 1e-2 * rtol / MOMENTUM_MARGIN
 
 
 def dop853(rtol: float, atol: float) -> DOP853:

@@ -9,11 +9,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...scene.scene import Scene
 from ...simulation.trajectory import Trajectory
-from ..full_state import FullMotion, FullState, Size
-
-# What Hairer's DOP853 can do in double precision.
-_RTOL, _ATOL = 2e-14, 1e-16
-_KICK = 1e-6  # relative size of the perturbation whose growth is measured
+from ..full_state import FINEST, FullMotion, FullState, Size
 
 
 @dataclass(frozen=True)
@@ -35,11 +31,9 @@ def truth_of(scene: Scene, times: Array) -> Truth:
     """Return the motion of a scene at times (T,).  Raises IntegrationError."""
     full, start = FullState(scene), scene.start
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
-    motion = full.run(y0, times, _RTOL, _ATOL)
-    kicked = full.run(full.kick(y0, scene.end, _KICK), times, 1e-10, 1e-12)
-    size = full.size(motion)
-    growth = full.distance(motion, kicked).worst(size) / _KICK
-    return Truth(full, motion, size, max(1.0, growth))
+    motion = full.run(y0, times, *FINEST)
+    growth = full.growth(y0, motion, times, 1e-10, 1e-12)
+    return Truth(full, motion, full.size(motion), growth)
 
 
 def samples(scene: Scene, count: int = 21) -> Array:

@@ -57,7 +57,7 @@ class Bodies:
     note: str
 
 
-def bodies_of(system: System, *, meshes: bool = True) -> Bodies:
+def drawn_bodies(system: System, *, meshes: bool = True) -> Bodies:
     """Return the shapes of a system; made from its inertias if its file has none to show."""
     if not meshes:
         return Bodies(_from_inertias(system), (), "bodies drawn from their inertias")

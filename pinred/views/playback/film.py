@@ -10,7 +10,7 @@ import signal
 import subprocess
 import tempfile
 import threading
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -19,8 +19,8 @@ from types import FrameType
 from ...common.arrays import Array
 from ...common.errors import InputError, OutputError
 from ...common.files import check_path, write_atomic
-from ...simulation.recording import Recording
-from ...simulation.trajectory import Trajectory
+from ...common.progress import Progress
+from ..motion_source import MotionSource
 from .headless_browser import browser
 from .page import page
 from .playback import frame_times
@@ -30,11 +30,10 @@ SIZE, FPS = (960, 720), 30.0
 MOST_FRAMES, MOST_FPS = 20_000, 120
 GIF_FPS = (0.01, 50.0)  # a gif counts hundredths of a second, and browsers slow down below two
 SUFFIXES = (".mp4", ".gif", ".png")
-Progress = Callable[[float], None]
 
 
 def save_film(
-    source: Trajectory | Recording,
+    source: MotionSource,
     path: str | Path,
     view: View,
     *,
@@ -128,7 +127,7 @@ def _tidy_at_sigterm() -> Iterator[None]:
 
 
 def _shots(
-    source: Trajectory | Recording,
+    source: MotionSource,
     times: Array,
     size: Sequence[int],
     view: View,

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from ...common.errors import LoadError
 from ...common.files import check_path, write_atomic
-from ...simulation.recording import Recording
-from ...simulation.trajectory import Trajectory
-from .bodies import Bodies, bodies_of
+from ..motion_source import MotionSource
+from .bodies import Bodies, drawn_bodies
 from .framing import frame
 from .playback import Playback, playback
 from .shape_panel import ShapePanel, shape_panel
@@ -27,10 +26,10 @@ from .view import View
 _LICENCES = ("viewer/LICENSE", "viewer/dist/main.min.js.THIRD_PARTY_LICENSES.json")
 
 
-def page(source: Trajectory | Recording, view: View) -> bytes:
+def page(source: MotionSource, view: View) -> bytes:
     """Return the HTML of a motion's playback.  Errors as of `playback`."""
     film = playback(source, view)
-    bodies = bodies_of(film.system, meshes=view.meshes)
+    bodies = drawn_bodies(film.system, meshes=view.meshes)
     pair = None if view.pair is None else (view.pair[0], view.pair[1])
     panel = shape_panel(film.system, film.x, film.xdot, pair)
     blob = _Blob()
@@ -47,7 +46,7 @@ def page(source: Trajectory | Recording, view: View) -> bytes:
     return "".join(parts.get(piece, piece) for piece in pieces).encode("utf-8")
 
 
-def save_html(source: Trajectory | Recording, path: str | Path, view: View) -> int:
+def save_html(source: MotionSource, path: str | Path, view: View) -> int:
     """Write the page to a .html file, whole or not at all, and return its size in bytes.
 
     Raises InputError for another suffix or no folder, OutputError if writing fails; the

@@ -19,6 +19,7 @@ from ...simulation.state import State
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
 from ...verification.full_state import FullState
+from ..motion_source import MotionSource
 from .momentum import Momentum, conserved_momentum
 from .view import View
 
@@ -65,7 +66,7 @@ class Playback:
         freeze(self)
 
 
-def playback(source: Trajectory | Recording, view: View) -> Playback:
+def playback(source: MotionSource, view: View) -> Playback:
     """Return what is to be drawn of a trajectory or of a recorded one.
 
     Raises InputError if the base was left out, if there would be more than MOST_FRAMES
@@ -85,15 +86,13 @@ def playback(source: Trajectory | Recording, view: View) -> Playback:
     return _drawn(source.system, states, placements, ghost)
 
 
-def _frames(source: Trajectory | Recording, view: View) -> State:
+def _frames(source: MotionSource, view: View) -> State:
     """Return the states at the times of the frames."""
     times = frame_times(source, view, MOST_FRAMES)
     return source.states if isinstance(source, Recording) else source(times)
 
 
-def frame_times(
-    source: Trajectory | Recording, view: View, most: int, *, even: bool = False
-) -> Array:
+def frame_times(source: MotionSource, view: View, most: int, *, even: bool = False) -> Array:
     """Return the times of the frames, (F,) [s], of which there are two at least.
 
     They are the view's, evenly from first to last; but those that a recording holds, unless

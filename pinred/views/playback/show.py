@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import sys
 
-from ...simulation.recording import Recording
-from ...simulation.trajectory import Trajectory
+from ..motion_source import MotionSource
 from .page import page
 from .server import Player, check_port
 from .view import View
 
 
 def play(
-    source: Trajectory | Recording,
+    source: MotionSource,
     view: View,
     *,
     port: int | None = None,

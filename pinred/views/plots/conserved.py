@@ -10,7 +10,8 @@ from ...common.arrays import Array
 from ...lie.groups import group_named
 from ...simulation.trajectory import Trajectory
 from ...verification.compare import ALLOWANCE, audited
-from .motion_labels import Motion, labels
+from ..motion_source import MotionSource
+from .motion_labels import labels
 from .style import legend, line, on_log, over_time, steady, styled
 
 _OF_TWISTS = str.maketrans("vω", "pL")  # what momenta are called, by the twists they go with
@@ -18,7 +19,7 @@ LINEAR, ANGULAR = "linear [N·s]", "angular [N·m·s]"
 
 
 @styled
-def momentum(motion: Motion) -> Figure:
+def momentum(motion: MotionSource) -> Figure:
     """Draw the spatial momentum over time, and below its drift on a logarithmic axis.
 
     The momentum is that in the root joint's fixed frame, about its origin.  The drift is that
@@ -50,7 +51,7 @@ def momentum(motion: Motion) -> Figure:
 
 
 @styled
-def energy(motion: Motion) -> Figure:
+def energy(motion: MotionSource) -> Figure:
     """Draw the energy over time, and below its drift on a logarithmic axis.
 
     The drift of a Trajectory is computed by Pinocchio from q and v, less the work of the forces

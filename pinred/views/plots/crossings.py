@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from ...common.arrays import Array
+from ..motion_source import MotionSource
 from .fine_path import fine_times
-from .motion_labels import Motion
 
 _HALVINGS = 64  # enough to bring any step down to the spacing of floats
 
 
-def crossings(motion: Motion, function: Callable[[Array], Array]) -> Array:
+def crossings(motion: MotionSource, function: Callable[[Array], Array]) -> Array:
     """Return the times at which a function of time changes its sign, (K,) [s].
 
     function: from times (T,) to values (T,), continuous.  The times are bisected to round-off.

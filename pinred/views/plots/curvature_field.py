@@ -16,13 +16,14 @@ from ...reduction.reduction import Reduction
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.system import System, checked_system
+from ..motion_source import MotionSource
 from .fine_path import fine_path
-from .motion_labels import Motion, labels_of
+from .motion_labels import labels_of
 from .shape_plane import Limits, around, checked_path, draw_path, plane, reach, title_at
 from .style import BLACK, FIELD, figure, legend, styled
 from .time_series import require_joints
 
-Source: TypeAlias = System | Reduction | Motion
+Source: TypeAlias = System | Reduction | MotionSource
 
 _NONE = 1e-12  # a curvature below it is round-off
 _LEVELS = 20

@@ -13,13 +13,13 @@ from ...common.arrays import Array
 from ...common.errors import InputError
 from ...simulation.state import ShapeState, State
 from ...simulation.trajectory import Trajectory
-from .motion_labels import Motion
+from ..motion_source import MotionSource
 
 Path: TypeAlias = State | ShapeState
 _PARTS = 8  # in which each step of the integrator is searched for a change of sign
 
 
-def fine_times(motion: Motion) -> Array:
+def fine_times(motion: MotionSource) -> Array:
     """Return times from start to end between which a motion turns little, (T,) [s].
 
     Of a Trajectory they part the integrator's steps, of a Recording its report times.
@@ -32,7 +32,7 @@ def fine_times(motion: Motion) -> Array:
     return np.append((knots[:-1, None] + parts * np.diff(knots)[:, None]).ravel(), knots[-1])
 
 
-def fine_path(motion: Motion) -> Path:
+def fine_path(motion: MotionSource) -> Path:
     """Return the states at the report times and, of a Trajectory, close together in between."""
     if not isinstance(motion, Trajectory):
         return motion.outputs
@@ -40,7 +40,7 @@ def fine_path(motion: Motion) -> Path:
     return motion.at(np.union1d(t, times[(times >= t[0]) & (times <= t[-1])]))
 
 
-def state_at(motion: Motion, time: float) -> Path:
+def state_at(motion: MotionSource, time: float) -> Path:
     """Return the state at a time, of a Recording at the report time that is nearest.
 
     Raises InputError outside the motion.
@@ -54,7 +54,7 @@ def state_at(motion: Motion, time: float) -> Path:
     return kind(**{f.name: np.array(getattr(out, f.name)[k]) for f in fields(kind)})
 
 
-def shape_path(motion: Motion) -> Callable[[Array], tuple[Array, Array]]:
+def shape_path(motion: MotionSource) -> Callable[[Array], tuple[Array, Array]]:
     """Return the function from times (T,) to shapes and rates, (T, m) each.
 
     Of a Recording it is the cubic of Hermite between report times: of order 4, rates 3.

@@ -14,8 +14,9 @@ from ...common.errors import InputError
 from ...reduction.reduction import Reduction
 from ...simulation.state import with_base
 from ...system.system import System
+from ..motion_source import MotionSource
 from .fine_path import Path, about_com, fine_path, state_at
-from .motion_labels import Motion, labels, robot_of
+from .motion_labels import labels, robot_of
 from .style import BLACK, RED, figure, styled
 
 _NONE = 1e-12  # of moment of inertia times 1 rad/s: no momentum to draw
@@ -25,7 +26,7 @@ _POINTS = 181
 
 
 @styled
-def sphere(motion: Motion, *, when: float = 0.0) -> Figure:
+def sphere(motion: MotionSource, *, when: float = 0.0) -> Figure:
     """Draw the path of the angular momentum in the body's frame on its sphere.
 
     The momentum is about the pivot (SO3), or about the centre of mass (SE3).  Thin curves are
@@ -73,7 +74,7 @@ def sphere(motion: Motion, *, when: float = 0.0) -> Figure:
     return made
 
 
-def angular_momentum(motion: Motion, path: Path) -> Array:
+def angular_momentum(motion: MotionSource, path: Path) -> Array:
     """Return the angular momentum in the body's frame along a path of a motion, (T, 3) [N·m·s].
 
     Raises InputError for groups other than SO3 and SE3; LoadError if SE3 needs the robot of a file

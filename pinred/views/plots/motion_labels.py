@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 from ...common.errors import InputError, LoadError
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.joints import shape_units
 from ...system.system import System
-
-Motion: TypeAlias = Trajectory | Recording
+from ..motion_source import MotionSource
 
 FEW = 6  # joints that share a panel whatever they are
 MOST = 8  # lines that a panel can bear
@@ -73,7 +71,7 @@ class Labels:
         return ", ".join(self.joints) or "none"
 
 
-def labels(motion: Motion) -> Labels:
+def labels(motion: MotionSource) -> Labels:
     """Return the labels of a motion.  Raises InputError for anything else."""
     if isinstance(motion, Trajectory):
         return labels_of(motion.system)
@@ -91,7 +89,7 @@ def labels(motion: Motion) -> Labels:
     return Labels(motion.robot, motion.group, motion.joints, units, limbs)
 
 
-def robot_of(motion: Motion) -> System | None:
+def robot_of(motion: MotionSource) -> System | None:
     """Return the robot of a motion, or None if that of a file cannot be found.
 
     Raises InputError if it is not the one that moved.

@@ -16,8 +16,9 @@ from ...reduction.reduction import Reduction
 from ...simulation.state import State, with_base
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
+from ..motion_source import MotionSource
 from .fine_path import Path, about_com, fine_path, state_at
-from .motion_labels import Labels, Motion, labels, robot_of
+from .motion_labels import Labels, labels, robot_of
 from .shape_plane import Limits, Plane, around, draw_path, plane, title_at
 from .style import BLACK, BLUE, FIELD, RED, StyledFigure, figure, legend, line, styled
 from .time_series import require_joints
@@ -30,7 +31,7 @@ _FLAT = 1e-9  # relative, or J; a potential that changes by less is constant
 
 @styled
 def phase(
-    motion: Motion,
+    motion: MotionSource,
     *,
     joints: Sequence[str | int] | None = None,
     limits: Limits | None = None,
@@ -77,7 +78,7 @@ def phase(
 class _Landscape:
     """The amended potential of a motion at one of its times."""
 
-    def __init__(self, motion: Motion, system: System, time: float) -> None:
+    def __init__(self, motion: MotionSource, system: System, time: float) -> None:
         """Take the momentum and the shape at a time."""
         state = with_base(state_at(motion, time), system.name)
         self.x, self.time = state.x, float(state.t)
@@ -118,7 +119,7 @@ class _Landscape:
         return rest + 0.5 * float(self._xdot @ self.metric(self.x[None])[0] @ self._xdot)
 
 
-def _lack(motion: Motion, system: System | None) -> str:
+def _lack(motion: MotionSource, system: System | None) -> str:
     """Return why a motion read from a file has no potential, "" if it has."""
     if isinstance(motion, Trajectory):
         return ""

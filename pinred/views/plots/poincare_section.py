@@ -11,16 +11,17 @@ from ...common.arrays import Array, as_floats
 from ...common.errors import InputError
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
+from ..motion_source import MotionSource
 from .crossings import crossings
 from .fine_path import fine_path, shape_path
-from .motion_labels import Motion, labels
+from .motion_labels import labels
 from .style import dots, figure, legend, styled
 from .time_series import require_joints
 
 
 @styled
 def poincare(
-    motions: Motion | Sequence[Motion],
+    motions: MotionSource | Sequence[MotionSource],
     *,
     joints: Sequence[str | int] | None = None,
     value: float | None = None,
@@ -83,7 +84,7 @@ def poincare(
 
 
 def section(
-    motion: Motion, joint: int, value: float, direction: int, *, turns: bool, shown: int
+    motion: MotionSource, joint: int, value: float, direction: int, *, turns: bool, shown: int
 ) -> Array:
     """Return (shape, rate) of a joint at the crossings of another, in order of time, (K, 2).
 

@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 
 from ...common.arrays import Array
 from ...common.errors import InputError
-from .motion_labels import Labels, Motion, labels
+from ..motion_source import MotionSource
+from .motion_labels import Labels, labels
 from .style import legend, line, over_time, shown, steady, styled
 
 _BASE: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
@@ -25,7 +26,7 @@ _BASE: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
 
 
 @styled
-def shape(motion: Motion, *, joints: Sequence[str | int] | None = None) -> Figure:
+def shape(motion: MotionSource, *, joints: Sequence[str | int] | None = None) -> Figure:
     """Draw the joints over time; many are spread over panels, limb by limb.
 
     joints: names or indices of those to draw, all if None.
@@ -49,7 +50,7 @@ def shape(motion: Motion, *, joints: Sequence[str | int] | None = None) -> Figur
 
 
 @styled
-def base(motion: Motion) -> Figure:
+def base(motion: MotionSource) -> Figure:
     """Draw the pose of the base over time: position, and angle or quaternion.
 
     Quaternions q and −q are one orientation; the sign is the one that makes the curves

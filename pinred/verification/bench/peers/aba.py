@@ -16,7 +16,7 @@ from ....common.arrays import Array
 from ....lie.groups import SE2, SE3, SO3
 from ..full_field import full_field
 from ..problems import Problem
-from ..solver import End, Method, Prepared, halvings, steps_of
+from ..solver import End, Prepared, Solver, halvings, steps_of
 from .scipy_over_field import Field, scipy_methods
 
 Tangent = Callable[[Array, Array], Array]
@@ -139,21 +139,21 @@ _DEXP_INVERSE: dict[str, Tangent] = {
 _STEPS = halvings(50, 14)
 
 ABA = (
-    Method(
+    Solver(
         "aba-euler",
         "pin.aba and semi-implicit Euler in Python, equal steps",
         _STEPS,
         _stepped(_euler, 1),
         fixed=True,
     ),
-    Method(
+    Solver(
         "aba-rk4",
         "pin.aba and classical RK4 with pin.integrate in Python, equal steps",
         _STEPS,
         _stepped(partial(_rk4, corrected=False), 4),
         fixed=True,
     ),
-    Method(
+    Solver(
         "aba-rkmk4",
         "pin.aba and RK4 of Munthe-Kaas in Python, equal steps",
         _STEPS,

@@ -19,7 +19,7 @@ from ....common.errors import IntegrationError, UnsupportedOperationError
 from ....simulation.state import with_base
 from ....system.system import System
 from ..problems import Problem
-from ..solver import ATOL, End, Method, Prepared, decades
+from ..solver import ATOL, End, Prepared, Solver, decades
 from ..taylor import reduced_graph
 from .equality import missing_unless_equal, no_mass_matrix
 from .first_principles import full_graph
@@ -144,14 +144,14 @@ def _reduced(problem: Problem, tolerance: float) -> Prepared:
 
 
 CVODES = (
-    Method(
+    Solver(
         "cvodes",
         "CVODES with Adams through CasADi, on the full dynamics in C compiled by gcc",
         decades(2, 13),
         _full,
         missing_unless_equal("casadi", "CVODES", full_model),
     ),
-    Method(
+    Solver(
         "cvodes-reduced",
         "the same on pinred's reduced equations, integration alone",
         decades(2, 13),

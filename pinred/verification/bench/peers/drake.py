@@ -13,7 +13,7 @@ from ....common.arrays import Array
 from ....common.errors import IntegrationError
 from ....system.system import System
 from ..problems import Problem
-from ..solver import End, Method, Prepared, decades
+from ..solver import End, Prepared, Solver, decades
 from .equality import missing_unless_equal
 from .survived import survived
 
@@ -183,7 +183,7 @@ def _prepare(problem: Problem, tolerance: float, scheme: str) -> Prepared:
 _missing = missing_unless_equal("pydrake", "Drake", drake_model)
 
 DRAKE = tuple(
-    Method(
+    Solver(
         f"drake-{name}",
         f"Drake's MultibodyPlant under {text}, Simulator.AdvanceTo",
         decades(2, 13),

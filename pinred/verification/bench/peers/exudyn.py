@@ -16,7 +16,7 @@ from ....common.arrays import Array
 from ....common.errors import IntegrationError
 from ....system.system import System
 from ..problems import Problem
-from ..solver import ATOL, UNKNOWN, End, Method, Prepared, decades, halvings, steps_of
+from ..solver import ATOL, UNKNOWN, End, Prepared, Solver, decades, halvings, steps_of
 from .equality import missing_unless_equal
 from .euler import ORDERS, Order, angles_of, best_order, rotation_of, spin_matrix, spin_rate
 
@@ -253,7 +253,7 @@ def _prepare(problem: Problem, value: float, solver: str, stages: float) -> Prep
 _missing = missing_unless_equal("exudyn", "Exudyn", ExudynModel)
 
 EXUDYN = (
-    Method(
+    Solver(
         "exudyn-rk67",
         "Exudyn's kinematic tree with RK67, equal steps, SolveDynamic",
         halvings(20, 13),
@@ -261,7 +261,7 @@ EXUDYN = (
         _missing,
         fixed=True,
     ),
-    Method(
+    Solver(
         "exudyn-dopri5",
         "Exudyn's kinematic tree with DOPRI5, SolveDynamic",
         decades(2, 13),

@@ -12,11 +12,11 @@ import numpy as np
 from ....common.errors import IntegrationError
 from ....simulation.state import with_base
 from ..problems import Problem
-from ..solver import End, Method, Prepared, decades
+from ..solver import End, Prepared, Solver, decades
 from ..taylor import has_heyoka, reduced_graph, taylor_integrator
 from .equality import INSTALL
 
-QUICK = 300  # instructions that heyoka unrolls in seconds
+MOST_UNROLLED = 300  # instructions that heyoka unrolls in seconds
 
 
 def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> Prepared:
@@ -52,7 +52,7 @@ def _not_installed(_: Problem) -> str:
 
 
 def _long_to_unroll(problem: Problem) -> str:
-    if has_heyoka() and (size := reduced_graph(problem).n_instructions()) > QUICK:
+    if has_heyoka() and (size := reduced_graph(problem).n_instructions()) > MOST_UNROLLED:
         return (
             f"heyoka-unrolled is left out: {size} instructions take it minutes to compile; "
             "--full takes it in"
@@ -60,8 +60,8 @@ def _long_to_unroll(problem: Problem) -> str:
     return _not_installed(problem)
 
 
-def _unrolled(missing: Callable[[Problem], str]) -> Method:
-    return Method(
+def _unrolled(missing: Callable[[Problem], str]) -> Solver:
+    return Solver(
         "heyoka-unrolled",
         "the same without compact mode",
         decades(2, 14, 3),
@@ -71,7 +71,7 @@ def _unrolled(missing: Callable[[Problem], str]) -> Method:
 
 
 HEYOKA = (
-    Method(
+    Solver(
         "heyoka",
         "Taylor, propagation alone, pinred's reduced equations in compact mode",
         decades(2, 15, 2),

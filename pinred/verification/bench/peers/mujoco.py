@@ -14,7 +14,7 @@ from ....common.arrays import Array
 from ....common.errors import UnsupportedOperationError
 from ....system.system import System
 from ..problems import Problem
-from ..solver import End, Method, Prepared, halvings, steps_of
+from ..solver import End, Prepared, Solver, halvings, steps_of
 from .equality import missing_unless_equal
 from .scipy_over_field import Field, scipy_methods
 
@@ -230,7 +230,7 @@ _STEPS = halvings(50, 14)
 
 MUJOCO = (
     *(
-        Method(
+        Solver(
             f"mujoco-{name}",
             f"MuJoCo's mj_step with {text}, equal steps in C",
             _STEPS,

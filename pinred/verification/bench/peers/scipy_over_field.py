@@ -14,7 +14,7 @@ from scipy.integrate import ode, odeint, solve_ivp
 from ....common.arrays import Array
 from ....common.errors import IntegrationError
 from ..problems import Problem
-from ..solver import ATOL, End, Method, Prepared, decades
+from ..solver import ATOL, End, Prepared, Solver, decades
 
 _MOST = 100_000_000  # steps
 Rate = Callable[[float, Array], Array]
@@ -108,7 +108,7 @@ def scipy_methods(
     by: str,
     field: Callable[[Problem], Field],
     missing: Callable[[Problem], str] = lambda _: "",
-) -> tuple[Method, ...]:
+) -> tuple[Solver, ...]:
     """Return SciPy's integrators over one vector field as methods.
 
     prefix: of their names.  by: what evaluates the vector field, for people.
@@ -120,11 +120,11 @@ def scipy_methods(
         "odeint": ("odeint", by_odeint),
     }
 
-    def method(name: str, text: str, driver: Callable[[Field, Problem, float], Prepared]) -> Method:
+    def method(name: str, text: str, driver: Callable[[Field, Problem, float], Prepared]) -> Solver:
         def prepare(problem: Problem, tolerance: float) -> Prepared:
             return driver(field(problem), problem, tolerance)
 
-        return Method(
+        return Solver(
             f"{prefix}-{name}", f"SciPy's {text} over {by}", decades(2, 13), prepare, missing
         )
 

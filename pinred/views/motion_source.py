@@ -1,0 +1,10 @@
+"""The motions that views show: simulated, or read back from a file."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+from ..simulation.recording import Recording
+from ..simulation.trajectory import Trajectory
+
+MotionSource: TypeAlias = Trajectory | Recording
