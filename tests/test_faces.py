@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from importlib import import_module
 
 import pytest
+from commands import python
 
 import pinred
 
 FACES = ("pinred", "pinred.forces", "pinred.verification.bench", "pinred.views.plots")
-
-
-def python(code: str, **environment: str) -> str:
-    """Return the output of a fresh interpreter."""
-    return subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout
 
 
 @pytest.mark.parametrize("face", FACES)

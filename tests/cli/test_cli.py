@@ -4,29 +4,18 @@ from __future__ import annotations
 
 import csv
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import python, refused, run
 
 import pinred
-from pinred.cli.main import COMMANDS, main
+from pinred.cli.main import COMMANDS
 from pinred.integrators.methods import METHODS
 from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES, OUTPUTS
 from pinred.system.catalogue import bundled_robots
-
-
-def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    """Exit code, standard output and standard error of a command."""
-    try:
-        code = main(arguments)
-    except SystemExit as stop:
-        code = int(stop.code or 0)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 def test_compare_passes(capsys: pytest.CaptureFixture[str]) -> None:
@@ -239,19 +228,8 @@ def test_bad_input_is_one_line_and_exit_two(
     Path("flat.urdf").write_text(URDF.format(mass=1, ixx=3))
     Path("massless.urdf").write_text('<robot name="r"><link name="base"/></robot>')
     Path("text.urdf").write_text("hello")
-    code, _, err = run(capsys, *arguments)
-    assert code == 2
-    assert err.startswith("pinred: error: ")
-    assert err.count("\n") == 1
-    assert words in err
+    assert words in refused(capsys, *arguments)
     assert not list(tmp_path.glob("*.npz"))
-
-
-def python(code: str) -> str:
-    """What a fresh interpreter prints."""
-    return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    ).stdout
 
 
 def test_import_and_help_are_light() -> None:

@@ -6,6 +6,7 @@ import os
 import re
 from pathlib import Path
 
+import commands
 import numpy as np
 import pytest
 from matplotlib.image import imread
@@ -13,7 +14,6 @@ from pictures import measured
 
 import pinred
 from pinred import plots
-from pinred.cli.main import main
 from pinred.verification.bench import write_record
 
 SCENE = """robot = "elroys_beanie"
@@ -28,13 +28,8 @@ beanie = [1.0, 0.0]
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    """Exit code, standard output and standard error of a command."""
-    try:
-        code = main(["plot", *arguments])
-    except SystemExit as stop:
-        code = int(stop.code or 0)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
+    """Return exit code, standard output and standard error of `pinred plot`."""
+    return commands.run(capsys, "plot", *arguments)
 
 
 @pytest.mark.parametrize(
@@ -146,11 +141,7 @@ def test_bad_input_is_one_line_and_exit_two(
 ) -> None:
     """Whatever is wrong: one line that says what, exit code 2, no file."""
     monkeypatch.chdir(tmp_path)
-    code, _, err = run(capsys, *arguments)
-    assert code == 2
-    assert err.startswith("pinred: error: ")
-    assert err.count("\n") == 1
-    assert words in err
+    assert words in commands.refused(capsys, "plot", *arguments)
     assert os.listdir(tmp_path) == []
 
 

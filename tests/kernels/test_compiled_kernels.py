@@ -94,21 +94,6 @@ def test_both_routes_agree(name: str) -> None:
         np.testing.assert_allclose(x, y, rtol=0, atol=3e-8 * scale, err_msg=field)
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("group", ["R", "SO2", "SE2", "SO3", "SE3"])
-def test_random_trees_against_aba(group: str, seed: int) -> None:
-    """Full runs on random trees, with springs, armature, a moved pose and gravity if it fits."""
-    model = random_model(group, seed + 1, seed)
-    if group in ("R", "SE2", "SE3"):
-        model.gravity.linear = np.array([1.0, -2.0, 3.0])
-    system = pinred.load(model)
-    springs = dict.fromkeys(system.shape_names[:2], (1.0, 0.2))
-    pose0 = system.group.exp(np.linspace(0.3, -0.9, system.r))
-    traj = pinred.simulate(system, seed=seed, duration=1.5, pose0=pose0, springs=springs)
-    report = pinred.compare(traj)
-    assert report.passed, str(report)
-
-
 def test_gravity_on_the_shape() -> None:
     """A pendulum chain about the vertical and a slanted cart: V(x) is in the kernel."""
     for group, gravity in (("R", (1.0, -2.0, 3.0)), ("SO2", None)):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from commands import python
 from hypothesis import given, settings
 from strategies import Case, cases
 from trees import random_model
@@ -293,5 +292,4 @@ def test_a_field_needs_no_compiler() -> None:
         "assert red.grid(np.zeros((2, 3))).curvature.shape == (2, 6, 3, 3)\n"
         "print(*{'casadi', 'llvmlite', 'numba'} & set(sys.modules))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == ""
+    assert python(code).strip() == ""

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 import pytest
+from commands import python
 
 import pinred
 from pinred.cli.main import main
@@ -29,8 +28,7 @@ def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_bench_is_light() -> None:
     """Importing the package imports none of what it measures with."""
     code = "import sys, pinred.cli.bench; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not {"numpy", "pinocchio", "scipy", "casadi", "heyoka"} & set(done.stdout.split())
+    assert not {"numpy", "pinocchio", "scipy", "casadi", "heyoka"} & set(python(code).split())
 
 
 def test_chains_are_what_they_say() -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import refused
 
 import pinred
 from pinred.cli.main import main
@@ -197,11 +198,7 @@ def test_bad_input_is_one_line(
     """Exit code 2, one line on standard error, no file."""
     monkeypatch.chdir(tmp_path)
     pinred.simulate(pinred.load("elroys_beanie"), duration=0.1).save("traj.npz")
-    assert main(["play", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("pinred: error: ")
-    assert error.count("\n") == 1
-    assert words in error
+    assert words in refused(capsys, "play", *arguments)
     assert [path.name for path in tmp_path.iterdir()] == ["traj.npz"]
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -11,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from commands import python
 from figures import beanie, drawn, units
 from pictures import measured
 
@@ -256,13 +255,6 @@ def test_refusals(cat: pinred.Trajectory) -> None:
         pinred.plot(top, "shape")
     with pytest.raises(pinred.InputError, match="takes a Trajectory"):
         plots.shape(3)  # type: ignore[arg-type]
-
-
-def python(code: str) -> str:
-    """What a fresh interpreter prints."""
-    return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    ).stdout
 
 
 def test_nothing_is_shown_and_no_setting_is_changed() -> None:

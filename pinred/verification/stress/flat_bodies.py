@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 
 from ...common.arrays import Array
-from ...system.system import System
 from .check import DEFECT, PER_RADIAN, Case, Cases, Check, Trial, tolerance
 from .closed_forms import euler_top
 from .defect import defect
-from .made_robots import body, serial, single
+from .made_robots import TUMBLING, body, single, tumbling_arm
 
 _RTOL = 1e-10
 _TIMES = np.linspace(0.0, 10.0, 41)
@@ -33,22 +31,9 @@ def _cases(trial: Trial) -> Cases:
 
 
 def _tumbling(trial: Trial, moments: Array) -> float:
-    system = _arm(moments)
-    traj = trial.simulate(
-        system,
-        x0=[0.3, -0.5, 0.4],
-        xdot0=[0.6, -0.4, 0.8],
-        xi0=[0.1, 0.2, -0.1, 0.3, -0.2, 0.4],
-        duration=5.0,
-        **tolerance(_RTOL),
-    )
+    system = tumbling_arm("flat", [body(1.0, [0.1, 0.05, 0.0], moments)] * 4)
+    traj = trial.simulate(system, **TUMBLING, duration=5.0, **tolerance(_RTOL))
     return defect(traj, system) / _RTOL
-
-
-def _arm(moments: Array) -> System:
-    joints = (pin.JointModelFreeFlyer(), pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ())
-    link = body(1.0, [0.1, 0.05, 0.0], moments)
-    return serial("flat", [(joint, [0.3, 0.1, -0.2], link) for joint in joints])
 
 
 CHECK = Check("flat_bodies", "error of body rates, or defect of a step, per tolerance", _cases)

@@ -35,6 +35,20 @@ def body(mass: float, com: ArrayLike, moments: ArrayLike) -> pin.Inertia:
     return pin.Inertia(mass, np.asarray(com, dtype=float), np.diag(np.asarray(moments, float)))
 
 
+def tumbling_arm(name: str, bodies: Sequence[pin.Inertia]) -> System:
+    """Return a free base with an arm of three joints about different axes.  bodies: of all four."""
+    joints = (pin.JointModelFreeFlyer(), pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ())
+    place = [0.3, 0.1, -0.2]
+    return serial(name, [(j, place, link) for j, link in zip(joints, bodies, strict=True)])
+
+
+TUMBLING = {  # how that arm begins
+    "x0": [0.3, -0.5, 0.4],
+    "xdot0": [0.6, -0.4, 0.8],
+    "xi0": [0.1, 0.2, -0.1, 0.3, -0.2, 0.4],
+}
+
+
 def disc_stack(moments: Sequence[float]) -> System:
     """Return discs on one axis; the first is the base."""
     z = np.zeros(3)

@@ -7,9 +7,9 @@ import pinocchio as pin
 
 from ...system.system import System
 from .check import DEFECT, PER_RADIAN, Case, Cases, Check, Trial, tolerance
-from .closed_forms import discs
 from .defect import defect
-from .made_robots import body, disc_stack, serial
+from .made_robots import body, serial
+from .sprung_discs import SprungDiscs
 
 _RTOL = 1e-10
 
@@ -35,25 +35,17 @@ def _cases(trial: Trial) -> Cases:
 
 def _twisting(trial: Trial, stiff: float) -> Case:
     """A light disc on a stiff spring and a heavy one on a soft spring, in closed form."""
-    moments, stiffness = np.array([1.0, 1e-3, 1.0]), np.array([stiff, 1.0])
-    x0, rates = np.array([1e-3, 0.5]), np.array([0.4, 0.0, 0.2])
-    times = np.linspace(0.0, 1.0, 41)
-    first, twists = discs(moments, stiffness, x0, rates, times)
-    system = disc_stack(moments.tolist())
-    springs = {name: (k, 0.0) for name, k in zip(system.shape_names, stiffness, strict=True)}
-    traj = trial.simulate(
-        system,
-        x0=x0,
-        xdot0=rates[1:],
-        xi0=rates[:1],
-        times=times,
-        springs=springs,
-        **tolerance(_RTOL),
+    discs = SprungDiscs(
+        moments=np.array([1.0, 1e-3, 1.0]),
+        stiffness=np.array([stiff, 1.0]),
+        x0=np.array([1e-3, 0.5]),
+        rates=np.array([0.4, 0.0, 0.2]),
+        times=np.linspace(0.0, 1.0, 41),
     )
-    size = np.abs(twists).max(axis=0)
-    error = max((np.abs(traj.x - twists) / size).max(), np.abs(traj.pose[:, 0] - first).max())
-    fastest = float(np.sqrt(stiff / moments.min()))
-    return Case(f"discs, {stiff:.0e} N·m/rad", float(error) / _RTOL, PER_RADIAN * fastest)
+    traj = trial.simulate(discs.system, **discs.start, **discs.run, **tolerance(_RTOL))
+    error = discs.error(traj, relative=True) / _RTOL
+    fastest = float(np.sqrt(stiff / discs.moments.min()))
+    return Case(f"discs, {stiff:.0e} N·m/rad", error, PER_RADIAN * fastest)
 
 
 def _arm(mass: float) -> System:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from .check import PER_RADIAN, Case, Cases, Check, Trial, dop853, tolerance
-from .closed_forms import discs, euler_top
-from .made_robots import disc_stack, single
+from .closed_forms import euler_top
+from .made_robots import single
+from .sprung_discs import SprungDiscs
 
 _RTOL = 1e-10
 _MOMENTS = np.array([1.0, 2.0, 2.5])
@@ -30,26 +31,18 @@ def _cases(trial: Trial) -> Cases:
 
 def _together(trial: Trial, apart: float) -> Case:
     """Discs with one spring stiffer than the other by apart², over three slow periods."""
-    moments, stiffness = np.array([1.0, 2.0, 1.5]), np.array([apart**2, 1.0])
-    x0, rates = np.array([0.3 / apart, 0.4]), np.array([0.2, 0.1, -0.3])
-    times = np.linspace(0.0, 20.0, 101)
-    first, twists = discs(moments, stiffness, x0, rates, times)
-    system = disc_stack(moments.tolist())
-    springs = {name: (k, 0.0) for name, k in zip(system.shape_names, stiffness, strict=True)}
-    many = trial.simulate_many(
-        system,
-        x0=x0[None],
-        xdot0=rates[None, 1:],
-        xi0=rates[None, :1],
-        times=times,
-        springs=springs,
-        **tolerance(_RTOL),
+    discs = SprungDiscs(
+        moments=np.array([1.0, 2.0, 1.5]),
+        stiffness=np.array([apart**2, 1.0]),
+        x0=np.array([0.3 / apart, 0.4]),
+        rates=np.array([0.2, 0.1, -0.3]),
+        times=np.linspace(0.0, 20.0, 101),
     )
-    found = many[0]
-    size = np.abs(twists).max(axis=0)
-    error = max((np.abs(found.x - twists) / size).max(), np.abs(found.pose[:, 0] - first).max())
-    turned = apart * float(times[-1])
-    return Case(f"two springs, {apart:.0e} apart", float(error) / _RTOL, PER_RADIAN * turned)
+    starts = {name: value[None] for name, value in discs.start.items()}
+    many = trial.simulate_many(discs.system, **starts, **discs.run, **tolerance(_RTOL))
+    error = discs.error(many[0], relative=True) / _RTOL
+    turned = apart * float(discs.times[-1])
+    return Case(f"two springs, {apart:.0e} apart", error, PER_RADIAN * turned)
 
 
 CHECK = Check("time_scales", "error against closed forms, relative, per tolerance", _cases)

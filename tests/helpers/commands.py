@@ -1,0 +1,41 @@
+"""Commands of pinred, and programs in fresh interpreters, as tests run them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from pinred.cli.main import main
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    """Return exit code, standard output and standard error of a command."""
+    try:
+        code = main(arguments)
+    except SystemExit as stop:
+        code = int(stop.code or 0)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Return what is said of bad input, which is one line on standard error, with exit code 2."""
+    code, _, error = run(capsys, *arguments)
+    assert code == 2
+    assert error.startswith("pinred: error: ")
+    assert error.count("\n") == 1
+    return error
+
+
+def python(code: str, **environment: str) -> str:
+    """Return what a program prints in a fresh interpreter."""
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
