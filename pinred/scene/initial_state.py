@@ -14,7 +14,7 @@ from ..system.system import System
 
 
 @dataclass(frozen=True)
-class Given:
+class GivenStates:
     """Initial states as they are given, (N, …): with body twists xi or body momenta mu, (N, r).
 
     pose: (N, size).  x, xdot: (N, m).  The other of xi and mu is None.
@@ -33,11 +33,11 @@ class Given:
         assert motion is not None
         return motion
 
-    def __getitem__(self, which: object) -> Given:
+    def __getitem__(self, which: object) -> GivenStates:
         rows: dict[str, Any] = {
             name: None if part is None else part[which] for name, part in vars(self).items()
         }
-        return Given(**rows)
+        return GivenStates(**rows)
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Start:
         freeze(self)
 
 
-def start_of(system: System, given: Given) -> Start:
+def start_of(system: System, given: GivenStates) -> Start:
     """Return the first of initial states, complete by Pinocchio's mass matrix.
 
     Raises SingularInertiaError where that is singular, InputError where a momentum or twist

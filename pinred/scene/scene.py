@@ -16,7 +16,7 @@ from ..forces.base import Force
 from ..integrators.methods import METHODS, Method
 from ..system.joints import is_prismatic
 from ..system.system import InitialState, System, checked_system
-from .initial_state import Given, Start, start_of
+from .initial_state import GivenStates, Start, start_of
 
 if TYPE_CHECKING:
     from ..forces.model import ForceModel
@@ -132,9 +132,9 @@ class Scene:
         return start_of(self.system, self.given)
 
     @property
-    def given(self) -> Given:
+    def given(self) -> GivenStates:
         """The initial state as it is given, with a leading axis of length one."""
-        given: Given = vars(self)["_given"]
+        given: GivenStates = vars(self)["_given"]
         return given
 
     @property
@@ -211,7 +211,7 @@ class Scene:
             positive(times[-1], "the last of times, which stands for the duration,")
         return times
 
-    def _resolve(self) -> Given:
+    def _resolve(self) -> GivenStates:
         system = self.system
         pose = system.group.identity() if self.pose0 is None else system.group.pose(self.pose0)
         x = _or_zero(self.x0, system.m, "x0", system.shape_names)
@@ -223,11 +223,11 @@ class Scene:
             xi = ready.xi if self.xi0 is None else xi
         x, xdot = self.with_prescribed(x[None], xdot[None])
         if self.momentum is None:
-            return Given(pose[None], x, xdot, xi[None], None)
+            return GivenStates(pose[None], x, xdot, xi[None], None)
         # A plain 0 is short for the zero momentum of any group.
         zero = np.ndim(self.momentum) == 0 and self.momentum == 0
         mu = np.zeros(system.r) if zero else vector(self.momentum, system.r, "momentum")
-        return Given(pose[None], x, xdot, None, mu[None])
+        return GivenStates(pose[None], x, xdot, None, mu[None])
 
     def with_prescribed(self, x: Array, xdot: Array) -> tuple[Array, Array]:
         """Return initial shapes and rates (N, m) with those of the prescribed joints in them."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..common.arrays import Array, as_floats, vectors
 from ..common.errors import InputError, IntegrationError, ShapeError
 from ..common.progress import Progress, shown
-from ..scene.initial_state import Given
+from ..scene.initial_state import GivenStates
 from ..scene.scene import Scene, checked_seed, random_state
 from ..system.system import System, checked_system
 from .plan import Plan, plan_of
@@ -174,7 +174,7 @@ def _members(
     return common, varying, next(iter(sizes.values()))
 
 
-def _given(scene: Scene, varying: dict[str, Array], count: int) -> Given:
+def _given(scene: Scene, varying: dict[str, Array], count: int) -> GivenStates:
     """Return the initial states of all members: the first one's where they do not vary."""
     system, own = scene.system, scene.given
     sizes = {"x0": system.m, "xdot0": system.m, "xi0": system.r, "momentum": system.r}
@@ -191,18 +191,20 @@ def _given(scene: Scene, varying: dict[str, Array], count: int) -> Given:
     if "pose0" in varying:
         pose = np.array([system.group.pose(each) for each in varying["pose0"]])
     x, xdot = scene.with_prescribed(x, xdot)
-    return Given(pose, x, xdot, rows("xi0", own.xi), rows("momentum", own.mu))
+    return GivenStates(pose, x, xdot, rows("xi0", own.xi), rows("momentum", own.mu))
 
 
-def _drawn(scene: Scene, seeds: Sequence[int]) -> Given:
+def _drawn(scene: Scene, seeds: Sequence[int]) -> GivenStates:
     """Return the random initial states of seeds."""
     states = [random_state(scene.system, checked_seed(seed)) for seed in seeds]
     x, xdot, xi = (np.array([getattr(s, name) for s in states]) for name in ("x", "xdot", "xi"))
     x, xdot = scene.with_prescribed(x, xdot)
-    return Given(np.repeat(scene.given.pose, len(states), axis=0), x, xdot, xi, None)
+    return GivenStates(np.repeat(scene.given.pose, len(states), axis=0), x, xdot, xi, None)
 
 
-def _run(plan: Plan, given: Given, threads: int | None, progress: Progress | None) -> Trajectories:
+def _run(
+    plan: Plan, given: GivenStates, threads: int | None, progress: Progress | None
+) -> Trajectories:
     from .compiled.compiled_flow import CompiledFlow, flows_of
     from .compiled.integrator import integrate_many
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
-import numpy as np
-
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError
 from ..system.system import System
@@ -150,29 +148,3 @@ class OverTime(ABC):
     def energy(self) -> Array:
         """Total energy, (T,) [J]; without the base, that about the centre of mass."""
         return self.outputs.energy
-
-
-def full_state(
-    system: System,
-    t: Array,
-    x: Array,
-    xdot: Array,
-    xi: Array,
-    pose: Array,
-    mu: Array,
-    J: Array,
-    energy: Array,
-) -> State:
-    """Return the states with Pinocchio's q and v; arrays over time, taken over."""
-    return State(
-        t=t.copy(),
-        x=x,
-        xdot=np.ascontiguousarray(xdot),
-        xi=np.ascontiguousarray(xi),
-        pose=pose,
-        q=system.q(pose, x),
-        v=system.v(xi, xdot),
-        body_momentum=mu,
-        spatial_momentum=J,
-        energy=energy,
-    )

@@ -14,7 +14,7 @@ from ...kernels.start_kernel import Starts, start_kernel
 from ...kernels.tangent import tangent_of
 from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import into_body, root_of
-from ...scene.initial_state import Given, finite_start
+from ...scene.initial_state import GivenStates, finite_start
 from ...system.system import Indices
 from ..entry_name import entry_name
 from ..plan import Plan
@@ -121,13 +121,15 @@ class CompiledFlows:
     parameters: Array
     line: Array
 
-    def __init__(self, plan: Plan, given: Given) -> None:
+    def __init__(self, plan: Plan, given: GivenStates) -> None:
         """Set up the flows.  given: (N, …)."""
         start = _started(plan, given)
         self._begin(plan, given, start, zero=not start.about.any())
 
     @classmethod
-    def several(cls, plan: Plan, given: Given, members: Indices, *, zero: bool) -> CompiledFlows:
+    def several(
+        cls, plan: Plan, given: GivenStates, members: Indices, *, zero: bool
+    ) -> CompiledFlows:
         """Set up the flows of some members, a few at a time: memory beside them stays small."""
         parts = [members[k : k + _AT_ONCE] for k in range(0, len(members), _AT_ONCE)]
         flows = cls.__new__(cls)
@@ -145,7 +147,7 @@ class CompiledFlows:
                 getattr(flows, name)[rows] = getattr(new, name)
         return flows
 
-    def _begin(self, plan: Plan, given: Given, start: Starts, *, zero: bool) -> None:
+    def _begin(self, plan: Plan, given: GivenStates, start: Starts, *, zero: bool) -> None:
         x, N = given.x, len(given.x)
         self.kernel = kernel_of(plan, zero_momentum=zero)
         layout = self.kernel.layout
@@ -170,7 +172,7 @@ class CompiledFlows:
         finite_start(self.y0, self.parameters, self.line)
 
 
-def flows_of(plan: Plan, given: Given) -> list[tuple[Indices, CompiledFlows]]:
+def flows_of(plan: Plan, given: GivenStates) -> list[tuple[Indices, CompiledFlows]]:
     """Return the flows of many initial states (N, …): of members with momentum, and without.
 
     Each with the indices of the members, sorted.
@@ -184,7 +186,7 @@ def flows_of(plan: Plan, given: Given) -> list[tuple[Indices, CompiledFlows]]:
     ]
 
 
-def without_momentum(plan: Plan, given: Given) -> NDArray[np.bool_]:
+def without_momentum(plan: Plan, given: GivenStates) -> NDArray[np.bool_]:
     """Return which initial states (N, …) have no angular momentum, nor will ever have any."""
     still = np.full(len(given.x), not plan.momentum_changes)
     for k in range(0, len(still) if still.any() else 0, _AT_ONCE):
@@ -193,6 +195,6 @@ def without_momentum(plan: Plan, given: Given) -> NDArray[np.bool_]:
     return still
 
 
-def _started(plan: Plan, given: Given) -> Starts:
+def _started(plan: Plan, given: GivenStates) -> Starts:
     kernel = start_kernel(plan.system, "xi" if given.mu is None else "mu")
     return kernel(given.pose, given.x, given.xdot, given.motion)

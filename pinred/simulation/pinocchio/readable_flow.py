@@ -15,7 +15,7 @@ from ...reduction.inertia_split import symmetric
 from ...reduction.potential import shape_gravity
 from ..entry_name import entry_name
 from ..plan import Plan
-from ..state import Sample, ShapeState, State, full_state
+from ..state import Sample, ShapeState, State
 from .base_motion import Base
 
 
@@ -105,7 +105,19 @@ class ReducedFlow:
         for k in range(T):
             mu[k] = H[k, :r] @ np.concatenate([xi[k], v[k, r:]])
         J = system.group.spatial_momentum(pose, mu)
-        return full_state(system, t, x, v[:, r:], xi, pose, mu, J, energy)
+        xdot = v[:, r:].copy()
+        return State(
+            t=t.copy(),
+            x=x,
+            xdot=xdot,
+            xi=np.ascontiguousarray(xi),
+            pose=pose,
+            q=system.q(pose, x),
+            v=system.v(xi, xdot),
+            body_momentum=mu,
+            spatial_momentum=J,
+            energy=energy,
+        )
 
     def _motion(self, t: float, y: Array, numbers: Array) -> tuple[Array, Array]:
         """Return the shape (m,) and v = (ξ, ẋ) as seen from the centre of mass."""
