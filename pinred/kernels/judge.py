@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,11 +10,10 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import InputError, KernelMismatch
-from ..reduction.inertia_split import symmetric
-from ..reduction.potential import falling, translations
+from ..reduction.potential import translations
+from .judged_state import JudgedState, random_state
 
 if TYPE_CHECKING:
-    from ..forces.model import ForceModel
     from .kernel import Kernel
 
 _STATES = 3
@@ -30,7 +30,10 @@ def judge(kernel: Kernel) -> None:
     rng, judged = np.random.default_rng(0), 0
     for trial in range(_TRIALS):
         # Where a force is not defined everywhere, as a barrier is, smaller states are tried.
-        judged += _judge_at(kernel, rng, 0.9 ** max(0, trial - _STATES))
+        at = random_state(kernel, rng, 0.9 ** max(0, trial - _STATES))
+        if at is not None:
+            _judge_at(kernel, at)
+            judged += 1
         if judged == _STATES:
             return
     raise InputError(
@@ -40,169 +43,174 @@ def judge(kernel: Kernel) -> None:
     )
 
 
-def _judge_at(kernel: Kernel, rng: np.random.Generator, reach: float) -> bool:
-    """Judge at a random state of a size; return whether the forces are defined there."""
-    system, layout, forces = kernel.system, kernel.layout, kernel.forces
-    r, m, k = system.r, system.m, system.group.linear
-    group, parts = system.group, layout.base
-    model = system.model.copy()
-    root = model.jointPlacements[1].rotation
-    # What makes the whole system fall is not in the kernel.
-    weight = np.array(kernel.structure.gravity or (0.0, 0.0, 0.0))
-    model.gravity.linear = root @ weight
-    data = model.createData()
-    pose = group.exp(rng.uniform(-1.0, 1.0, r))
-    pose = pose if r > k else group.identity()
-    x, v = rng.uniform(-2.0, 2.0, m), rng.normal(size=system.n)
-    time = float(rng.uniform(*_span(forces)))
-    driven = list(layout.prescribed)
-    numbers, accelerations = rng.normal(size=layout.numbers), np.zeros(len(driven))
-    x, v = x * reach, v * reach
-    if forces is not None:
-        numbers[forces.within] = time  # far beyond its piece a table means nothing
-    if forces is not None and driven:
-        given = forces.prescribed(time, numbers)
-        x[driven], v[[r + j for j in driven]], accelerations = given.x, given.xdot, given.xddot
-        if not np.isfinite([given.x, given.xdot, given.xddot]).all():
-            return False
-    q = system.q(pose, x)
-    H = symmetric(pin.crba(model, data, q))
-    com = np.array(data.Ycrb[1].lever)
-    # A random velocity whose momentum is of the kind that the kernel knows.
-    mu = H[:r] @ v
-    if not (parts.spin or parts.momentum):
-        v[:r] -= np.linalg.solve(H[:r, :r], mu)
-        mu = np.zeros(r)
-    elif k:
-        v[:k] -= mu[:k] / system.mass
-        mu = H[:r] @ v
-        mu[:k] = 0.0
-    pi = H[r:] @ v
-    # A base with heavy arms in a fixed direction of gravity, or with its direction alone.
-    turn = group.Ad(pose)[k:, k:]
-    down = turn.T @ weight / np.linalg.norm(weight) if parts.down else np.zeros(0)
-    spin = turn @ mu[k:] if parts.spin else np.zeros(0)
-    pushed = rng.normal(size=parts.push)
-    b = np.concatenate([pose[len(pose) - parts.attitude :], down, mu[r - parts.momentum :], pushed])
-    active, cyclic = list(layout.active), list(layout.cyclic)
-    y = np.concatenate([x[active], pi[active], x[cyclic], b, [time] * layout.clock])
-    parameters = np.concatenate([spin, pi[cyclic], numbers])
-    slack = slack_of(H)
-    if forces is not None:
-        acting = forces.acting(time, x, v[r:], v[:r], mu, numbers)
-        potential = np.array([forces.potential(x, numbers)])
-        if not np.isfinite(np.concatenate([acting.torque, acting.wrench, potential])).all():
-            return False
-    line, where = np.append(rng.normal(size=2 * k), falling(system)), kernel.where
-    out = kernel.evaluate_outputs(time, y, parameters, line)
+def _judge_at(kernel: Kernel, at: JudgedState) -> None:
+    """Judge everything that a kernel gives at a state."""
+    out = kernel.evaluate_outputs(at.time, at.y, at.parameters, at.line)
+    rate = kernel.evaluate_rate(at.y, at.parameters)
+    _judge_momentum(kernel, at, out)
+    if kernel.layout.wanted:
+        _judge_full_state(kernel, at, out)
+    _judge_velocity(kernel, at, rate)
+    v = _velocity_in(kernel, at, rate)
+    torque, wrench = _acting(kernel, at, v)
+    _judge_base(kernel, at, rate, v, wrench)
+    _judge_acceleration(kernel, at, rate, v, torque, wrench)
+
+
+def _judge_momentum(kernel: Kernel, at: JudgedState, out: Array) -> None:
+    """Compare velocity, momenta, shape and centre of mass, as seen from the latter."""
+    check, slack, where, driven = _checker(kernel), slack_of(at.H), kernel.where, _driven(kernel)
+    v = out[: kernel.system.n]
     # Round-off is that of the terms, which cancel where the linear momentum is zero.
-    _agree(kernel, "momentum of the velocity", H @ out[: system.n], H @ v, size=abs(H) @ abs(v))
-    _agree(kernel, "velocity", out[: system.n], v, slack)
-    _agree(kernel, "centre of mass", out[where.com], com)
-    _agree(kernel, "momentum", out[where.mu], mu)
-    _agree(kernel, "prescribed positions", out[where.driven_x], x[driven])
-    _agree(kernel, "momenta of prescribed joints", out[where.driven_pi], pi[driven], slack)
-    _agree(kernel, "shape", out[where.x], x)
-    if layout.wanted:
-        _judge_states(kernel, out, H, x, time, line, pushed, numbers, slack)
-    rate = kernel.evaluate_rate(y, parameters)
-    a = len(active)
-    _agree(kernel, "shape rate", rate[:a], v[r:][active], slack)
-    _agree(kernel, "rate of cyclic joints", rate[2 * a : layout.base_at], v[r:][cyclic], slack)
-    found = np.split(
-        rate[layout.base_at :], np.cumsum([parts.attitude, parts.down, parts.momentum, parts.push])
-    )
-    rates = [group.rate(pose, e)[len(pose) - parts.attitude :] for e in np.eye(r)]
-    of_twist = np.transpose(rates)  # attitude rate from ξ, (attitude, r)
-    _agree(kernel, "attitude rate", found[0], of_twist @ v[:r], slack)
-    # π̇ is judged at the velocity of the same evaluation: round-off in that is not its error.
-    # The translation, which is no part of the rate, follows from the momentum.
-    v[r:][active], v[r:][cyclic] = rate[:a], rate[2 * a : layout.base_at]
-    if parts.attitude:
-        v[k:r] = np.linalg.lstsq(of_twist[:, k:], found[0])[0]
-    v[:k] = np.linalg.solve(H[:k, :k], mu[:k] - H[:k, k:] @ v[k:])
-    torque, wrench = np.zeros(m), np.zeros(r)
-    if forces is not None:
-        acting = forces.acting(time, x, v[r:], v[:r], mu, numbers)
-        torque, wrench = acting.torque, acting.wrench
+    check("momentum of the velocity", at.H @ v, at.H @ at.v, size=abs(at.H) @ abs(at.v))
+    check("velocity", v, at.v, slack)
+    check("centre of mass", out[where.com], at.com)
+    check("momentum", out[where.mu], at.mu)
+    check("prescribed positions", out[where.driven_x], at.x[driven])
+    check("momenta of prescribed joints", out[where.driven_pi], at.pi[driven], slack)
+    check("shape", out[where.x], at.x)
+
+
+def _judge_full_state(kernel: Kernel, at: JudgedState, out: Array) -> None:
+    """Compare the full state: configuration, path of the centre of mass, momenta, energy."""
+    system, where, check, slack = kernel.system, kernel.where, _checker(kernel), slack_of(at.H)
+    model, r, k = system.model, system.r, system.group.linear
+    data = model.createData()
+    pose, q, v = out[where.pose], out[where.q], out[where.v]
+    check("configuration", q, system.q(pose, at.x))
+    root, (c0, v0, fall) = model.jointPlacements[1], at.line.reshape(3, k)
+    c, velocity = c0 + v0 * at.time + 0.5 * fall * at.time**2, v0 + fall * at.time
+    if at.pushed.size:
+        c, velocity = c + at.pushed[:k], velocity + at.pushed[k:] / system.mass
+    pin.centerOfMass(model, data, q, v)
+    along = translations(system).T @ root.rotation.T
+    check("place of the centre of mass", along @ (data.com[0] - root.translation), c)
+    check("its velocity", along @ data.vcom[0], velocity, slack)
+    mu = at.H[:r] @ v
+    check("body momentum", out[where.body_momentum], mu, slack)
+    J = system.group.spatial_momentum(pose, mu)
+    check("spatial momentum", out[where.spatial_momentum], J, slack)
+    energy = 0.5 * v @ at.H @ v + pin.computePotentialEnergy(model, data, q)
+    if kernel.forces is not None:
+        energy += kernel.forces.potential(at.x, at.numbers)
+    check("energy", out[-1:], np.array([energy]), slack)
+
+
+def _judge_velocity(kernel: Kernel, at: JudgedState, rate: Array) -> None:
+    """Compare the rates of the joints and of the attitude."""
+    layout, r, check, slack = kernel.layout, kernel.system.r, _checker(kernel), slack_of(at.H)
+    xdot, a = at.v[r:], len(layout.active)
+    check("shape rate", rate[:a], xdot[list(layout.active)], slack)
+    turned = rate[2 * a : layout.base_at]
+    check("rate of cyclic joints", turned, xdot[list(layout.cyclic)], slack)
+    attitude, *_ = _base_rates(kernel, rate)
+    check("attitude rate", attitude, _attitude_of_twist(kernel, at) @ at.v[:r], slack)
+
+
+def _judge_base(kernel: Kernel, at: JudgedState, rate: Array, v: Array, wrench: Array) -> None:
+    """Compare what acts on the base makes of it: its momentum, and that of the whole system."""
+    system, parts, check = kernel.system, kernel.layout.base, _checker(kernel)
+    r, k, H, slack = system.r, system.group.linear, at.H, slack_of(at.H)
     omega = v[k:r]
     # The moment of all forces about the centre of mass, or about the pivot, by Pinocchio.
     lever = H[:k, k:r] / system.mass  # of F at the base's origin: (H_lin,ang / m)ᵀ F = c × F
     moment = wrench[k:] - lever.T @ wrench[:k]
-    if parts.momentum and weight.any():
-        moment = moment - pin.computeGeneralizedGravity(model, data, q)[:r]
-    bent = np.cross(mu[k:], omega) if parts.momentum == 3 else np.zeros(parts.momentum)
+    if parts.momentum and at.weight.any():
+        moment = moment + _moment_of_gravity(kernel, at)
+    bent = np.cross(at.mu[k:], omega) if parts.momentum == 3 else np.zeros(parts.momentum)
+    _, down, momentum, push = _base_rates(kernel, rate)
     if parts.down:
-        _agree(kernel, "rate of the direction of gravity", found[1], np.cross(down, omega), slack)
+        check("rate of the direction of gravity", down, np.cross(at.down, omega), slack)
     if parts.momentum:
-        _agree(kernel, "rate of the angular momentum", found[2], bent + moment, slack)
+        check("rate of the angular momentum", momentum, bent + moment, slack)
     if parts.push:
-        push = np.append(pushed[k:] / system.mass, group.Ad(pose)[:k, :k] @ wrench[:k])
-        _agree(kernel, "rate of the centre of mass", found[3], push, slack)
-    # H v̇ = ṗ − Ḣ v, with ṗ = (ad*_ξ μ + f, π̇) and Ḣ = C + Cᵀ; the frame of the centre of
-    # mass is pushed with it: π̇ in a frame at rest has F·∂c/∂x besides.
-    pidot = np.zeros(m)
+        true = np.append(at.pushed[k:] / system.mass, system.group.Ad(at.pose)[:k, :k] @ wrench[:k])
+        check("rate of the centre of mass", push, true, slack)
+
+
+def _judge_acceleration(
+    kernel: Kernel, at: JudgedState, rate: Array, v: Array, torque: Array, wrench: Array
+) -> None:
+    """Compare the accelerations that follow from π̇ with those of ABA.
+
+    H v̇ = ṗ − Ḣ v, with ṗ = (ad*_ξ μ + f, π̇) and Ḣ = C + Cᵀ; the frame of the centre of mass
+    is pushed with it: π̇ in a frame at rest has F·∂c/∂x besides.
+    """
+    system, layout, model, q, H = kernel.system, kernel.layout, at.model, at.q, at.H
+    r, k, data = system.r, system.group.linear, at.model.createData()
+    active, driven, a = list(layout.active), _driven(kernel), len(layout.active)
+    pidot = np.zeros(system.m)
     pidot[active] = rate[a : 2 * a]
     pidot[active] += (H[:k, r:].T @ wrench[:k] / system.mass)[active]
     C = pin.computeCoriolisMatrix(model, data, q, v)
-    turning = np.zeros(r)
-    if parts.momentum and weight.any():
-        turning = -pin.computeGeneralizedGravity(model, data, q)[:r]
-    momentum_rate = np.concatenate([group.coadjoint(v[:r], mu) + wrench + turning, pidot])
+    mudot = system.group.coadjoint(v[:r], at.mu) + wrench
+    if layout.base.momentum and at.weight.any():
+        mudot = mudot + _moment_of_gravity(kernel, at)
     tau = np.concatenate([wrench, torque])
     fixed = r + np.array(driven, dtype=int)
     free = np.setdiff1d(np.arange(system.n), fixed)
-    held = H[np.ix_(free, fixed)] @ accelerations
-    solved = np.linalg.solve(H[np.ix_(free, free)], (momentum_rate - (C + C.T) @ v)[free] - held)
+    inertia, held = H[np.ix_(free, free)], H[np.ix_(free, fixed)] @ at.accelerations
+    left = np.concatenate([mudot, pidot]) - (C + C.T) @ v
+    found = np.linalg.solve(inertia, left[free] - held)
     if driven:
         bias = pin.nonLinearEffects(model, data, q, v)
-        true = np.linalg.solve(H[np.ix_(free, free)], (tau - bias)[free] - held)
+        true = np.linalg.solve(inertia, (tau - bias)[free] - held)
     else:
         true = pin.aba(model, data, q, v, tau)
-    _agree(kernel, "acceleration", solved, true, slack)
-    return True
+    _checker(kernel)("acceleration", found, true, slack_of(H))
 
 
-def _judge_states(
-    kernel: Kernel,
-    out: Array,
-    H: Array,
-    x: Array,
-    time: float,
-    line: Array,
-    pushed: Array,
-    numbers: Array,
-    slack: float,
-) -> None:
-    """Compare the full state with Pinocchio: place of the centre of mass, momenta, energy."""
-    system, where = kernel.system, kernel.where
-    model, r, k = system.model, system.r, system.group.linear
-    data = model.createData()
-    pose, q, v = out[where.pose], out[where.q], out[where.v]
-    _agree(kernel, "configuration", q, system.q(pose, x))
-    root, (c0, v0, fall) = model.jointPlacements[1], line.reshape(3, k)
-    c, velocity = c0 + v0 * time + 0.5 * fall * time**2, v0 + fall * time
-    if pushed.size:
-        c, velocity = c + pushed[:k], velocity + pushed[k:] / system.mass
-    pin.centerOfMass(model, data, q, v)
-    along = translations(system).T @ root.rotation.T
-    _agree(kernel, "place of the centre of mass", along @ (data.com[0] - root.translation), c)
-    _agree(kernel, "its velocity", along @ data.vcom[0], velocity, slack)
-    mu = H[:r] @ v
-    _agree(kernel, "body momentum", out[where.body_momentum], mu, slack)
-    J = system.group.spatial_momentum(pose, mu)
-    _agree(kernel, "spatial momentum", out[where.spatial_momentum], J, slack)
-    energy = 0.5 * v @ H @ v + pin.computePotentialEnergy(model, data, q)
-    if kernel.forces is not None:
-        energy += kernel.forces.potential(x, numbers)
-    _agree(kernel, "energy", out[-1:], np.array([energy]), slack)
+def _velocity_in(kernel: Kernel, at: JudgedState, rate: Array) -> Array:
+    """Return the velocity (n,) that a rate has.
+
+    π̇ is judged at the velocity of the same evaluation: round-off in that is not its error.
+    The translation, which is no part of the rate, follows from the momentum.
+    """
+    layout, r, k = kernel.layout, kernel.system.r, kernel.system.group.linear
+    a, v = len(layout.active), at.v.copy()
+    v[r:][list(layout.active)] = rate[:a]
+    v[r:][list(layout.cyclic)] = rate[2 * a : layout.base_at]
+    if layout.base.attitude:
+        attitude, *_ = _base_rates(kernel, rate)
+        v[k:r] = np.linalg.lstsq(_attitude_of_twist(kernel, at)[:, k:], attitude)[0]
+    v[:k] = np.linalg.solve(at.H[:k, :k], at.mu[:k] - at.H[:k, k:] @ v[k:])
+    return v
 
 
-def _span(forces: ForceModel | None) -> tuple[float, float]:
-    """Return a span of time on which every function of time in the forces is defined."""
-    signals = () if forces is None else (*forces.signals, *forces.references)
-    first = max([0.0, *(signal.span[0] for signal in signals)])
-    return first, min([1.0, *(signal.span[1] for signal in signals)])
+def _acting(kernel: Kernel, at: JudgedState, v: Array) -> tuple[Array, Array]:
+    """Return torques (m,) and the wrench on the base (r,)."""
+    system, forces = kernel.system, kernel.forces
+    if forces is None:
+        return np.zeros(system.m), np.zeros(system.r)
+    acting = forces.acting(at.time, at.x, v[system.r :], v[: system.r], at.mu, at.numbers)
+    return acting.torque, acting.wrench
+
+
+def _moment_of_gravity(kernel: Kernel, at: JudgedState) -> Array:
+    """Return the moment of the weight about the pivot, (r,), by Pinocchio."""
+    weight = pin.computeGeneralizedGravity(at.model, at.model.createData(), at.q)
+    return -np.asarray(weight[: kernel.system.r])
+
+
+def _attitude_of_twist(kernel: Kernel, at: JudgedState) -> Array:
+    """Return the map from body twists to rates of the attitude, (attitude, r)."""
+    group, first = kernel.system.group, len(at.pose) - kernel.layout.base.attitude
+    return np.transpose([group.rate(at.pose, twist)[first:] for twist in np.eye(group.dim)])
+
+
+def _base_rates(kernel: Kernel, rate: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the rates of attitude, down, momentum and push (see BaseParts)."""
+    first, parts = kernel.layout.base_at, kernel.layout.base
+    return parts.split(rate[first : first + parts.size])
+
+
+def _driven(kernel: Kernel) -> list[int]:
+    return list(kernel.layout.prescribed)
+
+
+def _checker(kernel: Kernel) -> partial[None]:
+    """Return `agree` for a kernel."""
+    return partial(agree, f"the kernel of '{kernel.system.name}'")
 
 
 def agree(
@@ -231,14 +239,3 @@ def agree(
 def slack_of(H: Array) -> float:
     """Return how far velocities may be off: round-off of the momenta alone moves them so."""
     return max(_TOLERANCE, 10.0 * np.finfo(float).eps * float(np.linalg.cond(H)))
-
-
-def _agree(
-    kernel: Kernel,
-    what: str,
-    found: Array,
-    expected: Array,
-    tolerance: float = _TOLERANCE,
-    size: Array | None = None,
-) -> None:
-    agree(f"the kernel of '{kernel.system.name}'", what, found, expected, tolerance, size)

@@ -1,0 +1,133 @@
+"""A random state at which a kernel is judged, and what Pinocchio says of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from ..common.arrays import Array
+from ..reduction.inertia_split import symmetric
+from ..reduction.potential import falling
+
+if TYPE_CHECKING:
+    from ..forces.model import ForceModel
+    from .kernel import Kernel
+
+
+@dataclass(frozen=True)
+class JudgedState:
+    """A state, what a kernel takes for it, and what Pinocchio says of it.
+
+    model: in the gravity that the kernel knows; what makes the whole system fall is not in it.
+    weight: (3,) that gravity times the mass, in the root joint's fixed frame.  pose: (size,).
+    q: (nq,).  x: (m,).  v: (n,) body twist and shape rate, whose momentum is of a kind that
+    the kernel has terms for.  accelerations: of the prescribed joints.  numbers: (p,) in the
+    forces.  down: (3,) direction of gravity in the body's frame, or none.  pushed: what a wrench
+    has done to the centre of mass, its displacement and momentum, or none.  line: (3k,) where
+    the centre of mass begins, how fast, and how it falls.  H: (n, n) mass matrix.  com: (3,)
+    centre of mass in the body's frame.  mu: (r,) body momentum.  pi: (m,) canonical momenta.
+    y, parameters: what the kernel takes.
+    """
+
+    model: pin.Model
+    weight: Array
+    time: float
+    pose: Array
+    q: Array
+    x: Array
+    v: Array
+    accelerations: Array
+    numbers: Array
+    down: Array
+    pushed: Array
+    line: Array
+    H: Array
+    com: Array
+    mu: Array
+    pi: Array
+    y: Array
+    parameters: Array
+
+
+def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> JudgedState | None:
+    """Return a random state of a size; None where the forces are not defined."""
+    system, layout, forces = kernel.system, kernel.layout, kernel.forces
+    r, m, k = system.r, system.m, system.group.linear
+    group, parts = system.group, layout.base
+    model, weight = system.model.copy(), np.array(kernel.structure.gravity or (0.0, 0.0, 0.0))
+    model.gravity.linear = model.jointPlacements[1].rotation @ weight
+    pose = group.exp(rng.uniform(-1.0, 1.0, r))
+    pose = pose if r > k else group.identity()
+    x, v = rng.uniform(-2.0, 2.0, m), rng.normal(size=system.n)
+    time = float(rng.uniform(*_span(forces)))
+    driven = list(layout.prescribed)
+    numbers, accelerations = rng.normal(size=layout.numbers), np.zeros(len(driven))
+    x, v = x * reach, v * reach
+    if forces is not None:
+        numbers[forces.within] = time  # far beyond its piece a table means nothing
+    if forces is not None and driven:
+        given = forces.prescribed(time, numbers)
+        x[driven], v[[r + j for j in driven]], accelerations = given.x, given.xdot, given.xddot
+        if not np.isfinite([given.x, given.xdot, given.xddot]).all():
+            return None
+    q, data = system.q(pose, x), model.createData()
+    H = symmetric(pin.crba(model, data, q))
+    v, mu = _with_known_momentum(kernel, H, v)
+    pi = H[r:] @ v
+    # A base with heavy arms in a fixed direction of gravity, or with its direction alone.
+    turn = group.Ad(pose)[k:, k:]
+    down = turn.T @ weight / np.linalg.norm(weight) if parts.down else np.zeros(0)
+    spin = turn @ mu[k:] if parts.spin else np.zeros(0)
+    pushed = rng.normal(size=parts.push)
+    b = np.concatenate([pose[len(pose) - parts.attitude :], down, mu[r - parts.momentum :], pushed])
+    active, cyclic = list(layout.active), list(layout.cyclic)
+    if forces is not None:
+        acting = forces.acting(time, x, v[r:], v[:r], mu, numbers)
+        potential = np.array([forces.potential(x, numbers)])
+        if not np.isfinite(np.concatenate([acting.torque, acting.wrench, potential])).all():
+            return None
+    return JudgedState(
+        model=model,
+        weight=weight,
+        time=time,
+        pose=pose,
+        q=q,
+        x=x,
+        v=v,
+        accelerations=accelerations,
+        numbers=numbers,
+        down=down,
+        pushed=pushed,
+        line=np.append(rng.normal(size=2 * k), falling(system)),
+        H=H,
+        com=np.array(data.Ycrb[1].lever),
+        mu=mu,
+        pi=pi,
+        y=np.concatenate([x[active], pi[active], x[cyclic], b, [time] * layout.clock]),
+        parameters=np.concatenate([spin, pi[cyclic], numbers]),
+    )
+
+
+def _with_known_momentum(kernel: Kernel, H: Array, v: Array) -> tuple[Array, Array]:
+    """Return a velocity whose momentum is of the kind that a kernel knows, and that momentum."""
+    system, parts = kernel.system, kernel.layout.base
+    r, k, v = system.r, system.group.linear, v.copy()
+    mu = H[:r] @ v
+    if not (parts.spin or parts.momentum):
+        v[:r] -= np.linalg.solve(H[:r, :r], mu)
+        return v, np.zeros(r)
+    if k:
+        v[:k] -= mu[:k] / system.mass
+        mu = H[:r] @ v
+        mu[:k] = 0.0
+    return v, mu
+
+
+def _span(forces: ForceModel | None) -> tuple[float, float]:
+    """Return a span of time on which every function of time in the forces is defined."""
+    signals = () if forces is None else (*forces.signals, *forces.references)
+    first = max([0.0, *(signal.span[0] for signal in signals)])
+    return first, min([1.0, *(signal.span[1] for signal in signals)])

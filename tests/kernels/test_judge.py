@@ -1,0 +1,217 @@
+"""Every number that a kernel gives is judged: a fault in any of them is found and named."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from trees import random_model
+
+import pinred
+from pinred import forces
+from pinred.common.arrays import Array
+from pinred.kernels.judge import judge
+from pinred.kernels.kernel import Kernel
+from pinred.simulation.compiled.kernel_of_plan import kernel_of
+from pinred.simulation.plan import plan_of
+
+
+class Faulty:
+    """A kernel with a fault in the last number of a kind, in parts of the largest of it."""
+
+    def __init__(self, kernel: Kernel, where: str, first: int, last: int, fault: float) -> None:
+        """Take the kernel; where: "out" or "rate"; first, last: of the numbers of a kind."""
+        self._kernel, self._where, self._fault = kernel, where, fault
+        self._numbers = slice(first, last)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._kernel, name)
+
+    def evaluate_outputs(self, *arguments: Any) -> Array:
+        """Return the outputs, with the fault if it is there."""
+        return self._spoiled("out", self._kernel.evaluate_outputs(*arguments))
+
+    def evaluate_rate(self, *arguments: Any) -> Array:
+        """Return the rate, with the fault if it is there."""
+        return self._spoiled("rate", self._kernel.evaluate_rate(*arguments))
+
+    def _spoiled(self, where: str, values: Array) -> Array:
+        values = values.copy()
+        if where == self._where:
+            of_kind = values[self._numbers]
+            of_kind[-1] += self._fault * max(float(np.abs(of_kind).max()), 1e-3)
+        return values
+
+
+def free_tree(**options: Any) -> Kernel:
+    """Return the kernel of a tree on a free base, with a spring."""
+    system = pinred.load(random_model("SE3", 3, 1))
+    springs = {system.shape_names[0]: (1.0, 0.2)}
+    scene = pinred.Scene(system=system, seed=0, springs=springs, **options)
+    return kernel_of(plan_of(scene), zero_momentum=False)
+
+
+def pushed_tree() -> Kernel:
+    """Return that of a tree with a thruster: its momentum and centre of mass are integrated."""
+    thruster = forces.Wrench(lambda _t, x, _xdot, _mu: [0.3, 0.1 * x[0], 0.0, 0.2, 0.0, 0.1])
+    return free_tree(forces=thruster)
+
+
+def heavy_tree() -> Kernel:
+    """Return that of a tree on a pivot in gravity, whose attitude nobody asks for."""
+    model = random_model("SO3", 3, 1)
+    model.gravity.linear = np.array([1.0, -2.0, 3.0])
+    scene = pinred.Scene(system=pinred.load(model), seed=0, outputs="shape")
+    return kernel_of(plan_of(scene), zero_momentum=False)
+
+
+def driven_tree() -> Kernel:
+    """Return that of a tree with a joint that follows a plan."""
+    system = pinred.load(random_model("SE3", 3, 1))
+    plan = {system.shape_names[1]: pinred.signals.Expression("0.3*sin(2*t)")}
+    scene = pinred.Scene(system=system, seed=0, prescribed=plan)
+    return kernel_of(plan_of(scene), zero_momentum=False)
+
+
+def wheels() -> Kernel:
+    """Return that of a robot with cyclic joints."""
+    scene = pinred.Scene(system=pinred.load("reaction_wheel_satellite"), seed=0)
+    return kernel_of(plan_of(scene), zero_momentum=False)
+
+
+def light_tree(ratio: float) -> Kernel:
+    """Return that of a tree on a free base whose last body is lighter by a ratio."""
+    model = random_model("SE3", 3, 1)
+    light = model.inertias[model.njoints - 1]
+    model.inertias[model.njoints - 1] = pin.Inertia(
+        ratio * light.mass, light.lever, ratio * light.inertia
+    )
+    model.armature = np.zeros(model.nv)
+    scene = pinred.Scene(system=pinred.load(model), seed=0)
+    return kernel_of(plan_of(scene), zero_momentum=False)
+
+
+LEAST = 3e-10  # three times what passes
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("xi", "velocity"),
+        ("xdot", "velocity"),
+        ("com", "centre of mass"),
+        ("mu", "momentum"),
+        ("x", "shape"),
+        ("pose", "configuration"),
+        ("q", "configuration"),
+        ("v", "velocity|momentum"),
+        ("body_momentum", "body momentum"),
+        ("spatial_momentum", "spatial momentum"),
+    ],
+)
+def test_a_wrong_output_is_found(name: str, words: str) -> None:
+    """Everything that is reported, off by three times what may be."""
+    kernel = free_tree()
+    judge(kernel)
+    where = getattr(kernel.where, name)
+    with pytest.raises(pinred.KernelMismatch, match=f"disagrees with Pinocchio: .*({words}) is"):
+        judge(Faulty(kernel, "out", where.start, where.stop, LEAST))  # type: ignore[arg-type]
+
+
+def test_the_rate_of_a_light_joint_is_found() -> None:
+    """It hardly shows in the momenta, and is judged for itself."""
+    kernel = light_tree(1e-3)
+    judge(kernel)
+    where = kernel.where.xdot
+    with pytest.raises(pinred.KernelMismatch, match="Pinocchio: velocity is"):
+        judge(Faulty(kernel, "out", where.start, where.stop, 1e-9))  # type: ignore[arg-type]
+
+
+def test_the_momentum_of_a_velocity_is_found() -> None:
+    """Where a joint is so light that velocities have little to say, momenta have more."""
+    kernel = light_tree(1e-6)
+    judge(kernel)
+    where = kernel.where.xi
+    with pytest.raises(pinred.KernelMismatch, match="Pinocchio: momentum of the velocity is"):
+        judge(Faulty(kernel, "out", where.start, where.stop, 1e-9))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("c0", "v0", "words"),
+    [(1e-9, 0.0, "place of the centre of mass"), (0.0, 1e-9, "its velocity")],
+)
+def test_a_wrong_path_is_found(c0: float, v0: float, words: str) -> None:
+    """Base and centre of mass beside their path, all else as it should be."""
+    kernel = free_tree()
+
+    class Beside(Faulty):
+        def evaluate_outputs(self, *arguments: Any) -> Array:
+            t, y, parameters, line = arguments
+            beside = np.concatenate([np.full(3, c0 - v0 * t), np.full(3, v0), np.zeros(3)])
+            return kernel.evaluate_outputs(t, y, parameters, line + beside)
+
+    with pytest.raises(pinred.KernelMismatch, match=words):
+        judge(Beside(kernel, "", 0, 0, 0.0))  # type: ignore[arg-type]
+
+
+def test_a_wrong_energy_is_found() -> None:
+    """The last of the outputs."""
+    kernel = free_tree()
+    size = kernel.where.size
+    with pytest.raises(pinred.KernelMismatch, match="energy is off"):
+        judge(Faulty(kernel, "out", size - 1, size, LEAST))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("driven_x", "prescribed positions"), ("driven_pi", "momenta of prescribed joints")],
+)
+def test_a_wrong_prescribed_joint_is_found(name: str, words: str) -> None:
+    """Where it is, and its momentum."""
+    kernel = driven_tree()
+    judge(kernel)
+    where = getattr(kernel.where, name)
+    with pytest.raises(pinred.KernelMismatch, match=words):
+        judge(Faulty(kernel, "out", where.start, where.stop, LEAST))  # type: ignore[arg-type]
+
+
+def places(kernel: Kernel) -> dict[str, tuple[int, int]]:
+    """Return where each kind of number stands in a rate."""
+    layout, parts = kernel.layout, kernel.layout.base
+    a, b = len(layout.active), layout.base_at
+    sizes = (parts.attitude, parts.down, parts.momentum, parts.push)
+    ends = b + np.cumsum([0, *sizes])
+    base = zip(ends.tolist(), ends[1:].tolist(), strict=False)
+    names = ("shape", "pi", "cyclic", "attitude", "down", "momentum", "push")
+    return dict(zip(names, [(0, a), (a, 2 * a), (2 * a, b), *base], strict=True))
+
+
+@pytest.mark.parametrize(
+    ("make", "name", "words"),
+    [
+        (free_tree, "shape", "shape rate"),
+        (free_tree, "attitude", "attitude rate"),
+        (wheels, "cyclic", "rate of cyclic joints"),
+        (pushed_tree, "push", "rate of the centre of mass"),
+        (heavy_tree, "down", "rate of the direction of gravity"),
+        (heavy_tree, "momentum", "rate of the angular momentum"),
+    ],
+)
+def test_a_wrong_rate_is_found(make: Any, name: str, words: str) -> None:
+    """Each kind of rate, off by three times what may be."""
+    kernel = make()
+    judge(kernel)
+    first, last = places(kernel)[name]
+    with pytest.raises(pinred.KernelMismatch, match=words):
+        judge(Faulty(kernel, "rate", first, last, LEAST))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("make", [free_tree, pushed_tree, heavy_tree, driven_tree, wheels])
+def test_a_wrong_force_is_found(make: Any) -> None:
+    """π̇ is judged by the accelerations that follow from it."""
+    kernel = make()
+    first, last = places(kernel)["pi"]
+    with pytest.raises(pinred.KernelMismatch, match="acceleration"):
+        judge(Faulty(kernel, "rate", first, last, 3.0 * LEAST))  # type: ignore[arg-type]
