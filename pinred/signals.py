@@ -4,8 +4,8 @@ A prescribed joint, the reference of a controller or a torque from a table is on
 Value, rate and acceleration are the function and its first two derivatives.
 """
 
-from .forces.signals.base import Signal
 from .forces.signals.formulas import Constant, Expression, Fourier
-from .forces.signals.tables import Hold, Linear, Spline
+from .forces.signals.signal import Signal
+from .forces.signals.tabulated import Hold, Linear, Spline
 
 __all__ = ["Constant", "Expression", "Fourier", "Hold", "Linear", "Signal", "Spline"]

@@ -106,6 +106,17 @@ def test_errata_name_tests_that_exist() -> None:
         assert f"def {name}(" in source
 
 
+@pytest.mark.parametrize(
+    "path", sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")]), ids=lambda p: p.name
+)
+def test_files_that_documents_name_exist(path: Path) -> None:
+    """A path in a document is from the top of the checkout, the package, or its own folder."""
+    text = path.read_text(encoding="utf-8")
+    for name in re.findall(r"`((?:\w+/)+\w*\.?\w*)`", text):
+        folders = (ROOT, ROOT / "pinred", path.parent)
+        assert any((folder / name).exists() for folder in folders), name
+
+
 @pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.name)
 def test_examples_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every example runs from anywhere."""

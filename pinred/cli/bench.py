@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _kernels(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
-    from ..verification.bench.kernels import KernelTiming, bench_kernels
+    from ..verification.bench.kernel_timing import KernelTiming, bench_kernels
 
     timings = bench_kernels(options.robots, progress=True)
     print(KernelTiming.header())

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..common.errors import InputError
-from .motions import motion_in
+from .motion_files import motion_in
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
 from ..views.plots import KINDS, options_of, plot
-from .motions import check_robot, motion_in
+from .motion_files import check_robot, motion_in
 from .options import scene_with
 from .written import written
 

@@ -10,7 +10,7 @@ from ..common.errors import SymmetryError
 from ..reduction.potential import pivot_weight, shape_gravity
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.momenta import bracket, centre_of_mass, momenta
-from .base import Symbols
+from .force import Symbols
 
 
 def required_torque(s: Symbols, accelerations: Mapping[int, ca.SX]) -> ca.SX:

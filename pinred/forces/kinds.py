@@ -15,9 +15,9 @@ import numpy as np
 
 from ..common.arrays import Array, as_floats, positive
 from ..common.errors import InputError
-from .base import Force as Force
-from .base import Limit as Limit
-from .base import (
+from .force import Force as Force
+from .force import Limit as Limit
+from .force import (
     Named,
     PerJoint,
     Reference,

@@ -6,7 +6,7 @@ import json
 import struct
 from dataclasses import asdict
 
-from ..forces.model import ForceModel
+from ..forces.force_model import ForceModel
 from ..reduction.tree.limbs import Lanes
 from ..system.system import System
 from .fingerprint import model_bytes

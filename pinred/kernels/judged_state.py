@@ -13,7 +13,7 @@ from ..reduction.inertia_split import symmetric
 from ..reduction.potential import falling
 
 if TYPE_CHECKING:
-    from ..forces.model import ForceModel
+    from ..forces.force_model import ForceModel
     from .kernel import Kernel
 
 

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from ..common.arrays import Array
-from ..forces.model import ForceModel
+from ..forces.force_model import ForceModel
 from ..system.system import System
 from .layout import Layout, Outputs, Structure, outputs_of
 from .machine.native import NativeCode

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from ..forces.model import ForceModel
+from ..forces.force_model import ForceModel
 from ..lie.groups import SO3
 from ..reduction.base_parts import BaseParts, base_parts
 from ..system.system import System

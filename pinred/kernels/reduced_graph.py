@@ -16,7 +16,7 @@ from functools import cached_property
 
 import casadi as ca
 
-from ..forces.model import ForceModel
+from ..forces.force_model import ForceModel
 from ..lie.groups import SO2
 from ..reduction.base_parts import root_of
 from ..reduction.tree.articulated_sweep import sweep

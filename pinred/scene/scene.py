@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats, positive, read_only, vector
 from ..common.errors import InputError, ShapeError
-from ..forces.base import Force
+from ..forces.force import Force
 from ..integrators.methods import METHODS, Method
 from ..system.joints import is_prismatic
 from ..system.system import InitialState, System, checked_system
 from .initial_state import GivenStates, Start, start_of
 
 if TYPE_CHECKING:
-    from ..forces.model import ForceModel
+    from ..forces.force_model import ForceModel
     from ..forces.signals import Signal
 
 Engine: TypeAlias = Literal["compiled", "pinocchio"]
@@ -175,7 +175,7 @@ class Scene:
         if not (self.springs or forces or self.prescribed):
             object.__setattr__(self, "_forces", None)
             return
-        from ..forces.model import remembered_model  # needs CasADi
+        from ..forces.force_model import remembered_model  # needs CasADi
 
         model = remembered_model(self.system, self.springs, forces, self.prescribed)
         for signal in (*model.signals, *model.references):

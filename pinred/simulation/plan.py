@@ -15,7 +15,7 @@ import numpy as np
 
 from ..common.arrays import Array, freeze
 from ..common.memo import once
-from ..forces.model import ForceModel, touched_by
+from ..forces.force_model import ForceModel, touched_by
 from ..integrators.methods import Method
 from ..kernels.layout import Layout, Structure, layout_of
 from ..reduction.cyclic_joints import cyclic_of

@@ -13,7 +13,7 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
 from ..common.memo import once
-from ..forces.model import ForceModel
+from ..forces.force_model import ForceModel
 from ..reduction.reduction import Reduction
 from ..scene.scene import Scene
 from ..system.system import System

@@ -163,7 +163,7 @@ class Trajectory(OverTime):
         return kind(**{f.name: np.asarray(getattr(state, f.name)[0]) for f in fields(kind)})
 
     def save(self, path: str | Path) -> None:
-        """Write the states to a .npz or .csv file (see export.py).  Raises InputError."""
-        from .files import save
+        """Write the states to a .npz or .csv file (see trajectory_files.py).  Raises InputError."""
+        from .trajectory_files import save
 
         save(self, path)

@@ -17,7 +17,7 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import PD, Controller, Damper, PotentialEnergy, Spring, Torque, Wrench
-from pinred.forces.base import Force
+from pinred.forces.force import Force
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Constant, Hold, Linear, Spline
 from pinred.simulation.compiled.compiled_flow import CompiledFlow

@@ -12,7 +12,7 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import PD, Damper, PotentialEnergy, Spring, Torque, Wrench
-from pinred.forces.base import Force
+from pinred.forces.force import Force
 from pinred.signals import Expression, Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.pinocchio.readable_flow import ReducedFlow

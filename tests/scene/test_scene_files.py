@@ -18,8 +18,8 @@ import pytest
 import pinred
 from pinred.cli.main import main
 from pinred.forces import PD, ComputedTorque, Damper, PotentialEnergy, Spring, Torque, Wrench
-from pinred.forces.base import Force, Limit
-from pinred.forces.signals.tables import _ENDS
+from pinred.forces.force import Force, Limit
+from pinred.forces.signals.tabulated import _ENDS
 from pinred.integrators.methods import (
     DOP853,
     METHODS,

@@ -15,7 +15,7 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.lie.rotations import rotation
-from pinred.views.playback.bodies import drawn_bodies
+from pinred.views.playback.drawn_bodies import drawn_bodies
 from pinred.views.playback.film import write_frames, write_gif
 from pinred.views.playback.framing import frame
 from pinred.views.playback.playback import Playback, playback

@@ -4,8 +4,8 @@ A prescribed joint, the reference of a controller or a torque from a table is on
 Value, rate and acceleration are the function and its first two derivatives.
 """
 
-from .base import Signal
 from .formulas import Constant, Expression, Fourier
-from .tables import Hold, Linear, Spline
+from .signal import Signal
+from .tabulated import Hold, Linear, Spline
 
 __all__ = ["Constant", "Expression", "Fourier", "Hold", "Linear", "Signal", "Spline"]

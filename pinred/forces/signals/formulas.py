@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, positive, read_only
 from ...common.errors import InputError
-from .base import Signal, finite_list, number
 from .expressions import parse
+from .signal import Signal, finite_list, number
 
 if TYPE_CHECKING:
     import casadi as ca

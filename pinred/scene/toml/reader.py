@@ -14,8 +14,8 @@ import numpy as np
 
 from ...common.errors import InputError, LoadError, PinredError
 from ...forces import kinds as acting
-from ...forces.base import Force, Limit
-from ...forces.model import remembered_model
+from ...forces.force import Force, Limit
+from ...forces.force_model import remembered_model
 from ...forces.signals import Signal
 from ...forces.signals.expressions import parse
 from ...integrators.methods import METHODS
@@ -26,7 +26,7 @@ from ..scene import DURATION, Engine, Scene
 from .csv_columns import read_text
 from .keys import SCENE
 from .places import Place, naming, one_line, unknown
-from .signals import SignalReader
+from .signal_reader import SignalReader
 
 _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+\s*\.\s*){50}""")
 _FORCES: dict[str, Callable[..., Force]] = {

@@ -7,8 +7,8 @@ from .accuracy import Effort as Effort
 from .accuracy import bench_accuracy as bench_accuracy
 from .evaluations import Evaluations as Evaluations
 from .evaluations import bench_evaluations as bench_evaluations
-from .kernels import KernelTiming as KernelTiming
-from .kernels import bench_kernels as bench_kernels
+from .kernel_timing import KernelTiming as KernelTiming
+from .kernel_timing import bench_kernels as bench_kernels
 from .own_methods import own_method as own_method
 from .problems import Problem as Problem
 from .record import read_record as read_record

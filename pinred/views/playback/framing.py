@@ -8,7 +8,7 @@ import numpy as np
 
 from ...common.arrays import Array, freeze
 from ...lie.rotations import rotation
-from .bodies import Bodies, extents
+from .drawn_bodies import Bodies, extents
 from .playback import Playback
 
 ARROW = 1.3  # length of the momentum arrow with a margin, in radii of the robot

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...common.errors import LoadError
 from ...common.files import check_path, write_atomic
 from ..motion_source import MotionSource
-from .bodies import Bodies, drawn_bodies
+from .drawn_bodies import Bodies, drawn_bodies
 from .framing import frame
 from .playback import Playback, playback
 from .shape_panel import ShapePanel, shape_panel

@@ -20,7 +20,7 @@ from ...simulation.trajectory import Trajectory
 from ...system.system import System
 from ...verification.full_state import FullState
 from ..motion_source import MotionSource
-from .momentum import Momentum, conserved_momentum
+from .momentum_arrow import Momentum, conserved_momentum
 from .view import View
 
 MOST_FRAMES = 100_000

@@ -11,7 +11,7 @@ from .phase_portrait import phase as phase
 from .poincare_section import poincare as poincare
 from .time_series import base as base
 from .time_series import shape as shape
-from .work import work_precision as work_precision
+from .work_against_error import work_precision as work_precision
 
 INSTALL: str
 KINDS: tuple[str, ...]

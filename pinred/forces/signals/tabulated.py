@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, read_only, vector
 from ...common.errors import InputError, ShapeError
-from .base import Signal, finite_list
+from .signal import Signal, finite_list
 
 if TYPE_CHECKING:
     import casadi as ca

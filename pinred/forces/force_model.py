@@ -17,7 +17,7 @@ from ..common.errors import InputError
 from ..common.memo import once
 from ..reduction.potential import spring_pair
 from ..system.system import System
-from .base import Force, Symbols, Terms
+from .force import Force, Symbols, Terms
 from .kinds import Controller, Damper, Spring
 from .signals import Signal
 
