@@ -122,7 +122,7 @@ def _draw(folder: Path, results: Sequence[WorkPrecision]) -> None:
 
 
 def _write_equal_error(folder: Path, results: Sequence[WorkPrecision]) -> None:
-    """Write what follows from the points: times and ratios at equal error."""
+    """Write times and ratios at equal error, which follow from the points."""
     from ..common.files import write_table
     from ..verification.bench.accuracy import YARDSTICK
     from ..verification.bench.work_precision import ERRORS

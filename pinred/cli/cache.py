@@ -13,7 +13,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Show or remove them.  Returns 0."""
+    """List the kernels, or remove them.  Returns 0."""
     from ..kernels.store import ObjectCache
 
     cache = ObjectCache()

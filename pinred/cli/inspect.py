@@ -1,4 +1,4 @@
-"""`pinred inspect`: what pinred sees in a robot, at one shape."""
+"""`pinred inspect`: a robot as pinred sees it, at one shape."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print what is seen.  Returns 0."""
+    """Print the inspection.  Returns 0."""
     from ..analysis.inspection import inspect
 
     print(inspect(system_of(options), numbers_in(options.at, "at")))

@@ -1,7 +1,7 @@
 """The command line: the same things as the Python API, by the same names.
 
-A command is a file of this folder with `add_arguments` and `run`, which is imported only when
-the command is asked for: help is instant.
+Each command is a file of this folder with `add_arguments` and `run`.  It is imported only
+when the command is asked for, so that help is instant.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Motions for commands that show them: read from a .npz file, or simulated from a scene file."""
+"""Motions that commands show: read from a .npz file, or simulated from a scene file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def motion_in(path: str, robot: str | None) -> MotionSource:
     """Return the motion in a .npz file, or that of a scene file.
 
-    robot: that of a .npz which does not name its own.
+    robot: the one of a .npz that does not name its own.
     """
     check_robot(path, robot)
     if Path(path).suffix == ".npz":
@@ -29,6 +29,6 @@ def motion_in(path: str, robot: str | None) -> MotionSource:
 
 
 def check_robot(source: str, robot: str | None) -> None:
-    """Raise InputError for a robot beside what names its own: all but a .npz file."""
+    """Raise InputError for a robot beside a source that names its own: any but a .npz file."""
     if robot is not None and Path(source).suffix != ".npz":
         raise InputError(f"--robot is for .npz files; '{source}' names its robot itself")

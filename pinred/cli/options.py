@@ -1,4 +1,4 @@
-"""Options that several commands share: a robot, the state and the run of a scene.
+"""Options that several commands share: a robot, and the state and run of a scene.
 
 Nothing heavy is imported before they are asked for.
 """
@@ -113,8 +113,8 @@ def scene_of(options: argparse.Namespace) -> Scene:
 def scene_with(system: System, seed: int | None, **given: Any) -> Scene:
     """Return the scene of a system and options of Scene.
 
-    A robot without a state of its own, of which no state is given, begins at random; the seed
-    is printed, so that anyone can repeat the run.
+    Where no state is given and the robot comes with none, it is random; the seed is printed, so
+    that anyone can repeat the run.
     """
     from ..scene.scene import Scene
 

@@ -100,7 +100,7 @@ def _paths(out: str, kinds: list[str]) -> dict[str, Path]:
 
 
 def _source(options: argparse.Namespace, kinds: list[str]) -> Any:
-    """Return what a plot takes: of a file, a scene or a robot."""
+    """Return the source of a plot: that of a file, a scene or a robot."""
     source, suffix = options.source, Path(options.source).suffix
     measured = "work_precision" in kinds
     if measured and (suffix != ".csv" or len(kinds) > 1):

@@ -13,7 +13,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the names.  Returns 0."""
+    """Print the robots' names.  Returns 0."""
     from ..system import catalogue
 
     bundled = catalogue.bundled_robots()

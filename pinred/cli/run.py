@@ -1,4 +1,4 @@
-"""`pinred run`: simulate what a scene file says, and print what came of it."""
+"""`pinred run`: simulate the scene in a file, and print a summary."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def summary(traj: Trajectory) -> str:
-    """Return what came of a simulation, as a short table."""
+    """Return a short table of a simulation's results."""
     from ..simulation.explain import integrated
 
     scene, run = traj.scene, traj.run

@@ -1,4 +1,4 @@
-"""The line that says where a file is that a command has written, and how large it is."""
+"""The line that says where a command has written a file, and how large it is."""
 
 from __future__ import annotations
 

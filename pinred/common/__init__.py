@@ -1,4 +1,4 @@
-"""What every room uses: arrays, errors, files written whole, progress, cards of notebooks.
+"""The ground floor: arrays, errors, files written whole, progress, cards for notebooks.
 
 Imports nothing of pinred.
 """

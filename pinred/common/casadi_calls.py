@@ -1,4 +1,4 @@
-"""CasADi Functions called with numpy arrays, without the conversions that CasADi makes."""
+"""CasADi Functions called with NumPy arrays, without CasADi's own conversions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .arrays import Array
 
 
 class Numeric:
-    """A Function of dense inputs and outputs.  Any thread may call it."""
+    """A Function of dense inputs and outputs, which any thread may call."""
 
     def __init__(self, function: ca.Function) -> None:
         """Take the Function."""
@@ -20,7 +20,7 @@ class Numeric:
         self._local = local()
 
     def __call__(self, *arguments: Array | float) -> list[Array]:
-        """Return the outputs, (rows, columns) each, that nobody writes to again."""
+        """Return the outputs, (rows, columns) each; they are never overwritten."""
         if not hasattr(self._local, "run"):
             self._prepare()
         for place, argument in zip(self._local.inputs, arguments, strict=True):
@@ -29,7 +29,7 @@ class Numeric:
         return [place.copy() for place in self._local.outputs]
 
     def _prepare(self) -> None:
-        """Give this thread memory of its own, which CasADi reads and writes in place."""
+        """Give this thread its own memory, which CasADi reads and writes in place."""
         f, mine = self._function, self._local
         buffer: Any
         buffer, run = f.buffer()

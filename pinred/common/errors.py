@@ -41,19 +41,19 @@ class SingularInertiaError(PinredError, ArithmeticError):
 
 
 class MissingPackageError(PinredError, ImportError):
-    """A package is not installed that only some of pinred needs."""
+    """A package that only some parts of pinred need is not installed."""
 
 
 class OutputError(PinredError):
-    """A file could not be written; what was there before still is."""
+    """A file could not be written; an older file of that name is unchanged."""
 
 
 class IntegrationError(PinredError, ArithmeticError):
-    """The integration had to stop before its end time."""
+    """An integration had to stop before its end time."""
 
 
 class UnsupportedOperationError(PinredError, NotImplementedError):
-    """An expression has an operation that cannot be compiled."""
+    """An expression contains an operation that cannot be compiled."""
 
 
 class KernelMismatch(PinredError, ArithmeticError):  # noqa: N818
@@ -61,7 +61,7 @@ class KernelMismatch(PinredError, ArithmeticError):  # noqa: N818
 
 
 class _Stopped(IntegrationError):  # noqa: N818
-    """An integrator stopped.  time: the last it reached [s].  state: (n,) there."""
+    """An integrator stopped.  time: the last time it reached [s].  state: (n,) there."""
 
     def __init__(self, message: str, time: float, state: NDArray[np.float64]) -> None:
         super().__init__(message)
@@ -73,7 +73,7 @@ class _Stopped(IntegrationError):  # noqa: N818
 
 
 class StepSizeUnderflow(_Stopped):
-    """The steps that the tolerance asks for have become too short for the clock."""
+    """The tolerance asks for steps that are too short to advance the time."""
 
 
 class NoConvergence(_Stopped):
@@ -81,7 +81,7 @@ class NoConvergence(_Stopped):
 
 
 class TooManySteps(_Stopped):
-    """An integrator has made all the steps that it was allowed."""
+    """An integrator has used up the steps it was allowed."""
 
 
 class NonFiniteState(_Stopped):

@@ -1,7 +1,7 @@
-"""Pieces of HTML for what notebooks show: escaped, without scripts, for light and dark themes.
+"""Pieces of HTML for notebooks: escaped, without scripts, for light and dark themes.
 
-There are no colours but two of middle brightness, so the text is the theme's, and what a
-colour says the words beside it say too.  Long tables are folded until somebody opens them.
+The only colours are two of middle brightness, so text keeps the colour of the theme; whatever
+a colour says, the words beside it say too.  Long tables stay folded until they are opened.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Raw(str):
 
 
 def card(title: str, about: str, *parts: str) -> str:
-    """Return all of what is shown: a title, a line about it, and parts that are HTML."""
+    """Return a whole card: a title, a line about it, and parts that are HTML."""
     head = f"<div><strong>{escape(title)}</strong>: {escape(about)}</div>"
     return f'<div style="line-height:1.4">{head}{"".join(parts)}</div>'
 
@@ -43,7 +43,7 @@ def verdict(passed: bool, good: str = "ok", bad: str = "FAILED") -> Raw:
 
 
 def table(title: str, head: Sequence[str], rows: Iterable[Sequence[str | float]]) -> str:
-    """Return a table under its title, nothing if it has no rows; numbers stand right."""
+    """Return a table under its title, or nothing if it has no rows; numbers are right-aligned."""
     cells = [list(row) for row in rows]
     if not cells:
         return ""
@@ -64,7 +64,7 @@ def table(title: str, head: Sequence[str], rows: Iterable[Sequence[str | float]]
 def matrix(title: str, values: Array, rows: Sequence[str], columns: Sequence[str]) -> str:
     """Return a matrix (k, l) as a table, with the names of its rows and columns.
 
-    What is round-off beside its largest entry is shown as 0.
+    Entries that are round-off beside the largest are shown as 0.
     """
     if not values.size:
         return line(f"{title}: none, there are no joints")

@@ -10,11 +10,11 @@ _T = TypeVar("_T")
 
 
 def once(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
-    """Return what `make` made for this owner and key the first time it was asked for.
+    """Return the value that `make` gave when this owner and key were first asked for.
 
     It is kept in the owner, to which it may refer: a table of weak references would keep both
-    alive for ever.  Of two threads that come at once both make one, and the first one's serves
-    both.
+    alive for ever.  Of two threads that come at once, both make a value, and the first one's
+    serves both.
     """
     kept: dict[Hashable, Any] = vars(owner).setdefault("_once", {})
     found: _T = kept[key] if key in kept else kept.setdefault(key, make())
@@ -22,5 +22,5 @@ def once(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
 
 
 def once_a_thread(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
-    """Return what `make` made for this owner, key and thread: for what owns work space."""
+    """Return the value made for this owner, key and thread: for values that own work space."""
     return once(owner, (get_ident(), key), make)

@@ -21,7 +21,7 @@ _PATIENCE = 0.5  # s before the first: short work shows nothing
 
 
 class ProgressBar:
-    """Draws the part of some work that is done while it runs, and clears it at the end."""
+    """A bar that shows how much of some work is done, and disappears at the end."""
 
     def __init__(self, title: str) -> None:
         """Prepare a bar; nothing is drawn unless there is a notebook or a terminal."""
@@ -51,7 +51,7 @@ class ProgressBar:
 
 
 def shown(progress: Progress | bool | None, title: str) -> AbstractContextManager[Progress | None]:
-    """Return what gives the function to call with the part done, or None, while it is open.
+    """Return a context that yields the function to call with the part done, or None.
 
     progress: True for a bar, None or False for nothing, or a function of one's own.
     Raises InputError for anything else.
@@ -68,13 +68,13 @@ def quiet(part: float) -> None:
 
 
 class _Screen(Protocol):
-    """Where a bar is drawn."""
+    """A place where a bar is drawn."""
 
     def draw(self, title: str, part: float) -> None:
         """Draw the bar in the place of the one before."""
 
     def clear(self) -> None:
-        """Leave nothing of it."""
+        """Remove the bar."""
 
 
 def _screen() -> _Screen | None:

@@ -1,4 +1,4 @@
-"""What acts on a system: forces, controllers, and the signals they follow.
+"""Everything that acts on a system: forces, controllers, and the signals they follow.
 
 One set of expressions serves every route.  Imports `reduction` and what lies below it.
 Names are imported when they are first used; the stub beside this file says where each stands.

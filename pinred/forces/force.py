@@ -1,4 +1,4 @@
-"""What a force is: expressions in t, x, ẋ and μ, and the helpers to write them."""
+"""Forces as expressions in t, x, ẋ and μ, and the helpers to write them."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ Reference: TypeAlias = Mapping[str, Signal | float]
 
 @dataclass(frozen=True)
 class Symbols:
-    """What forces are functions of.
+    """The variables of which forces are functions.
 
     t: time [s].  x, xdot: (m,) shape and rate.  xi, mu: (r,) body twist of the base and body
     momentum, both as seen from the centre of mass: the linear part of μ is zero, the angular
     one is about the centre of mass (SO2, SO3: about the axis or pivot).
-    within: a time that tells tables which piece to take.
-    For forces that are `last`: others, (m,) torques of all other forces; accelerations of the
-    prescribed joints.
+    within: a time that says which piece of a table counts.
+    For forces that are `last`: others, (m,) torques of all other forces; accelerations, those
+    of the prescribed joints.
     """
 
     system: System
@@ -67,7 +67,7 @@ class Symbols:
 
 @dataclass
 class Terms:
-    """What a force does.  torque: by joint.  wrench: r entries on the base.  potential: [J]."""
+    """The action of a force.  torque: by joint.  wrench: r entries on the base.  potential: [J]."""
 
     potential: Any = None
     torque: dict[int, Any] = field(default_factory=dict)
@@ -75,18 +75,18 @@ class Terms:
 
 
 class Force(ABC):
-    """Something that acts on the system and does not notice where its base is."""
+    """A force: it acts on the system, and does not depend on where its base is."""
 
     last: ClassVar[bool] = False  # whether it has to know what the others do
 
     @property
     @abstractmethod
     def label(self) -> str:
-        """What the force is called in tables and messages."""
+        """The force's name in tables and messages."""
 
     @abstractmethod
     def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
-        """Return what the force does.
+        """Return the action of the force.
 
         number: turns a value that may change from scene to scene without another kernel
         into a symbol.  Raises InputError for joints that are not there.
@@ -94,7 +94,7 @@ class Force(ABC):
 
     @property
     def signals(self) -> Iterable[Signal]:
-        """The functions of time in it."""
+        """The functions of time in the force."""
         return ()
 
 
@@ -105,7 +105,7 @@ class Named(Force):
 
     @property
     def label(self) -> str:
-        """Its name."""
+        """The name it was given."""
         return self.name
 
 
@@ -157,7 +157,7 @@ def signals_in(values: Iterable[Any]) -> list[Signal]:
 
 
 def checked(what: str, wanted: str, value: Any, *kinds: type) -> None:
-    """Refuse a value that is not callable, nor of some other kind.  Raises InputError."""
+    """Refuse a value that is neither callable nor of one of the kinds.  Raises InputError."""
     if not (callable(value) or isinstance(value, kinds)):
         raise InputError(f"{what} must be {wanted}, got {value!r}")
 
@@ -207,7 +207,7 @@ def settle(force: Any, *names: str) -> None:
 
 
 def between(kind: str, joint: str, to: str | None) -> str:
-    """Return what a force at a joint, or between two, is called."""
+    """Return the name of a force at a joint, or between two."""
     return f"{kind} {joint}" if to is None else f"{kind} {joint}–{to}"
 
 

@@ -31,7 +31,7 @@ _KINKS = {
 
 @dataclass(frozen=True)
 class Acting:
-    """What acts at one state.  torque: (m,) on the joints, −∂V/∂x included.  wrench: (r,)."""
+    """All that acts at one state.  torque: (m,) on the joints, −∂V/∂x included.  wrench: (r,)."""
 
     torque: Array
     wrench: Array
@@ -53,11 +53,11 @@ class ForceModel:
     """The forces and prescribed joints of a scene.
 
     numbers: (p,) the values in them that may change without another kernel.  held:
-    controllers, and where the torques that each holds stand among the numbers.  key: what
-    tells the expressions apart.  within: where the time stands among the numbers that tells
-    tables which piece to take.  joints: indices of the prescribed joints, signals: how they
-    move; references: the functions of time in the forces.  touched: joints that something
-    acts on, or whose position something depends on.  labels: of the forces that work.
+    controllers, each with the place among the numbers of the torques that it holds.  key: a
+    digest of the expressions.  within: the place among the numbers of the time that says which
+    piece of a table counts.  joints: indices of the prescribed joints; signals: their motions;
+    references: the functions of time in the forces.  touched: joints that something acts on,
+    or whose position something depends on.  labels: of the forces that do work.
     acting_function: (t, x, ẋ, ξ, μ, numbers) → (torque, wrench).  prescribed_function:
     (t, numbers) → (x, ẋ, ẍ) of the prescribed joints.  potential_function: (x, numbers) → V.
     """
@@ -139,7 +139,7 @@ class ForceModel:
     def acting(
         self, t: float, x: Array, xdot: Array, xi: Array, mu: Array, numbers: Array
     ) -> Acting:
-        """Return what acts at one state; arguments as in Symbols, numbers (p,)."""
+        """Return all that acts at one state; arguments as in Symbols, numbers (p,)."""
         torque, wrench = self._acting(t, x, xdot, xi, mu, numbers)
         return Acting(torque[:, 0], wrench[:, 0])
 
@@ -149,7 +149,7 @@ class ForceModel:
 
     @cached_property
     def has_kinks(self) -> bool:
-        """Whether something that acts is made of pieces: limits, signs, conditions."""
+        """Whether anything that acts is made of pieces: limits, signs, conditions."""
         functions = (self.acting_function, self.prescribed_function)
         return any(
             f.instruction_id(k) in _KINKS for f in functions for k in range(f.n_instructions())
@@ -176,15 +176,15 @@ class ForceModel:
     def powers(
         self, t: float, x: Array, xdot: Array, xi: Array, mu: Array, numbers: Array, twist: Array
     ) -> Array:
-        """Return the power of each force that works, (len(labels),) [W].
+        """Return the power of each force that does work, (len(labels),) [W].
 
-        twist: (r,) body twist of the base, not only relative to the centre of mass.
+        twist: (r,) the full body twist of the base, not that relative to the centre of mass.
         """
         torques, wrenches = self._each(t, x, xdot, xi, mu, numbers)
         return np.asarray(torques.T @ xdot + wrenches.T @ twist)
 
     def _check_symbols(self, s: Symbols, terms: Terms, what: str) -> None:
-        """Raise InputError if there is a symbol in a force that is not one it was given."""
+        """Raise InputError if a force contains a symbol that it was not given."""
         own = ca.vertcat(s.t, s.x, s.xdot, s.xi, s.mu, *self._names)
         known = {symbol.element_hash() for symbol in ca.symvar(own)}
         given = [terms.potential, *terms.torque.values(), *(terms.wrench or [])]
@@ -209,8 +209,8 @@ def remembered_model(
 ) -> ForceModel:
     """Return the model of springs {joint: (stiffness, rest)}, forces and prescribed joints.
 
-    The last few of a system are kept, for scenes that differ in their start only.
-    Raises InputError for what is none of these, or has joints that are not there.
+    The last few models of a system are kept, for scenes that differ in their start only.
+    Raises InputError for anything else, or for joints that are not there.
     """
     # What is equal acts the same; what cannot be compared by value is kept, and so is itself.
     key = (

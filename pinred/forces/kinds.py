@@ -1,8 +1,8 @@
-"""Forces that keep the symmetry, as values: they act on joints, or on the base in its own frame.
+"""The kinds of forces: they keep the symmetry, acting on joints or on the base in its own frame.
 
 Each is written as CasADi expressions in t, x, ẋ and μ, so that the same force goes into the
 compiled kernel, into the Pinocchio route and into the full simulation that judges both.
-A force that has a potential gives that, and torques −∂V/∂x follow; the others do work.
+A force that has a potential gives it, and its torques −∂V/∂x follow; the others do work.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Action: TypeAlias = Callable[[Any, Any, Any, Any], Any]
 
 @dataclass(frozen=True)
 class Spring(Force):
-    """V = ½ k (x − rest)², or of x − x_to between two joints.  k: [N·m/rad | N/m]."""
+    """A spring: V = ½ k (x − rest)², or of x − x_to between two joints.  k: [N·m/rad | N/m]."""
 
     joint: str
     stiffness: float
@@ -54,7 +54,7 @@ class Spring(Force):
 
     @property
     def label(self) -> str:
-        """Its name."""
+        """The kind of force and the joint, or both joints."""
         return between("spring", self.joint, self.to)
 
     def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
@@ -70,7 +70,7 @@ class Spring(Force):
 
 @dataclass(frozen=True)
 class Damper(Force):
-    """τ = −c ẋ, or of ẋ − ẋ_to on two joints.  c: [N·m·s/rad | N·s/m]."""
+    """A damper: τ = −c ẋ, or of ẋ − ẋ_to on two joints.  c: [N·m·s/rad | N·s/m]."""
 
     joint: str
     coefficient: float
@@ -81,7 +81,7 @@ class Damper(Force):
 
     @property
     def label(self) -> str:
-        """Its name."""
+        """The kind of force and the joint, or both joints."""
         return between("damper", self.joint, self.to)
 
     def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
@@ -98,7 +98,7 @@ class Damper(Force):
 
 @dataclass(frozen=True)
 class PotentialEnergy(Named):
-    """Any V(x) [J].  function: from x, an SX of (m,), to a scalar SX; called once."""
+    """A potential V(x) [J].  function: from x, an SX of (m,), to a scalar SX; called once."""
 
     function: Callable[[Any], Any]
     name: str = "potential"
@@ -147,7 +147,7 @@ class Torque(Named):
 
 @dataclass(frozen=True)
 class _Tracking(Named):
-    """What follows a reference: its fields, and the feedback of the error."""
+    """A controller that follows a reference: its fields, and the feedback of the error."""
 
     reference: Reference
     kp: PerJoint
@@ -176,7 +176,7 @@ class _Tracking(Named):
 
 @dataclass(frozen=True)
 class PD(_Tracking):
-    """τ = kp (x_d − x) + kd (ẋ_d − ẋ) at the joints of the reference.
+    """PD control: τ = kp (x_d − x) + kd (ẋ_d − ẋ) at the joints of the reference.
 
     reference: {joint: Signal or number}.  kp, kd: of all these joints, or by name.
     """
@@ -258,9 +258,9 @@ class Wrench(Named):
 class Controller(Named):
     """Torques from any Python function, called every `period` seconds and held in between.
 
-    function: (t, x, xdot, mu), numbers of Symbols' meaning, → {joint: torque} or m torques.
-    joints: whose torques it gives; all if None.  It must not remember earlier calls: `compare`
-    runs the motion again, several times.
+    function: (t, x, xdot, mu), the numbers of Symbols, → {joint: torque} or m torques.
+    joints: those whose torques it gives; all if None.  It must not remember earlier calls:
+    `compare` runs the motion again, several times.
     """
 
     function: Callable[[float, Array, Array, Array], Any]

@@ -14,7 +14,7 @@ from ..system.system import System
 
 @dataclass(frozen=True)
 class Full:
-    """The base's full state.  energy: of the centre of mass's motion and fall; see State."""
+    """The base's full state, as in State.  energy: of the motion and fall of the centre of mass."""
 
     pose: list[Scalar]
     xi: list[Scalar]
@@ -53,7 +53,7 @@ class BaseGraph:
         self.spin = [ca.SX.sym(f"spin{i}") for i in range(parts.spin)]
 
     def body_momentum(self) -> list[Scalar]:
-        """Return μ in the frame of the centre of mass: no linear part, the angular one turned."""
+        """Return μ in the frame of the centre of mass: without linear part, in the body's axes."""
         if self.parts.momentum:
             angular: list[Scalar] = list(self.momentum)
         elif self.parts.spin:

@@ -1,4 +1,4 @@
-"""Kernels are built, judged and kept here."""
+"""The building of kernels: compiled or taken from the cache, and judged."""
 
 from __future__ import annotations
 

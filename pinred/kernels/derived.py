@@ -23,7 +23,7 @@ def derived_code(
 ) -> NativeCode:
     """Return machine code of a kernel's equations, made once.
 
-    name: of its function.  kind: what tells it from other code of the same equations.  make:
+    name: of its function.  kind: sets it apart from other code of the same equations.  make:
     gives the object code.  judge: raises an error if it disagrees with the kernel, which
     Pinocchio has judged.
     """

@@ -1,4 +1,4 @@
-"""Evaluate a kernel at many states."""
+"""Evaluation of a kernel at many states."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from ..integrators.machine.kernel_call import call, compiled
 
 
 def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
-    """Return what a kernel gives, (T, size), at states y (T, k) and parameters (p,)."""
+    """Return a kernel's values, (T, size), at states y (T, k) and parameters (p,)."""
     out = np.empty((len(y), size))
     _rows(address, np.ascontiguousarray(parameters), np.ascontiguousarray(y), out)
     return out
 
 
 def repeat(address: int, parameters: Array, y: Array, count: int) -> None:
-    """Evaluate a kernel `count` times at one state y (k,), for its time."""
+    """Evaluate a kernel `count` times at one state y (k,), to be timed."""
     _again(address, parameters, y, np.empty(len(y)), count)
 
 

@@ -1,4 +1,4 @@
-"""What tells one robot from another in the cache of kernels."""
+"""The fingerprint by which the cache of kernels tells robots apart."""
 
 from __future__ import annotations
 

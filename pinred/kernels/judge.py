@@ -1,4 +1,4 @@
-"""Every kernel is judged before it runs: at random states, against Pinocchio."""
+"""The judge of kernels: each is compared with Pinocchio at random states before it runs."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def judge(kernel: Kernel) -> None:
 
 
 def _judge_at(kernel: Kernel, at: JudgedState) -> None:
-    """Judge everything that a kernel gives at a state."""
+    """Judge all values of a kernel at a state."""
     out = kernel.evaluate_outputs(at.time, at.y, at.parameters, at.line)
     rate = kernel.evaluate_rate(at.y, at.parameters)
     _judge_momentum(kernel, at, out)
@@ -58,7 +58,7 @@ def _judge_at(kernel: Kernel, at: JudgedState) -> None:
 
 
 def _judge_momentum(kernel: Kernel, at: JudgedState, out: Array) -> None:
-    """Compare velocity, momenta, shape and centre of mass, as seen from the latter."""
+    """Compare velocity, momenta, shape and centre of mass, as seen from the centre of mass."""
     check, slack, where, driven = _checker(kernel), slack_of(at.H), kernel.where, _driven(kernel)
     v = out[: kernel.system.n]
     # Round-off is that of the terms, which cancel where the linear momentum is zero.
@@ -108,14 +108,14 @@ def _judge_velocity(kernel: Kernel, at: JudgedState, rate: Array) -> None:
 
 
 def _judge_base(kernel: Kernel, at: JudgedState, rate: Array, v: Array, wrench: Array) -> None:
-    """Compare what acts on the base makes of it: its momentum, and that of the whole system."""
+    """Compare the rates of angular momentum, of gravity's direction and of the centre of mass."""
     system, parts, check = kernel.system, kernel.layout.base, _checker(kernel)
     r, k, H, slack = system.r, system.group.linear, at.H, slack_of(at.H)
     omega = v[k:r]
     # The moment of all forces about the centre of mass, or about the pivot, by Pinocchio.
     lever = H[:k, k:r] / system.mass  # of F at the base's origin: (H_lin,ang / m)ᵀ F = c × F
     moment = wrench[k:] - lever.T @ wrench[:k]
-    if parts.momentum and at.weight.any():
+    if parts.momentum and at.gravity.any():
         moment = moment + _moment_of_gravity(kernel, at)
     bent = np.cross(at.mu[k:], omega) if parts.momentum == 3 else np.zeros(parts.momentum)
     _, down, momentum, push = _base_rates(kernel, rate)
@@ -144,7 +144,7 @@ def _judge_acceleration(
     pidot[active] += (H[:k, r:].T @ wrench[:k] / system.mass)[active]
     C = pin.computeCoriolisMatrix(model, data, q, v)
     mudot = system.group.coadjoint(v[:r], at.mu) + wrench
-    if layout.base.momentum and at.weight.any():
+    if layout.base.momentum and at.gravity.any():
         mudot = mudot + _moment_of_gravity(kernel, at)
     tau = np.concatenate([wrench, torque])
     fixed = r + np.array(driven, dtype=int)

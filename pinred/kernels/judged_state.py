@@ -1,4 +1,4 @@
-"""A random state at which a kernel is judged, and what Pinocchio says of it."""
+"""A random state at which a kernel is judged, with Pinocchio's numbers for it."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class JudgedState:
-    """A state, what a kernel takes for it, and what Pinocchio says of it.
+    """A state, the kernel's arguments there, and Pinocchio's numbers.
 
-    model: in the gravity that the kernel knows; what makes the whole system fall is not in it.
-    weight: (3,) that gravity times the mass, in the root joint's fixed frame.  pose: (size,).
+    model: in the gravity that the kernel knows, which is without what makes the system fall.
+    gravity: (3,) the same in the root joint's fixed frame [m/s²].  pose: (size,).
     q: (nq,).  x: (m,).  v: (n,) body twist and shape rate, whose momentum is of a kind that
     the kernel has terms for.  accelerations: of the prescribed joints.  numbers: (p,) in the
-    forces.  down: (3,) direction of gravity in the body's frame, or none.  pushed: what a wrench
-    has done to the centre of mass, its displacement and momentum, or none.  line: (3k,) where
-    the centre of mass begins, how fast, and how it falls.  H: (n, n) mass matrix.  com: (3,)
+    forces.  down: (3,) direction of gravity in the body's frame, or none.  pushed: the
+    displacement and momentum that a wrench has given the centre of mass, or none.  line: (3k,)
+    start, velocity and fall of the centre of mass.  H: (n, n) mass matrix.  com: (3,)
     centre of mass in the body's frame.  mu: (r,) body momentum.  pi: (m,) canonical momenta.
-    y, parameters: what the kernel takes.
+    y, parameters: the kernel's arguments.
     """
 
     model: pin.Model
-    weight: Array
+    gravity: Array
     time: float
     pose: Array
     q: Array
@@ -57,8 +57,8 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
     system, layout, forces = kernel.system, kernel.layout, kernel.forces
     r, m, k = system.r, system.m, system.group.linear
     group, parts = system.group, layout.base
-    model, weight = system.model.copy(), np.array(kernel.structure.gravity or (0.0, 0.0, 0.0))
-    model.gravity.linear = model.jointPlacements[1].rotation @ weight
+    model, gravity = system.model.copy(), np.array(kernel.structure.gravity or (0.0, 0.0, 0.0))
+    model.gravity.linear = model.jointPlacements[1].rotation @ gravity
     pose = group.exp(rng.uniform(-1.0, 1.0, r))
     pose = pose if r > k else group.identity()
     x, v = rng.uniform(-2.0, 2.0, m), rng.normal(size=system.n)
@@ -79,7 +79,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
     pi = H[r:] @ v
     # A base with heavy arms in a fixed direction of gravity, or with its direction alone.
     turn = group.Ad(pose)[k:, k:]
-    down = turn.T @ weight / np.linalg.norm(weight) if parts.down else np.zeros(0)
+    down = turn.T @ gravity / np.linalg.norm(gravity) if parts.down else np.zeros(0)
     spin = turn @ mu[k:] if parts.spin else np.zeros(0)
     pushed = rng.normal(size=parts.push)
     b = np.concatenate([pose[len(pose) - parts.attitude :], down, mu[r - parts.momentum :], pushed])
@@ -91,7 +91,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
             return None
     return JudgedState(
         model=model,
-        weight=weight,
+        gravity=gravity,
         time=time,
         pose=pose,
         q=q,

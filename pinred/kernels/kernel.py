@@ -21,7 +21,7 @@ _SIGNATURE = ctypes.CFUNCTYPE(None, _POINTER, _POINTER, _POINTER)
 
 
 class KernelStore(Protocol):
-    """Where kernels are kept: an ObjectCache, or something like it."""
+    """A store of kernels: an ObjectCache, or something like it."""
 
     def get(self, key: str) -> bytes | None:
         """Return the code of `key`, if it is there."""
@@ -34,7 +34,7 @@ class KernelStore(Protocol):
 class Kernel:
     """Machine code of a reduced vector field and of its outputs.
 
-    layout: where things stand in y and in the parameters.  rate: (y, parameters) → dy/dt.
+    layout: the places of things in y and in the parameters.  rate: (y, parameters) → dy/dt.
     outputs: ((y, t), (parameters, c0, v0, g)) → everything of Outputs.  instructions:
     arithmetic operations of `rate`.
     """
@@ -62,14 +62,14 @@ class Kernel:
     def evaluate_outputs(self, t: float, y: Array, parameters: Array, line: Array) -> Array:
         """Return everything of Outputs, (where.size,), at a time.
 
-        line: (3k,) where the centre of mass begins, how fast, and how it falls.
+        line: (3k,) start, velocity and fall of the centre of mass.
         """
         y = y if self.layout.clock else np.append(y, t)
         return self._call(self._outputs, y, np.append(parameters, line), self.where.size)
 
     @cached_property
     def where(self) -> Outputs:
-        """Where things stand in the outputs."""
+        """The places of things in the outputs."""
         return outputs_of(self.system, self.layout)
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""The structure of a kernel, and where things stand in its state, parameters and outputs."""
+"""The structure of a kernel, and the places of things in its state, parameters and outputs."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ..system.system import System
 
 @dataclass(frozen=True)
 class Structure:
-    """What decides which terms a kernel has, besides the forces.
+    """The structure of a kernel: it decides, with the forces, which terms there are.
 
-    zero_momentum: of the base.  cyclic: indices of the cyclic joints.  gravity: (3,) what
-    acts on the shape, or turns a pivoted base, in the root joint's fixed frame, or None.
-    base: whether somebody asks for the base.  lifted: whether a quaternion of any length
+    zero_momentum: of the base.  cyclic: indices of the cyclic joints.  gravity: (3,) the
+    part that acts on the shape or turns a pivoted base, in the root joint's fixed frame, or None.
+    base: whether the base is asked for.  lifted: whether a quaternion of any length
     stands for the angular momentum, μ = q̄ J q, which grows as the square of that length.
     Under this map (Cayley and Klein's) of ℝ⁴ to so(3)* the canonical bracket becomes that of
     Lie and Poisson, so that a symplectic method for (x, π, q) is a Poisson map of (x, π, μ).
@@ -33,11 +33,11 @@ class Structure:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where things stand in y and in the parameters.
+    """The places of things in y and in the parameters.
 
-    active, cyclic, prescribed: indices of shape joints.  base: what is integrated of the
-    base, and its constants.  clock: 1 if the time is the last number of y, else 0.
-    numbers: how many there are in the forces.
+    active, cyclic, prescribed: indices of shape joints.  base: the parts of the base that
+    are integrated, and its constants.  clock: 1 if the time is the last number of y, else 0.
+    numbers: how many numbers the forces have.
     """
 
     active: tuple[int, ...]
@@ -77,7 +77,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class Outputs:
-    """Where things stand in the outputs: slices.
+    """The places of things in the outputs, as slices.
 
     xi, xdot, com, mu, weight, driven_x, driven_pi: as seen from the centre of mass; com in
     the root body's frame, (3,); the weight that turns a pivoted base, (3,) in its frame, or

@@ -1,9 +1,9 @@
 """The reduced vector field of a robot and a kind of scene, as CasADi expressions.
 
-What a scene does not need is not in the graph.  The reduced state is
+The graph contains nothing that a scene does not need.  The reduced state is
 
-    y = (x, π) of the joints that act, x of the cyclic joints, what is integrated of the
-        base, and the time, if anything depends on it
+    y = (x, π) of the active joints, x of the cyclic joints, the parts of the base that are
+        integrated, and the time, if anything depends on it
 
 and the parameters are the angular momentum of the base where it is a constant, the momenta
 of the cyclic joints, and the numbers in the forces.  A joint is cyclic if nothing depends on
@@ -111,8 +111,8 @@ class ReducedGraph:
     def outputs(self) -> ca.Function:
         """Return ((y, t), (parameters, c0, v0, g)) → everything of Outputs.
 
-        The time is not repeated where it is the last number of y.  c0, v0, g: (k,) where the
-        centre of mass begins, how fast, and how it falls, in the root joint's fixed frame.
+        The time is not repeated where it is the last number of y.  c0, v0, g: (k,) start,
+        velocity and fall of the centre of mass, in the root joint's fixed frame.
         """
         system, k = self._system, self._system.group.linear
         com, places = self.com(), [self.x[j] for j in self.layout.prescribed]
@@ -182,7 +182,7 @@ class ReducedGraph:
         return _scalars(torque), on_base
 
     def _with_loads(self, pidot: list[Scalar], acting: list[Scalar]) -> list[Scalar]:
-        """Add what weight and wrench do to the shape: −∂/∂x of F·c, in the body's frame.
+        """Add the forces of weight and wrench on the shape: −∂/∂x of F·c, in the body's frame.
 
         The weight pulls at the centre of mass; a force on the base moves the frame of the
         centre of mass, in which the shape is pushed the other way.
@@ -211,7 +211,7 @@ class ReducedGraph:
 
 
 def _weight(system: System, structure: Structure) -> tuple[float, float, float] | None:
-    """Return m g of what acts on the shape or turns a pivoted base, if anything does."""
+    """Return the weight m g that acts on the shape or turns a pivoted base, if there is one."""
     if structure.gravity is None:
         return None
     x, y, z = structure.gravity

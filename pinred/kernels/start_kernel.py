@@ -1,4 +1,4 @@
-"""What a flow needs of initial states, as machine code: one kernel for a robot.
+"""The start of a flow from initial states, as machine code: one kernel for a robot.
 
 From pose, shape, its rate, and body twist or momentum come the canonical momenta π in the
 frame of the centre of mass, the angular momentum about it in the body's frame and in the
@@ -38,7 +38,7 @@ _NAME = "start"
 
 @dataclass(frozen=True)
 class Starts:
-    """What flows need of N initial states.
+    """The starts of flows from N initial states.
 
     pi: (N, m) canonical momenta.  about: (N, a) angular momenta about the centre of mass, in
     the body's frame, and fixed: (N, a) in the fixed frame.  c0, v0: (N, k) centre of mass
@@ -54,13 +54,13 @@ class Starts:
 
 @dataclass(frozen=True)
 class StartKernel:
-    """Machine code from initial states to what flows need of them."""
+    """Machine code from initial states to the starts of flows."""
 
     system: System
     code: NativeCode
 
     def __call__(self, pose: Array, x: Array, xdot: Array, motion: Array) -> Starts:
-        """Return it for poses (N, size), x and ẋ (N, m), body twists or momenta (N, r)."""
+        """Return the starts for poses (N, size), x and ẋ (N, m), body twists or momenta (N, r)."""
         m, r, k = self.system.m, self.system.r, self.system.group.linear
         rows = np.concatenate([pose, x, xdot, motion], axis=1)
         out = evaluate(self.code.address, np.zeros(1), rows, m + 2 * r)

@@ -1,9 +1,9 @@
 """Compiled objects on disk, so that a robot is compiled once and not once a day.
 
-What is kept here is machine code that will run with the rights of who loads it.  So nothing
-is read from a folder or a file that anyone else could have written, no link is followed, and
-an entry counts only if its header, its key and its checksum agree.  Whatever is wrong with
-the cache is a CacheWarning and a recompilation, never an error.
+The machine code kept here runs with the rights of whoever loads it.  So nothing is read from
+a folder or a file that anyone else could have written, no link is followed, and an entry
+counts only if its header, its key and its checksum agree.  A fault of the cache leads to a
+CacheWarning and a recompilation, never to an error.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ class CacheEntry(NamedTuple):
 
 
 class _DistrustError(Exception):
-    """Why something in the cache is not used."""
+    """The reason why something in the cache is not used."""
 
 
 def cache_key(*parts: bytes | str) -> str:
     """Return the key, 64 hexadecimal digits, of an object that depends on `parts`.
 
-    It depends as well on all that decides what is compiled out of them: the sources of the
+    It also depends on everything that decides what they are compiled to: the sources of the
     engine, the versions of pinred, CasADi and llvmlite, and the CPU.
     """
     digest = sha256()
@@ -87,7 +87,7 @@ def _surroundings() -> tuple[str | bytes, ...]:
 
 
 class ObjectCache:
-    """Objects in one folder, the least recently used removed when they exceed a limit.
+    """Objects in one folder; the least recently used are removed when they exceed a limit.
 
     folder: by default that of the environment variable PINRED_CACHE_DIR, or else the user's
     own for caches; made when it is first needed.  limit: of all entries together [bytes].
@@ -106,7 +106,7 @@ class ObjectCache:
     def get(self, key: str) -> bytes | None:
         """Return the object of a key, or None if there is none that can be trusted.
 
-        An entry that cannot be is removed, with a CacheWarning.
+        An entry that cannot be trusted is removed, with a CacheWarning.
         """
         name = _file_name(key)
         with self._open(make=False) as folder:
@@ -141,7 +141,7 @@ class ObjectCache:
             self._say_once("write", f"compiled code is not kept in '{self.folder}': {error}")
 
     def entries(self) -> list[CacheEntry]:
-        """Return what is kept, the least recently used first."""
+        """Return the entries, the least recently used first."""
         with self._open(make=False) as folder:
             return [] if folder is None else _entries(folder)
 
@@ -167,7 +167,7 @@ class ObjectCache:
 
     @contextmanager
     def _open(self, *, make: bool) -> Iterator[int | None]:
-        """Give a descriptor of the folder: what is checked is then what is used.
+        """Yield a descriptor of the folder, so that the folder checked is the folder used.
 
         None if there is no folder or it cannot be trusted.  make: make it if it is missing,
         and raise OSError if that fails.
@@ -214,7 +214,7 @@ def _file_name(key: str) -> str:
 
 
 def _distrust(status: os.stat_result) -> str:
-    """Return why someone else could have written a file or folder; nothing if nobody could."""
+    """Return why a file or folder could be someone else's work; nothing if it cannot be."""
     if status.st_uid != os.geteuid():
         return f"belongs to user {status.st_uid}"
     if status.st_mode & _OTHERS:
@@ -266,7 +266,7 @@ def _checked(file: BinaryIO, size: int, key: str) -> bytes:
 
 
 def _write(folder: int, name: str, key: str, data: bytes) -> None:
-    """Write an entry under another name, and give it its own when it is complete on disk."""
+    """Write an entry under a temporary name, and rename it when it is complete on disk."""
     temporary = f".{key}.{secrets.token_hex(8)}.tmp"
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     descriptor = os.open(temporary, flags, 0o600, dir_fd=folder)
@@ -282,7 +282,7 @@ def _write(folder: int, name: str, key: str, data: bytes) -> None:
 
 
 def _remove(folder: int, name: str) -> bool:
-    """Remove a file, if nobody else did, and return whether it is done."""
+    """Remove a file unless somebody else has; return whether that succeeded."""
     try:
         os.unlink(name, dir_fd=folder)
     except OSError:
@@ -291,7 +291,7 @@ def _remove(folder: int, name: str) -> bool:
 
 
 def _files(folder: int, pattern: re.Pattern[str]) -> Iterator[tuple[str, os.stat_result]]:
-    """Give name and status of the files of one kind; those that vanish are left out."""
+    """Yield name and status of the files of one kind; those that vanish are left out."""
     with os.scandir(folder) as found:
         names = [item.name for item in found if pattern.fullmatch(item.name)]
     for name in names:
@@ -308,7 +308,7 @@ def _entries(folder: int) -> list[CacheEntry]:
 
 
 def _remove_leftovers(folder: int) -> None:
-    """Remove what processes began to write and did not finish."""
+    """Remove files that processes began to write and did not finish."""
     for name, status in _files(folder, _LEFTOVER):
         if status.st_mtime < time.time() - _LEFTOVER_AGE:
             _remove(folder, name)

@@ -1,7 +1,7 @@
 """The derivative of the vector field along several directions at once, for Newton's method.
 
-Forward mode: the state is one, the directions are lanes.  n numbers in the state take n/8
-evaluations for the whole Jacobian, exact to round-off.
+Forward mode at one state, with the directions as lanes: the whole Jacobian of a state of n
+numbers takes n/8 evaluations, and is exact to round-off.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _TOLERANCE = 1e-7  # of the largest entry in a column
 def tangent_of(kernel: Kernel) -> NativeCode:
     """Return machine code (y, parameters, directions) → ∂ẏ/∂y directions, built once.
 
-    Of directions and output it takes and gives entry i of direction j at 8 i + j.  Raises
+    Entry i of direction j stands at 8 i + j, of the directions and of the output.  Raises
     KernelMismatch if it disagrees with differences of the kernel, which Pinocchio has judged.
     """
     return derived_code(

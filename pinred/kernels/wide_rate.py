@@ -1,6 +1,6 @@
 """The vector field at several states at once, for methods whose stages are lanes.
 
-Lanes are taken by the stages here, so that limbs of one build are not lanes as well.
+The stages take up the lanes here, so limbs of one build are not lanes as well.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _TRIALS, _MOST = 3, 80
 def wide_rate(kernel: Kernel, lanes: int) -> NativeCode:
     """Return machine code of a kernel's vector field at `lanes` states at once, built once.
 
-    Of y and dy/dt it takes and gives entry i of state j at i lanes + j.  Raises
+    Entry i of state j stands at i lanes + j, of y and of dy/dt.  Raises
     KernelMismatch if it disagrees with the kernel, which Pinocchio has judged.
     """
     return derived_code(

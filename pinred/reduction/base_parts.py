@@ -1,14 +1,14 @@
-"""How the base follows the shape: what of it is integrated, what is known in closed form.
+"""The base as it follows the shape: which parts are integrated, which known in closed form.
 
 Translations are not integrated.  In the frame of the centre of mass the linear momentum is
 zero; the centre of mass itself moves on c0 + v0 t + ½ g t², and the base is where that puts
-it, p = c − R c_b(x).  Of the rotation, the attitude is integrated, if anybody wants it, and
-the angular momentum is not: it is a constant of SO(2) and SE(2), and turns with the body,
-Rᵀ J, in SO(3) and SE(3).
+it, p = c − R c_b(x).  Of the rotation, the attitude is integrated if it is asked for; the
+angular momentum is not: in SO(2) and SE(2) it is a constant, in SO(3) and SE(3) it turns with
+the body, μ = Rᵀ J.
 
-What acts on the base makes more of it move.  A wrench (F, N) at the base's origin, in its
-frame, or the weight of a pivoted body, changes the angular momentum μ about the centre of
-mass (about the pivot, in SO(3)), which then is integrated,
+Forces on the base make more parts move.  A wrench (F, N) at the base's origin, in its frame,
+or the weight of a pivoted body changes the angular momentum μ about the centre of mass (in
+SO(3), about the pivot), which is then integrated,
 
     μ̇ = μ × ω + N − c × F + m|g| c × Γ
 
@@ -32,7 +32,7 @@ from .potential import falling, translations
 
 @dataclass(frozen=True)
 class BaseParts:
-    """How many numbers of the base are integrated, in this order, and which are constants.
+    """Counts of the base's numbers: those that are integrated, in this order, and constants.
 
     attitude: its angle or quaternion.  down: the direction Γ of gravity in the body's frame.
     momentum: angular momentum in the body's frame, about the centre of mass.  push: how far
@@ -48,7 +48,7 @@ class BaseParts:
 
     @property
     def size(self) -> int:
-        """How many numbers are integrated."""
+        """The number of entries that are integrated."""
         return self.attitude + self.down + self.momentum + self.push
 
     def split(self, b: Array) -> tuple[Array, Array, Array, Array]:
@@ -62,9 +62,9 @@ class BaseParts:
 def base_parts(
     group: Group, *, wanted: bool, heavy: bool, wrench: bool, zero_momentum: bool
 ) -> BaseParts:
-    """Return what is integrated of the base of a group.
+    """Return the parts of the base that are integrated, for a group.
 
-    wanted: whether somebody asks for the base.  heavy: whether gravity turns it.  wrench:
+    wanted: whether the base is asked for.  heavy: whether gravity turns it.  wrench:
     whether one acts on it.  zero_momentum: whether its angular momentum is exactly zero.
     """
     turns = group.dim - group.linear
@@ -82,10 +82,10 @@ def base_parts(
 
 @dataclass(frozen=True)
 class Root:
-    """What the base of a system is, whatever its state.
+    """The facts about a system's base that hold in every state.
 
-    axes: (3, k) directions of its translations.  g: (k,) how it falls along them.  origin:
-    (3,) origin of the root joint's fixed frame, in that frame.
+    axes: (3, k) directions of its translations.  g: (k,) its acceleration by gravity along them
+    [m/s²].  origin: (3,) origin of the root joint's fixed frame, in that frame.
     """
 
     axes: Array
@@ -110,7 +110,7 @@ def into_body(q: Array, v: Array) -> Array:
 
 
 def quaternion_rate(q: Array, omega: Array) -> Array:
-    """Return ½ q ω, (4,); scalar code, as it runs at every step."""
+    """Return ½ q ω, (4,), by scalars, which are faster here; it runs at every step."""
     x, y, z, w = q.tolist()
     a, b, c = omega.tolist()
     return 0.5 * np.array(

@@ -1,12 +1,12 @@
-"""The canonical form of the reduced equations, the one that is integrated.
+"""The canonical form of the reduced equations: the form that is integrated.
 
 In shape x, canonical momentum π = ∂L/∂ẋ and body momentum μ there is no curvature term:
 
     H(x) [ξ; ẋ] = [μ; π]
     π̇_α = ½ vᵀ ∂_αH v − ∂_αV,   v = (ξ, ẋ)
 
-With Pinocchio's Coriolis matrix, Ḣ = C + Cᵀ makes ½ vᵀ ∂_αH v the shape rows of Cᵀ v:
-one CRBA, one solve and one Coriolis matrix an evaluation.
+With Pinocchio's Coriolis matrix C, Ḣ = C + Cᵀ, so that ½ vᵀ ∂_αH v are the shape rows of
+Cᵀ v: an evaluation takes one CRBA, one solve and one Coriolis matrix.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class CanonicalForm:
     def driven_velocity(
         self, x: Array, momentum: Array, driven: Sequence[int], rates: Array
     ) -> Array:
-        """Return v where the rates of some shape joints are given, and their momenta not read."""
+        """Return v where the rates of some shape joints are given; their momenta are not read."""
         H = symmetric(self.mass_matrix(x))
         fixed = self._r + np.array(driven, dtype=np.intp)
         free = np.setdiff1d(np.arange(len(momentum)), fixed)

@@ -22,9 +22,9 @@ _NO_DEPENDENCE = 1e-12  # of the mass matrix
 def cyclic_joints(red: Reduction, touched: Collection[int] = ()) -> tuple[int, ...]:
     """Return the indices of the joints that leave mass matrix and potential unchanged.
 
-    touched: those that something else acts on or depends on.  Where gravity turns a pivoted
-    base, its centre of mass must not move with the joint; where gravity breaks the symmetry
-    otherwise there is no potential on the shape, and none is cyclic.
+    touched: joints that something else acts on, or whose position something depends on.  Where
+    gravity turns a pivoted base, its centre of mass must not move with the joint; where gravity
+    breaks the symmetry otherwise, there is no potential on the shape, and no joint is cyclic.
     """
     system = red.system
     r, m = system.r, system.m
@@ -51,5 +51,5 @@ def cyclic_joints(red: Reduction, touched: Collection[int] = ()) -> tuple[int, .
 
 
 def cyclic_of(system: System, touched: frozenset[int]) -> tuple[int, ...]:
-    """Return the cyclic joints of a system, but for those that are touched, found once."""
+    """Return the cyclic joints of a system that are not touched; found once."""
     return system.workspace((cyclic_of, touched), lambda: cyclic_joints(Reduction(system), touched))

@@ -6,11 +6,11 @@ Lagrange–Poincaré, in shape x, rate ẋ and locked velocity Ω, with μ = I �
                       − ⟨f, A_α⟩
     μ̇ = ad*_ξ μ + f
 
-Hamilton–Poincaré is the same in (x, p, μ) with ẋ = M⁻¹ p, Euler–Poincaré the second
-line alone at a fixed shape.  τ are joint torques, f a wrench on the base in its own
-frame; −⟨f, A_α⟩ is the work f does when the shape moves horizontally, ξ = −A ẋ.
-Gravity along the group's translations does not appear: the equations hold in the frame
-that falls with it.
+The Hamilton–Poincaré equations are the same in (x, p, μ), with ẋ = M⁻¹ p; the Euler–Poincaré
+equations are the last line alone, at a fixed shape.  τ are joint torques, f is a wrench on the
+base in its own frame; −⟨f, A_α⟩ is the work that f does when the shape moves horizontally,
+ξ = −A ẋ.  Gravity along the group's translations does not appear: the equations hold in the
+frame that falls with it.
 
 Source: Cendra, Marsden, Ratiu 2001, ch. 3; Cendra, Marsden, Pekarsky, Ratiu,
 "Variational principles for Lie–Poisson and Hamilton–Poincaré equations", 2003.

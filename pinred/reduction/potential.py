@@ -1,6 +1,6 @@
 """The potential V(x) on shape space: springs, and gravity where it keeps the symmetry.
 
-Gravity along a translation of the group only makes the whole system fall; it leaves
+Gravity along a translation of the group only makes the whole system fall; it is no part of
 V(x) and shows in the path of the centre of mass.  What remains, g⊥, must leave the
 potential unchanged under the group's rotations: V(x) = −m g⊥ᵀ c(x).
 """
@@ -40,7 +40,7 @@ def falling(system: System) -> Array:
 
 
 class Potential:
-    """V(x) of one system: value and gradient.  Terms that do not act are not computed."""
+    """The potential V(x) of one system and its gradient.  Only terms that act are computed."""
 
     def __init__(
         self, system: System, springs: Springs | None = None, *, weight: bool = True
@@ -77,7 +77,7 @@ class Potential:
 
     @property
     def direction(self) -> tuple[float, float, float] | None:
-        """Gravity but for falling, (3,) in the root joint's fixed frame, if it does anything."""
+        """Gravity across the translations, (3,) in the root joint's fixed frame; None if zero."""
         if not self._acts:
             return None
         x, y, z = self._system.model.jointPlacements[1].rotation.T @ self._sideways
@@ -91,7 +91,7 @@ class Potential:
         return np.asarray(-self._system.mass * height @ self._sideways + spring)
 
     def value(self, x: Array) -> float:
-        """Return V(x) [J], zero of height at the world origin."""
+        """Return V(x) [J]; heights are counted from the world origin."""
         energy = 0.0
         if self._sideways.any():
             q = self._system.q(self._identity, x)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReducedShape(InertiaSplit):
-    """All that the reduction knows at one shape x; arrays are read-only.
+    """The reduction at one shape x; arrays are read-only.
 
     Besides the split: curvature: (r, m, m), B[:, α, β] = B_αβ.  dI: (r, r, m), dA:
     (r, m, m), dM: (m, m, m), the derivative ∂_α last.

@@ -30,8 +30,8 @@ class ShapeField:
     """The reduction at shapes x: (..., m), the leading axes first in every array.
 
     Each array is computed when it is first looked at, kept, and read-only; the names are
-    those of `ReducedShape`.  What has to do with inertia raises SingularInertiaError, naming
-    the shape, if the mass matrix is numerically singular at any.
+    those of `ReducedShape`.  Everything that needs the inertia raises SingularInertiaError, naming
+    the shape, if the mass matrix is numerically singular at any of them.
     """
 
     system: System = field(repr=False)
@@ -132,8 +132,8 @@ class ShapeField:
     def _curve(self, I: Array, A: Array, dI: Array, out: Array) -> None:
         """Turn d(IA), (N, r, m, m), into the curvature, in place; dI: (N, m, r, r).
 
-        I dA_αβ = ∂_α(IA)_β − ∂_αI A_β, and half of the bracket, which is antisymmetric, goes
-        with it: one product for all, and what remains is to take the antisymmetric part.
+        I dA_αβ = ∂_α(IA)_β − ∂_αI A_β.  Half of the bracket, which is antisymmetric, is added to
+        it, so that one product serves all and the antisymmetric part is taken at the end.
         """
         count, m, r, _ = dI.shape
         maps = dI + 0.5 * I[:, None] @ self.system.group.ad(np.swapaxes(A, 1, 2))
@@ -157,6 +157,6 @@ def _factors(H: Array, system: System, x: Array) -> Array:
 
 
 def _slices(count: int, size: int) -> Iterator[slice]:
-    """Give the slices of `size` that make up `count`."""
+    """Yield the slices of `size` that make up `count`."""
     for start in range(0, count, size):
         yield slice(start, start + size)

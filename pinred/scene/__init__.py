@@ -1,4 +1,4 @@
-"""What a simulation is to do: a Scene, its initial state, and the files that hold one.
+"""The task of a simulation: a Scene, its initial state, and the files that hold one.
 
 Imports `forces`, `integrators` for their names, and what lies below them.
 """

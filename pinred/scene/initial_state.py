@@ -1,4 +1,4 @@
-"""Initial states: as they are given, one or many, and complete."""
+"""Initial states: as they are given, one or many, and one made complete."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class GivenStates:
 
     @property
     def motion(self) -> Array:
-        """Whichever of xi and mu is given."""
+        """The one of xi and mu that is given."""
         motion = self.xi if self.mu is None else self.mu
         assert motion is not None
         return motion
@@ -80,6 +80,6 @@ def start_of(system: System, given: GivenStates) -> Start:
 
 
 def finite_start(*arrays: Array | None) -> None:
-    """Raise InputError unless what follows from an initial state is finite."""
+    """Raise InputError unless all that follows from an initial state is finite."""
     if not all(array is not None and np.isfinite(array).all() for array in arrays):
         raise InputError("the initial momentum or twist overflows: rates or momentum too large")

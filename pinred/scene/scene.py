@@ -1,4 +1,4 @@
-"""Scene: what to simulate.  A frozen description, and the initial state it resolves to."""
+"""Scene: a frozen description of what to simulate, and the initial state it resolves to."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MOST_CALLS = 1_000_000  # of one controller; each ends a run of the integrator
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """A system, its initial state, and for how long and how accurately to follow it.
+    """A system, its initial state, and how long and how accurately to follow it.
 
     x0, xdot0: (m,) shape and rate; if only one is given, the other is zero; if neither, they
     are those the robot comes with.  Either xi0, (r,) body twist of the base, or momentum,
@@ -48,12 +48,12 @@ class Scene:
     per step, relative and absolute.  springs: {joint: (stiffness [N·m/rad | N/m], rest
     [rad | m])}, short for forces.Spring.  forces: what else acts (see pinred.forces).
     prescribed: {joint: Signal}, joints that follow a plan (see pinred.signals); their
-    entries in x0 and xdot0 are not read, and torques on them only spare their drives that
-    much.  outputs: "all", or "shape" to leave out the base.
-    method: an integrator of pinred.integrators with its own step or tolerance, or "auto" for
-    one with rtol and atol that suits the scene (simulate(explain=True) says which and why).
+    entries in x0 and xdot0 are not read, and torques on them only relieve their drives.
+    outputs: "all", or "shape" to leave out the base.
+    method: an integrator with its own step or tolerances, such as pinred.Gauss(0.01), or "auto"
+    for one that suits the scene, with rtol and atol (simulate(explain=True) says which and why).
 
-    Raises InputError or ShapeError when built with what cannot be simulated.
+    Raises InputError or ShapeError when it describes something that cannot be simulated.
     """
 
     system: System
@@ -145,12 +145,12 @@ class Scene:
 
     @property
     def tolerance(self) -> tuple[float, float]:
-        """What the integrator of the momenta gets as (rtol, atol), a tenth of those asked for."""
+        """The integrator's (rtol, atol): a tenth of those asked for, as it integrates momenta."""
         return self.rtol / MOMENTUM_MARGIN, self.atol / MOMENTUM_MARGIN
 
     @property
     def force_model(self) -> ForceModel | None:
-        """All that acts besides gravity, and the prescribed joints; None if there is nothing."""
+        """The forces besides gravity, and the prescribed joints; None if there are none."""
         model: ForceModel | None = vars(self)["_forces"]
         return model
 

@@ -1,4 +1,4 @@
-"""Which models pinred reduces, and the refusal, by name, of all others.
+"""Admission: the models that pinred reduces, and the refusal, by name, of all others.
 
 The rules make the mass matrix positive definite at every shape: each body carries a
 positive definite inertia and each joint moves it in an independent direction.

@@ -82,7 +82,7 @@ def example_robots() -> tuple[str, ...]:
 
 
 def example_robot(name: str) -> ExampleRobot:
-    """Return where a robot of example-robot-data lies.  Raises LoadError if it is no URDF."""
+    """Return the files of a robot in example-robot-data.  Raises LoadError if it has no URDF."""
     import example_robot_data.utils as utils
 
     loader = _loaders()[name]

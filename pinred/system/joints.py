@@ -1,4 +1,4 @@
-"""Pinocchio's joints as pinred reads them: which group a root moves in, which joints are shape."""
+"""Pinocchio's joints as pinred reads them: the group of a root joint, the joints of the shape."""
 
 from __future__ import annotations
 

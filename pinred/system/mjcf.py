@@ -1,4 +1,4 @@
-"""What an MJCF file says that Pinocchio's reader drops or fills in."""
+"""The parts of an MJCF file that Pinocchio's reader drops or fills in."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Rebuild a model joint by joint: with joints frozen, on another root.
+"""A model rebuilt joint by joint: with joints frozen, or on another root.
 
-pin.buildReducedModel and pin.appendModel are not used: the one crashes on models without
-joint frames and fails where a link and a joint share a name, the other drops gravity,
+pin.buildReducedModel and pin.appendModel are not used: the first crashes on models without
+joint frames and fails where a link and a joint share a name; the second drops gravity,
 armature and limits.
 """
 
@@ -29,8 +29,8 @@ def rebuild(
 ) -> pin.Model:
     """Return a copy of a model without its frozen joints, floating on `root` if one is given.
 
-    frozen: from joint to its fixed configuration (nq of the joint,).  Bodies of frozen
-    joints become part of what carries them.
+    frozen: from joint to its fixed configuration (nq of the joint,).  The bodies of
+    frozen joints become part of the bodies that carry them.
     """
     q = pin.neutral(raw)
     for i, value in frozen.items():
@@ -74,7 +74,7 @@ def rebuild(
 
 
 def _free_limits(root: pin.JointModel | None) -> tuple[list[Array], list[Array], list[Array]]:
-    """Return the lists of armature and limits, begun by those of the new root."""
+    """Return the lists of armature and limits, beginning with those of the new root."""
     if root is None:
         return [], [], []
     alone = pin.Model()

@@ -2,8 +2,8 @@
 
 Pinocchio passes over much that changes the dynamics, or fills it in: mimic joints,
 equality constraints, links on two joints, axes of length zero, inertias with a part
-missing, second bodies, gravity and inclusions in MJCF.  These are looked up in the file
-itself here, so that they are honoured or refused, never dropped.
+missing, second bodies, gravity and inclusions in MJCF.  Here these are looked up in the
+file itself, so that they are honoured or refused, never dropped.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def read_description(path: Path, lock: Collection[str]) -> pin.Model:
     """Return the model in a URDF or MJCF file, on its own root, with its gravity.
 
     lock: joints that will be locked, which may therefore be mimic joints.
-    Raises LoadError if the file cannot be read, ModelError if it holds what cannot be reduced.
+    Raises LoadError if the file cannot be read, ModelError if its robot cannot be reduced.
     """
     root = read_xml(path)
     if root.tag == "robot":
@@ -66,7 +66,7 @@ def _check_mass(path: Path, model: pin.Model, written: float) -> None:
 
 @contextmanager
 def _captured_stderr() -> Iterator[list[str]]:
-    """Keep what a C++ library prints on standard error; it becomes the first entry."""
+    """Collect what a C++ library prints on standard error; it becomes the first entry."""
     said: list[str] = []
     sys.stderr.flush()
     with tempfile.TemporaryFile() as file:

@@ -36,7 +36,7 @@ class InitialState:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a system was loaded from.
+    """The origin of a system: the file or name it was loaded from.
 
     source: the robot's name, or the absolute path of its file.  lock: frozen joints and
     their values [rad | m].
@@ -66,9 +66,8 @@ class Velocity:
 class System:
     """A multibody system with symmetry: the root joint is the group, the others the shape.
 
-    name: what the robot is called.  model: the pin.Model, root joint first.
-    initial: a generic initial state, where the robot comes with one.  origin: what was
-    loaded, where that is a name or a file.
+    name: the robot's.  model: the pin.Model, root joint first.  initial: a generic initial
+    state, if the robot comes with one.  origin: the name or file that was loaded, if it was one.
     """
 
     model: pin.Model
@@ -148,12 +147,12 @@ class System:
 
     @property
     def plain(self) -> list[tuple[int, int]]:
-        """Which coordinates of (pose, x) stand in q as they are: their indices in both."""
+        """Indices, in (pose, x) and in q, of the coordinates that stand in q as they are."""
         return list(zip(self._plain.tolist(), self._plain_q.tolist(), strict=True))
 
     @property
     def angles(self) -> list[tuple[int, int]]:
-        """Which coordinates stand in q as cosine and sine, and where these begin."""
+        """Indices of the coordinates that q has as cosine and sine, and of each cosine in q."""
         return list(zip(self._angle.tolist(), self._angle_q.tolist(), strict=True))
 
     def q(self, pose: ArrayLike, x: ArrayLike) -> Array:
@@ -203,10 +202,10 @@ class System:
         return Velocity(xi=v[..., : self.r], xdot=v[..., self.r :])
 
     def workspace(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return what `make` makes, made once for this system, thread and key.
+        """Return the value that `make` gives, made once for this system, thread and key.
 
-        For what is costly to set up and owns Pinocchio work space; it takes the model as it
-        is, which is not changed after loading.
+        For values that are costly to set up and own Pinocchio work space.  They rely on the
+        model as it is; it is not changed after loading.
         """
         return once_a_thread(self, key, make)
 
@@ -235,7 +234,7 @@ def _leading(a: Array, b: Array, what: str, other: str) -> tuple[int, ...]:
 
 
 def _coordinate_maps(model: pin.Model, group: Group) -> dict[str, Indices]:
-    """Where (pose, x) stand in q; a joint whose nq exceeds its nv keeps cos and sin."""
+    """Return where (pose, x) stand in q; a joint whose nq exceeds its nv keeps cos and sin."""
     plain: list[tuple[int, int]] = []  # (position in (pose, x), position in q)
     angle: list[tuple[int, int]] = []
     if group is SE2:

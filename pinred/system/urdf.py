@@ -1,4 +1,4 @@
-"""What a URDF says that Pinocchio's reader drops or fills in."""
+"""The parts of a URDF that Pinocchio's reader drops or fills in."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
 def check_urdf(robot: Element, lock: Collection[str]) -> None:
-    """Refuse what cannot be reduced.  lock: joints that will be locked.
+    """Refuse a file that cannot be reduced.  lock: joints that will be locked.
 
     Raises ModelError that names the joint or link.
     """

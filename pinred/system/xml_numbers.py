@@ -1,4 +1,4 @@
-"""Numbers in XML attributes, read as strictly as the parsers behind read them."""
+"""Numbers in XML attributes, read as strictly as Pinocchio's own parsers read them."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 def floats(element: Element, key: str, what: str, *sizes: int, blank: str = " ") -> Array:
     """Return the numbers in an attribute.
 
-    what: whose attribute it is, for the message.  sizes: how many there may be.  blank: the
-    characters that separate them; one number alone has none around it.
+    what: the owner of the attribute, for the message.  sizes: how many numbers there may be.
+    blank: the characters that separate them; a single number has none around it.
     Raises ModelError if they are not that many finite numbers.
     """
     text = element.get(key, "")

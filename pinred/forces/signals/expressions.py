@@ -1,7 +1,7 @@
 """Arithmetic from text: "0.3*sin(2*t) - k*x['hinge']" as a CasADi expression.
 
-The text is parsed by Python and then only looked at: nothing of it is ever executed.  What is
-not listed here (attributes, other calls, comprehensions, strings but as a subscript, …) is
+Python parses the text, and its tree is only looked at: nothing is ever executed.  Whatever is
+not listed here (attributes, other calls, comprehensions, strings except as a subscript, …) is
 refused, with its place in the text.
 """
 
@@ -68,11 +68,11 @@ def parse(text: str, names: Names) -> ca.SX:
 
     text: numbers, + - * / ** and brackets; comparisons, chained ones too, which are 1 or 0;
     `where(c, a, b)`, also called if_else; sin cos tan asin acos atan atan2 sinh cosh tanh exp
-    log sqrt abs min max sign floor ceil hypot; pi and e.  names: what else it may speak of,
+    log sqrt abs min max sign floor ceil hypot; pi and e.  names: other names it may use,
     each a scalar (`t`), a sequence or a column of scalars (`x[0]`), or a mapping of them
-    (`x['hinge']`, or `x[0]` for its first).  A given name goes before pi and e.
+    (`x['hinge']`, or `x[0]` for its first).  A given name takes precedence over pi and e.
 
-    Of `where`, only the branch that holds counts, even if the other is not a number there.
+    Of `where`, only the chosen branch counts, even if the other one is NaN there.
 
     Raises InputError, with the place of the fault and the names allowed, if the text is
     anything else, is not finite (1e999, 1/0), or is longer than LONGEST characters.
@@ -112,7 +112,7 @@ class _Reader:
         return ordered[::-1]
 
     def parts(self, node: ast.expr) -> list[ast.expr]:
-        """Return what a node is made of.  Refuses every node that is not arithmetic."""
+        """Return the parts of a node.  Refuses every node that is not arithmetic."""
         match node:
             case ast.BinOp():
                 if type(node.op) not in _OPERATORS:

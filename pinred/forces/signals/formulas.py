@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Constant(Signal):
-    """The same number at all times."""
+    """A constant: the same number at all times."""
 
     level: float
 
@@ -40,7 +40,7 @@ class Constant(Signal):
 
 @dataclass(frozen=True, eq=False)
 class Fourier(Signal):
-    """mean + Σ aₖ cos(2πk t/period) + bₖ sin(2πk t/period), k from 1.
+    """A Fourier series: mean + Σ aₖ cos(2πk t/period) + bₖ sin(2πk t/period), k from 1.
 
     cosines, sines: (n,) the aₖ and the bₖ, as many as needed of each, up to 1000.  period [s].
     """
@@ -99,7 +99,7 @@ class Fourier(Signal):
 class Expression(Signal):
     """A formula of the time `t`, such as "0.3*sin(2*t)"; `expressions.parse` says what it may hold.
 
-    Where it jumps or has a kink is not known, so it has no breaks: a table (Hold, Linear) says.
+    It has no breaks, as its jumps and kinks are not known; those of a table (Hold, Linear) are.
     Raises InputError if the text is not such a formula.
     """
 
@@ -112,7 +112,7 @@ class Expression(Signal):
 
     @property
     def smoothness(self) -> float:
-        """Infinite if every function in it is smooth where it is defined, else −1: unknown."""
+        """Infinite if every function in it is smooth where defined; else −1, for unknown."""
         kinds = {self._function.instruction_id(k) for k in range(self._function.n_instructions())}
         return -1 if kinds & _rough() else math.inf
 

@@ -1,4 +1,4 @@
-"""What every signal can do."""
+"""The base of all signals."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ _ORDERS = ("value", "rate", "acceleration")
 
 
 class Signal(ABC):
-    """A scalar function of time [s].  Its unit is that of what it drives."""
+    """A scalar function of time [s], in the unit of what it drives."""
 
     @abstractmethod
     def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:
         """Return the function at `t`, scalar; `ca.jacobian` differentiates it exactly.
 
-        within: a time that says by itself which piece of a table to take, even where t is
-        beyond it: an integrator that stops at the breaks gives one between them, so that the
-        end of a step does not see the next piece.  Signals without breaks do not use it.
+        within: a time whose piece of the table is taken, even where t lies beyond that piece.
+        An integrator that stops at the breaks gives a time between them, so that the end of a
+        step does not see the next piece.  Signals without breaks do not use it.
 
-        Outside of the span, and only there, the first or last piece goes on; who builds a
-        scene checks the span.
+        Outside the span, the first or last piece goes on; a scene checks the span when it is
+        built.
         """
 
     @abstractmethod
@@ -50,7 +50,7 @@ class Signal(ABC):
 
     @property
     def smoothness(self) -> float:
-        """How many derivatives are continuous at the breaks: 2 of a spline, −1 if it jumps."""
+        """The number of derivatives continuous at the breaks: 2 of a spline, −1 at jumps."""
         return math.inf
 
     def value(self, t: ArrayLike) -> Array:

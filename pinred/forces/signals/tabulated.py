@@ -78,13 +78,13 @@ class _Table(Signal):
 
     @property
     def breaks(self) -> Array:
-        """Where a piece follows another [s]."""
+        """The times at which one piece follows another [s]."""
         starts: Array = vars(self)["_starts"]
         return read_only(starts[1:])
 
     @property
     def smoothness(self) -> float:
-        """How many derivatives are continuous at the entries of the table."""
+        """The number of derivatives that are continuous at the entries of the table."""
         return self._smoothness
 
     def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:
@@ -111,7 +111,7 @@ class _Table(Signal):
 
     @cached_property
     def _curve(self) -> Any:
-        """The same by SciPy."""
+        """The piecewise polynomial, as SciPy has it."""
         from scipy.interpolate import PPoly
 
         starts, coefficients = vars(self)["_starts"], vars(self)["_coefficients"]
@@ -122,7 +122,7 @@ class _Table(Signal):
 class Spline(_Table):
     """The cubic spline through a table: continuous up to its acceleration.
 
-    times: (n,) strictly increasing [s], 2 to 1000 of them.  values: (n,).  end: what holds at
+    times: (n,) strictly increasing [s], 2 to 1000 of them.  values: (n,).  end: the condition at
     both ends: "natural": no acceleration; "clamped": no rate; "not-a-knot": the first two
     pieces are one cubic, and the last two; "periodic": value, rate and acceleration are the
     same at both ends (the table is one period; it is not repeated).
@@ -155,7 +155,7 @@ class Spline(_Table):
 
 @dataclass(frozen=True, eq=False)
 class Linear(_Table):
-    """Straight lines from entry to entry of a table: no motion for a joint, as its rate jumps.
+    """Straight lines between the entries of a table; as rates jump, no joint can follow it.
 
     times: (n,) strictly increasing [s], 2 to 1000 of them.  values: (n,).
     """
@@ -168,7 +168,7 @@ class Linear(_Table):
 
 @dataclass(frozen=True, eq=False)
 class Hold(_Table):
-    """Each value of a table from its own time to the next one; the last one for ever.
+    """Steps: each value of a table holds from its own time to the next; the last one, for ever.
 
     times: (n,) strictly increasing [s], 1 to 1000 of them.  values: (n,).
     """
@@ -178,7 +178,7 @@ class Hold(_Table):
 
     @property
     def span(self) -> tuple[float, float]:
-        """From the first time of the table on [s]."""
+        """The first time of the table, and infinity [s]."""
         return super().span[0], math.inf
 
     def _pieces(self, times: Array, values: Array) -> Array:  # noqa: ARG002

@@ -1,1 +1,1 @@
-"""CasADi Functions become machine code: operations, sines of many angles at once, loading."""
+"""From CasADi Functions to machine code: operations, sines of many angles at once, loading."""

@@ -1,4 +1,4 @@
-"""CasADi Function → LLVM IR.
+"""Lowering: from a CasADi Function to LLVM IR.
 
 The instructions of a Function are written down one line each: registers become SSA values, so
 nothing is kept on a stack.  What depends on numbers packed into lanes becomes vector
@@ -108,7 +108,7 @@ class _Writer:
         return self.numbers[value]
 
     def body(self) -> tuple[list[str], set[int]]:
-        """Return all lines, and how many angles at once were asked for."""
+        """Return all lines, and the sizes of the batches of angles."""
         lines: list[str] = []
         widths = set()
         for stage, angles in zip(self.stages, self.angles, strict=True):

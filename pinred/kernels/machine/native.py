@@ -1,4 +1,4 @@
-"""CasADi Function → LLVM IR → machine code → address.  No C compiler.
+"""Native code: from a CasADi Function over LLVM IR to an address, without a C compiler.
 
 Of LLVM's passes only the inlining of helpers runs.  Code generation finds common
 subexpressions by itself; the usual pipeline takes a third longer and gives no faster code.
@@ -50,9 +50,9 @@ def compile_object(
 
     function: an SX Function of any number of dense columns with one dense column as its
     output.  No pointer may overlap `out`; one to an empty column may be anything.  marks: of
-    a Function made by `Lanes`; what it has more of than that has no pointer.  wide: at how
-    many places at once it is evaluated; then the wide inputs and out hold so many values of a
-    number, one after another, for every number.
+    a Function made by `Lanes`, whose further inputs and outputs have no pointers.  wide: the
+    number of places at which it is evaluated at once; the wide inputs and `out` then hold that
+    many values of every number, one after another.
 
     Raises InputError if the function is not such, or `name` not the name of a function, and
     UnsupportedOperationError if it holds an operation that has no machine code.
@@ -117,7 +117,7 @@ def _machine() -> llvm.TargetMachine:
 
 @cache
 def _identity() -> bytes:
-    """Return how every object file of this machine begins; LLVM dies of anything else."""
+    """Return the first bytes of every object file of this machine; LLVM crashes on others."""
     begin: bytes = _machine().emit_object(llvm.parse_assembly(""))
     return begin[:_IDENTITY]
 

@@ -39,7 +39,7 @@ def constant(value: float) -> str:
 
 
 def vector(lanes: int, kind: str = "double") -> str:
-    """Return the type of a value with so many lanes; one lane is a scalar."""
+    """Return the type of a value with this many lanes; one lane is a scalar."""
     return kind if lanes == 1 else f"<{lanes} x {kind}>"
 
 

@@ -2,8 +2,8 @@
 
 Inward, each joint is eliminated from the articulated inertia of its subtree, as in
 Featherstone's algorithm but without bias forces, for only momenta are wanted.  At the
-root a system of the group's size is solved.  Outward come the twists; the momentum of a
-subtree is its articulated inertia times the twist it is carried with, so
+root a system of the group's size is solved.  The twists follow outward; the momentum of
+a subtree is its articulated inertia times the twist it is carried with, so that
 
     π̇_j = (v_j × S_j) · h_j
 
@@ -63,7 +63,7 @@ class Step:
 
     @property
     def fixed(self) -> Step:
-        """The part that the joint does not move; after it comes the other."""
+        """The part that the joint does not move; the moving part comes after it."""
         return Step(self.turns[:2], self.shift, 0.0)
 
     @property
@@ -93,7 +93,7 @@ class Step:
 
 @dataclass
 class Eliminated:
-    """What the outward sweep needs of a joint, in the frame that its body has at value zero."""
+    """An eliminated joint, for the outward sweep, in its body's frame at joint value zero."""
 
     inner: Articulated  # of the subtree with the joint's velocity eliminated
     gain: Vec  # U/D, linear

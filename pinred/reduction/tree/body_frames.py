@@ -3,8 +3,8 @@
 Every shape joint turns about or slides along the z axis of its body's frame, and the
 step from the parent is Rz(β) Rx(α) after a shift r.  Frames may still turn about their
 joint axis and slide along it; that freedom makes β zero for the heaviest child of each
-joint (its parent's angle takes it over) and removes a component of r.  Constants that
-are zero or one up to round-off are made so, so that the arithmetic on them folds away.
+joint (its parent's angle takes it over) and removes a component of r.  Constants
+that are zero or one up to round-off are made exactly so, and arithmetic on them folds away.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ class CompositeBodies:
         self._rows = _ROWS[system.group.name]
 
     def mass_matrix(self, x: Array, H: Array) -> None:
-        """Write H, (N, n, n), over zeros: joints of different branches leave theirs."""
+        """Write H into zeros (N, n, n); entries of joints on different branches stay zero."""
         r = len(self._rows)
         bodies = self._composites(x)
         H[:, :r, :r] = self._inertia(len(x), bodies[0].mass, bodies[0].moment, bodies[0].inertia)
@@ -75,7 +75,7 @@ class CompositeBodies:
         H[:, diagonal, diagonal] += self._armature
 
     def derivatives(self, x: Array, dIA: Array) -> Array:
-        """Return dI, (N, m, r, r), and write d(IA), (N, r, m, m), over zeros; ∂ is the first m."""
+        """Return dI, (N, m, r, r), and write d(IA) into zeros (N, r, m, m); ∂ is the first m."""
         r, m = len(self._rows), len(self._bodies) - 1
         bodies = self._composites(x)
         dI = np.empty((len(x), m, r, r))
@@ -207,7 +207,7 @@ def _sum_of_products(d: Vec, g: Vec, inertia: Sym) -> Sym:
 
 
 def _momenta(bodies: list[Composite], k: int) -> Iterator[tuple[int, tuple[Vec, Vec]]]:
-    """Give F_k about the origins of the bodies from k to the root, with their indices."""
+    """Yield F_k about the origins of the bodies from k to the root, with their indices."""
     own = bodies[k]
     if own.prismatic:
         lin, ang = [mul(own.mass, c) for c in own.axis], cross(own.moment, own.axis)
@@ -228,7 +228,7 @@ def _carried(body: Composite, lin: Vec, ang: Vec) -> tuple[Vec, Vec]:
 
 
 def _to_root(body: Composite, lin: Vec, ang: Vec) -> tuple[Vec, Vec]:
-    """Return a momentum about the origin of a body, about the root's."""
+    """Return a momentum about the root's origin from one about the origin of a body."""
     return lin, plus(ang, cross(body.origin, lin))
 
 

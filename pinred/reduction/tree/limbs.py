@@ -1,9 +1,9 @@
 """Limbs of one build as lanes of one computation: both legs at once, both arms at once.
 
 The sweep is written once for such limbs, on symbols that stand for one number per limb.
-Where such a symbol begins (numbers packed into lanes) and where lanes become plain numbers
-again (one lane, or the sum over all) stands in a list of marks beside the expressions: to
-CasADi all symbols are alike.  `lowering` makes vector instructions of what depends on them.
+To CasADi all symbols are alike, so a list of marks beside the expressions says where such a
+symbol begins (numbers packed into lanes) and where lanes become plain numbers again (one lane,
+or the sum over all).  `lowering` makes vector instructions of what depends on them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ WIDEST = 4  # lanes: numbers in a 256-bit register
 
 @dataclass(frozen=True)
 class Mark:
-    """How a symbol comes about.
+    """The origin of a symbol.
 
     kind: "pack" (one number per lane), "lane" (the number in lane `lane`) or "sum" (of all
     lanes).  width: number of lanes.  operands: numbers to pack, or the packed one.
@@ -47,10 +47,10 @@ class Link:
 
 
 class Lanes:
-    """The marks of one graph.  marks: what each Function made of it needs, by its name."""
+    """The marks of one graph.  marks: those that each Function made of it needs, by its name."""
 
     def __init__(self) -> None:
-        """Begin without any."""
+        """Begin without marks."""
         self.marks: dict[str, list[Mark]] = {}
         self._marks: list[Mark] = []
         self._symbols: list[ca.SX] = []
@@ -77,8 +77,8 @@ class Lanes:
     def function(self, name: str, inputs: list[ca.SX], output: ca.SX) -> ca.Function:
         """Return a Function (inputs, symbols) → (operands, output).
 
-        symbols: of the marks it needs, each after those that it depends on.  operands: of
-        these marks, in their order.
+        symbols: those of the marks it needs, each after the ones it depends on.  operands:
+        those of the same marks, in the same order.
         """
         number = {symbol.element_hash(): k for k, symbol in enumerate(self._symbols)}
         needed: set[int] = set()
@@ -128,7 +128,7 @@ def links_of(bodies: list[Body], lanes: Lanes | None, driven: Collection[int]) -
 
 
 def _builds(bodies: list[Body], children: list[list[int]], driven: Collection[int]) -> list[int]:
-    """Return for each body a number that says which joints follow it, and how they branch."""
+    """Return for each body a number that stands for the joints behind it and how they branch."""
     numbers: dict[tuple[object, ...], int] = {}
     build = [0] * len(bodies)
     for i in range(len(bodies) - 1, -1, -1):

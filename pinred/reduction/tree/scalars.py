@@ -17,7 +17,7 @@ INDEX = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # where entry (i, j) stands in Sym
 
 
 def mul(a: Scalar, b: Scalar) -> Scalar:
-    """Return a b, or nothing where a factor is nothing."""
+    """Return a b; an exact zero or one costs no operation."""
     if isinstance(a, float) and isinstance(b, float):
         return a * b
     for x, y in ((a, b), (b, a)):
@@ -32,7 +32,7 @@ def mul(a: Scalar, b: Scalar) -> Scalar:
 
 
 def add(a: Scalar, b: Scalar) -> Scalar:
-    """Return a + b, or one of them where the other is nothing."""
+    """Return a + b, or one of them where the other is exactly zero."""
     if isinstance(a, float) and a == 0.0:
         return b
     if isinstance(b, float) and b == 0.0:
@@ -41,7 +41,7 @@ def add(a: Scalar, b: Scalar) -> Scalar:
 
 
 def sub(a: Scalar, b: Scalar) -> Scalar:
-    """Return a − b, or one of them where the other is nothing."""
+    """Return a − b, or ±one of them where the other is exactly zero."""
     if isinstance(b, float) and b == 0.0:
         return a
     if isinstance(a, float) and a == 0.0:

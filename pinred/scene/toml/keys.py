@@ -1,4 +1,4 @@
-"""What a scene file may hold: the one description that reader, JSON Schema and docs go by."""
+"""The keys of scene files: the one description that reader, JSON Schema and docs go by."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SHAPE = Named("shape", Either((NUMBERS, ByName(NUMBER))))
 
 
 def _tabulated(words: str, **more: Key) -> Table:
-    """Return the table of a signal through points that stand in it or in a csv file."""
+    """Return the table of a signal through points, given in the table or in a csv file."""
     keys = {
         "times": Key(NUMBERS, "strictly increasing times [s], at most 1000"),
         "values": Key(NUMBERS, "as many values"),

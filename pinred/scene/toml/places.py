@@ -20,7 +20,7 @@ _SCANNED = 500  # lines of a file in which the line of a fault is looked for
 
 @dataclass(frozen=True)
 class Place:
-    """Where in a file something stands.  text: of the file.  keys: names and indices from 0."""
+    """A place in a file.  text: of the file.  keys: names and indices from 0."""
 
     file: str
     text: str = ""
@@ -50,7 +50,7 @@ class Place:
         raise InputError(self.tell(problem)) from None
 
     def _line(self) -> int:
-        """Return the line of the statement that brings this place in, from 1; 0 if not found."""
+        """Return the line, from 1, of the statement that holds this place; 0 if it is not found."""
         if not self.keys:
             return 0
         lines = self.text.splitlines(keepends=True)
@@ -85,7 +85,7 @@ def one_line(error: Exception) -> str:
 
 
 def unknown(name: str, kind: str, known: Iterable[str], title: str) -> str:
-    """Return what to say of a name that is none of those known, with the nearest of them."""
+    """Return the message about an unknown name, with the nearest known one."""
     known = list(known)
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean '{near[0]}'? " if near else ""

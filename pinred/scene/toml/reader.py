@@ -46,7 +46,7 @@ _SECTIONS = {
 
 @dataclass(frozen=True)
 class SceneFile:
-    """What a scene file says.  engine: that which is to integrate."""
+    """The contents of a scene file.  engine: the one that is to integrate."""
 
     scene: Scene
     engine: Engine
@@ -89,7 +89,7 @@ def _parsed(text: str, place: Place) -> dict[str, Any]:
 
 
 class _Builder:
-    """Makes the scene of a document that has passed the description."""
+    """A builder of the scene in a document that has the keys it should have."""
 
     def __init__(self, folder: Path, place: Place, document: dict[str, Any]) -> None:
         self.folder, self.place, self.document = folder, place, document
@@ -208,7 +208,7 @@ class _Builder:
         return lambda x: parse(text, {"x": self._shape(x)})
 
     def _names(self, t: Any, x: Any, xdot: Any, mu: Any) -> dict[str, Any]:
-        """Return what formulas may speak of."""
+        """Return the names that formulas may use."""
         momenta = [mu[k] for k in range(self.system.r)]
         return {"t": t, "x": self._shape(x), "xdot": self._shape(xdot), "mu": momenta}
 
@@ -218,7 +218,7 @@ class _Builder:
     def _explain(
         self, error: PinredError, forces: list[Force], prescribed: Mapping[str, Signal]
     ) -> NoReturn:
-        """Raise what a Scene has refused again, with the key that it is about."""
+        """Raise a Scene's refusal again, with the key that it is about."""
         text, place = one_line(error), self.place
         found = self.signals.of_error(error)
         word = re.match(r"\w+", text)
@@ -243,7 +243,7 @@ class _Builder:
     def _by_joint(
         self, values: Mapping[str, Any], place: Place, read: Callable[[Any, Place], Any]
     ) -> dict[str, Any]:
-        """Return what `read` makes of each value.  Raises InputError for unknown joints."""
+        """Return each value as `read` gives it.  Raises InputError for unknown joints."""
         for name in values:
             self._joint(name, place / name)
         return {name: read(value, place / name) for name, value in values.items()}

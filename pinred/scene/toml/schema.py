@@ -1,4 +1,4 @@
-"""What may stand in a file: descriptions that check values and write themselves as JSON Schema.
+"""Descriptions of values in a file, which check them and write themselves as JSON Schema.
 
 A description reads a value of TOML at a place and returns it in plain form, or raises an
 InputError that names the place.  The same object writes the schema, so that the two say the
@@ -19,7 +19,7 @@ Schema: TypeAlias = dict[str, Any]
 
 
 class Node(ABC):
-    """A description of a value.  types: of Python, that it may have.  words: what it is."""
+    """A description of a value.  types: of Python, that it may have.  words: for messages."""
 
     types: tuple[type, ...]
     words: str
@@ -52,7 +52,7 @@ class Number(Node):
 
     @property
     def words(self) -> str:  # type: ignore[override]
-        """What it is."""
+        """The description in words, for messages."""
         return "a number above 0" if self.positive else "a number"
 
     def _read(self, value: Any, place: Place) -> float:
@@ -79,7 +79,7 @@ class Whole(Node):
 
     @property
     def words(self) -> str:  # type: ignore[override]
-        """What it is."""
+        """The description in words, for messages."""
         return f"a whole number from {self.least}"
 
     def _read(self, value: Any, place: Place) -> int:
@@ -109,7 +109,7 @@ class Flag(Node):
 
 @dataclass(frozen=True)
 class Text(Node):
-    """Text, not empty.  among: what it may be, if not anything.  words: what it is."""
+    """Text, not empty.  among: the texts it may be, any if empty.  words: its name in messages."""
 
     among: tuple[str, ...] = ()
     words: str = "text"
@@ -137,7 +137,7 @@ class ListOf(Node):
 
     @property
     def words(self) -> str:  # type: ignore[override]
-        """What it is."""
+        """The description in words, for messages."""
         many = f"{self.count} entries" if self.count else "entries"
         return f"a list of {many}, each {self.item.words}"
 
@@ -161,7 +161,7 @@ class ByName(Node):
 
     @property
     def words(self) -> str:  # type: ignore[override]
-        """What it is."""
+        """The description in words, for messages."""
         return f"a table {{joint = {self.item.words}}}"
 
     def _read(self, value: Any, place: Place) -> dict[str, Any]:
@@ -174,22 +174,22 @@ class ByName(Node):
 
 @dataclass(frozen=True)
 class Either(Node):
-    """One of several, told apart by their types."""
+    """One of several descriptions, told apart by their types."""
 
     nodes: tuple[Node, ...]
 
     @property
     def types(self) -> tuple[type, ...]:  # type: ignore[override]
-        """The types of all."""
+        """The types of all descriptions."""
         return tuple(kind for node in self.nodes for kind in node.types)
 
     @property
     def words(self) -> str:  # type: ignore[override]
-        """What it is."""
+        """The description in words, for messages."""
         return ", or ".join(node.words for node in self.nodes)
 
     def fits(self, value: Any) -> bool:
-        """Return whether a value fits one of them."""
+        """Return whether a value fits one of the descriptions."""
         return any(node.fits(value) for node in self.nodes)
 
     def _read(self, value: Any, place: Place) -> Any:
@@ -202,7 +202,7 @@ class Either(Node):
 
 @dataclass(frozen=True)
 class Key:
-    """A key of a table.  text: what it means.  default: what holds without it, in words."""
+    """A key of a table.  text: its meaning.  default: the value without it, in words."""
 
     node: Node
     text: str
@@ -219,8 +219,9 @@ class Key:
 class Table(Node):
     """A table of known keys.
 
-    words: what it is.  apart: pairs of keys that exclude each other.  needs: a key and what
-    has to come with it.  least_one, only_one: whether it must have a key, or one only.
+    words: its name in messages.  apart: pairs of keys that exclude each other.  needs: a key
+    and the key that has to come with it.  least_one, only_one: whether it must have a key, or
+    one only.
     """
 
     keys: Mapping[str, Key]
@@ -270,9 +271,10 @@ class Table(Node):
 
 @dataclass(frozen=True)
 class Tagged(Node):
-    """A table whose keys depend on what the key `tag` says.
+    """A table whose keys depend on the value of the key `tag`.
 
-    text: what the tag means.  refused: values of the tag that have a reason of their own.
+    text: the meaning of the tag.  refused: values of the tag that are refused for a reason of
+    their own.
     """
 
     tag: str
@@ -307,23 +309,23 @@ class Tagged(Node):
 
 @dataclass(frozen=True)
 class Named(Node):
-    """A description that the schema writes once, under a name."""
+    """A description that the schema holds once, under a name."""
 
     name: str
     node: Node
 
     @property
     def types(self) -> tuple[type, ...]:  # type: ignore[override]
-        """Those of what has the name."""
+        """The types of the description that has the name."""
         return self.node.types
 
     @property
     def words(self) -> str:  # type: ignore[override]
-        """What it is."""
+        """The description in words, for messages."""
         return self.node.words
 
     def fits(self, value: Any) -> bool:
-        """Return whether what has the name may have this type."""
+        """Return whether a value fits the description that has the name."""
         return self.node.fits(value)
 
     def _read(self, value: Any, place: Place) -> Any:

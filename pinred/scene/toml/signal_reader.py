@@ -15,9 +15,9 @@ _TABLES: dict[str, Callable[..., Signal]] = {"spline": Spline, "linear": Linear,
 
 
 class SignalReader:
-    """Reads signals of one file, and remembers where each stands.
+    """A reader of the signals in one file, which remembers where each stands.
 
-    folder: from which the names of csv files count.
+    folder: the one to which names of csv files are relative.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -52,7 +52,7 @@ class SignalReader:
             return self._kept(_TABLES[kind](**options), place)
 
     def of_error(self, error: PinredError) -> tuple[Place, str] | None:
-        """Return where the signal stands that an error shows, and the text without it."""
+        """Return the place of the signal that an error is about, and the text without it."""
         text = str(error)
         for signal, place in self._read:
             if repr(signal) in text:
