@@ -28,6 +28,7 @@ from .integrators.methods import RKMK4 as RKMK4
 from .integrators.methods import AdaptiveGauss as AdaptiveGauss
 from .integrators.methods import Gauss as Gauss
 from .integrators.methods import Radau as Radau
+from .integrators.methods import Tsit5 as Tsit5
 from .integrators.methods import Variational as Variational
 from .kernels.casadi_functions import casadi_functions as casadi_functions
 from .reduction.reduction import ReducedShape as ReducedShape

@@ -14,9 +14,9 @@ from math import nan
 import numpy as np
 
 import pinred
-from pinred import DOP853, RKMK4, Gauss, Radau, Variational, plots
+from pinred import DOP853, RKMK4, Gauss, Radau, plots
 from pinred.forces import Damper
-from pinred.integrators.methods import Method
+from pinred.integrators.methods import EqualSteps, ErrorControl
 from pinred.verification.bench import Point, WorkPrecision
 
 drawing = find_spec("matplotlib") is not None  # figures need the extra `plots`
@@ -34,16 +34,16 @@ scene = pinred.Scene(system=cat, duration=1.0, springs=dict.fromkeys(cat.shape_n
 # Each is a value with its claims (`order`, `adaptive`, `symplectic`). To try another, add a line.
 
 # %%
-METHODS: list[Method] = [
+METHODS: list[ErrorControl | EqualSteps] = [
     *(DOP853(rtol=tol, atol=tol / 100) for tol in (1e-5, 1e-7, 1e-9)),
     *(RKMK4(step=0.04 / 2**k) for k in range(3)),
     *(Gauss(step=0.04 / 2**k, order=order) for order in (2, 6) for k in range(3)),
 ]
 
 
-def knob(method: Method) -> float:
+def knob(method: ErrorControl | EqualSteps) -> float:
     """Return the tolerance or the step of a method."""
-    return method.step if isinstance(method, (RKMK4, Gauss, Variational)) else method.rtol
+    return method.rtol if isinstance(method, ErrorControl) else method.step
 
 
 # %% [markdown]

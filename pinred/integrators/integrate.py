@@ -18,29 +18,21 @@ from ..common.errors import (
     StepSizeUnderflow,
     TooManySteps,
 )
-from .machine.registers import (
+from .machine.run_record import (
+    AUTO,
     DIVERGED,
     DONE,
-    ENTRY,
-    EVALUATIONS,
+    FIXED_POINT,
     FULL,
-    KEEP,
-    MAX_STEPS,
     NOT_FINITE,
-    REJECTED,
-    RTOL,
-    SOLVER,
-    STEPS,
-    T_END,
-    TANGENT,
     UNDERFLOW,
     WANTED,
-    Counts,
-    H,
-    T,
+    Runs,
+    copied,
+    new_run,
 )
-from .methods import AUTO, FIXED_POINT, Gauss, Method
-from .steppers import registers, stepper_of, with_tangent, work_rows
+from .machine.state_rows import Y
+from .methods.method import Method
 
 Progress = Callable[[float], None]
 Tangent = Callable[[], int]
@@ -68,11 +60,8 @@ class Solution:
     knots: Array
     states: Array
     _stored: Array = field(repr=False)
-    _tangent: int = field(repr=False)
-    _address: int = field(repr=False)
     _params: Array = field(repr=False)
-    _quaternion: int = field(repr=False)
-    _canonical: Canonical = field(repr=False)
+    _run: Runs = field(repr=False)
 
     def at(self, times: ArrayLike) -> Array:
         """Return the states (T, n) at times (T,) in any order, as if they had been asked for.
@@ -84,13 +73,11 @@ class Solution:
         order = np.argsort(asked, kind="stable")
         n = self.states.shape[1]
         out = np.empty((len(asked), n))
-        _, count = registers(self.method, n, 1.0, self._quaternion, self._canonical)
-        count[TANGENT] = self._tangent
-        stepper_of(self.method).recall(
-            self._address,
+        stepper, run = self.method.stepper(), copied(self._run)
+        stepper.loops.recall(
+            run,
             self._params,
-            count,
-            work_rows(self.method, n, tangent=self._tangent > 0),
+            stepper.work(n, tangent=run["tangent"].item() > 0),
             read_only(asked[order]),
             out,
             self.knots,
@@ -166,68 +153,90 @@ def integrate_checked(
     params and times are not changed by anybody afterwards.
     """
     n = y0.shape[0]
-    real, count = registers(method, n, end, quaternion, canonical)
-    count[KEEP] = 1
-    work = work_rows(method, n)
-    stepper = stepper_of(method)
-    work[stepper.state, :n] = y0
+    stepper = method.stepper()
+    run = begun_by(method, address, n, end, quaternion, canonical, keep=1)
+    if stepper.needs_tangent:
+        give_tangent(tangent, method, run)
+    work = stepper.work(n)
+    work[Y, :n] = y0
     out = np.empty((len(times), n))
     knots, states = np.empty(_FIRST_KNOTS), np.empty((_FIRST_KNOTS, stepper.kept * n))
     status = -1
     while status != DONE:
-        status = stepper.advance(address, params, real, count, work, times, out, knots, states)
+        status = stepper.loops.advance(run, params, work, times, out, knots, states)
         if status == FULL:
             knots, states = _doubled(knots), _doubled(states)
         elif status == WANTED:
-            want(tangent, method, count)
-            work = with_tangent(method, n, work)
+            give_tangent(tangent, method, run)
+            work = stepper.widened(n, work)
         elif status >= UNDERFLOW:
-            raise failure(status, real, count, work[stepper.state, :n].copy())
+            raise failure(status, run, work[Y, :n].copy())
         if progress is not None:
-            progress(real[T].item() / end)
-    steps = count[STEPS].item()
+            progress(run["t"].item() / end)
+    steps = run["steps"].item()
     stored = read_only(states[: steps + 1])
     return Solution(
         method=method,
         times=times,
         y=read_only(out),
         steps=steps,
-        rejected=count[REJECTED].item(),
-        evaluations=count[EVALUATIONS].item(),
+        rejected=run["rejected"].item(),
+        evaluations=run["evaluations"].item(),
         knots=read_only(knots[: steps + 1]),
         states=stored[:, :n],
         _stored=stored,
-        _tangent=count[TANGENT].item(),
-        _address=address,
         _params=params,
-        _quaternion=quaternion,
-        _canonical=canonical,
+        _run=run,
     )
 
 
-def failure(status: int, real: Array, count: Counts, state: Array) -> IntegrationError:
+def begun_by(
+    method: Method,
+    address: int,
+    n: int,
+    end: float,
+    quaternion: int,
+    canonical: Canonical,
+    keep: int = 0,
+) -> Runs:
+    """Return the registers of a run to `end` [s] before its first step."""
+    pairs, spin = canonical
+    return new_run(
+        address=address,
+        n=n,
+        t_end=end,
+        quaternion=quaternion,
+        pairs=pairs,
+        spin=spin,
+        keep=keep,
+        **method.registers(end),
+    )
+
+
+def failure(status: int, run: Runs, state: Array) -> IntegrationError:
     """Return the error for a status of `advance`; state: (n,) at the last time reached."""
-    time, entry = real[T].item(), count[ENTRY].item()
-    where = f"t = {time:g} s of {real[T_END]:g} s"
+    end = run[0]
+    time, entry = end["t"].item(), end["entry"].item()
+    where = f"t = {time:g} s of {end['t_end']:g} s"
     if status == NOT_FINITE:
         return NonFiniteState(f"number {entry} is not finite after {where}", time, state, entry)
     if status == UNDERFLOW:
         return StepSizeUnderflow(
-            f"the tolerance (rtol = {real[RTOL]:g}) asks for steps below {real[H]:.1e} s at "
+            f"the tolerance (rtol = {end['rtol']:g}) asks for steps below {end['h']:.1e} s at "
             f"{where}: the motion is singular there, or the tolerance too tight",
             time,
             state,
         )
     if status == DIVERGED:
         return NoConvergence(
-            f"the implicit step of {real[H]:.3g} s has no solution that could be found after "
+            f"the implicit step of {end['h']:.3g} s has no solution that could be found after "
             f"{where}: take shorter steps",
             time,
             state,
         )
     return TooManySteps(
-        f"{count[MAX_STEPS]} steps have led to {where}; allow more (max_steps), or a larger "
-        f"tolerance than rtol = {real[RTOL]:g}",
+        f"{end['max_steps']} steps have led to {where}; allow more (max_steps), or a larger "
+        f"tolerance than rtol = {end['rtol']:g}",
         time,
         state,
     )
@@ -239,7 +248,7 @@ def check_kernel(address: int) -> None:
         raise InputError(f"address must be the address of a kernel, got {address!r}")
 
 
-def want(tangent: Tangent | None, method: Method, count: Counts) -> None:
+def give_tangent(tangent: Tangent | None, method: Method, run: Runs) -> None:
     """Give a run the kernel of the derivative; without one it has to do by fixed points.
 
     Raises InputError if it cannot.
@@ -247,9 +256,9 @@ def want(tangent: Tangent | None, method: Method, count: Counts) -> None:
     if tangent is not None:
         address = tangent()
         check_kernel(address)
-        count[TANGENT] = address
-    elif count[SOLVER] == AUTO and isinstance(method, Gauss):
-        count[SOLVER] = FIXED_POINT
+        run["tangent"] = address
+    elif run["solver"] == AUTO:
+        run["solver"] = FIXED_POINT
     else:
         raise InputError(f"{method.name} needs the derivative of the kernel; give tangent=")
 

@@ -14,27 +14,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..common.arrays import Array, as_floats, freeze, positive, read_only
 from ..common.errors import InputError, ShapeError
-from . import dop853, rkmk4
-from .integrate import Canonical, Tangent, check_kernel, check_state, checked_times, want
-from .machine.kernel_call import compiled
-from .machine.registers import (
+from .integrate import (
+    Canonical,
+    Tangent,
+    begun_by,
+    check_kernel,
+    check_state,
+    checked_times,
+    give_tangent,
+)
+from .machine.driver import OUTCOME, Batch
+from .machine.run_record import (
     DIVERGED,
     DONE,
-    ENTRY,
-    EVALUATIONS,
     NOT_FINITE,
     PAUSED,
-    REJECTED,
-    STEPS,
     TOO_MANY,
     UNDERFLOW,
-    WANTED,
-    Counts,
-    N,
-    T,
+    copied,
 )
-from .methods import DOP853, RKMK4, Method
-from .steppers import registers, stepper_of, with_tangent, work_rows
+from .methods.method import Method
 
 STATUS = {
     DONE: "done",
@@ -111,31 +110,30 @@ def integrate_many(
     if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
         raise InputError(f"threads must be a whole number above zero, got {threads!r}")
 
-    real, count = registers(method, n, end, quaternion, canonical)
-    y = np.full((size, len(asked), n), np.nan)
-    reached, tally = np.zeros(size), np.full((size, 5), PAUSED, dtype=np.int64)
-    stop = np.zeros(1, dtype=np.int64)
-    loops = {DOP853: 0, RKMK4: 1}
-    family = loops.get(type(method), -1)
-
+    stepper = method.stepper()
+    unbegun = begun_by(method, address, n, end, quaternion, canonical)
+    if stepper.needs_tangent:
+        give_tangent(tangent, method, unbegun)
+    outcomes = np.zeros(size, OUTCOME)
+    outcomes["status"] = PAUSED
+    batch = Batch(
+        params=frozen,
+        y0=start,
+        times=asked,
+        y=np.full((size, len(asked), n), np.nan),
+        outcomes=outcomes,
+        stop=np.zeros(1, dtype=np.int64),
+        no_times=np.empty(0),
+        no_knots=np.empty((0, n)),
+    )
     lock = Lock()
 
-    def derivative(count: Counts) -> None:
-        with lock:  # what makes a kernel is not for several threads
-            want(tangent, method, count)
-
     def share(first: int, last: int) -> None:
-        if family < 0:
-            _one_by_one(
-                method, derivative, address, frozen, start, first, last, real, count,
-                asked, y, reached, tally, stop,
-            )  # fmt: skip
-            return
-        work = work_rows(method, n)
-        members(
-            family, address, frozen, start, first, last, real.copy(), count.copy(), real, count,
-            work, asked, y, reached, tally, stop,
-        )  # fmt: skip
+        run, work = copied(unbegun), stepper.work(n)
+        while (first := stepper.loops.members(batch, unbegun, run, work, first, last)) < last:
+            with lock:  # what makes a kernel is not for several threads
+                give_tangent(tangent, method, run)
+            work = stepper.widened(n, work)
 
     threads = min(threads, max(size, 1))
     bounds = np.linspace(0, size, min(size, threads * _SHARES_PER_THREAD) + 1).astype(int)
@@ -145,111 +143,22 @@ def integrate_many(
             look = None if progress is None else _LOOK
             ended, running = wait(futures, look, FIRST_EXCEPTION)
             while running and progress is not None and not any(f.exception() for f in ended):
-                progress(float(np.mean(tally[:, 0] != PAUSED)))
+                progress(float(np.mean(outcomes["status"] != PAUSED)))
                 ended, running = wait(futures, look, FIRST_EXCEPTION)
             for future in ended:
                 future.result()
         except BaseException:
-            stop[0] = 1  # the threads see it at their next pause
+            batch.stop[0] = 1  # the threads see it at their next pause
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return Solutions(
         method=method,
         times=asked,
-        y=y,
-        status=tally[:, 0].copy(),
-        end=reached,
-        entry=tally[:, 1].copy(),
-        steps=tally[:, 2].copy(),
-        rejected=tally[:, 3].copy(),
-        evaluations=tally[:, 4].copy(),
+        y=batch.y,
+        status=outcomes["status"].copy(),
+        end=outcomes["t"].copy(),
+        entry=outcomes["entry"].copy(),
+        steps=outcomes["steps"].copy(),
+        rejected=outcomes["rejected"].copy(),
+        evaluations=outcomes["evaluations"].copy(),
     )
-
-
-def _one_by_one(
-    method: Method,
-    derivative: Callable[[Counts], None],
-    address: int,
-    params: Array,
-    y0: Array,
-    first: int,
-    last: int,
-    fresh_real: Array,
-    fresh_count: Counts,
-    times: Array,
-    y: Array,
-    reached: Array,
-    tally: Counts,
-    stop: Counts,
-) -> None:
-    """Run members as `members` does, in a loop of Python's; a run is compiled all the same."""
-    no_times, no_states = reached[:0], y[0, :0]
-    stepper, n = stepper_of(method), y0.shape[1]
-    for member in range(first, last):
-        real, count = fresh_real.copy(), fresh_count.copy()
-        work = work_rows(method, n)
-        work[stepper.state, :n] = y0[member]
-        status = PAUSED
-        while status in (PAUSED, WANTED):
-            if stop[0] != 0:
-                return
-            if status == WANTED:
-                derivative(count)
-                work = with_tangent(method, n, work)
-            status = stepper.advance(
-                address, params[member], real, count, work, times, y[member], no_times, no_states
-            )
-        reached[member] = real[T]
-        tally[member] = (
-            status, count[ENTRY], count[STEPS], count[REJECTED], count[EVALUATIONS],
-        )  # fmt: skip
-
-
-@compiled
-def members(
-    family: int,
-    address: int,
-    params: Array,
-    y0: Array,
-    first: int,
-    last: int,
-    real: Array,
-    count: Counts,
-    fresh_real: Array,
-    fresh_count: Counts,
-    work: Array,
-    times: Array,
-    y: Array,
-    reached: Array,
-    tally: Counts,
-    stop: Counts,
-) -> None:
-    """Run members first to last − 1.  family: 0 for DOP853, 1 for RKMK4.
-
-    tally: (N, 5) status, entry, steps, rejected, evaluations.  stop: (1,) not 0 to give up.
-    """
-    no_times, no_states = reached[:0], y[0, :0]
-    for member in range(first, last):
-        real[:] = fresh_real
-        count[:] = fresh_count
-        row = dop853.Y if family == 0 else rkmk4.Y
-        for i in range(count[N]):
-            work[row, i] = y0[member, i]
-        status = PAUSED
-        while status == PAUSED:
-            if stop[0] != 0:
-                return
-            if family == 0:
-                status = dop853.advance(
-                    address, params[member], real, count, work, times, y[member],
-                    no_times, no_states,
-                )  # fmt: skip
-            else:
-                status = rkmk4.advance(
-                    address, params[member], real, count, work, times, y[member],
-                    no_times, no_states,
-                )  # fmt: skip
-        reached[member] = real[T]
-        tally[member, 0], tally[member, 1] = status, count[ENTRY]
-        tally[member, 2], tally[member, 3] = count[STEPS], count[REJECTED]
-        tally[member, 4] = count[EVALUATIONS]

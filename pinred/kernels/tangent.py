@@ -12,7 +12,7 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.errors import InputError
 from ..integrators.machine.kernel_call import SEEDS
-from ..integrators.machine.newton import jacobian
+from ..integrators.machine.linear_systems import jacobian
 from .derived import derived_code
 from .evaluate import evaluate
 from .judge import agree

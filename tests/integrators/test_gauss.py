@@ -18,11 +18,11 @@ import pinred
 from pinred import DOP853, AdaptiveGauss, Gauss
 from pinred.common.arrays import Array
 from pinred.common.errors import NoConvergence, NonFiniteState, TooManySteps
-from pinred.integrators import steppers as stepper
 from pinred.integrators.gauss import fixed_step as gauss
 from pinred.integrators.gauss.tables import tables
 from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import integrate_many
+from pinred.integrators.machine import run_record
 from pinred.kernels import derived
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.machine.native import NativeCode, compile_object, load_object
@@ -314,7 +314,7 @@ def test_pauses_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
         times = np.linspace(0, 6, 17)
         whole = run("kepler", method, ORBIT, 6.0, times)
         with monkeypatch.context() as patch:
-            patch.setattr(stepper, "EVALUATIONS_BETWEEN_PAUSES", 1)
+            patch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
             parts: list[float] = []
             address = code("kepler", method.lanes).address
             again = integrate(method, address, [1.0], ORBIT, 6.0, times, progress=parts.append)
@@ -466,4 +466,4 @@ def test_the_module_says_what_it_is() -> None:
         False,
     )
     assert (AdaptiveGauss().symplectic, AdaptiveGauss().adaptive) == (False, True)
-    assert gauss.recall is stepper.stepper_of(Gauss(0.1)).recall
+    assert Gauss(0.1).stepper().loops is gauss.LOOPS

@@ -9,9 +9,7 @@ import pytest
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.integrators import integrate as drive
-from pinred.integrators import integrate_many as many
-from pinred.integrators import steppers as stepper
+from pinred.integrators.machine.stepper import Stepper
 from pinred.integrators.methods import (
     DOP853,
     RKMK4,
@@ -19,12 +17,14 @@ from pinred.integrators.methods import (
     Gauss,
     Method,
     Radau,
+    Tsit5,
     Variational,
 )
 
 MARK = 8.25e-77
 METHODS: tuple[Method, ...] = (
     DOP853(1e-8, 1e-10),
+    Tsit5(1e-6, 1e-8),
     RKMK4(0.01),
     *(Gauss(0.01, order) for order in (2, 4, 6, 8, 10, 16)),
     *(Gauss(0.01, order, "Newton") for order in (2, 6, 16)),
@@ -39,7 +39,7 @@ ROBOTS = ("rigid_body", "cartpole", "coupled_planar", "elroys_beanie", "falling_
 def test_rows_are_enough(method: Method, monkeypatch: pytest.MonkeyPatch) -> None:
     """Marks behind the rows survive steps, reports between them, and states asked for later."""
     made: list[Array] = []
-    real = stepper.work_rows
+    real = Stepper.work
 
     def with_marks(*asked: Any, **options: Any) -> Array:
         rows = real(*asked, **options)
@@ -48,8 +48,7 @@ def test_rows_are_enough(method: Method, monkeypatch: pytest.MonkeyPatch) -> Non
         made.append(larger)
         return larger[:-2]
 
-    for module in (stepper, drive, many):
-        monkeypatch.setattr(module, "work_rows", with_marks)
+    monkeypatch.setattr(Stepper, "work", with_marks)
     for name in ROBOTS:
         system, before = pinred.load(name), len(made)
         traj = pinred.simulate(

@@ -15,12 +15,11 @@ from pinred import Gauss
 from pinred.common.arrays import Array
 from pinred.common.errors import InputError, NoConvergence, NonFiniteState
 from pinred.integrators import integrate as drive
-from pinred.integrators import steppers as stepper
 from pinred.integrators.gauss.newton import pairs
-from pinred.integrators.gauss.tables import tables
+from pinred.integrators.gauss.tables import MOST_STAGES, tables
 from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
-from pinred.integrators.methods import STAGES
+from pinred.integrators.machine import run_record
 
 ORDERS = range(2, 17, 2)
 
@@ -73,7 +72,7 @@ def test_pairs(stages: int) -> None:
     G = method.b[:stages, None] * method.mu[:stages, :stages]
     whole = np.zeros((stages, stages))
     for row in table:
-        v, vi, w, wi = (row[2 + k * STAGES :][:stages] for k in range(4))
+        v, vi, w, wi = (row[2 + k * MOST_STAGES :][:stages] for k in range(4))
         value, right, left = row[0] + 1j * row[1], v + 1j * vi, w + 1j * wi
         np.testing.assert_allclose(G @ right, value * right, atol=1e-13)
         whole += 2.0 * np.real(value * np.outer(right, left))
@@ -143,7 +142,7 @@ def test_bits(method: Gauss) -> None:
     times = np.sort(np.concatenate([TIMES, np.linspace(0.0, 4.0, 201), whole.knots]))
     once = run(method, 1e6, times)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stepper, "EVALUATIONS_BETWEEN_PAUSES", 1)
+        patch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
         patch.setattr(drive, "_FIRST_KNOTS", 1)
         paused = run(method, 1e6, TIMES)
     for other in (once, paused):

@@ -28,10 +28,10 @@ from pinred.common.errors import (
 )
 from pinred.forces import PD, Damper, Limit, Torque
 from pinred.integrators import integrate as drive
-from pinred.integrators import steppers as stepper
 from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
-from pinred.integrators.machine.newton import factor, factor_complex, solve, solve_complex
+from pinred.integrators.machine import run_record
+from pinred.integrators.machine.linear_systems import factor, factor_complex, solve, solve_complex
 from pinred.kernels import tangent
 from pinred.kernels.machine import native
 from pinred.kernels.tangent import jacobian_of, tangent_of
@@ -279,7 +279,7 @@ def test_pauses_and_later() -> None:
     once = pol(Radau(), times)
     parts: list[float] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stepper, "EVALUATIONS_BETWEEN_PAUSES", 1)
+        patch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
         patch.setattr(drive, "_FIRST_KNOTS", 1)
         paused = pol(Radau(), TIMES, progress=parts.append)
     assert len(parts) > whole.steps

@@ -19,8 +19,8 @@ from pinred.common.arrays import Array
 from pinred.common.errors import InputError, NoConvergence, NonFiniteState
 from pinred.forces import Damper, Torque, Wrench
 from pinred.integrators import integrate as drive
-from pinred.integrators import steppers as stepper
 from pinred.integrators.integrate import integrate
+from pinred.integrators.machine import run_record
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
@@ -197,7 +197,7 @@ def test_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = run([0.0, 0.3, 2.0])
     times = np.sort(np.concatenate([np.linspace(0.0, 2.0, 333), whole.knots]))
     once = run(times)
-    monkeypatch.setattr(stepper, "EVALUATIONS_BETWEEN_PAUSES", 1)
+    monkeypatch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
     monkeypatch.setattr(drive, "_FIRST_KNOTS", 1)
     paused = run([0.0, 0.3, 2.0])
     for other in (once, paused):

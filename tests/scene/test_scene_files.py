@@ -27,6 +27,7 @@ from pinred.integrators.methods import (
     AdaptiveGauss,
     Gauss,
     Radau,
+    Tsit5,
     Variational,
 )
 from pinred.lie import GROUPS
@@ -225,6 +226,7 @@ def test_springs_and_joints_by_name(tmp_path: Path) -> None:
         ("{ name = 'AdaptiveGauss' }", AdaptiveGauss()),
         ("{ name = 'Variational', step = 0.02 }", Variational(0.02)),
         ("{ name = 'Radau', atol = 1e-7 }", Radau(atol=1e-7)),
+        ("{ name = 'Tsit5', rtol = 1e-7 }", Tsit5(rtol=1e-7)),
     ],
 )
 def test_methods(text: str, method: Any, tmp_path: Path) -> None:

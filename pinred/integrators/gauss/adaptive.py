@@ -15,163 +15,120 @@ from math import exp, log, sqrt
 import numpy as np
 
 from ...common.arrays import Array
-from ..dop853 import TURN
-from ..machine.kernel_call import compiled
-from ..machine.registers import (
-    AGAIN,
-    ATOL,
-    BEFORE,
-    BEGUN,
-    BUDGET,
-    DONE,
-    ENTRY,
-    EVALUATIONS,
-    FULL,
-    KEEP,
-    LANES,
-    MAX_STEP,
-    MAX_STEPS,
-    NOT_FINITE,
-    PAUSED,
-    QUATERNION,
-    REJECTED,
-    RTOL,
-    STAGES,
-    STEPS,
-    T_END,
-    TOO_MANY,
-    UNDERFLOW,
-    Counts,
-    H,
-    N,
-    T,
-    first_not_finite,
-    keep,
+from ..machine.compiling import compiled, woven
+from ..machine.driver import Hooks, loops
+from ..machine.run_record import AGAIN, DONE, NOT_FINITE, Run
+from ..machine.state_rows import (
+    TURN,
+    Y,
+    in_quaternion,
+    keep_state,
     unit_alone,
 )
-from .fixed_step import recall, report
+from .fixed_step import between, load, not_finite_in, take_the_end
 from .stages import (
     CARRY,
     GUESS,
     INFO,
     LAST,
-    NEW,
-    NEXT_CARRY,
+    NO_SOLUTION,
     OLD,
     RATE,
     SCALE,
     L,
-    Y,
     finish,
     guess,
     iterate,
     prepare_guess,
     start_evenly,
 )
-from .stages import DIVERGED as NO_SOLUTION
-
-__all__ = ["advance", "recall"]
 
 _SAFETY, _SHRINK, _GROW, _HALF = 0.9, 0.25, 4.0, 0.5
-_EPS = float(np.finfo(float).eps)
 _ORDER = 17.0  # of the error of a step
 _CALIBRATION = 1.0  # error over the square of the estimate, on the bundled robots
 _LEFT = 0.01  # of the tolerance: what the iteration may leave
 _FASTEST = 0.15  # quotient of changes at which a longer step takes as many more turns
 
 
-@compiled
-def advance(
-    address: int,
-    params: Array,
-    real: Array,
-    count: Counts,
-    work: Array,
-    times: Array,
-    out: Array,
-    knots_t: Array,
-    knots_y: Array,
-) -> int:
-    """Integrate until the end, a pause, a full store of knots or a failure; return which.
-
-    Arguments as in dop853.advance; the kernel at `address` evaluates all stages at once.
-    """
-    n, lanes, stages = count[N], count[LANES], count[STAGES]
-    if not count[BEGUN]:
-        unit_alone(work[Y], count[QUATERNION])
-        keep(count, work[Y], 0.0, knots_t, knots_y)
-        start_evenly(address, params, work, n, lanes, L, 1.0)
-        count[EVALUATIONS] += stages
-        count[ENTRY] = first_not_finite(work[RATE], n * lanes)
-        if count[ENTRY] >= 0:
-            count[ENTRY] //= lanes
-            return NOT_FINITE
-        real[H] = _first_step(real, count, work)
-        count[BEGUN] = 1
-    pause = count[EVALUATIONS] + count[BUDGET]
-    while real[T] < real[T_END]:
-        if count[EVALUATIONS] >= pause:
-            return PAUSED
-        if count[KEEP] and count[STEPS] + 1 >= knots_t.shape[0]:
-            return FULL
-        if count[STEPS] + count[REJECTED] >= count[MAX_STEPS]:
-            return TOO_MANY
-        t, h = real[T], real[H]
-        if 0.1 * h <= _EPS * t:
-            return NOT_FINITE if count[ENTRY] >= 0 else UNDERFLOW
-        left = real[T_END] - t
-        if h >= left:
-            h = left
-        elif 2.0 * h > left:
-            h = 0.5 * left  # two steps of one length, not a long one and a rest
-        t_new = real[T_END] if h == left else t + h
-        h = t_new - t
-        if real[BEFORE] > 0.0:
-            prepare_guess(work, lanes, stages, GUESS, 1.0, h / real[BEFORE])
-            guess(work, n, lanes, GUESS, OLD, L)
-        else:
-            start_evenly(address, params, work, n, lanes, L, h)
-            count[EVALUATIONS] += stages
-        _measure_by_tolerance(real, work, n, count[QUATERNION], stages)
-        turns = iterate(address, params, work, n, lanes, L, h, _LEFT)
-        count[EVALUATIONS] += (turns if turns > 0 else 1) * stages
-        error = np.inf
-        if turns != NO_SOLUTION:
-            finish(work, n, lanes, L)
-            error = _error(real, work, n, lanes)
-        quotient = work[INFO, 1]  # reports write theirs there
-        if error <= 1.0 and report(address, params, real, count, work, times, out, t_new) != DONE:
-            error = np.inf
-        if error <= 1.0:
-            count[STEPS] += 1
-            keep(count, work[NEW], t_new, knots_t, knots_y)
-            for i in range(n):
-                work[Y, i] = work[NEW, i]
-                work[CARRY, i] = work[NEXT_CARRY, i]
-            for i in range(n * lanes):
-                work[OLD, i] = work[L, i]
-            real[BEFORE] = h
-            growth = _growth(error)
-            if count[AGAIN]:
-                growth = min(growth, 1.0)
-            if turns > 2 and quotient > 0.0:
-                growth = min(growth, max(_SHRINK, _FASTEST / quotient))
-            count[AGAIN], count[ENTRY] = 0, -1
-            real[T] = t_new
-            real[H] = min(max(real[H], h) * growth, real[MAX_STEP])
-        else:
-            count[REJECTED] += 1
-            count[AGAIN] = 1
-            shrink = _HALF
-            if turns == NO_SOLUTION:
-                count[ENTRY] = first_not_finite(work[L], n * lanes)
-                if count[ENTRY] >= 0:
-                    count[ENTRY] //= lanes
-                real[BEFORE] = 0.0 if count[ENTRY] >= 0 else real[BEFORE]
-            elif error < np.inf:
-                shrink = min(_growth(error), _SAFETY)
-            real[H] = h * shrink
+@woven
+def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:
+    """Do as driver.begin."""
+    unit_alone(work[Y], run.quaternion)
+    keep_state(run, work, 0.0, knots_t, knots_y)
+    for i in range(run.n):
+        work[CARRY, i] = 0.0
+    start_evenly(run.address, params, work, run.n, run.lanes, L, 1.0)
+    run.evaluations += run.stages
+    if not_finite_in(run, work, RATE):
+        return NOT_FINITE
+    run.h = _first_step(run, work)
     return DONE
+
+
+@woven
+def until(run: Run) -> float:
+    """Do as driver.until."""
+    h, left = run.h, run.t_end - run.t
+    if h >= left:
+        h = left
+    elif 2.0 * h > left:
+        h = 0.5 * left  # two steps of one length, not a long one and a rest
+    return run.t_end if h == left else run.t + h
+
+
+@woven
+def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
+    """Do as driver.attempt."""
+    n, lanes, stages, h = run.n, run.lanes, run.stages, t_new - run.t
+    if run.before > 0.0:
+        prepare_guess(work, lanes, stages, GUESS, 1.0, h / run.before)
+        guess(work, n, lanes, GUESS, OLD, L)
+    else:
+        start_evenly(run.address, params, work, n, lanes, L, h)
+        run.evaluations += stages
+    _measure_by_tolerance(run, work)
+    turns = iterate(run.address, params, work, n, lanes, L, h, _LEFT)
+    run.evaluations += (turns if turns > 0 else 1) * stages
+    if turns == NO_SOLUTION:
+        run.before = 0.0 if not_finite_in(run, work, L) else run.before
+        return reject(run, h * _HALF)
+    finish(work, n, lanes, L)
+    error = _error(run, work)
+    if not error <= 1.0:
+        return reject(run, h * (min(_growth(error), _SAFETY) if error < np.inf else _HALF))
+    run.growth = _growth(error)
+    if run.again:
+        run.growth = min(run.growth, 1.0)
+    quotient = work[INFO, 1]
+    if turns > 2 and quotient > 0.0:
+        run.growth = min(run.growth, max(_SHRINK, _FASTEST / quotient))
+    return DONE
+
+
+@woven
+def reject(run: Run, h: float) -> int:
+    """Try again with a shorter step."""
+    run.rejected += 1
+    run.again = 1
+    run.h = h
+    return AGAIN
+
+
+@woven
+def accept(run: Run, work: Array, t_new: float) -> None:
+    """Do as driver.accept."""
+    take_the_end(run, work)
+    run.before = t_new - run.t
+    run.again, run.entry = 0, -1
+    run.h = min(max(run.h, run.before) * run.growth, run.max_step)
+
+
+@woven
+def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
+    """Do as driver.state; a step is cut where a state within it cannot be found."""
+    if between(run, params, work, time, t_new, out):
+        return DONE
+    return reject(run, (t_new - run.t) * _HALF)
 
 
 @compiled
@@ -183,12 +140,12 @@ def _growth(error: float) -> float:
 
 
 @compiled
-def _measure_by_tolerance(real: Array, work: Array, n: int, quaternion: int, stages: int) -> None:
+def _measure_by_tolerance(run: Run, work: Array) -> None:
     """Fill SCALE, so that a change is measured in tolerances, in the mean."""
-    rtol, atol, mean = real[RTOL], real[ATOL], 1.0 / sqrt(n * stages)
-    for i in range(n):
+    rtol, atol, mean = run.rtol, run.atol, 1.0 / sqrt(run.n * run.stages)
+    for i in range(run.n):
         size = abs(work[Y, i])
-        if 0 <= i - quaternion < 4 and quaternion >= 0:
+        if in_quaternion(i, run.quaternion):
             size = TURN
         work[SCALE, i] = mean / (atol + rtol * size)
     work[INFO, 0] = max(1.0, 1e-9 / rtol)
@@ -196,33 +153,35 @@ def _measure_by_tolerance(real: Array, work: Array, n: int, quaternion: int, sta
 
 
 @compiled
-def _error(real: Array, work: Array, n: int, lanes: int) -> float:
+def _error(run: Run, work: Array) -> float:
     """Return the estimated error of a step in units of the tolerance."""
-    stages, total = 8.0, 0.0
-    for i in range(n):
+    lanes, total = run.lanes, 0.0
+    for i in range(run.n):
         part = 0.0
         for j in range(lanes):
             part += work[LAST, j] * work[L, i * lanes + j]
         part *= work[SCALE, i]
         total += part * part
     # In the state's own size, of which the tolerance is a part.
-    relative = sqrt(total * stages) * real[RTOL]
+    relative = sqrt(total * run.stages) * run.rtol
     if relative == 0.0:
         return 0.0
     if not relative < np.inf:
         return np.inf
-    error: float = _CALIBRATION * exp(log(relative) * (_ORDER / 8.0)) / real[RTOL]
+    error: float = _CALIBRATION * exp(log(relative) * (_ORDER / 8.0)) / run.rtol
     return error
 
 
 @compiled
-def _first_step(real: Array, count: Counts, work: Array) -> float:
+def _first_step(run: Run, work: Array) -> float:
     """Return the first step: a part of the time in which the state changes by its size."""
-    n, lanes, quaternion = count[N], count[LANES], count[QUATERNION]
-    rtol, atol = real[RTOL], real[ATOL]
+    n, lanes, quaternion = run.n, run.lanes, run.quaternion
     rate = 0.0
     for i in range(n):
-        scale = atol / rtol + (TURN if 0 <= i - quaternion < 4 else abs(work[Y, i]))
+        scale = run.atol / run.rtol + (TURN if 0 <= i - quaternion < 4 else abs(work[Y, i]))
         rate += (work[RATE, i * lanes] / scale) ** 2
-    longest: float = min(real[T_END], real[MAX_STEP])
+    longest: float = min(run.t_end, run.max_step)
     return min(longest, 0.1 * sqrt(n / rate)) if rate > 0.0 else longest
+
+
+LOOPS = loops("AdaptiveGauss", Hooks(begin, until, attempt, accept, load, state))

@@ -10,50 +10,37 @@ from __future__ import annotations
 import numpy as np
 
 from ...common.arrays import Array
-from ..machine.kernel_call import SEEDS, compiled
-from ..machine.registers import (
-    BEFORE,
-    BEGUN,
-    BUDGET,
+from ..machine.compiling import compiled, woven
+from ..machine.driver import Hooks, equal_steps, loops
+from ..machine.kernel_call import SEEDS
+from ..machine.run_record import (
+    AGAIN,
+    AUTO,
     DIVERGED,
     DONE,
-    ENTRY,
-    EVALUATIONS,
-    FACTORED,
-    FULL,
-    KEEP,
-    LANES,
-    NEXT,
+    FIXED_POINT,
+    NEWTON,
     NOT_FINITE,
-    PAUSED,
-    QUATERNION,
-    REALS,
-    REMAINING,
-    SOLVER,
-    STAGES,
-    STEPS,
-    T_END,
-    TANGENT,
-    TOTAL,
+    STEP,
     WANTED,
-    Counts,
-    H,
-    N,
-    T,
+    Run,
+)
+from ..machine.state_rows import (
+    NEW,
+    Y,
+    copy_an_end,
     first_not_finite,
-    keep,
-    step_at,
+    keep_state,
     unit_alone,
 )
-from ..methods import AUTO, FIXED_POINT, NEWTON
 from .newton import MAIN, prepare, refine
 from .newton import SUB as OTHER
 from .stages import (
     CARRY,
     GUESS,
     INFO,
-    NEW,
     NEXT_CARRY,
+    NO_SOLUTION,
     OLD,
     RATE,
     ROUND_OFF,
@@ -61,102 +48,102 @@ from .stages import (
     SUB,
     WITHIN,
     L,
-    Y,
     finish,
     guess,
     iterate,
     prepare_guess,
     start_evenly,
 )
-from .stages import DIVERGED as NO_SOLUTION
 
 _STAY = 64  # steps by Newton's method before fixed-point iteration is tried again
 _PIECES = 64  # at most, of a step up to a report
 _SLACK = 1e-6  # of the largest number: an iteration that stops further off has not converged
 
 
-@compiled
-def advance(
-    address: int,
-    params: Array,
-    real: Array,
-    count: Counts,
-    work: Array,
-    times: Array,
-    out: Array,
-    knots_t: Array,
-    knots_y: Array,
-) -> int:
-    """Integrate until the end, a pause, a full store of knots or a failure; return which.
-
-    Arguments as in dop853.advance; the kernel at `address` evaluates all stages at once.
-    """
-    n, lanes, stages = count[N], count[LANES], count[STAGES]
-    limit = _turns_worth_newton(n, stages)
-    if not count[BEGUN]:
-        unit_alone(work[Y], count[QUATERNION])
-        keep(count, work[Y], 0.0, knots_t, knots_y)
-        count[BEGUN] = 1
-    pause = count[EVALUATIONS] + count[BUDGET]
-    while count[STEPS] < count[TOTAL]:
-        if count[EVALUATIONS] >= pause:
-            return PAUSED
-        if count[KEEP] and count[STEPS] + 1 >= knots_t.shape[0]:
-            return FULL
-        auto = count[SOLVER] == AUTO
-        newton = count[SOLVER] == NEWTON or (auto and count[REMAINING] > 0)
-        if newton and count[TANGENT] == 0:
-            return WANTED
-        k = count[STEPS] + 1
-        t_new = real[T_END] if k == count[TOTAL] else k * real[H]
-        # The steps are of one length to the last bit: round-off in the clock does not count.
-        h = real[H]
-        if count[STEPS] == 0:
-            start_evenly(address, params, work, n, lanes, L, h)
-            count[EVALUATIONS] += stages
-            count[ENTRY] = first_not_finite(work[L], n * lanes)
-            if count[ENTRY] >= 0:
-                count[ENTRY] //= lanes
-                return NOT_FINITE
-            prepare_guess(work, lanes, stages, GUESS, 1.0, 1.0)
-        else:
-            guess(work, n, lanes, GUESS, OLD, L)
-        if newton:
-            turns = solve_by_newton(
-                address, params, real, count, work, L, MAIN, abs(h - real[FACTORED]) > 0.0, h
-            )
-        else:
-            turns = solve(address, params, work, n, lanes, L, h)
-        if turns == NO_SOLUTION and auto and not newton:
-            count[EVALUATIONS] += stages
-            count[REMAINING] = _STAY  # and begin the step anew
-            continue
-        if turns == NO_SOLUTION:
-            row = RATE if newton else L
-            count[ENTRY] = first_not_finite(work[row], n * lanes)
-            if count[ENTRY] >= 0:
-                count[ENTRY] //= lanes
-                return NOT_FINITE
-            return DIVERGED
-        if auto and not newton and turns > limit:
-            count[REMAINING] = _STAY
-        elif count[REMAINING] > 0:
-            count[REMAINING] -= 1
-        count[EVALUATIONS] += turns * stages
-        finish(work, n, lanes, L)
-        reported = report(address, params, real, count, work, times, out, t_new)
-        if reported != DONE:
-            return reported
-        count[STEPS] += 1
-        keep(count, work[NEW], t_new, knots_t, knots_y)
-        for i in range(n):
-            work[Y, i] = work[NEW, i]
-            work[CARRY, i] = work[NEXT_CARRY, i]
-        for i in range(n * lanes):
-            work[OLD, i] = work[L, i]
-        real[T] = t_new
-        real[BEFORE] = h
+@woven
+def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:  # noqa: ARG001
+    """Do as driver.begin."""
+    unit_alone(work[Y], run.quaternion)
+    keep_state(run, work, 0.0, knots_t, knots_y)
+    for i in range(run.n):
+        work[CARRY, i] = 0.0
     return DONE
+
+
+@woven
+def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa: ARG001
+    """Do as driver.attempt."""
+    n, lanes, stages = run.n, run.lanes, run.stages
+    auto = run.solver == AUTO
+    newton = run.solver == NEWTON or (auto and run.remaining > 0)
+    if newton and run.tangent == 0:
+        return WANTED
+    # The steps are of one length to the last bit: round-off in the clock does not count.
+    h = run.h
+    if run.steps == 0:
+        start_evenly(run.address, params, work, n, lanes, L, h)
+        run.evaluations += stages
+        if not_finite_in(run, work, L):
+            return NOT_FINITE
+        prepare_guess(work, lanes, stages, GUESS, 1.0, 1.0)
+    else:
+        guess(work, n, lanes, GUESS, OLD, L)
+    if newton:
+        turns = solve_by_newton(run, params, work, L, MAIN, abs(h - run.factored) > 0.0, h)
+    else:
+        turns = solve(run.address, params, work, n, lanes, L, h)
+    if turns == NO_SOLUTION and auto and not newton:
+        run.evaluations += stages
+        run.remaining = _STAY
+        return AGAIN
+    if turns == NO_SOLUTION:
+        return NOT_FINITE if not_finite_in(run, work, RATE if newton else L) else DIVERGED
+    if auto and not newton and turns > _turns_worth_newton(n, stages):
+        run.remaining = _STAY
+    elif run.remaining > 0:
+        run.remaining -= 1
+    run.evaluations += turns * stages
+    finish(work, n, lanes, L)
+    return DONE
+
+
+@woven
+def accept(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
+    """Do as driver.accept."""
+    take_the_end(run, work)
+    run.before = run.h
+
+
+@woven
+def load(run: Run, params: Array, work: Array, t_new: float, knots_y: Array, k: int) -> None:
+    """Do as driver.load: the ends are all it takes."""
+
+
+@woven
+def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
+    """Do as driver.state."""
+    if between(run, params, work, time, t_new, out):
+        return DONE
+    return WANTED if run.solver == AUTO and run.tangent == 0 else DIVERGED
+
+
+@compiled
+def take_the_end(run: Run, work: Array) -> None:
+    """Let the next step begin where this one ends, and remember this one."""
+    for i in range(run.n):
+        work[Y, i] = work[NEW, i]
+        work[CARRY, i] = work[NEXT_CARRY, i]
+    for i in range(run.n * run.lanes):
+        work[OLD, i] = work[L, i]
+
+
+@compiled
+def not_finite_in(run: Run, work: Array, row: int) -> bool:
+    """Note which number is not finite in a row over stages, if any; return whether one is."""
+    run.entry = first_not_finite(work[row], run.n * run.lanes)
+    if run.entry >= 0:
+        run.entry //= run.lanes
+    return run.entry >= 0
 
 
 @compiled
@@ -169,25 +156,24 @@ def solve(address: int, params: Array, work: Array, n: int, lanes: int, row: int
 
 @compiled
 def solve_by_newton(
-    address: int, params: Array, real: Array, count: Counts, work: Array, row: int, which: int,
-    fresh: bool, h: float,
-) -> int:  # fmt: skip
+    run: Run, params: Array, work: Array, row: int, which: int, fresh: bool, h: float
+) -> int:
     """Solve a step to round-off by Newton's method; return the turns, or NO_SOLUTION.
 
     which, fresh: whose factors, and whether they have to be made.
     """
-    n, lanes, stages = count[N], count[LANES], count[STAGES]
+    n, lanes, stages = run.n, run.lanes, run.stages
     _measure(work, n, lanes, row)
     made = (n + SEEDS - 1) // SEEDS
     if fresh:
-        count[EVALUATIONS] += made
-        if not prepare(count[TANGENT], params, work, n, stages, which, h):
+        run.evaluations += made
+        if not prepare(run.tangent, params, work, n, stages, which, h):
             return NO_SOLUTION
-    turns = refine(address, count[TANGENT], params, work, n, lanes, stages, row, which, fresh, h)
+    turns = refine(run.address, run.tangent, params, work, n, lanes, stages, row, which, fresh, h)
     if which == MAIN:
-        real[FACTORED] = 0.0 if turns == NO_SOLUTION else h
+        run.factored = 0.0 if turns == NO_SOLUTION else h
     if turns != NO_SOLUTION and turns < 0:
-        count[EVALUATIONS] += made
+        run.evaluations += made
         turns = -turns
     return turns
 
@@ -216,85 +202,44 @@ def _measure(work: Array, n: int, lanes: int, row: int) -> None:
 
 
 @compiled
-def report(
-    address: int,
-    params: Array,
-    real: Array,
-    count: Counts,
-    work: Array,
-    times: Array,
-    out: Array,
-    t_new: float,
-) -> int:
-    """Write the states at the times that lie in a step from real[T] to t_new; return DONE.
+def between(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> bool:
+    """Write the state at a time in the step from run.t to t_new, (n,); return whether it is one.
 
-    If one has no solution, no more of them, and DIVERGED, or WANTED where there is no derivative
-    yet for Newton's method.
+    Between the ends it is that of a shorter step from the begin.
     """
-    while count[NEXT] < times.shape[0] and times[count[NEXT]] <= t_new:
-        j = count[NEXT]
-        time, t = times[j], real[T]
-        if t < time < t_new:
-            ratio = (time - t) / (t_new - t)
-            prepare_guess(work, count[LANES], count[STAGES], WITHIN, 0.0, ratio)
-            guess(work, count[N], count[LANES], WITHIN, L, SUB)
-        if not state(address, params, real, count, work, time, t, t_new, out[j]):
-            return WANTED if count[SOLVER] == AUTO and count[TANGENT] == 0 else DIVERGED
-        count[NEXT] += 1
-    return DONE
-
-
-@compiled
-def state(
-    address: int,
-    params: Array,
-    real: Array,
-    count: Counts,
-    work: Array,
-    time: float,
-    t: float,
-    t_new: float,
-    out: Array,
-) -> bool:
-    """Write the state at a time in the step from t to t_new, (n,), its quaternion of length 1.
-
-    Between the ends it is that of a shorter step from the begin, with a first guess in SUB;
-    False, and NaN, if that has no solution.
-    """
-    n, lanes = count[N], count[LANES]
+    n, lanes, stages = run.n, run.lanes, run.stages
     turns = 1
-    if time <= t or time >= t_new:
-        row = Y if time <= t else NEW
-        for i in range(n):
-            out[i] = work[row, i]
-    else:
-        h = time - t
+    if not copy_an_end(run, work, time, t_new, out):
+        h = time - run.t
+        if run.known == STEP:
+            prepare_guess(work, lanes, stages, WITHIN, 0.0, h / (t_new - run.t))
+            guess(work, n, lanes, WITHIN, L, SUB)
+        else:
+            start_evenly(run.address, params, work, n, lanes, SUB, h)
         turns = NO_SOLUTION
-        if count[SOLVER] != NEWTON:
-            turns = solve(address, params, work, n, lanes, SUB, h)
-        if turns == NO_SOLUTION and count[SOLVER] != FIXED_POINT and count[TANGENT] != 0:
-            start_evenly(address, params, work, n, lanes, SUB, h)
-            turns = solve_by_newton(address, params, real, count, work, SUB, OTHER, True, h)
+        if run.solver != NEWTON:
+            turns = solve(run.address, params, work, n, lanes, SUB, h)
+        if turns == NO_SOLUTION and run.solver != FIXED_POINT and run.tangent != 0:
+            start_evenly(run.address, params, work, n, lanes, SUB, h)
+            turns = solve_by_newton(run, params, work, SUB, OTHER, True, h)
         if turns == NO_SOLUTION:
-            turns = _in_pieces(address, params, count, work, h, out)
+            turns = _in_pieces(run, params, work, h, out)
         else:
             for i in range(n):
                 out[i] = work[Y, i] + _sum(work, SUB, i, lanes)
-        count[EVALUATIONS] += max(turns, 1) * count[STAGES]
-    unit_alone(out, count[QUATERNION])
+        run.evaluations += max(turns, 1) * stages
+    unit_alone(out, run.quaternion)
     return bool(turns != NO_SOLUTION)
 
 
 @compiled
-def _in_pieces(
-    address: int, params: Array, count: Counts, work: Array, h: float, out: Array
-) -> int:
+def _in_pieces(run: Run, params: Array, work: Array, h: float, out: Array) -> int:
     """Write the state after h from row Y, by as few shorter steps as have solutions.
 
     A long step whose first guess was good can be beyond one that begins without. Return the
     turns, or NO_SOLUTION with NaN in out.
     """
-    n, lanes, pieces = count[N], count[LANES], 2
+    address, n, lanes, pieces = run.address, run.n, run.lanes, 2
     for i in range(n):
         out[i] = work[Y, i]
     turns, total = NO_SOLUTION, 0
@@ -325,28 +270,4 @@ def _sum(work: Array, row: int, i: int, lanes: int) -> float:
     return total
 
 
-@compiled
-def recall(
-    address: int,
-    params: Array,
-    count: Counts,
-    work: Array,
-    times: Array,
-    out: Array,
-    knots_t: Array,
-    knots_y: Array,
-) -> None:
-    """Fill out (T, n) with the states at sorted times (T,) by steps from the knots before them."""
-    n, real = count[N], np.zeros(REALS)
-    k, begun = 0, -1
-    for j in range(times.shape[0]):
-        k = step_at(times[j], k, knots_t)
-        if begun != k:
-            begun = k
-            for i in range(n):
-                work[Y, i] = knots_y[k, i]
-                work[NEW, i] = knots_y[k + 1, i]
-        time, t = times[j], knots_t[k]
-        if t < time < knots_t[k + 1]:
-            start_evenly(address, params, work, n, count[LANES], SUB, time - t)
-        state(address, params, real, count, work, time, t, knots_t[k + 1], out[j])
+LOOPS = loops("Gauss", Hooks(begin, equal_steps, attempt, accept, load, state))

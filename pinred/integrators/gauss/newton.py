@@ -1,6 +1,6 @@
 """Newton's method for the stages of Gauss's methods, where fixed-point iteration is slow.
 
-In L of gauss_tables.py a turn solves ΔL − h (G ⊗ J) ΔL = h b f − L with G = diag(b) μ.  In the
+In L of tables.py a turn solves ΔL − h (G ⊗ J) ΔL = h b f − L with G = diag(b) μ.  In the
 eigenvectors of G that is a system of n numbers for every pair of eigenvalues (E. Hairer,
 G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., section IV.8).  J is that of
 the begin of some step, so that turns go on to round-off as those of the fixed point do.
@@ -13,14 +13,14 @@ from functools import cache
 import numpy as np
 
 from ...common.arrays import Array, read_only
-from ..machine.kernel_call import SEEDS, call, compiled
-from ..machine.newton import factor, factor_complex, jacobian, solve, solve_complex
-from ..machine.registers import first_not_finite
-from ..methods import STAGES
-from .stages import BEST, DIVERGED, MU, RATE, ROWS, SCALE, STAGE, B, Y, multiply
-from .tables import tables
+from ..machine.compiling import compiled
+from ..machine.kernel_call import SEEDS, call
+from ..machine.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
+from ..machine.state_rows import Y, first_not_finite
+from .stages import BEST, MU, NO_SOLUTION, RATE, ROWS, SCALE, STAGE, B, multiply
+from .tables import MOST_STAGES, tables
 
-_ENTRY = 2 + 4 * STAGES  # numbers of a pair: eigenvalue, and its two eigenvectors
+_ENTRY = 2 + 4 * MOST_STAGES  # numbers of a pair: eigenvalue, and its two eigenvectors
 MAIN, SUB = 0, 1  # whose factors: of the steps, or of those that reports take
 
 _MOST = 50  # turns
@@ -33,7 +33,7 @@ _SMALL, _SLACK = 1e-13, 1e-6  # of the largest number: round-off, and what is no
 def pairs(stages: int) -> Array:
     """Return eigenvalue, right and left eigenvector of G, one of each pair, as rows of numbers.
 
-    With lanes s: λ, then v and w by their real and imaginary parts, (p, 2 + 4 STAGES).  What
+    With lanes s: λ, then v and w by their real and imaginary parts, (p, 2 + 4 MOST_STAGES).  What
     a pair adds is twice the real part; of a real eigenvalue v is half of what it was.
     """
     method = tables(stages)
@@ -47,12 +47,12 @@ def pairs(stages: int) -> Array:
         v, w = right[:, k] * (0.5 if real else 1.0), left[k]
         row[:2] = values[k].real, 0.0 if real else values[k].imag
         for part, numbers in enumerate((v.real, v.imag, w.real, w.imag)):
-            row[2 + part * STAGES : 2 + part * STAGES + stages] = numbers
+            row[2 + part * MOST_STAGES : 2 + part * MOST_STAGES + stages] = numbers
     return read_only(rows)
 
 
 def room(n: int, stages: int) -> int:
-    """Return how many numbers stand behind the rows of implicit.py."""
+    """Return how many numbers stand behind the rows of stages.py."""
     wide, p = _wide(n), (stages + 1) // 2
     return p * _ENTRY + (2 * SEEDS + 2) * wide + 2 * (p + n + 2 * n * p) * wide
 
@@ -109,7 +109,7 @@ def refine(
     address: int, tangent: int, params: Array, work: Array, n: int, lanes: int, stages: int,
     row: int, which: int, fresh: bool, h: float,
 ) -> int:  # fmt: skip
-    """Bring the L in `row` from a guess to the solution; return the turns, or DIVERGED.
+    """Bring the L in `row` from a guess to the solution; return the turns, or NO_SOLUTION.
 
     fresh: whether the factors are those of this step; if not, they are renewed where they
     serve badly, and the turns come negative.  SCALE holds the inverse of the largest number.
@@ -128,12 +128,11 @@ def refine(
                 work[RATE, at] = h * work[B, j] * work[RATE, at] - work[row, at]
                 work[BEST, at] = 0.0
         if first_not_finite(work[RATE], n * lanes) >= 0:
-            return DIVERGED
+            return NO_SOLUTION
         for k in range(p):
             table = behind[k * _ENTRY : (k + 1) * _ENTRY]
-            v, vi, w, wi = (
-                table[2:], table[2 + STAGES :], table[2 + 2 * STAGES :], table[2 + 3 * STAGES :],
-            )  # fmt: skip
+            v, vi = table[2:], table[2 + MOST_STAGES :]
+            w, wi = table[2 + 2 * MOST_STAGES :], table[2 + 3 * MOST_STAGES :]
             for i in range(n):
                 x = y = 0.0
                 for j in range(stages):
@@ -155,7 +154,7 @@ def refine(
                 total += change * change
         size = np.sqrt(total) * scale
         if not size < np.inf:
-            return DIVERGED
+            return NO_SOLUTION
         if size == 0.0:
             return -turn if renewed else turn
         if size >= _STALLED * before:
@@ -164,7 +163,7 @@ def refine(
                 return -turn if renewed else turn
         if not (fresh or renewed) and size > _SMALL and size > _SLOW * before:
             if not prepare(tangent, params, work, n, stages, which, h):
-                return DIVERGED
+                return NO_SOLUTION
             renewed, stalls = True, 0
         before = size
-    return DIVERGED
+    return NO_SOLUTION

@@ -9,16 +9,17 @@ from __future__ import annotations
 import numpy as np
 
 from ...common.arrays import Array
-from ..machine.kernel_call import call, compiled
-from ..machine.vectors import product, refreshment
-from ..methods import lanes_of
-from .tables import tables
+from ..machine.compiling import compiled
+from ..machine.kernel_call import call
+from ..machine.state_rows import NEW, Y
+from .lane_sums import product, refreshment
+from .tables import lanes_of, tables
 
-# Rows of `work`.  L and OLD are h b f of this step and the one before; SUB that of a step for
-# a report; CARRY what the sum of the steps has rounded away; CHANGE and BEST see `refreshment`.
-# SCALE holds an inverse for each number, INFO what change round-off may leave, and the quotient
-# of the last two changes.
-Y, NEW, CARRY, NEXT_CARRY, STAGE, RATE, L, OLD, SUB, CHANGE, BEST, SCALE = range(12)
+# Rows of `work` behind the state.  L and OLD are h b f of this step and the one before; SUB that
+# of a step for a report; CARRY what the sum of the steps has rounded away; CHANGE and BEST see
+# `refreshment`.  SCALE holds an inverse for each number, INFO what change round-off may leave,
+# and the quotient of the last two changes.
+CARRY, NEXT_CARRY, STAGE, RATE, L, OLD, SUB, CHANGE, BEST, SCALE = range(2, 12)
 MU, GUESS, WITHIN, B, C, LAST, BARY, INFO = range(12, 20)
 ROWS = 20
 
@@ -26,7 +27,7 @@ MOST, MOST_WITHIN = 100, 300  # turns of the iteration; for a report, which is g
 _PATIENCE = 8  # turns without improvement, where round-off is far and so is convergence
 _FAST, _NEAR = 0.3, 1e-8  # quotient of changes; part of INFO: neither asks for patience
 ROUND_OFF = 0.0  # as a limit: go on until nothing improves
-DIVERGED = -1
+NO_SOLUTION = -1  # in place of a number of turns
 
 _multiply4, _multiply8 = product(4), product(8)
 _refresh4, _refresh8 = refreshment(4), refreshment(8)
@@ -105,7 +106,7 @@ def iterate(
     """Bring the L in `row` from a guess to the solution; return the turns it took.
 
     limit: on what is still to come, by SCALE; ROUND_OFF to go on until no number changes by
-    less than before in two turns.  DIVERGED if that does not come about.
+    less than before in two turns.  NO_SOLUTION if that does not come about.
     """
     change, best = work[CHANGE], work[BEST]
     for i in range(n * lanes):
@@ -122,7 +123,7 @@ def iterate(
             call(address, work[STAGE], params, work[RATE])
             size = np.sqrt(_refresh8(work, row, RATE, CHANGE, BEST, SCALE, B, n, h))
         if not size < np.inf or (turn > 3 and size > 10.0 * before and size > work[INFO, 0]):
-            return DIVERGED
+            return NO_SOLUTION
         improved = 0.0
         for j in range(lanes):
             improved += best[n * lanes + j]
@@ -142,7 +143,7 @@ def iterate(
             if limit > 0.0 and size * part <= limit * (1.0 - part):
                 return turn
         before = size
-    return DIVERGED
+    return NO_SOLUTION
 
 
 @compiled

@@ -14,63 +14,37 @@ import numpy as np
 from scipy.integrate._ivp import radau as tableau
 
 from ...common.arrays import Array
-from ..dop853 import TURN
-from ..machine.kernel_call import SEEDS, call, compiled
-from ..machine.newton import factor, factor_complex, jacobian, solve, solve_complex
-from ..machine.registers import (
-    AGAIN,
-    ATOL,
-    BEFORE,
-    BEGUN,
-    BUDGET,
-    CONTRACTION,
-    CONVERGENCE,
-    CUT,
-    DONE,
-    ENTRY,
-    ERROR,
-    EVALUATIONS,
-    FACTORED,
-    FRESH,
-    FULL,
-    KEEP,
-    MAX_STEP,
-    MAX_STEPS,
-    NOT_FINITE,
-    PAUSED,
-    QUATERNION,
-    REJECTED,
-    RTOL,
-    STEPS,
-    T_END,
-    TANGENT,
-    TOO_MANY,
-    UNDERFLOW,
-    WANTED,
-    Counts,
-    H,
-    N,
-    T,
+from ..machine.compiling import compiled, woven
+from ..machine.driver import Hooks, loops
+from ..machine.kernel_call import SEEDS, call
+from ..machine.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
+from ..machine.run_record import AGAIN, DONE, NOT_FINITE, Run
+from ..machine.state_rows import (
+    NEW,
+    TURN,
+    Y,
     first_not_finite,
+    in_quaternion,
     unit,
 )
+from ..machine.stepper import Stepper
 from .dense import (
     ALONG,
     END_RATE,
     GAMMA,
+    KEPT,
     MATRIX,
-    NEW,
     PIVOTS,
     RATE,
     SLOPES,
-    Y,
     Z,
     between,
     keep,
-    report,
+    load,
+    state,
 )
 
-# Rows of `work` besides those of radau_dense.py.  W: stages in the coordinates in which the
+# Rows of `work` besides those of dense.py.  W: stages in the coordinates in which the
 # matrix of the method is diagonal; F: rates at the stages, then what is solved; OLD: Z of the
 # step before.
 SCALE, STAGE, W, F, OLD, MISS = 3, END_RATE, 8, 11, 14, 17
@@ -87,121 +61,101 @@ _FAST = 1e-2  # contraction that lets the factors serve for the next step, too
 _SAME = 1.2  # a step that might be so much longer keeps its length, and the factors
 
 
-@compiled
-def advance(
-    address: int,
-    params: Array,
-    real: Array,
-    count: Counts,
-    work: Array,
-    times: Array,
-    out: Array,
-    knots_t: Array,
-    knots_y: Array,
-) -> int:
-    """Integrate until the end, a pause, a full store of knots or a failure; return which.
-
-    Arguments as in dop853.advance; knots_y: (K, KEPT n).  WANTED if there is no derivative yet.
-    """
-    n, quaternion = count[N], count[QUATERNION]
-    if count[TANGENT] == 0:
-        return WANTED
-    if not count[BEGUN]:
-        keep(count, work, 0.0, knots_t, knots_y)
-        call(address, work[Y], params, work[RATE])
-        count[EVALUATIONS] += 1
-        unit(work[Y], work[RATE], quaternion)
-        count[ENTRY] = first_not_finite(work[RATE], n)
-        if count[ENTRY] >= 0:
-            return NOT_FINITE
-        real[H], real[CONVERGENCE] = _first_step(real, count, work), 1.0
-        count[BEGUN] = 1
-        report(params, real, count, work, times, out, 0.0)
-    pause = count[EVALUATIONS] + count[BUDGET]
-    while real[T] < real[T_END]:
-        if count[EVALUATIONS] >= pause:
-            return PAUSED
-        if count[KEEP] and count[STEPS] + 1 >= knots_t.shape[0]:
-            return FULL
-        if count[STEPS] + count[REJECTED] >= count[MAX_STEPS]:
-            return TOO_MANY
-        t, h = real[T], real[H]
-        if 0.1 * h <= _EPS * t:
-            return NOT_FINITE if count[ENTRY] >= 0 else UNDERFLOW
-        t_new = real[T_END] if t + 1.0001 * h >= real[T_END] else t + h
-        h = t_new - t
-        if abs(h - real[FACTORED]) > 1e-9 * h:
-            pause -= n * n // 8  # of evaluations, which factors cost
-            if not _prepare(params, real, count, work, h):
-                _reject(real, count, h * _HALF)
-                continue
-        turns = _newton(address, params, real, count, work, h)
-        if turns == 0:
-            _reject(real, count, h * (_CRASH if count[ENTRY] >= 0 else real[CUT]))
-            continue
-        error = _error(address, params, count, work, h)
-        # Fewer turns of Newton's method: more trust in the error.
-        trust = min(_SAFETY, _SAFETY * (1 + 2 * _MOST) / (turns + 2 * _MOST))
-        quotient = min(1.0 / _SHRINK, max(1.0 / _GROW, sqrt(sqrt(error)) / trust))
-        accepted = error < 1.0
-        if accepted:
-            call(address, work[NEW], params, work[STAGE])
-            count[EVALUATIONS] += 1
-            entry = first_not_finite(work[STAGE], n)
-            if entry >= 0:
-                count[ENTRY] = entry
-                _reject(real, count, h * _CRASH)
-                continue
-            report(params, real, count, work, times, out, t_new)
-            count[STEPS] += 1
-            keep(count, work, t_new, knots_t, knots_y)
-            for i in range(n):
-                work[Y, i] = work[NEW, i]
-                work[RATE, i] = work[STAGE, i]
-                for k in range(3):
-                    work[OLD + k, i] = work[Z + k, i]
-            unit(work[Y], work[RATE], quaternion)
-            if real[BEFORE] > 0.0:  # Gustafsson's predictive control
-                root = sqrt(sqrt(error * error / real[ERROR]))
-                predicted = h / real[BEFORE] * root / _SAFETY
-                quotient = max(quotient, min(1.0 / _SHRINK, max(1.0 / _GROW, predicted)))
-            real[BEFORE], real[ERROR], real[T] = h, max(1e-2, error), t_new
-            new = min(h / quotient, real[MAX_STEP])
-            if count[AGAIN]:
-                new = min(new, h)
-            else:
-                count[ENTRY] = -1  # clear of what was not finite
-            count[AGAIN], count[FRESH] = 0, 0
-            if real[CONTRACTION] <= _FAST and h <= new <= _SAME * h:
-                new = h
-            else:
-                real[FACTORED] = 0.0
-            real[H] = new
-        elif error < np.inf:
-            _reject(real, count, h * _CRASH if count[STEPS] == 0 else h / quotient)
-        else:
-            _reject(real, count, h * _CRASH)
+@woven
+def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:
+    """Do as driver.begin."""
+    keep(run, work, 0.0, knots_t, knots_y)
+    call(run.address, work[Y], params, work[RATE])
+    run.evaluations += 1
+    unit(work[Y], work[RATE], run.quaternion)
+    run.entry = first_not_finite(work[RATE], run.n)
+    if run.entry >= 0:
+        return NOT_FINITE
+    run.h, run.convergence = _first_step(run, work), 1.0
     return DONE
 
 
-@compiled
-def _reject(real: Array, count: Counts, h: float) -> None:
+@woven
+def until(run: Run) -> float:
+    """Do as driver.until."""
+    return run.t_end if run.t + 1.0001 * run.h >= run.t_end else run.t + run.h
+
+
+@woven
+def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
+    """Do as driver.attempt."""
+    n, h = run.n, t_new - run.t
+    if abs(h - run.factored) > 1e-9 * h:
+        run.pause -= n * n // 8  # of evaluations, which factors cost
+        if not _prepare(run, params, work, h):
+            return reject(run, h * _HALF)
+    turns = _newton(run, params, work, h)
+    if turns == 0:
+        return reject(run, h * (_CRASH if run.entry >= 0 else run.cut))
+    run.error = _error(run, params, work, h)
+    # Fewer turns of Newton's method: more trust in the error.
+    trust = min(_SAFETY, _SAFETY * (1 + 2 * _MOST) / (turns + 2 * _MOST))
+    run.quotient = min(1.0 / _SHRINK, max(1.0 / _GROW, sqrt(sqrt(run.error)) / trust))
+    if run.error < 1.0:
+        call(run.address, work[NEW], params, work[STAGE])
+        run.evaluations += 1
+        entry = first_not_finite(work[STAGE], n)
+        if entry < 0:
+            return DONE
+        run.entry = entry
+        return reject(run, h * _CRASH)
+    if run.error < np.inf and run.steps > 0:
+        return reject(run, h / run.quotient)
+    return reject(run, h * _CRASH)
+
+
+@woven
+def reject(run: Run, h: float) -> int:
     """Try again with a shorter step."""
-    count[REJECTED] += 1
-    count[AGAIN] = 1
-    real[H], real[FACTORED] = h, 0.0
+    run.rejected += 1
+    run.again = 1
+    run.h, run.factored = h, 0.0
+    return AGAIN
+
+
+@woven
+def accept(run: Run, work: Array, t_new: float) -> None:
+    """Do as driver.accept."""
+    h, quotient = t_new - run.t, run.quotient
+    for i in range(run.n):
+        work[Y, i] = work[NEW, i]
+        work[RATE, i] = work[STAGE, i]
+        for k in range(3):
+            work[OLD + k, i] = work[Z + k, i]
+    unit(work[Y], work[RATE], run.quaternion)
+    if run.before > 0.0:  # Gustafsson's predictive control
+        root = sqrt(sqrt(run.error * run.error / run.error_before))
+        predicted = h / run.before * root / _SAFETY
+        quotient = max(quotient, min(1.0 / _SHRINK, max(1.0 / _GROW, predicted)))
+    run.before, run.error_before = h, max(1e-2, run.error)
+    new = min(h / quotient, run.max_step)
+    if run.again:
+        new = min(new, h)
+    else:
+        run.entry = -1  # clear of what was not finite
+    run.again, run.fresh = 0, 0
+    if run.contraction <= _FAST and h <= new <= _SAME * h:
+        new = h
+    else:
+        run.factored = 0.0
+    run.h = new
 
 
 @compiled
-def _prepare(params: Array, real: Array, count: Counts, work: Array, h: float) -> bool:
+def _prepare(run: Run, params: Array, work: Array, h: float) -> bool:
     """Factor the two systems of a step h; return whether that was possible."""
-    n = count[N]
+    n = run.n
     parts, imag, one = MATRIX + 2 * n, MATRIX + 3 * n, MATRIX + n
-    if not count[FRESH]:
+    if not run.fresh:
         seeds, slopes = work[ALONG:SLOPES], work[SLOPES:MATRIX]
-        jacobian(count[TANGENT], work[Y], params, seeds, slopes, work, MATRIX, n)
-        count[EVALUATIONS] += (n + SEEDS - 1) // SEEDS
-        count[FRESH] = 1
+        jacobian(run.tangent, work[Y], params, seeds, slopes, work, MATRIX, n)
+        run.evaluations += (n + SEEDS - 1) // SEEDS
+        run.fresh = 1
     for i in range(n):
         for j in range(n):
             slope = -h * work[MATRIX + i, j]
@@ -209,54 +163,54 @@ def _prepare(params: Array, real: Array, count: Counts, work: Array, h: float) -
         work[one + i, i] += GAMMA
         work[parts + i, i] += _ALPHA
         work[imag + i, i] = _BETA
-    real[FACTORED] = h
+    run.factored = h
     return factor(work, one, n, work[PIVOTS]) and factor_complex(
         work, parts, imag, n, work[PIVOTS + 1]
     )
 
 
 @compiled
-def _tolerances(real: Array) -> tuple[float, float]:
+def _tolerances(run: Run) -> tuple[float, float]:
     """Return what the error estimate, of order 3, has to keep for an error of the tolerance."""
-    relative = 0.1 * real[RTOL] ** (2.0 / 3.0)
-    return relative, relative * real[ATOL] / real[RTOL]
+    relative = 0.1 * run.rtol ** (2.0 / 3.0)
+    return relative, relative * run.atol / run.rtol
 
 
 @compiled
-def _measure(real: Array, count: Counts, work: Array) -> None:
+def _measure(run: Run, work: Array) -> None:
     """Fill row SCALE with what an entry is divided by, inverse."""
-    n, quaternion = count[N], count[QUATERNION]
-    rtol, atol = _tolerances(real)
+    n, quaternion = run.n, run.quaternion
+    rtol, atol = _tolerances(run)
     for i in range(n):
         size = abs(work[Y, i])
-        if 0 <= i - quaternion < 4 and quaternion >= 0:
+        if in_quaternion(i, quaternion):
             size = TURN
         work[SCALE, i] = 1.0 / (atol + rtol * size)
 
 
 @compiled
-def _newton(address: int, params: Array, real: Array, count: Counts, work: Array, h: float) -> int:
+def _newton(run: Run, params: Array, work: Array, h: float) -> int:
     """Find the stages; return the turns, or 0, with what the step is to be cut by in CUT."""
-    n = count[N]
+    n = run.n
     one, parts, imag = MATRIX + n, MATRIX + 2 * n, MATRIX + 3 * n
-    _measure(real, count, work)
-    _guess(work, n, h / real[BEFORE] if real[BEFORE] > 0.0 else 0.0)
-    rtol, _ = _tolerances(real)
+    _measure(run, work)
+    _guess(work, n, h / run.before if run.before > 0.0 else 0.0)
+    rtol, _ = _tolerances(run)
     enough = max(10.0 * _EPS / rtol, min(0.03, sqrt(rtol)))
-    left = max(real[CONVERGENCE], _EPS) ** 0.8
+    left = max(run.convergence, _EPS) ** 0.8
     contraction, before, part_before = _FAST, 0.0, 0.0
-    count[ENTRY] = count[ENTRY] if count[AGAIN] else -1
-    real[CUT] = _HALF
+    run.entry = run.entry if run.again else -1
+    run.cut = _HALF
     for turn in range(1, _MOST + 1):
         for k in range(3):
             for i in range(n):
                 work[STAGE, i] = work[Y, i] + work[Z + k, i]
-            call(address, work[STAGE], params, work[F + k])
+            call(run.address, work[STAGE], params, work[F + k])
             entry = first_not_finite(work[F + k], n)
             if entry >= 0:
-                count[ENTRY] = entry
+                run.entry = entry
                 return 0
-        count[EVALUATIONS] += 3
+        run.evaluations += 3
         _residual(work, n, h)
         solve(work, one, n, work[PIVOTS], work[F])
         solve_complex(work, parts, imag, n, work[PIVOTS + 1], work[F + 1], work[F + 2])
@@ -277,12 +231,12 @@ def _newton(address: int, params: Array, real: Array, count: Counts, work: Array
             still = left * size * contraction ** (_MOST - 1 - turn) / enough
             if still >= 1.0:
                 much = max(1e-4, min(20.0, still))
-                real[CUT] = 0.8 * much ** (-1.0 / (4 + _MOST - 1 - turn))
+                run.cut = 0.8 * much ** (-1.0 / (4 + _MOST - 1 - turn))
                 return 0
         before = max(size, _EPS)
         _move(work, n)
         if left * size <= enough:
-            real[CONTRACTION], real[CONVERGENCE] = contraction, left
+            run.contraction, run.convergence = contraction, left
             for i in range(n):
                 work[NEW, i] = work[Y, i] + work[Z + 2, i]
             return turn
@@ -327,20 +281,20 @@ def _guess(work: Array, n: int, ratio: float) -> None:
 
 
 @compiled
-def _error(address: int, params: Array, count: Counts, work: Array, h: float) -> float:
+def _error(run: Run, params: Array, work: Array, h: float) -> float:
     """Return the estimated error of a step in units of the tolerance (IV.8.19 and 8.20)."""
-    n = count[N]
+    n = run.n
     for i in range(n):
         stages = _E1 * work[Z, i] + _E2 * work[Z + 1, i] + _E3 * work[Z + 2, i]
         work[F, i] = stages
         work[MISS, i] = stages + h * work[RATE, i]
     solve(work, MATRIX + n, n, work[PIVOTS], work[MISS])
     error = _size(work, n)
-    if error >= 1.0 and (count[STEPS] == 0 or count[AGAIN]):
+    if error >= 1.0 and (run.steps == 0 or run.again):
         for i in range(n):
             work[STAGE, i] = work[Y, i] + work[MISS, i]
-        call(address, work[STAGE], params, work[MISS])
-        count[EVALUATIONS] += 1
+        call(run.address, work[STAGE], params, work[MISS])
+        run.evaluations += 1
         for i in range(n):
             work[MISS, i] = work[F, i] + h * work[MISS, i]
         solve(work, MATRIX + n, n, work[PIVOTS], work[MISS])
@@ -358,12 +312,20 @@ def _size(work: Array, n: int) -> float:
 
 
 @compiled
-def _first_step(real: Array, count: Counts, work: Array) -> float:
+def _first_step(run: Run, work: Array) -> float:
     """Return the first step: a part of the time in which the state changes by its size."""
-    n, quaternion, least = count[N], count[QUATERNION], real[ATOL] / real[RTOL]
+    n, quaternion, least = run.n, run.quaternion, run.atol / run.rtol
     rate = 0.0
     for i in range(n):
-        scale = least + (TURN if 0 <= i - quaternion < 4 and quaternion >= 0 else abs(work[Y, i]))
+        scale = least + (TURN if in_quaternion(i, quaternion) else abs(work[Y, i]))
         rate += (work[RATE, i] / scale) ** 2
-    longest: float = min(real[T_END], real[MAX_STEP])
+    longest: float = min(run.t_end, run.max_step)
     return min(longest, 0.01 * sqrt(n / rate)) if rate > 0.0 else longest
+
+
+STEPPER = Stepper(
+    loops("Radau", Hooks(begin, until, attempt, accept, load, state, keep)),
+    lambda n, tangent: np.zeros((MATRIX + 5 * n, -(-n // SEEDS) * SEEDS)),  # noqa: ARG005
+    kept=KEPT,
+    needs_tangent=True,
+)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from ...integrators.methods import DOP853, SOLVERS, STAGES, AdaptiveGauss, Gauss, Radau
+from math import inf
+
+from ...integrators.methods import METHODS, Method, Option, options_of
 from ..scene import DURATION, ENGINES, EVEN_TIMES, OUTPUTS, Scene
 from .schema import (
     ByName,
@@ -11,6 +13,7 @@ from .schema import (
     Key,
     ListOf,
     Named,
+    Node,
     Number,
     Schema,
     Table,
@@ -96,40 +99,41 @@ START = Table(
     "the initial state",
     apart=(("xi0", "momentum"), *((name, "seed") for name in _STATE)),
 )
-_STEP = Key(POSITIVE, "longest step [s]", required=True)
 
 
-def _controlled(kind: type[DOP853 | AdaptiveGauss | Radau], title: str) -> Table:
-    """Return the table of a method with step control."""
-    most = str(kind.max_steps)
+def _method_table(kind: type[Method]) -> Table:
+    """Return the table of a method's options."""
     return Table(
         {
-            "rtol": Key(POSITIVE, "relative tolerance of a step", default=f"{kind.rtol:g}"),
-            "atol": Key(POSITIVE, "absolute tolerance of a step", default=f"{kind.atol:g}"),
-            "max_steps": Key(Whole(1), "largest number of trial steps", default=most),
-            "max_step": Key(POSITIVE, "longest step [s]", default="none"),
+            option.name: Key(
+                _option_node(option),
+                option.about,
+                required=option.required,
+                default="" if option.required else _shown_default(option.default),
+            )
+            for option in options_of(kind)
         },
-        title,
+        kind.about,
     )
+
+
+def _option_node(option: Option) -> Node:
+    if option.kind == "float":
+        return POSITIVE
+    if option.kind == "int":
+        return Whole(option.least, option.most)
+    return Text(option.among)
+
+
+def _shown_default(value: float | str) -> str:
+    if value == inf:
+        return "none"
+    return f"{value:g}".replace("e-0", "e-") if isinstance(value, float) else str(value)
 
 
 _METHODS = {
     "auto": Table({}, "one that suits the scene and its tolerance"),
-    "DOP853": _controlled(DOP853, "Dormand and Prince's method of order 8"),
-    "RKMK4": Table({"step": _STEP}, "Munthe-Kaas's form of RK4, with fixed steps"),
-    "Gauss": Table(
-        {
-            "step": _STEP,
-            "order": Key(Whole(2, 2 * STAGES), "order, an even number", default=str(Gauss.order)),
-            "solver": Key(Text(tuple(SOLVERS)), "how stages are found", default=Gauss.solver),
-        },
-        "Gauss–Legendre collocation with fixed steps, symplectic",
-    ),
-    "AdaptiveGauss": _controlled(
-        AdaptiveGauss, "Gauss–Legendre collocation of order 16, for tight tolerances"
-    ),
-    "Radau": _controlled(Radau, "Radau IIA of order 5, for hard springs and dampers"),
-    "Variational": Table({"step": _STEP}, "discrete Lagrange–Poincaré equations of order 2"),
+    **{name: _method_table(kind) for name, kind in METHODS.items()},
 }
 RUN = Table(
     {

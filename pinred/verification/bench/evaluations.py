@@ -90,15 +90,17 @@ def bench_evaluations(
 
 
 def _measured(problem: Problem) -> Evaluations:
-    from ...integrators.methods import DOP853, AdaptiveGauss
+    from ...integrators.methods import METHODS, AdaptiveGauss, Explicit
 
     truth = problem.full.run(problem.full_start(), problem.times, *FINEST)
     runs: dict[str, Callable[[float], tuple[float, float]]] = {
-        "DOP853": lambda tol: _own(problem, truth, DOP853(max(tol, 1e-13), ATOL * tol), 1),
-        "AdaptiveGauss, sweeps": lambda tol: _own(
-            problem, truth, AdaptiveGauss(tol, ATOL * tol), AdaptiveGauss.stages
-        ),
+        name: lambda tol, kind=kind: _own(problem, truth, kind(*_own_norm(tol)), 1)  # type: ignore[misc]
+        for name, kind in METHODS.items()
+        if issubclass(kind, Explicit)
     }
+    runs["AdaptiveGauss, sweeps"] = lambda tol: _own(
+        problem, truth, AdaptiveGauss(tol, ATOL * tol), AdaptiveGauss.stages
+    )
     others: dict[str, Any] = dict(_SCIPY)
     missing = "" if find_spec("extensisq") else f"more methods: {INSTALL}"
     if not missing:

@@ -1,7 +1,8 @@
 """pinred's own methods: one row for each integrator of pinred.integrators.
 
-A further integrator is one more call of `own_method`, with what makes its value from a
-tolerance, or from a step for those that take equal steps.
+Explicit methods are there by themselves.  A further one of another kind is one more call of
+`own_method`, with what makes its value from a tolerance, or from a step for those that take
+equal steps.
 """
 
 from __future__ import annotations
@@ -9,7 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ...integrators.methods import DOP853, DOP853_LEAST, RKMK4, AdaptiveGauss, Gauss
+from ...integrators.methods import (
+    DOP853_LEAST,
+    METHODS,
+    RKMK4,
+    AdaptiveGauss,
+    Explicit,
+    Gauss,
+)
 from ...integrators.methods import Method as Integrator
 from ...simulation.state import State, with_base
 from .problems import Problem
@@ -70,6 +78,14 @@ def _integration(problem: Problem, tolerance: float) -> Prepared:
     return Prepared(lambda: integrate(0.0, scene.end, flow.y0), end)
 
 
+def _explicit(name: str, kind: type[Explicit]) -> Solver:
+    return own_method(
+        f"pinred-{name.lower()}",
+        f"simulate() with {name}, whole call",
+        lambda tol: kind(max(tol, DOP853_LEAST), ATOL * tol),
+    )
+
+
 def _end(states: State, evaluations: int) -> End:
     return End(states.x[0], states.q[0], states.v[0], evaluations)
 
@@ -82,11 +98,7 @@ OWN = (
         FROM_TOLERANCE,
         _integration,
     ),
-    own_method(
-        "pinred-dop853",
-        "simulate() with DOP853, whole call",
-        lambda tol: DOP853(max(tol, DOP853_LEAST), ATOL * tol),
-    ),
+    *(_explicit(name, kind) for name, kind in METHODS.items() if issubclass(kind, Explicit)),
     own_method(
         "pinred-gauss",
         "simulate() with AdaptiveGauss, whole call",

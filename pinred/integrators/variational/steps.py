@@ -26,42 +26,27 @@ from math import sqrt
 
 import numpy as np
 
-from ..common.arrays import Array
-from .machine.kernel_call import call, compiled
-from .machine.registers import (
-    BEGUN,
-    BUDGET,
-    DIVERGED,
-    DONE,
-    ENTRY,
-    EVALUATIONS,
-    FULL,
-    KEEP,
-    NEXT,
-    NOT_FINITE,
-    PAIRS,
-    PAUSED,
-    QUATERNION,
-    SPIN,
-    STEPS,
-    T_END,
-    TOTAL,
-    Counts,
-    H,
-    N,
-    T,
+from ...common.arrays import Array
+from ..machine.compiling import compiled, woven
+from ..machine.driver import Hooks, equal_steps, loops
+from ..machine.kernel_call import call
+from ..machine.run_record import DIVERGED, DONE, NOT_FINITE, Run
+from ..machine.state_rows import (
+    NEW,
+    Y,
+    copy_an_end,
     first_not_finite,
-    keep,
-    step_at,
+    keep_state,
+    padded_rows,
     unit_alone,
 )
+from ..machine.stepper import Stepper
 
-# Rows of `work`: the state, and what a step and one for a report work on each: the two stages
-# with p and a quaternion for m, their rates, the end of the step, and u with half of h Ω₁.
-Y, MAIN, SUB = 0, 1, 7
-BEGIN, STOP, BEGIN_RATE, STOP_RATE, END, TURN = range(6)
-ROWS, LEAST = 13, 6  # numbers in a row, at least: u takes three, and so does h Ω₁
-NEW = MAIN + END
+# Rows of `work` behind the state: what a step and one for a report work on each, the end of the
+# step, the two stages with p and a quaternion for m, their rates, and u with half of h Ω₁.
+MAIN, SUB = NEW, NEW + 6
+END, BEGIN, STOP, BEGIN_RATE, STOP_RATE, TURN = range(6)
+ROWS, LEAST = SUB + 6, 6  # numbers in a row, at least: u takes three, and so does h Ω₁
 
 _MOST = 100  # turns of the iteration
 _STALLED, _SLOWEST = 0.5, 0.95  # quotients of changes
@@ -69,108 +54,57 @@ _SMALL, _SLACK = 1e-14, 1e-11  # of the largest number
 _NOTHING = 1e-17  # of it: what is still to come does not count
 
 
-@compiled
-def advance(
-    address: int,
-    params: Array,
-    real: Array,
-    count: Counts,
-    work: Array,
-    times: Array,
-    out: Array,
-    knots_t: Array,
-    knots_y: Array,
-) -> int:
-    """Integrate until the end, a pause, a full store of knots or a failure; return which.
+@woven
+def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:
+    """Do as driver.begin."""
+    unit_alone(work[Y], run.quaternion)
+    keep_state(run, work, 0.0, knots_t, knots_y)
+    _begin(run, params, work, MAIN, run.h)
+    run.entry = first_not_finite(work[MAIN + BEGIN_RATE], run.n)
+    return NOT_FINITE if run.entry >= 0 else DONE
 
-    Arguments as in dop853.advance.
-    """
-    n = count[N]
-    if not count[BEGUN]:
-        unit_alone(work[Y], count[QUATERNION])
-        keep(count, work[Y], 0.0, knots_t, knots_y)
-        _begin(address, params, count, work, MAIN, real[H])
-        count[ENTRY] = first_not_finite(work[MAIN + BEGIN_RATE], n)
-        if count[ENTRY] >= 0:
-            return NOT_FINITE
-        count[BEGUN] = 1
-    pause = count[EVALUATIONS] + count[BUDGET]
-    while count[STEPS] < count[TOTAL]:
-        if count[EVALUATIONS] >= pause:
-            return PAUSED
-        if count[KEEP] and count[STEPS] + 1 >= knots_t.shape[0]:
-            return FULL
-        k = count[STEPS] + 1
-        t_new = real[T_END] if k == count[TOTAL] else k * real[H]
-        status = _step(address, params, count, work, MAIN, real[H])
-        if status != DONE:
-            if status == NOT_FINITE:
-                count[ENTRY] = first_not_finite(work[MAIN + BEGIN_RATE], n)
-                if count[ENTRY] < 0:
-                    count[ENTRY] = first_not_finite(work[MAIN + STOP_RATE], n)
-            return status
-        while count[NEXT] < times.shape[0] and times[count[NEXT]] <= t_new:
-            j = count[NEXT]
-            _state(address, params, count, work, times[j], real[T], t_new, out[j])
-            count[NEXT] += 1
-        count[STEPS] += 1
-        keep(count, work[NEW], t_new, knots_t, knots_y)
-        for i in range(n):
-            work[Y, i] = work[NEW, i]
-        real[T] = t_new
-    return DONE
+
+@woven
+def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa: ARG001
+    """Do as driver.attempt."""
+    status = _step(run, params, work, MAIN, run.h)
+    if status == NOT_FINITE:
+        run.entry = first_not_finite(work[MAIN + BEGIN_RATE], run.n)
+        if run.entry < 0:
+            run.entry = first_not_finite(work[MAIN + STOP_RATE], run.n)
+    return status
+
+
+@woven
+def accept(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
+    """Do as driver.accept."""
+    for i in range(run.n):
+        work[Y, i] = work[NEW, i]
+
+
+@woven
+def load(run: Run, params: Array, work: Array, t_new: float, knots_y: Array, k: int) -> None:
+    """Do as driver.load: the ends are all it takes."""
+
+
+@woven
+def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
+    """Do as driver.state, by a step of its own."""
+    if copy_an_end(run, work, time, t_new, out):
+        return DONE
+    _begin(run, params, work, SUB, time - run.t)
+    good = _step(run, params, work, SUB, time - run.t) == DONE
+    for i in range(run.n):
+        out[i] = work[SUB + END, i] if good else np.nan
+    return DONE if good else DIVERGED
 
 
 @compiled
-def recall(
-    address: int,
-    params: Array,
-    count: Counts,
-    work: Array,
-    times: Array,
-    out: Array,
-    knots_t: Array,
-    knots_y: Array,
-) -> None:
-    """Fill out (T, n) with the states at sorted times (T,) by steps from the knots before them."""
-    k, begun = 0, -1
-    for j in range(times.shape[0]):
-        k = step_at(times[j], k, knots_t)
-        if begun != k:
-            begun = k
-            for i in range(count[N]):
-                work[Y, i] = knots_y[k, i]
-                work[NEW, i] = knots_y[k + 1, i]
-        _state(address, params, count, work, times[j], knots_t[k], knots_t[k + 1], out[j])
-
-
-@compiled
-def _state(
-    address: int,
-    params: Array,
-    count: Counts,
-    work: Array,
-    time: float,
-    t: float,
-    t_new: float,
-    out: Array,
-) -> None:
-    """Write the state at a time in the step from t to t_new, (n,)."""
-    row, good = (Y if time <= t else NEW), True
-    if t < time < t_new:
-        row = SUB + END
-        _begin(address, params, count, work, SUB, time - t)
-        good = _step(address, params, count, work, SUB, time - t) == DONE
-    for i in range(count[N]):
-        out[i] = work[row, i] if good else np.nan
-
-
-@compiled
-def _begin(address: int, params: Array, count: Counts, work: Array, first: int, h: float) -> None:
+def _begin(run: Run, params: Array, work: Array, first: int, h: float) -> None:
     """Fill rates and turn of a step with those at its begin, for a first guess."""
-    n, quaternion = count[N], count[QUATERNION]
+    n, quaternion, address = run.n, run.quaternion, run.address
     call(address, work[Y], params, work[first + BEGIN_RATE])
-    count[EVALUATIONS] += 1
+    run.evaluations += 1
     for i in range(n):
         work[first + STOP_RATE, i] = work[first + BEGIN_RATE, i]
     if quaternion >= 0:
@@ -178,12 +112,13 @@ def _begin(address: int, params: Array, count: Counts, work: Array, first: int, 
 
 
 @compiled
-def _step(address: int, params: Array, count: Counts, work: Array, first: int, h: float) -> int:
+def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
     """Make a step from row Y to row END; return DONE, or why its equations were not solved.
 
     Rates and turn of the step before, gone on with, are the first guess.
     """
-    n, pairs, quaternion, half = count[N], count[PAIRS], count[QUATERNION], 0.5 * h
+    n, pairs, quaternion, half = run.n, run.pairs, run.quaternion, 0.5 * h
+    address, spin = run.address, run.spin
     y, end, u = work[Y], work[first + END], work[first + TURN]
     begin, stop = work[first + BEGIN], work[first + STOP]
     rate, last = work[first + BEGIN_RATE], work[first + STOP_RATE]
@@ -195,7 +130,7 @@ def _step(address: int, params: Array, count: Counts, work: Array, first: int, h
     before, stalls = np.inf, 0
     for turn in range(_MOST):
         largest = size = 0.0
-        if quaternion >= 0 and count[SPIN]:
+        if quaternion >= 0 and spin:
             _place(y, u, params, begin, quaternion)
         call(address, begin, params, rate)
         for i in range(pairs, 2 * pairs):
@@ -208,7 +143,7 @@ def _step(address: int, params: Array, count: Counts, work: Array, first: int, h
             turned = quaternion >= 0 and 0 <= i - quaternion < 4
             stop[i] = begin[i] if turned else y[i] + h * rate[i]
         call(address, stop, params, last)
-        count[EVALUATIONS] += 2
+        run.evaluations += 2
         for i in range(pairs):
             new = y[i] + half * (rate[i] + last[i])
             size = max(size, abs(new - stop[i]))
@@ -296,3 +231,9 @@ def _place(y: Array, u: Array, params: Array, out: Array, quaternion: int) -> No
         y, scale * (q * c - r * b), scale * (r * a - p * c), scale * (p * b - q * a), scale * d,
         out, quaternion,
     )  # fmt: skip
+
+
+STEPPER = Stepper(
+    loops("Variational", Hooks(begin, equal_steps, attempt, accept, load, state)),
+    lambda n, tangent: padded_rows(ROWS, max(n, LEAST)),  # noqa: ARG005
+)

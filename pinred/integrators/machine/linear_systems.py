@@ -1,4 +1,4 @@
-"""What Newton's method needs: the Jacobian of a kernel, and small linear systems.
+"""The Jacobian of a kernel, and small linear systems: what Newton's method takes.
 
 Matrices are rows of an array, from a first row on.  LAPACK is not used: its threads wait for
 each other longer than matrices of this size take.
@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...common.arrays import Array
-from .kernel_call import SEEDS, call_tangent, compiled
+from .compiling import compiled
+from .kernel_call import SEEDS, call_tangent
 
 
 @compiled

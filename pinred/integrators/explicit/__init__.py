@@ -1,0 +1,1 @@
+"""Explicit Runge–Kutta methods: of any tableau, and Munthe-Kaas's on groups."""

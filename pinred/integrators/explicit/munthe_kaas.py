@@ -1,0 +1,198 @@
+"""RKMK4 over a kernel: the classical Runge–Kutta method on ℝᵏ times the unit quaternions.
+
+H. Munthe-Kaas, Runge–Kutta methods on Lie groups, BIT 38 (1998) 92–111; High order
+Runge–Kutta methods on manifolds, Appl. Numer. Math. 29 (1999) 115–127; E. Hairer,
+C. Lubich, G. Wanner, Geometric Numerical Integration, 2nd ed., section IV.8.
+
+In a step q = q₀ exp(u) with u in ℝ³, and body rate ω gives u̇ = dexp⁻¹₋ᵤ ω.  The rows of
+rates hold u̇ in the first three of the quaternion's entries and zero in the fourth.
+Between the ends of a step, y and u are cubic Hermite polynomials.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin, sqrt, tan
+
+from ...common.arrays import Array
+from ..machine.compiling import compiled, woven
+from ..machine.driver import Hooks, equal_steps, loops
+from ..machine.kernel_call import call
+from ..machine.run_record import DONE, NOT_FINITE, Run
+from ..machine.state_rows import (
+    NEW,
+    Y,
+    copy_an_end,
+    first_not_finite,
+    keep_state,
+    padded_rows,
+    unit_alone,
+)
+from ..machine.stepper import Stepper
+from .row_sums import row_sum
+
+# Rows of `work`: the state of a stage, the weighted mean of the stages' rates, and these; the
+# rate at the end of the step is the last.
+STAGE, MEAN, RATE = 2, 3, 4
+LAST = RATE + 4
+ROWS = LAST + 1
+
+_WEIGHTS = [(RATE, 1 / 6), (RATE + 1, 1 / 3), (RATE + 2, 1 / 3), (RATE + 3, 1 / 6)]
+_to_1 = row_sum(STAGE, Y, [(RATE, 0.5)])
+_to_2 = row_sum(STAGE, Y, [(RATE + 1, 0.5)])
+_to_3 = row_sum(STAGE, Y, [(RATE + 2, 1.0)])
+_to_end = row_sum(NEW, Y, _WEIGHTS)
+_mean = row_sum(MEAN, None, _WEIGHTS)
+
+
+@woven
+def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:
+    """Do as driver.begin."""
+    unit_alone(work[Y], run.quaternion)
+    keep_state(run, work, 0.0, knots_t, knots_y)
+    _rate(run.address, params, work, work[Y], RATE, run.quaternion)
+    run.evaluations += 1
+    run.entry = first_not_finite(work[RATE], run.n)
+    return NOT_FINITE if run.entry >= 0 else DONE
+
+
+@woven
+def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
+    """Do as driver.attempt."""
+    _step(run.address, params, work, run.quaternion, t_new - run.t)
+    run.evaluations += 4
+    run.entry = first_not_finite(work[NEW], run.n)
+    if run.entry < 0:
+        run.entry = first_not_finite(work[LAST], run.n)
+    return NOT_FINITE if run.entry >= 0 else DONE
+
+
+@woven
+def accept(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
+    """Do as driver.accept."""
+    for i in range(run.n):
+        work[Y, i] = work[NEW, i]
+        work[RATE, i] = work[LAST, i]
+
+
+@woven
+def load(
+    run: Run,
+    params: Array,
+    work: Array,
+    t_new: float,
+    knots_y: Array,  # noqa: ARG001
+    k: int,  # noqa: ARG001
+) -> None:
+    """Do as driver.load."""
+    _rate(run.address, params, work, work[Y], RATE, run.quaternion)
+    _step(run.address, params, work, run.quaternion, t_new - run.t)
+
+
+@woven
+def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:  # noqa: ARG001
+    """Do as driver.state."""
+    if not copy_an_end(run, work, time, t_new, out):
+        _within(run.n, work, run.quaternion, time - run.t, t_new - run.t, out)
+    return DONE
+
+
+@compiled
+def _step(address: int, params: Array, work: Array, quaternion: int, h: float) -> None:
+    """Fill NEW, LAST and MEAN by one step h from row Y with rate row 0."""
+    stage = work[STAGE]
+    _to_1(work, h)
+    _turn(work[Y], work[RATE], 0.5 * h, stage, quaternion)
+    _rate(address, params, work, stage, RATE + 1, quaternion)
+    _straighten(work[RATE], 0.5 * h, work[RATE + 1], quaternion)
+    _to_2(work, h)
+    _turn(work[Y], work[RATE + 1], 0.5 * h, stage, quaternion)
+    _rate(address, params, work, stage, RATE + 2, quaternion)
+    _straighten(work[RATE + 1], 0.5 * h, work[RATE + 2], quaternion)
+    _to_3(work, h)
+    _turn(work[Y], work[RATE + 2], h, stage, quaternion)
+    _rate(address, params, work, stage, RATE + 3, quaternion)
+    _straighten(work[RATE + 2], h, work[RATE + 3], quaternion)
+    _to_end(work, h)
+    _mean(work, 1.0)
+    _turn(work[Y], work[MEAN], h, work[NEW], quaternion)
+    unit_alone(work[NEW], quaternion)
+    _rate(address, params, work, work[NEW], LAST, quaternion)
+
+
+@compiled
+def _rate(address: int, params: Array, work: Array, y: Array, row: int, quaternion: int) -> None:
+    """Fill a row with the rates at y, and the quaternion's part with the body rate ω = 2 q⁻¹ q̇."""
+    call(address, y, params, work[row])
+    if quaternion >= 0:
+        q, d = y[quaternion : quaternion + 4], work[row, quaternion : quaternion + 4]
+        a = q[3] * d[0] - q[0] * d[3] - (q[1] * d[2] - q[2] * d[1])
+        b = q[3] * d[1] - q[1] * d[3] - (q[2] * d[0] - q[0] * d[2])
+        c = q[3] * d[2] - q[2] * d[3] - (q[0] * d[1] - q[1] * d[0])
+        d[0], d[1], d[2] = 2.0 * a, 2.0 * b, 2.0 * c
+        d[3] *= 0.0  # keeps what is not finite
+
+
+@compiled
+def _turn(start: Array, rate: Array, h: float, end: Array, quaternion: int) -> None:
+    """Put start exp(h rate) into end: the quaternions of three rows (n,)."""
+    if quaternion >= 0:
+        q, u = start[quaternion : quaternion + 4], rate[quaternion : quaternion + 3]
+        a, b, c = h * u[0], h * u[1], h * u[2]
+        half = 0.5 * sqrt(a * a + b * b + c * c)
+        # Below 1e-4 the second term of sin(half)/half is its last that counts.
+        factor = 0.5 * (sin(half) / half if half > 1e-4 else 1.0 - half * half / 6.0)
+        w = cos(half)
+        a, b, c = factor * a, factor * b, factor * c
+        p = end[quaternion : quaternion + 4]
+        p[0] = q[3] * a + w * q[0] + (q[1] * c - q[2] * b)
+        p[1] = q[3] * b + w * q[1] + (q[2] * a - q[0] * c)
+        p[2] = q[3] * c + w * q[2] + (q[0] * b - q[1] * a)
+        p[3] = q[3] * w - (q[0] * a + q[1] * b + q[2] * c)
+
+
+@compiled
+def _straighten(rate: Array, h: float, row: Array, quaternion: int) -> None:
+    """Replace the body rate ω in a row by u̇ = dexp⁻¹₋ᵤ ω with u = h rate.
+
+    dexp⁻¹₋ᵤ ω = ω + ½ u × ω + c u × (u × ω),  c = (1 − (θ/2) cot(θ/2)) / θ²,  θ = |u|.
+    """
+    if quaternion >= 0:
+        k, w = rate[quaternion : quaternion + 3], row[quaternion : quaternion + 3]
+        a, b, c = h * k[0], h * k[1], h * k[2]
+        x, y, z = b * w[2] - c * w[1], c * w[0] - a * w[2], a * w[1] - b * w[0]
+        square = a * a + b * b + c * c
+        factor = 1 / 12 + square / 720 * (1.0 + square / 42.0 * (1.0 + square / 40.0))
+        if square > 0.01:
+            half = 0.5 * sqrt(square)
+            factor = (1.0 - half / tan(half)) / square
+        w[0] += 0.5 * x + factor * (b * z - c * y)
+        w[1] += 0.5 * y + factor * (c * x - a * z)
+        w[2] += 0.5 * z + factor * (a * y - b * x)
+
+
+@compiled
+def _within(n: int, work: Array, quaternion: int, time: float, h: float, out: Array) -> None:
+    """Write the state at a time within a step h, (n,), by cubic polynomials."""
+    x = time / h
+    y = 1.0 - x
+    from_move, from_start, from_end = x * x * (3.0 - 2.0 * x), h * x * y * y, -h * x * x * y
+    for i in range(n):
+        move = work[NEW, i] - work[Y, i]
+        out[i] = work[Y, i] + (
+            from_move * move + from_start * work[RATE, i] + from_end * work[LAST, i]
+        )
+    if quaternion >= 0:
+        u = work[STAGE]  # free now
+        for i in range(quaternion, quaternion + 4):
+            u[i] = work[LAST, i]
+        _straighten(work[MEAN], h, u, quaternion)
+        for i in range(quaternion, quaternion + 3):
+            u[i] = from_move * h * work[MEAN, i] + from_start * work[RATE, i] + from_end * u[i]
+        _turn(work[Y], u, 1.0, out, quaternion)
+        unit_alone(out, quaternion)
+
+
+STEPPER = Stepper(
+    loops("RKMK4", Hooks(begin, equal_steps, attempt, accept, load, state)),
+    lambda n, tangent: padded_rows(ROWS, n),  # noqa: ARG005
+)

@@ -1,0 +1,48 @@
+"""AdaptiveGauss, as a value: see gauss/adaptive.py."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, ClassVar
+
+from ..gauss.tables import MOST_STAGES, lanes_of
+from ..machine.run_record import FIXED_POINT
+from .method import ErrorControl
+
+if TYPE_CHECKING:
+    from ..machine.stepper import Stepper
+
+
+@dataclass(frozen=True)
+class AdaptiveGauss(ErrorControl):
+    """Gauss–Legendre collocation of order 16 with step control, for tight tolerances.
+
+    Only for smooth fields: where a force has a kink or a jump, the error of a step is far above
+    what it is estimated to be.  rtol, atol, max_steps, max_step: as for DOP853.
+    """
+
+    rtol: float = 1e-12
+    atol: float = 1e-14
+
+    about: ClassVar[str] = "Gauss–Legendre collocation of order 16, for tight tolerances"
+    lanes: ClassVar[int] = lanes_of(MOST_STAGES)
+    stages: ClassVar[int] = MOST_STAGES
+    order: ClassVar[int] = 2 * MOST_STAGES
+    dense_order: ClassVar[int] = 2 * MOST_STAGES
+
+    def stepper(self) -> Stepper:
+        """Return what runs it."""
+        return _stepper()
+
+    def registers(self, t_end: float) -> dict[str, float]:
+        """Return the tolerances, and how the stages are evaluated and found."""
+        solved = {"stages": self.stages, "lanes": self.lanes, "solver": FIXED_POINT}
+        return super().registers(t_end) | solved
+
+
+@cache
+def _stepper() -> Stepper:
+    from ..gauss.steppers import adaptive
+
+    return adaptive(MOST_STAGES)

@@ -1,0 +1,66 @@
+"""Tsitouras's method of order 5(4).
+
+Ch. Tsitouras, Runge–Kutta pairs of order 5(4) satisfying only the first column simplifying
+assumption, Comput. Math. Appl. 62 (2011) 770–775: the pair, and its interpolant of order 4
+that takes no further stage.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import ClassVar
+
+import numpy as np
+
+from ..explicit.tableau import Tableau
+from .method import Explicit
+
+_A = (
+    (),
+    (0.161,),
+    (-0.008480655492356989, 0.335480655492357),
+    (2.8971530571054935, -6.359448489975075, 4.3622954328695815),
+    (5.325864828439257, -11.748883564062828, 7.4955393428898365, -0.09249506636175525),
+    (
+        5.86145544294642, -12.92096931784711, 8.159367898576159, -0.071584973281401,
+        -0.028269050394068383,
+    ),
+    (
+        0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081,
+        2.324710524099774,
+    ),
+)  # fmt: skip
+_ERRORS = (
+    -0.00178001105222577714, -0.0008164344596567469, 0.007880878010261995, -0.1447110071732629,
+    0.5823571654525552, -0.45808210592918697, 1 / 66,
+)  # fmt: skip
+# Of θ⁴ in the interpolant; what goes before follows from its values and slopes at both ends.
+_DENSE = (
+    -1.0530884977290216, 0.1017, 2.490627285651253, -16.548102889244902, 47.37952196281928,
+    -34.87065786149661, 2.5,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Tsit5(Explicit):
+    """Tsitouras's Runge–Kutta method of order 5(4), for loose tolerances.
+
+    rtol, atol, max_steps, max_step: as for DOP853.
+    """
+
+    rtol: float = 1e-6
+    atol: float = 1e-8
+
+    about: ClassVar[str] = "Tsitouras's method of order 5, for loose tolerances"
+    order: ClassVar[int] = 5
+    dense_order: ClassVar[int] = 4
+
+    @classmethod
+    @cache
+    def tableau(cls) -> Tableau:
+        """Return the paper's coefficients."""
+        A = np.zeros((7, 7))
+        for i, row in enumerate(_A):
+            A[i, :i] = row
+        return Tableau(A, np.array([_ERRORS]), np.array([_DENSE]))

@@ -1,0 +1,1 @@
+"""A discrete Lagrange–Poincaré integrator."""

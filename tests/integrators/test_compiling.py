@@ -1,0 +1,152 @@
+"""Machine code on disk: each method loads its own, a second process compiles nothing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from shutil import copytree
+from typing import Any
+
+import numpy as np
+import pytest
+from numba.core.errors import TypingError
+
+import pinred
+from pinred.integrators import machine
+from pinred.integrators.machine.compiling import SOURCES, bound, compiled, stamp, woven
+from pinred.integrators.methods import METHODS, Method
+
+PACKAGE = Path(pinred.__file__).parent
+CASES: dict[str, Method] = {
+    name: kind(1e-8, 1e-10) if kind.adaptive else kind(0.02)  # type: ignore[call-arg]
+    for name, kind in METHODS.items()
+}
+# Runs every method once, its states between steps, and a batch; tells what it had to compile.
+PROGRAM = """
+import numba.core.event as events
+import numpy as np
+with events.install_recorder("numba:compile") as record:
+    import pinred
+    from pinred.integrators.methods import METHODS
+    cat, times, between = pinred.load("falling_cat"), [0.0, 0.1, 0.2], np.array([0.05, 0.15])
+    exact = pinred.simulate(cat, seed=1, times=times, method=METHODS["DOP853"](1e-12, 1e-14))
+    for name, kind in METHODS.items():
+        method = kind(1e-8, 1e-10) if kind.adaptive else kind(0.002)
+        one = pinred.simulate(cat, seed=1, times=times, method=method)
+        two = pinred.simulate_many(cat, seeds=[1, 2], threads=1, times=times, method=method)
+        assert np.abs(one.x - exact.x).max() < 1e-4, name
+        assert np.array_equal(two[0].x, one.x), name
+        assert np.abs(one(between).x - exact(between).x).max() < 1e-4, name
+print(sum(event.is_start for _, event in record.buffer))
+"""
+
+
+def test_processes_after_the_first_compile_nothing() -> None:
+    """All loops come from disk, and each is its own method's: another would be far off."""
+    counts = []
+    for _ in range(3):  # others may write to the same folder meanwhile
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM],
+            cwd=PACKAGE.parent, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        counts.append(int(done.stdout.split()[-1]))
+        if len(counts) > 1 and counts[-1] == 0:
+            break
+    assert counts[-1] == 0, counts
+
+
+def loops_of(method: Method) -> list[Any]:
+    """The compiled loops of a method."""
+    return list(vars(method.stepper().loops).values())
+
+
+def test_every_loop_has_a_file_of_its_own() -> None:
+    """The instructions of the loops are the same to the byte: names alone tell their files."""
+    loops = [loop for method in CASES.values() for loop in loops_of(method)]
+    codes = {loop.py_func.__code__.co_code for loop in loops}
+    files = {loop._cache._cache_file._index_name for loop in loops}
+    assert len(codes) == 3
+    assert len(files) == len(loops) == 3 * len(METHODS)
+
+
+def one(x: float) -> float:
+    """One, by the name that `loop` looks up."""
+    return x
+
+
+def loop(x: float) -> float:
+    """What is bound to functions in the tests below."""
+    return one(x) + 1.0
+
+
+CODE = """
+import sys, types
+sys.path.insert(0, {tests!r})
+import test_compiling as test
+from pinred.integrators.machine import compiling
+
+def plain(function, name, **found):  # as `bound` would be without a name of its own
+    return types.FunctionType(function.__code__, {{**function.__globals__, **found}})
+
+bind = compiling.bound if {named} else plain
+double = compiling.woven(lambda x: 2.0 * x)
+half = compiling.woven(lambda x: 0.5 * x)
+chosen = bind(test.loop, {name!r}, one={name})
+print(compiling.compiled(chosen)(3.0))
+"""
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_copy_without_a_name_would_run_another(named: bool, tmp_path: Path) -> None:
+    """Two processes, two copies of one function: with names each runs its own."""
+    found = []
+    for name in ("double", "half"):
+        code = CODE.format(tests=str(Path(__file__).parent), named=named, name=name)
+        done = subprocess.run(
+            [sys.executable, "-c", code], env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+            cwd=PACKAGE.parent, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        found.append(float(done.stdout))
+    assert found == ([7.0, 2.5] if named else [7.0, 7.0])
+
+
+def test_a_name_is_given_once() -> None:
+    """Who would run another's machine code is told so."""
+    bound(loop, "test_a_name_is_given_once")
+    with pytest.raises(RuntimeError, match="two functions cannot both be called"):
+        bound(loop, "test_a_name_is_given_once")
+
+
+def test_machine_code_on_disk_is_as_old_as_all_sources() -> None:
+    """A change in one file makes the machine code of all others stale."""
+    for method in CASES.values():
+        for held in loops_of(method):
+            assert held._cache._cache_file._source_stamp == SOURCES
+
+
+@pytest.mark.parametrize("name", ["gauss/tables.py", "machine/driver.py", "methods/tsit5.py"])
+def test_an_edit_in_a_folder_below_is_seen(name: str, tmp_path: Path) -> None:
+    """The stamp is that of all files of the room, wherever they are in it."""
+    assert stamp(PACKAGE / "integrators") == SOURCES
+    folder = tmp_path / "integrators"
+    copytree(PACKAGE / "integrators", folder)
+    assert stamp(folder) == SOURCES
+    (folder / name).write_text((folder / name).read_text(encoding="utf-8") + "#", encoding="utf-8")
+    assert stamp(folder) != SOURCES
+    assert Path(machine.__file__).parent.parent == PACKAGE / "integrators"
+
+
+def makes_an_array(n: int) -> float:
+    """What compiled functions here do not do."""
+    return float(np.zeros(n).sum())
+
+
+def test_nobody_counts_who_holds_an_array() -> None:
+    """Views of rows cost nothing, as compiled functions have no counts; so none makes an array."""
+    for kind in (compiled, woven):
+        with pytest.raises(TypingError, match="zeros"):
+            kind(makes_an_array)(3)
