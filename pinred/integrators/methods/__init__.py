@@ -65,7 +65,7 @@ def options_of(kind: type[Method]) -> list[Option]:
     return [
         Option(
             entry.name,
-            str(entry.type),
+            entry.type if isinstance(entry.type, str) else entry.type.__name__,
             required=entry.default is MISSING,
             default=None if entry.default is MISSING else entry.default,
             **{"about": entry.name, **told[entry.name]},

@@ -1,0 +1,91 @@
+"""A further explicit method is one file: the one in docs/integrators.md, put beside the others."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from shutil import copytree, ignore_patterns
+from typing import Any
+
+import numpy as np
+import pytest
+from orders import measured
+
+import pinred
+from pinred import AdaptiveGauss
+from pinred.integrators.methods import METHODS
+
+ROOT = Path(__file__).parents[2]
+DOCUMENT = (ROOT / "docs/integrators.md").read_text(encoding="utf-8")
+TIMES = [0.0, 0.35, 0.5]
+PROGRAM = """
+import json
+import numpy as np
+import pinred
+from pinred.cli.main import main
+from pinred.integrators.methods import METHODS
+from pinred.verification.bench import METHODS as SOLVERS
+
+cat, BS3 = pinred.load("falling_cat"), METHODS["BS3"]
+errors = []
+for count in (100, 140, 200, 280):
+    method = BS3(rtol=1e3, atol=1e3, max_step=0.5 / count)
+    traj = pinred.simulate(cat, seed=3, times={times}, method=method)
+    assert abs(traj.run.steps - count) <= 1
+    errors.append(np.abs(traj.x - {exact}).max(axis=1).tolist())
+assert main(["run", "scene.toml"]) == 0
+command = ["simulate", "falling_cat", "--time", "0.2", "--method", "BS3", "--out", "out.csv"]
+assert main([*command, "--rtol", "1e-5"]) == 0
+solver = next(solver for solver in SOLVERS if solver.name == "pinred-bs3")
+names = [one["properties"]["name"]["enum"][0]
+         for one in pinred.scene_schema()["properties"]["run"]["properties"]["method"]["oneOf"]]
+print(json.dumps([errors, solver.about, names]))
+"""
+SCENE = """
+robot = "falling_cat"
+run = { duration = 0.2, method = { name = "BS3", rtol = 1e-5 } }
+"""
+
+
+def test_a_further_explicit_method_is_one_file(tmp_path: Path) -> None:
+    """It has its order on a robot; command line, scene files, schema and bench know its name."""
+    (code,) = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
+    copytree(ROOT / "pinred", tmp_path / "pinred", ignore=ignore_patterns("__pycache__"))
+    (tmp_path / "robots").symlink_to(ROOT / "robots")
+    (tmp_path / "pinred/integrators/methods/bs3.py").write_text(code, encoding="utf-8")
+    (tmp_path / "scene.toml").write_text(SCENE, encoding="utf-8")
+    tight = AdaptiveGauss(1e-13, 1e-15)
+    truth = pinred.simulate(pinred.load("falling_cat"), seed=3, times=TIMES, method=tight)
+    program = PROGRAM.format(times=TIMES, exact=f"np.array({truth.x.tolist()})")
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "of BS3 (compiled)" in done.stdout
+    assert (tmp_path / "out.csv").is_file()
+    found: list[Any] = json.loads(done.stdout.splitlines()[-1])
+    errors, about, names = found
+    for k in (1, 2):  # within a step, perhaps, and at the end of one
+        order = measured([row[k] for row in errors], [1 / 100, 1 / 140, 1 / 200, 1 / 280])
+        assert order == pytest.approx(3.0, abs=0.2)
+    assert np.array(errors)[:, 0].max() < 1e-15
+    assert about == "simulate() with BS3, whole call"
+    assert names == ["auto", *sorted([*METHODS, "BS3"])]
+
+
+def test_the_table_of_the_document_is_what_the_methods_claim() -> None:
+    """Every method has its row, with the order, steps and symplecticity of its value."""
+    rows = re.findall(r"^\| `(\w+)\(.*?\)` \|(.*)\|$", DOCUMENT, re.MULTILINE)
+    assert sorted(name for name, _ in rows) == list(METHODS)
+    for name, row in rows:
+        kind: Any = METHODS[name]
+        given: tuple[Any, ...] = () if kind.adaptive else (0.1,)
+        method = kind(*given, order=16) if name == "Gauss" else kind(*given)
+        order, steps, between, symplectic, _ = (cell.strip() for cell in row.split("|"))
+        assert str(method.order) in order.split(", ")
+        assert steps == ("by error" if method.adaptive else "equal")
+        assert name == "Gauss" or f"order {method.dense_order}" in between
+        assert symplectic == ("yes" if method.symplectic else "no")
