@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 from orders import errors_at_the_end, measured
 from scipy.spatial.transform import Rotation
+from stiff_kernels import kernels
 
 import pinred
 from pinred import Gauss, Variational
@@ -20,6 +21,7 @@ from pinred.common.errors import InputError, NoConvergence, NonFiniteState
 from pinred.forces import Damper, Torque, Wrench
 from pinred.integrators import integrate as drive
 from pinred.integrators.integrate import integrate
+from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.machine import run_record
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
@@ -213,6 +215,36 @@ def test_bits(monkeypatch: pytest.MonkeyPatch) -> None:
             system, seed=k, duration=0.5, method=Variational(0.01), outputs="shape"
         )
         assert np.array_equal(shape.x, alone.x)
+
+
+def _gap(y: Any, p: Any, d: Any) -> None:  # noqa: ARG001
+    hole = np.sqrt((y[2] - 0.04) * (y[2] - 0.06))  # no number at clock times between the two
+    d[0], d[1], d[2] = y[1], -y[0] + 0.0 * hole, 1.0
+
+
+def _no_slope(y: Any, p: Any, v: Any, d: Any) -> None:
+    pass
+
+
+def test_a_report_that_cannot_be_found_is_an_error() -> None:
+    """The step goes over a gap in which the rates are no numbers, a report falls into it."""
+    address, _ = kernels(_gap, _no_slope)
+    given: dict[str, Any] = {"canonical": (1, 0)}
+    start, method = [1.0, 0.0, 0.0], Variational(0.1)
+    over = integrate(method, address, [], start, 0.3, [0.0, 0.1, 0.25, 0.3], **given)
+    assert np.isfinite(over.y).all()
+    with pytest.raises(NoConvergence, match="take shorter steps") as caught:
+        integrate(method, address, [], start, 0.3, [0.0, 0.05, 0.3], **given)
+    assert caught.value.time == 0.0
+    with pytest.raises(NoConvergence, match=r"t = 0\.05 s, within a step"):
+        over.at([0.05])
+    many = integrate_many(
+        method, address, np.zeros((2, 0)), [start, [1.0, 0.0, 0.5]], 0.3, [0.0, 0.05], **given
+    )
+    assert [STATUS[s] for s in many.status.tolist()] == [
+        "without a solution of its implicit step", "done",
+    ]  # fmt: skip
+    assert np.isnan(many.y[0, 1]).all()
 
 
 def test_there_and_back() -> None:
