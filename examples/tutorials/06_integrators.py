@@ -84,7 +84,7 @@ for claim in {method.name: method for method in METHODS}.values():
 
 # %%
 times = np.linspace(0.0, 100.0, 201)
-for method in (DOP853(), RKMK4(step=0.02), Gauss(step=0.02, order=2), Gauss(step=0.04)):
+for method in (DOP853(1e-10, 1e-12), RKMK4(step=0.02), Gauss(step=0.02, order=2), Gauss(step=0.04)):
     traj = pinred.simulate(scene, duration=times[-1], times=times, method=method)
     off = np.abs(traj.energy - traj.energy[0]) / traj.energy[0]
     by_50, by_100 = (part.max() for part in np.array_split(off, 2))

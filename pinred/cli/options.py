@@ -6,22 +6,24 @@ Nothing heavy is imported before they are asked for.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
 
 if TYPE_CHECKING:
-    from ..integrators.methods import Method
     from ..scene.scene import Scene
     from ..system.system import System
 
-STATE = {  # the initial state, by the names that Scene has for it
-    "x0": "initial shape [rad | m]",
-    "xdot0": "initial shape rate",
-    "xi0": "initial body twist of the base [linear; angular]",
-    "momentum": "initial body momentum instead, or 0",
-    "pose0": "initial pose of the base",
+_JOINTS = "V1,V2,… or J1=V1,…"
+STATE = {  # the initial state, by the names that Scene has for it: the form, and what it is
+    "x0": (_JOINTS, "initial shape, in order, or by joint with zero for the others [rad | m]"),
+    "xdot0": (_JOINTS, "initial shape rate"),
+    "xi0": ("V1,V2,…", "initial body twist of the base [linear; angular]"),
+    "momentum": ("V1,V2,…", "initial body momentum instead, or 0"),
+    "pose0": ("V1,V2,…", "initial pose of the base"),
+    "q0": ("V1,V2,…", "Pinocchio's configuration instead of x0 and pose0"),
+    "v0": ("V1,V2,…", "Pinocchio's velocity instead of xdot0, xi0 and momentum"),
 }
 VECTORS = ("--at", "--gravity", *(f"--{name}" for name in STATE))  # of numbers with commas
 
@@ -67,46 +69,45 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
         "--outputs", metavar="O", default=Scene.outputs, help=one_of(OUTPUTS, Scene.outputs)
     )
     methods = one_of(["auto", *METHODS], Scene.method)
-    sub.add_argument("--method", metavar="M", help=methods)
+    sub.add_argument("--method", metavar="M", help=f"{methods}; with options, 'Gauss(0.01, 8)'")
     sub.add_argument("--step", metavar="H", type=float, help="of methods with fixed steps [s]")
     sub.add_argument("--order", metavar="P", type=int, help=f"of Gauss ({Gauss.order})")
     for name in ("rtol", "atol"):
         default = getattr(Scene, name)
-        sub.add_argument(
-            f"--{name}", metavar="TOL", type=float, default=default, help=f"({default:g})"
-        )
-    for name, text in STATE.items():
-        sub.add_argument(f"--{name}", metavar="V1,V2,…", help=text)
+        sub.add_argument(f"--{name}", metavar="TOL", type=float, help=f"({default:g})")
+    for name, (form, text) in STATE.items():
+        sub.add_argument(f"--{name}", metavar=form, help=text)
     sub.add_argument(
         "--spring", metavar="J=K,REST", action="append", default=[], help="a spring at joint J"
     )
+    sub.add_argument(
+        "--prescribed", metavar="J=PLAN", action="append", default=[],
+        help="joint J follows a number or a formula in t, such as '0.4*sin(t)' [rad | m]",
+    )  # fmt: skip
 
 
 def scene_of(options: argparse.Namespace) -> Scene:
     """Return the scene that the options of `add_robot` and `add_scene` describe."""
     system = system_of(options)
-    state = {name: numbers_in(getattr(options, name), name) for name in STATE}
-    if state["momentum"] == [0.0]:
-        state["momentum"] = [0.0] * system.r
-    springs: dict[str, tuple[float, float]] = {}
-    for entry in options.spring:
-        name, _, text = entry.partition("=")
-        values = numbers_in(text, "spring") or []
-        if len(values) not in (1, 2):
-            raise InputError(
-                f"--spring takes JOINT=STIFFNESS or JOINT=STIFFNESS,REST, got '{entry}'"
-            )
-        springs[name] = (values[0], values[1] if len(values) == 2 else 0.0)
+    given: dict[str, Any] = {}
+    for name, (form, _) in STATE.items():
+        text = getattr(options, name)
+        if text is not None:
+            given[name] = by_joint_in(text, name) if form == _JOINTS else numbers_in(text, name)
+    if given.get("momentum") == [0.0]:
+        given["momentum"] = 0
+    for name in ("rtol", "atol"):
+        if getattr(options, name) is not None:
+            given[name] = getattr(options, name)
     return scene_with(
         system,
         options.seed,
         duration=options.time,
-        rtol=options.rtol,
-        atol=options.atol,
-        springs=springs,
+        springs=_springs(options.spring),
+        prescribed=_prescribed(options.prescribed),
         outputs=options.outputs,
         method=_method(options),
-        **state,
+        **given,
     )
 
 
@@ -136,11 +137,68 @@ def numbers_in(text: str | None, option: str) -> list[float] | None:
         raise InputError(f"--{option} takes numbers separated by commas, got '{text}'") from None
 
 
-def _method(options: argparse.Namespace) -> Method | Literal["auto"]:
-    """Return the integrator asked for."""
-    from ..integrators.methods import method_named
+def by_joint_in(text: str, option: str) -> list[float] | dict[str, float]:
+    """Return numbers in order, or {joint: number}."""
+    if "=" not in text:
+        return numbers_in(text, option) or []
+    out: dict[str, float] = {}
+    for entry in text.split(","):
+        name, _, value = entry.rpartition("=")
+        if name in out:
+            raise InputError(f"--{option} has joint '{name}' twice")
+        try:
+            out[name] = float(value if name else "")
+        except ValueError:
+            raise InputError(
+                f"--{option} takes numbers, or JOINT=NUMBER for each, got '{entry}'"
+            ) from None
+    return out
 
-    name, step, order = options.method, options.step, options.order
-    if name in (None, "auto") and step is None and order is None:
-        return "auto"
-    return method_named(name or "DOP853", step, order, options.rtol, options.atol)
+
+def _springs(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
+    springs = {}
+    for entry in entries:
+        name, _, text = entry.partition("=")
+        values = numbers_in(text, "spring") or []
+        if len(values) not in (1, 2):
+            raise InputError(
+                f"--spring takes JOINT=STIFFNESS or JOINT=STIFFNESS,REST, got '{entry}'"
+            )
+        springs[name] = (values[0], values[1] if len(values) == 2 else 0.0)
+    return springs
+
+
+def _prescribed(entries: Sequence[str]) -> dict[str, float | str]:
+    plans: dict[str, float | str] = {}
+    for entry in entries:
+        name, _, text = entry.partition("=")
+        if not text:
+            raise InputError(f"--prescribed takes JOINT=NUMBER or JOINT=FORMULA, got '{entry}'")
+        if name in plans:
+            raise InputError(f"--prescribed has joint '{name}' twice")
+        try:
+            plans[name] = float(text)
+        except ValueError:
+            plans[name] = text
+    return plans
+
+
+def _method(options: argparse.Namespace) -> str:
+    """Return the integrator asked for, as the text that Scene takes."""
+    from ..integrators.methods import METHODS, options_of
+
+    name: str = options.method or "auto"
+    given = {key: getattr(options, key) for key in ("step", "order")}
+    given = {key: value for key, value in given.items() if value is not None}
+    if not given:
+        return name
+    if name in ("auto", *METHODS):
+        having = {
+            key: [m for m, kind in METHODS.items() if key in [o.name for o in options_of(kind)]]
+            for key in given
+        }
+        if name not in having.get("step", [name]):
+            raise InputError(f"--step H and --method {' or '.join(having['step'])} go together")
+        if name not in having.get("order", [name]):
+            raise InputError(f"--order P goes with --method {' or '.join(having['order'])}")
+    return f"{name}({', '.join(f'{key}={value!r}' for key, value in given.items())})"

@@ -25,14 +25,14 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command.  Returns 0."""
-    from ..views.playback.view import View
+    from ..views.playback.view import FILM_FPS, FPS, View
 
     _check(options)
     pair = None if options.pair is None else tuple(options.pair.split(","))
     out = None if options.out is None else Path(options.out)
     fps = options.fps
     if fps is None:
-        fps = 60.0 if out is None or out.suffix == ".html" else 30.0
+        fps = FPS if out is None or out.suffix == ".html" else FILM_FPS
     view = View(
         ghost=options.ghost, speed=options.speed, fps=fps, pair=pair, meshes=not options.no_meshes
     )

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
-from ..views.plots import KINDS, options_of, plot
+from ..views.plots import KINDS, options_of
+from ..views.plots.by_kind import draw
 from .motion_files import check_robot, motion_in
 from .options import scene_with
 from .written import written
@@ -69,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
         if not any(name in of_kind for of_kind in own.values()):
             raise InputError(f"--{name} means nothing to {', '.join(kinds)}")
     source = _source(options, kinds)
-    figures = {kind: plot(source, kind, **own[kind]) for kind in paths}
+    figures = {kind: draw(source, kind, own[kind]) for kind in paths}
     for kind, path in paths.items():
         save(figures[kind], path)
         print(written(path))

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..common.arrays import positive
 from ..common.errors import InputError
+from ..common.names import joint_index
 from .signals import Signal
 
 if TYPE_CHECKING:
@@ -26,9 +27,9 @@ Reference: TypeAlias = Mapping[str, Signal | float]
 class Symbols:
     """The variables of which forces are functions.
 
-    t: time [s].  x, xdot: (m,) shape and rate.  xi, mu: (r,) body twist of the base and body
-    momentum, both as seen from the centre of mass: the linear part of μ is zero, the angular
-    one is about the centre of mass (SO2, SO3: about the axis or pivot).
+    t: time [s].  x, xdot: (m,) shape and rate, by number or by joint.  xi, mu: (r,) body twist
+    of the base and body momentum, both as seen from the centre of mass: the linear part of μ is
+    zero, the angular one is about the centre of mass (SO2, SO3: about the axis or pivot).
     within: a time that says which piece of a table counts.
     For forces that are `last`: others, (m,) torques of all other forces; accelerations, those
     of the prescribed joints.
@@ -51,11 +52,7 @@ class Symbols:
 
     def joint(self, name: str, what: str) -> int:
         """Return the index of a joint.  Raises InputError that lists the joints."""
-        if name not in self.names:
-            raise InputError(
-                f"{what}: no shape joint '{name}'; the joints are {', '.join(self.names)}"
-            )
-        return self.names.index(name)
+        return joint_index(name, self.names, what)
 
     def column(self, values: Any, what: str) -> dict[int, Any]:
         """Return {joint: value} of a mapping by names or of a sequence of m values."""

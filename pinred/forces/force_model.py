@@ -17,9 +17,10 @@ from ..common.errors import InputError
 from ..common.memo import once
 from ..reduction.potential import spring_pair
 from ..system.system import System
+from .by_name import Column
 from .force import Force, Symbols, Terms
 from .kinds import Controller, Damper, Spring
-from .signals import Signal
+from .signals import Constant, Expression, Signal
 
 _REMEMBERED = 16  # models of one system
 _KINKS = {
@@ -75,8 +76,8 @@ class ForceModel:
         s = Symbols(
             system=system,
             t=ca.SX.sym("t"),
-            x=ca.SX.sym("x", m),
-            xdot=ca.SX.sym("xdot", m),
+            x=Column(ca.SX.sym("x", m), system.shape_names, "x"),
+            xdot=Column(ca.SX.sym("xdot", m), system.shape_names, "xdot"),
             xi=ca.SX.sym("xi", r),
             mu=ca.SX.sym("mu", r),
             within=self._number(0.0) if has_breaks else None,
@@ -216,7 +217,7 @@ def remembered_model(
     key = (
         repr(dict(springs)),
         *(force if isinstance(force, (Spring, Damper)) else id(force) for force in forces),
-        *((name, id(signal)) for name, signal in prescribed.items()),
+        *((name, _same(signal)) for name, signal in prescribed.items()),
     )
     models: dict[Hashable, tuple[ForceModel, object]] = once(system, remembered_model, dict)
     if key not in models:
@@ -225,6 +226,10 @@ def remembered_model(
             models.pop(next(iter(models)), None)
         models[key] = (model, (tuple(forces), dict(prescribed)))
     return models[key][0]
+
+
+def _same(signal: Signal) -> Hashable:
+    return signal if isinstance(signal, (Constant, Expression)) else id(signal)
 
 
 def _force_model(

@@ -98,7 +98,10 @@ class Damper(Force):
 
 @dataclass(frozen=True)
 class PotentialEnergy(Named):
-    """A potential V(x) [J].  function: from x, an SX of (m,), to a scalar SX; called once."""
+    """A potential V(x) [J].
+
+    function: from x, an SX of (m,) with joints by name too, to a scalar SX; called once.
+    """
 
     function: Callable[[Any], Any]
     name: str = "potential"
@@ -117,6 +120,7 @@ class Torque(Named):
 
     function: (t, x, xdot, mu) → {joint: expression} or m expressions, called once with SX
     symbols (of Symbols' meaning); or {joint: Signal, number or (t, x, xdot, mu) → expression}.
+    x["hinge"] and xdot["hinge"] are entries by joint, as x[0] is.
     """
 
     function: Action | Mapping[str, Action | Signal | float]
@@ -227,7 +231,7 @@ class Wrench(Named):
     """A wrench on the base at its origin, in its own frame: thrusters.  [linear; angular].
 
     function: (t, x, xdot, mu) → r expressions, called once; or r entries, each a Signal, a
-    number or (t, x, xdot, mu) → expression.
+    number or (t, x, xdot, mu) → expression; joints by name as in Torque.
     """
 
     function: Action | Sequence[Action | Signal | float]
@@ -259,11 +263,12 @@ class Controller(Named):
     """Torques from any Python function, called every `period` seconds and held in between.
 
     function: (t, x, xdot, mu), the numbers of Symbols, → {joint: torque} or m torques.
+    x["hinge"] and xdot["hinge"] are entries by joint, as x[0] is; arrays made of them are plain.
     joints: those whose torques it gives; all if None.  It must not remember earlier calls:
     `compare` runs the motion again, several times.
     """
 
-    function: Callable[[float, Array, Array, Array], Any]
+    function: Callable[[float, Any, Any, Array], Any]
     period: float
     joints: tuple[str, ...] | None = None
     limit: Limit | None = None
@@ -287,7 +292,10 @@ class Controller(Named):
 
     def sample(self, names: tuple[str, ...], t: float, x: Array, xdot: Array, mu: Array) -> Array:
         """Return the torques at one time, in the order of `joints`.  Raises InputError."""
-        given = self.function(t, x.copy(), xdot.copy(), mu.copy())
+        from .by_name import Vector  # needs CasADi
+
+        shape, rate = Vector.of(x, names, "x"), Vector.of(xdot, names, "xdot")
+        given = self.function(t, shape, rate, mu.copy())
         wanted = self.joints or names
         if isinstance(given, Mapping):
             unknown = [name for name in given if name not in wanted]

@@ -11,16 +11,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats, positive, read_only, vector
+from ..common.defaults import Default, is_given
 from ..common.errors import InputError, ShapeError
 from ..forces.force import Force
-from ..integrators.methods import METHODS, Method
+from ..forces.signals import Signal
+from ..integrators.methods import Method
 from ..system.joints import is_prismatic
 from ..system.system import InitialState, System, checked_system
+from . import forms
 from .initial_state import GivenStates, Start, start_of
+from .tolerances import check_tolerances, with_tolerances
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
-    from ..forces.signals import Signal
 
 Engine: TypeAlias = Literal["compiled", "pinocchio"]
 WantedOutputs: TypeAlias = Literal["all", "shape"]
@@ -33,53 +36,69 @@ TIGHTEST = 1e-14  # relative tolerance; below it round-off decides the step
 # small part of a large momentum is a ten times larger part of the light joint's rate.
 MOMENTUM_MARGIN = 10.0
 MOST_CALLS = 1_000_000  # of one controller; each ends a run of the integrator
+_STAND_FOR = {  # an option: what it is, and those that it stands for
+    "seed": ("a whole random state", ("x0", "xdot0", "xi0", "momentum", "q0", "v0")),
+    "q0": ("shape and pose", ("x0", "pose0")),
+    "v0": ("shape rate and body twist", ("xdot0", "xi0", "momentum")),
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
     """A system, its initial state, and how long and how accurately to follow it.
 
-    x0, xdot0: (m,) shape and rate; if only one is given, the other is zero; if neither, they
-    are those the robot comes with.  Either xi0, (r,) body twist of the base, or momentum,
-    (r,) body momentum μ (or just 0); if neither, the robot's own with its own shape, else
-    zero twist.  seed: a generic random state instead of all these.  pose0: pose of the base
-    (identity).  duration: s; else up to the last of `times`, else what the robot comes with,
-    else 2 s.  times: where to report, increasing (201 even ones).  rtol, atol: local error
-    per step, relative and absolute.  springs: {joint: (stiffness [N·m/rad | N/m], rest
-    [rad | m])}, short for forces.Spring.  forces: what else acts (see pinred.forces).
-    prescribed: {joint: Signal}, joints that follow a plan (see pinred.signals); their
-    entries in x0 and xdot0 are not read, and torques on them only relieve their drives.
+    x0, xdot0: shape and rate, (m,) or {joint: value} with zero for the others; if only one is
+    given, the other is zero; if neither, they are those the robot comes with.  Either xi0, (r,)
+    body twist of the base, or momentum, (r,) body momentum μ (or just 0); if neither, the
+    robot's own with its own shape, else zero twist.  seed: a generic random state instead of
+    all these.  pose0: pose of the base (identity).  q0: Pinocchio's configuration, (nq,),
+    instead of x0 and pose0, with angles in (−π, π].  v0: its velocity, (n,), instead of xdot0,
+    xi0 and momentum.
+    duration: s; else up to the last of `times`, else what the robot comes with, else 2 s.
+    times: where to report, increasing (201 even ones).  rtol, atol: local error per step,
+    relative and absolute, and what compare judges by.
+    springs: {joint: (stiffness [N·m/rad | N/m], rest [rad | m])}, short for forces.Spring.
+    forces: what else acts (see pinred.forces).  prescribed: {joint: Signal, number or formula
+    in t such as "0.4*sin(t)"}, joints that follow a plan (see pinred.signals); their entries in
+    x0 and xdot0 are not read, and torques on them only relieve their drives.
     outputs: "all", or "shape" to leave out the base.
-    method: an integrator with its own step or tolerances, such as pinred.Gauss(0.01), or "auto"
-    for one that suits the scene, with rtol and atol (simulate(explain=True) says which and why).
+    method: an integrator of pinred.integrators, or as text: "DOP853", "RKMK4(0.01)".  One with
+    step control works to rtol and atol, or to its own tolerances if it has them: not both.
+    With one of equal steps, rtol and atol only say what compare judges by.  "auto" takes one
+    that suits the scene (simulate(explain=True) says which and why).
 
+    The fields hold arrays for joints by name, Signals for plans, methods for their names.
     Raises InputError or ShapeError when it describes something that cannot be simulated.
     """
 
     system: System
-    x0: ArrayLike | None = None
-    xdot0: ArrayLike | None = None
+    x0: ArrayLike | Mapping[str, ArrayLike] | None = None
+    xdot0: ArrayLike | Mapping[str, ArrayLike] | None = None
     xi0: ArrayLike | None = None
     momentum: ArrayLike | None = None
     seed: int | None = None
     pose0: Any = None
+    q0: ArrayLike | None = None
+    v0: ArrayLike | None = None
     duration: float | None = None
     times: ArrayLike | None = None
-    rtol: float = 1e-10
-    atol: float = 1e-12
+    rtol: float = Default(1e-10)
+    atol: float = Default(1e-12)
     springs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     forces: Sequence[Force] | Force = ()
-    prescribed: Mapping[str, Signal] = field(default_factory=dict)
+    prescribed: Mapping[str, Signal | float | str] = field(default_factory=dict)
     outputs: WantedOutputs = "all"
-    method: Method | Literal["auto"] = "auto"
+    method: Method | str = "auto"
 
     def __post_init__(self) -> None:
         checked_system(self.system, "a scene")
-        given = [k for k in ("x0", "xdot0", "xi0", "momentum") if getattr(self, k) is not None]
-        if self.seed is not None and given:
-            raise InputError(
-                f"seed stands for a whole random state; do not give {given[0]} with it"
-            )
+        given = [name for name in _STAND_FOR["seed"][1] if getattr(self, name) is not None]
+        for name, (what, others) in _STAND_FOR.items():
+            if getattr(self, name) is None:
+                continue
+            both = [other for other in others if getattr(self, other) is not None]
+            if both:
+                raise InputError(f"{name} stands for {what}; do not give {both[0]} with it")
         if self.xi0 is not None and self.momentum is not None:
             raise InputError("give xi0 or momentum, not both: each fixes the other")
         if self.seed is None and not given and self.system.initial is None:
@@ -91,18 +110,23 @@ class Scene:
             checked_seed(self.seed)
         if self.outputs not in OUTPUTS:
             raise InputError(f"outputs must be one of {', '.join(OUTPUTS)}, got {self.outputs!r}")
-        if not (self.method == "auto" or isinstance(self.method, Method)):
-            names = " or ".join(f"{name}(…)" for name in METHODS)
-            raise InputError(f"method must be 'auto' or {names}, got {self.method!r}")
         for name in ("rtol", "atol"):
-            object.__setattr__(self, name, positive(getattr(self, name), name))
+            value = positive(getattr(self, name), name)
+            if is_given(getattr(self, name)):
+                self._keep(name, value)
         if self.rtol < TIGHTEST:
             raise InputError(f"rtol must be at least {TIGHTEST:g}, got {self.rtol:g}")
+        method = forms.method(self.method)
+        if method != "auto":
+            check_tolerances(method, self.rtol, self.atol)
+        self._keep("method", method)
+        for name in ("x0", "xdot0"):
+            self._keep(name, forms.in_order(getattr(self, name), self.system, name))
         if self.duration is not None:
-            object.__setattr__(self, "duration", positive(self.duration, "duration"))
-        object.__setattr__(self, "_times", read_only(self._checked_times()))
+            self._keep("duration", positive(self.duration, "duration"))
+        self._keep("_times", read_only(self._checked_times()))
         self._check_forces()
-        object.__setattr__(self, "_given", self._resolve())
+        self._keep("_given", self._resolve())
 
     def _repr_html_(self) -> str:
         from ..common.html import card, line, numbers, table
@@ -115,11 +139,11 @@ class Scene:
             *((force.label, repr(force)) for force in forces),
             *((f"prescribed {name}", repr(plan)) for name, plan in self.prescribed.items()),
         ]
-        method = f", {self.method}" if self.method else ""
+        method = self.integrator or self.method
         return card(
             f"Scene of {system.name}",
             f"{self.end:g} s, {len(self.report_times)} times, rtol {self.rtol:g}, "
-            f"atol {self.atol:g}{method}, outputs '{self.outputs}'",
+            f"atol {self.atol:g}, {method}, outputs '{self.outputs}'",
             table("start", ["joint", "x", "rate"], rows),
             line(f"twist of the base: {numbers(start.xi)}"),
             line(f"pose of the base: {numbers(start.pose)}"),
@@ -149,6 +173,12 @@ class Scene:
         return self.rtol / MOMENTUM_MARGIN, self.atol / MOMENTUM_MARGIN
 
     @property
+    def integrator(self) -> Method | None:
+        """The method asked for, with the tolerances that it works to; None if it is "auto"."""
+        method: Method | Literal["auto"] = vars(self)["method"]
+        return None if method == "auto" else with_tolerances(method, *self.tolerance)
+
+    @property
     def force_model(self) -> ForceModel | None:
         """The forces besides gravity, and the prescribed joints; None if there are none."""
         model: ForceModel | None = vars(self)["_forces"]
@@ -161,23 +191,33 @@ class Scene:
             return float(self.duration)
         return float(self.report_times[-1])
 
+    def _keep(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
+
     def _check_forces(self) -> None:
         """Write the forces down, if there are any."""
         if not isinstance(self.springs, Mapping):
             raise InputError(f"springs must be {{joint: (stiffness, rest)}}, got {self.springs!r}")
         if not isinstance(self.prescribed, Mapping):
-            raise InputError(f"prescribed must be {{joint: Signal}}, got {self.prescribed!r}")
+            raise InputError(
+                f"prescribed must be {{joint: Signal, number or formula}}, got {self.prescribed!r}"
+            )
         given = (self.forces,) if isinstance(self.forces, Force) else self.forces or ()
         if not isinstance(given, Iterable):
             raise InputError(f"forces must be a list of those of pinred.forces, got {given!r}")
         forces = tuple(given)
-        object.__setattr__(self, "forces", forces)
-        if not (self.springs or forces or self.prescribed):
-            object.__setattr__(self, "_forces", None)
+        prescribed = {
+            name: forms.signal(value, f"prescribed['{name}']")
+            for name, value in self.prescribed.items()
+        }
+        self._keep("forces", forces)
+        self._keep("prescribed", prescribed)
+        if not (self.springs or forces or prescribed):
+            self._keep("_forces", None)
             return
         from ..forces.force_model import remembered_model  # needs CasADi
 
-        model = remembered_model(self.system, self.springs, forces, self.prescribed)
+        model = remembered_model(self.system, self.springs, forces, prescribed)
         for signal in (*model.signals, *model.references):
             first, last = signal.span
             if not first <= 0.0 <= self.end <= last:
@@ -191,7 +231,7 @@ class Scene:
                     f"a period of {controller.period:g} s would call {controller.name} more than "
                     f"{MOST_CALLS} times in {self.end:g} s"
                 )
-        object.__setattr__(self, "_forces", model)
+        self._keep("_forces", model)
 
     def _checked_times(self) -> Array:
         if self.times is None:
@@ -217,8 +257,15 @@ class Scene:
         x = _or_zero(self.x0, system.m, "x0", system.shape_names)
         xdot = _or_zero(self.xdot0, system.m, "xdot0", system.shape_names)
         xi = _or_zero(self.xi0, system.r, "xi0")
+        if self.q0 is not None:
+            place = forms.configuration(self.q0, system)
+            pose, x = place.pose, place.x
+        if self.v0 is not None:
+            motion = forms.velocity(self.v0, system)
+            xi, xdot = motion.xi, motion.xdot
         ready = system.initial if self.seed is None else random_state(system, self.seed)
-        if ready is not None and self.x0 is None and self.xdot0 is None:
+        own = all(getattr(self, name) is None for name in ("x0", "xdot0", "q0", "v0"))
+        if ready is not None and own:
             x, xdot = ready.x, ready.xdot
             xi = ready.xi if self.xi0 is None else xi
         x, xdot = self.with_prescribed(x[None], xdot[None])
@@ -270,5 +317,5 @@ def random_state(system: System, seed: int) -> InitialState:
     )
 
 
-def _or_zero(value: ArrayLike | None, size: int, what: str, labels: Any = ()) -> Array:
+def _or_zero(value: Any, size: int, what: str, labels: Any = ()) -> Array:
     return np.zeros(size) if value is None else vector(value, size, what, labels)

@@ -37,8 +37,8 @@ class Choice:
 
 def choose(scene: Scene, stops: Array) -> Choice:
     """Return the integrator of a scene that stops at these times, (S,), with the reason."""
-    if scene.method != "auto":
-        return Choice(scene.method, "the scene asks for it")
+    if scene.integrator is not None:
+        return Choice(scene.integrator, "the scene asks for it")
     rtol, atol = scene.tolerance
     dop853 = DOP853(max(rtol, DOP853_LEAST), atol)
     rates = rates_near_rest(scene)

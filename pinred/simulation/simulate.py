@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Unpack
 
 from ..common.errors import InputError
 from ..common.progress import Progress, shown
+from ..common.signatures import shows_fields
+from ..scene.options import SceneOptions
 from ..scene.scene import ENGINES, Engine, Scene
 from ..system.system import System, checked_system
 from .pieces import Flow, Integrate, follow
@@ -15,19 +18,19 @@ from .plan import Plan, plan_of
 from .trajectory import Run, Trajectory
 
 
+@shows_fields(Scene)
 def simulate(
     scene: System | Scene,
     *,
     engine: Engine = "compiled",
     progress: Progress | bool | None = None,
     explain: bool = False,
-    **options: Any,
+    **options: Unpack[SceneOptions],
 ) -> Trajectory:
     """Integrate the reduced equations of a scene and reconstruct the motion of the base.
 
-    scene: a Scene, or a System with the options of Scene: x0, xdot0, xi0 or momentum,
-        seed, pose0, duration, times, rtol, atol, springs, forces, prescribed, outputs,
-        method.
+    scene: a System, or a Scene, whose options then stand where none are given.
+    options: the fields of Scene, which says what each means.
     engine: "compiled", machine code made for the robot and the kind of scene (and kept on
         disk), or "pinocchio", the same equations by Pinocchio's numbers under SciPy's DOP853.
     progress: True for a progress bar, in a terminal or a notebook; or a function that is
@@ -53,7 +56,7 @@ def simulate(
         return route(plan, done)
 
 
-def as_scene(scene: System | Scene, options: dict[str, Any], what: str) -> Scene:
+def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Scene:
     """Return the scene that a System or Scene and options make.  Raises InputError."""
     names = [name for name in Scene.__dataclass_fields__ if name != "system"]
     for option in options:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 from ..common.arrays import Array, as_floats, vectors
 from ..common.errors import InputError, IntegrationError, ShapeError
 from ..common.progress import Progress, shown
+from ..common.signatures import shows_fields
+from ..scene import forms
 from ..scene.initial_state import GivenStates
+from ..scene.options import SceneOptions
 from ..scene.scene import Scene, checked_seed, random_state
 from ..system.system import System, checked_system
 from .plan import Plan, plan_of
@@ -23,7 +26,10 @@ from .state import ShapeState, State, with_base
 if TYPE_CHECKING:
     from .compiled.compiled_flow import CompiledFlow
 
-_VARYING = ("x0", "xdot0", "xi0", "momentum", "pose0")
+_VARYING = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
+_BY_JOINT = ("x0", "xdot0")
+_OF_Q = (("pose0", "pose"), ("x0", "x"))
+_OF_V = (("xi0", "xi"), ("xdot0", "xdot"))
 
 
 @dataclass(frozen=True)
@@ -100,18 +106,20 @@ class Batch:
     flow: Callable[[int], CompiledFlow]
 
 
+@shows_fields(Scene)
 def simulate_many(
     system: System,
     *,
     threads: int | None = None,
     seeds: Sequence[int] | None = None,
     progress: Progress | bool | None = None,
-    **options: Any,
+    **options: Unpack[SceneOptions],
 ) -> Trajectories:
     """Simulate one system from many initial states, with one kernel, over threads.
 
-    options: those of Scene; of x0, xdot0, xi0, momentum and pose0, what has a leading axis
-        (N, …) differs between members, and the rest is common.
+    options: those of Scene; of x0, xdot0, xi0, momentum, pose0, q0 and v0, what has a leading
+        axis (N, …) differs between members, and the rest is common.  By name, that is
+        {joint: (N,) values}, beside which numbers are common.
     seeds: (N,) one random state each instead.  threads: as many as processors if None.
     progress: as in `simulate`; the part of the members that is done.
 
@@ -121,7 +129,11 @@ def simulate_many(
     to be integrated in pieces: with controllers, or tables that have breaks.
     """
     checked_system(system, "simulate_many")
-    common, varying, count = _members(options, seeds)
+    given = {
+        name: forms.in_order(value, system, name) if name in _BY_JOINT else value
+        for name, value in options.items()
+    }
+    common, varying, count = _members(given, seeds)
     if not count:
         raise InputError("simulate_many needs at least one member")
     # The first member as a scene of its own: it checks all that is common.
@@ -131,9 +143,9 @@ def simulate_many(
     scene = as_scene(system, common | first, "simulate_many")
     plan = plan_of(scene)
     _refuse_stops(plan)
-    given = _given(scene, varying, count) if seeds is None else _drawn(scene, seeds)
+    starts = _given(scene, varying, count) if seeds is None else _drawn(scene, seeds)
     with shown(progress, f"simulating {count} of {system.name}") as done:
-        return _run(plan, given, threads, done)
+        return _run(plan, starts, threads, done)
 
 
 def _refuse_stops(plan: Plan) -> None:
@@ -152,13 +164,13 @@ def _refuse_stops(plan: Plan) -> None:
 
 
 def _members(
-    options: dict[str, Any], seeds: Sequence[int] | None
+    options: Mapping[str, Any], seeds: Sequence[int] | None
 ) -> tuple[dict[str, Any], dict[str, Array], int]:
     """Return the options that are common, those that vary, (N, …), and N."""
     if seeds is not None:
         if "seed" in options:
             raise InputError("give seeds or seed, not both")
-        return options, {}, len(seeds)
+        return dict(options), {}, len(seeds)
     varying = {}
     for name in _VARYING:
         if options.get(name) is not None and np.ndim(options[name]) == 2:
@@ -177,6 +189,13 @@ def _members(
 def _given(scene: Scene, varying: dict[str, Array], count: int) -> GivenStates:
     """Return the initial states of all members: the first one's where they do not vary."""
     system, own = scene.system, scene.given
+    varying = dict(varying)
+    if "q0" in varying:
+        places = [forms.configuration(q, system) for q in varying.pop("q0")]
+        varying |= {name: np.array([getattr(p, key) for p in places]) for name, key in _OF_Q}
+    if "v0" in varying:
+        motions = [forms.velocity(v, system) for v in varying.pop("v0")]
+        varying |= {name: np.array([getattr(v, key) for v in motions]) for name, key in _OF_V}
     sizes = {"x0": system.m, "xdot0": system.m, "xi0": system.r, "momentum": system.r}
 
     def rows(name: str, first: Array | None) -> Array | None:

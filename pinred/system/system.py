@@ -190,7 +190,8 @@ class System:
         q = self._last(q, self.model.nq, "q")
         y = np.empty((*q.shape[:-1], self.group.size + self.m))
         y[..., self._plain] = q[..., self._plain_q]
-        y[..., self._angle] = np.arctan2(q[..., self._angle_q + 1], q[..., self._angle_q])
+        # −0.0 + 0.0 is 0.0, with which half a turn is π, not −π.
+        y[..., self._angle] = np.arctan2(q[..., self._angle_q + 1] + 0.0, q[..., self._angle_q])
         return Configuration(pose=y[..., : self.group.size], x=y[..., self.group.size :])
 
     def velocity(self, v: ArrayLike) -> Velocity:

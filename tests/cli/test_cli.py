@@ -26,6 +26,16 @@ def test_compare_passes(capsys: pytest.CaptureFixture[str]) -> None:
     assert "verdict: PASSED" in out
 
 
+def test_compare_with_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
+    """Joints by name, a formula and a method with options, judged by ABA."""
+    code, out, err = run(
+        capsys, "compare", "falling_cat", "--time", "0.5", "--x0", "bend=-0.5,twist=0.3",
+        "--momentum", "0", "--prescribed", "sway=0.4*(1 - cos(pi*t))", "--method", "Radau",
+    )  # fmt: skip
+    assert (code, err) == (0, "")
+    assert "verdict: PASSED" in out
+
+
 def test_compare_fails_with_one(capsys: pytest.CaptureFixture[str]) -> None:
     """A scene that cannot be judged does not pass, and exits with 1."""
     code, out, _ = run(
@@ -201,6 +211,27 @@ URDF = """<robot name="r"><link name="base"><inertial><mass value="{mass}"/>
         (("compare", "good.urdf", "--x0", "1,2"), r"x0 must have shape (1,) (elbow)"),
         (("compare", "good.urdf", "--x0", "nan"), "finite"),
         (("compare", "good.urdf", "--x0", "a"), "--x0 takes numbers"),
+        (("compare", "good.urdf", "--x0", "elbow=a"), "--x0 takes numbers, or JOINT=NUMBER for"),
+        (("compare", "good.urdf", "--x0", "1,elbow=1"), "JOINT=NUMBER for each, got '1'"),
+        (("compare", "good.urdf", "--x0", "elbow=1,elbow=2"), "--x0 has joint 'elbow' twice"),
+        (
+            ("compare", "good.urdf", "--xdot0", "ebow=1"),
+            "xdot0: no shape joint 'ebow'; did",
+        ),
+        (("compare", "good.urdf", "--q0", "1,2"), "q0 must have shape (9,), got (2,)"),
+        (("compare", "good.urdf", "--v0", "elbow=1"), "--v0 takes numbers"),
+        (("compare", "good.urdf", "--seed", "1", "--v0", "0"), "do not give v0 with it"),
+        (("compare", "good.urdf", "--prescribed", "elbow"), "--prescribed takes JOINT=NUMBER or"),
+        (("compare", "good.urdf", "--prescribed", "elbow=sin(x)"), "prescribed['elbow']: the expr"),
+        (("compare", "good.urdf", "--prescribed", "knee=0"), "no shape joint 'knee'"),
+        (
+            ("compare", "good.urdf", "--prescribed", "elbow=0", "--prescribed", "elbow=1"),
+            "--prescribed has joint 'elbow' twice",
+        ),
+        (
+            ("compare", "good.urdf", "--method", "Gauss"),
+            "method 'Gauss' needs a step",
+        ),
         (("compare", "good.urdf", "--gravity", "1,2"), "gravity must have shape (3,)"),
         (("compare", "good.urdf", "--spring", "elbow"), "--spring takes JOINT=STIFFNESS"),
         (("inspect", "good.urdf", "--at", "0,0"), "must have shape (1,)"),

@@ -31,6 +31,11 @@ def wave(k: int) -> Fourier:
     return Fourier(0.2 - 0.1 * k, [0.1], [0.3 + 0.1 * k, -0.2], 2.0 + 0.3 * k)
 
 
+def signals_of(scene: pinred.Scene) -> list[Signal]:
+    """The motions of the prescribed joints."""
+    return [signal for signal in scene.prescribed.values() if isinstance(signal, Signal)]
+
+
 def accelerations(traj: pinred.Trajectory, driven: list[int], tau: Array, t: int) -> Array:
     """The whole acceleration (n,) at a report time, of the full model where some is given."""
     model, r = traj.system.model, traj.system.r
@@ -40,7 +45,7 @@ def accelerations(traj: pinred.Trajectory, driven: list[int], tau: Array, t: int
     H = H + np.triu(H, 1).T
     fixed = r + np.array(driven)
     free = np.setdiff1d(np.arange(model.nv), fixed)
-    signals = list(traj.scene.prescribed.values())
+    signals = signals_of(traj.scene)
     a = np.empty(model.nv)
     a[fixed] = [float(s.acceleration(traj.t[t])) for s in signals]
     rest = tau - pin.nonLinearEffects(model, data, q, v) - H[:, fixed] @ a[fixed]
@@ -81,7 +86,7 @@ def full_motion(scene: pinred.Scene, driven: list[int]) -> Array:
     """Pinocchio's (T, nq) at TIMES, where the drives give what pin.rnea says they must."""
     system = scene.system
     model, data, r = system.model, system.model.createData(), system.r
-    signals = list(scene.prescribed.values())
+    signals = signals_of(scene)
     rows = r + np.array(driven)
 
     def tau(t: float, q: Array, v: Array) -> Array:

@@ -98,8 +98,12 @@ def test_bad_forces(make: Callable[[], Any], message: str) -> None:
 
 PLANS: list[tuple[dict[str, Any], str]] = [
     ({"prescribed": {"x": WAVE}}, UNKNOWN),
-    ({"prescribed": {A: 1.0}}, r"prescribed\['bend'\] must be a Signal, got 1.0"),
-    ({"prescribed": [WAVE]}, "prescribed must be {joint: Signal}"),
+    ({"prescribed": {A: None}}, r"prescribed\['bend'\] must be a Signal, a number or a formula"),
+    ({"prescribed": {A: True}}, r"prescribed\['bend'\] must be a Signal, a number or a formula"),
+    ({"prescribed": {A: NAN}}, r"prescribed\['bend'\]: the value of a Constant must be one finite"),
+    ({"prescribed": {A: "0.4*cos(x)"}}, r"prescribed\['bend'\]: the expression cannot be used"),
+    ({"prescribed": {A: "abs(t)"}}, "has a kink or a jump"),
+    ({"prescribed": [WAVE]}, "prescribed must be {joint: Signal, number or formula}"),
     ({"prescribed": {A: Hold([0.0], [0.0])}}, "has a kink or a jump; use a Spline"),
     ({"prescribed": {A: Linear([0.0, 1.0], [0.0, 1.0])}}, "has a kink or a jump; use a Spline"),
     ({"prescribed": {A: Expression("abs(t)")}}, "has a kink or a jump"),

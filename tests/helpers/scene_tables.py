@@ -49,7 +49,7 @@ def tables() -> str:
     defs, keys = schema["$defs"], schema["properties"]
     out = [table("The file", schema, defs)]
     out += [table(f"`[{name}]`", keys[name], defs) for name in ("load", "start", "run")]
-    for one in keys["run"]["properties"]["method"]["oneOf"]:
+    for one in keys["run"]["properties"]["method"]["anyOf"][1]["oneOf"]:
         out.append(table(f"`run.method`: {one['properties']['name']['enum'][0]}", one, defs))
     signals = defs["signal_table"]["properties"]
     out += [table(f"signal `{{ {name} = {{ … }} }}`", signals[name], defs) for name in signals]

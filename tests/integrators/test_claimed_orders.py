@@ -64,11 +64,11 @@ def test_a_method_has_its_own_tolerance() -> None:
 
 
 def test_methods_that_are_none() -> None:
-    """A name is no method, and SciPy has DOP853 only."""
+    """A number is no method, and SciPy has DOP853 only."""
     system = pinred.load("falling_cat")
     with pytest.raises(
         pinred.InputError, match=r"method must be 'auto' or AdaptiveGauss\(…\) or DOP853\("
     ):
-        pinred.simulate(system, method="RKMK4")
+        pinred.simulate(system, method=3)  # type: ignore[arg-type]
     with pytest.raises(pinred.InputError, match="pinocchio"):
         pinred.simulate(system, method=RKMK4(0.01), engine="pinocchio")

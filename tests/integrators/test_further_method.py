@@ -40,8 +40,8 @@ assert main(["run", "scene.toml"]) == 0
 command = ["simulate", "falling_cat", "--time", "0.2", "--method", "BS3", "--out", "out.csv"]
 assert main([*command, "--rtol", "1e-5"]) == 0
 solver = next(solver for solver in SOLVERS if solver.name == "pinred-bs3")
-names = [one["properties"]["name"]["enum"][0]
-         for one in pinred.scene_schema()["properties"]["run"]["properties"]["method"]["oneOf"]]
+schema = pinred.scene_schema()["properties"]["run"]["properties"]["method"]
+names = [one["properties"]["name"]["enum"][0] for one in schema["anyOf"][1]["oneOf"]]
 print(json.dumps([errors, solver.about, names]))
 """
 SCENE = """

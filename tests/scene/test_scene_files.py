@@ -17,6 +17,7 @@ import pytest
 
 import pinred
 from pinred.cli.main import main
+from pinred.common.defaults import Default
 from pinred.forces import PD, ComputedTorque, Damper, PotentialEnergy, Spring, Torque, Wrench
 from pinred.forces.force import Force, Limit
 from pinred.forces.signals.tabulated import _ENDS
@@ -26,6 +27,7 @@ from pinred.integrators.methods import (
     RKMK4,
     AdaptiveGauss,
     Gauss,
+    Method,
     Radau,
     Tsit5,
     Variational,
@@ -301,6 +303,10 @@ def test_keys_are_those_of_python() -> None:
             said = _METHODS[name].keys[entry.name].default
             if entry.default is MISSING:
                 assert said == ""
+            elif isinstance(entry.default, Default):
+                scenes, own = said.split(", or ")
+                assert scenes == f"a tenth of run.{entry.name}"
+                assert float(own.split(" beside ")[0]) == entry.default
             elif said != "none":
                 assert said == entry.default or float(said) == entry.default
     assert ENDS == _ENDS
@@ -419,11 +425,14 @@ def test_methods_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     with np.load(out) as file:
         np.testing.assert_array_equal(file["x"], traj.x)
         assert "pose" not in file
-    for given, method in (
+    cases: list[tuple[list[str], Method]] = [
         (["--method", "Gauss", "--step", "0.01", "--order", "4"], Gauss(0.01, 4)),
+        (["--method", "Gauss(0.01, order=4)"], Gauss(0.01, 4)),
         (["--method", "Variational", "--step", "0.01"], Variational(0.01)),
-        (["--method", "Radau", "--rtol", "1e-6"], Radau(1e-6, 1e-12)),
-    ):
+        (["--method", "Radau", "--rtol", "1e-6"], Radau(1e-7, 1e-13)),
+        (["--method", "Radau(1e-6)"], Radau(1e-6, 1e-10)),
+    ]
+    for given, method in cases:
         assert main([*arguments, *given]) == 0
         assert method.name in capsys.readouterr().out
         found = pinred.simulate(
@@ -432,7 +441,11 @@ def test_methods_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
         with np.load(out) as file:
             np.testing.assert_array_equal(file["x"], found.x)
     for wrong, words in (
-        (["--method", "RKMK4"], "go together"),
+        (["--method", "RKMK4"], "method 'RKMK4' needs a step, as in RKMK4(0.01)"),
+        (["--method", "Gauss", "--order", "4"], "needs a step, as in Gauss(0.01)"),
+        (["--method", "Radau", "--step", "0.1"], "go together"),
+        (["--method", "RKMK4(0.1)", "--step", "0.1"], "must be a name, or a name with options"),
+        (["--method", "DOP853(1e-8)", "--rtol", "1e-6"], "rtol is given beside a method with tol"),
         (["--step", "0.1"], "go together"),
         (["--method", "Euler"], f"the methods are {', '.join(METHODS)}"),
         (["--method", "Radau", "--order", "4"], "--order P goes with --method Gauss"),

@@ -77,7 +77,7 @@ def test_stiff_forces_get_radau(damping: float) -> None:
     assert isinstance(plan_of(hard).choice.method, Radau) == stiff
     assert ("stability alone" in plan_of(hard).choice.why) == stiff
     traj = pinred.simulate(hard)
-    other = pinred.simulate(hard, method=DOP853(1e-10, 1e-12))
+    other = pinred.simulate(hard, rtol=1e-9, atol=1e-11, method=DOP853())
     np.testing.assert_allclose(traj.x, other.x, atol=1e-7)
     assert pinred.compare(pinred.simulate(hard, times=[0.002])).passed
     # A spring alone swings, and has to be followed.

@@ -67,7 +67,7 @@ def test_bad_members() -> None:
     with pytest.raises(pinred.ShapeError, match="none"):
         pinred.simulate_many(system, x0=[0.0])
     with pytest.raises(pinred.InputError, match="no option 'speed'"):
-        pinred.simulate_many(system, x0=np.zeros((2, 1)), speed=1.0)
+        pinred.simulate_many(system, x0=np.zeros((2, 1)), speed=1.0)  # type: ignore[call-arg]
     with pytest.raises(pinred.InputError, match="not both"):
         pinred.simulate_many(system, seeds=[1], seed=2)
 

@@ -241,9 +241,9 @@ def test_refusals(cat: pinred.Trajectory) -> None:
     with pytest.raises(pinred.InputError, match="the kinds are base, curvature, energy, error"):
         pinred.plot(cat, "shapes")
     with pytest.raises(pinred.InputError, match="no option 'joint'; its options are joints"):
-        pinred.plot(cat, "shape", joint=1)
+        pinred.plot(cat, "shape", joint=1)  # type: ignore[call-overload]
     with pytest.raises(pinred.InputError, match="no option 'x'; it has none"):
-        pinred.plot(cat, "base", x=1)
+        pinred.plot(cat, "base", x=1)  # type: ignore[call-overload]
     with pytest.raises(pinred.InputError, match="no joint 'tail'; its joints are bend, sway"):
         pinred.plot(cat, "shape", joints=["tail"])
     with pytest.raises(pinred.InputError, match="joint 3 is not among the 3 joints"):

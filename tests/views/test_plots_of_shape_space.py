@@ -218,7 +218,7 @@ def test_curvature_of_a_motion_has_its_path() -> None:
     with pytest.raises(pinred.InputError, match="limits must increase"):
         pinred.plot(traj, "curvature", limits=[(0, 1), (1, 1)])
     with pytest.raises(pinred.InputError, match="a finite \\(low, high\\)"):
-        pinred.plot(traj, "curvature", limits=(0, 1))
+        pinred.plot(traj, "curvature", limits=(0, 1))  # type: ignore[call-overload]
     with pytest.raises(pinred.InputError, match="needs a robot with at least 2 joints"):
         pinred.plot(cartpole(), "curvature")
     with pytest.raises(pinred.InputError, match=r"path must be shapes over time, \(T, 3\)"):

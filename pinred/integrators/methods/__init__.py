@@ -8,7 +8,6 @@ from inspect import isabstract
 from pkgutil import iter_modules
 from typing import Any
 
-from ...common.errors import InputError
 from .adaptive_gauss import AdaptiveGauss as AdaptiveGauss
 from .dop853 import DOP853 as DOP853
 from .gauss import Gauss as Gauss
@@ -72,28 +71,3 @@ def options_of(kind: type[Method]) -> list[Option]:
         )
         for entry in fields(kind)
     ]
-
-
-def method_named(
-    name: str, step: float | None, order: int | None, rtol: float, atol: float
-) -> Method:
-    """Return a method by its name, as on the command line: with its step, or tolerances.
-
-    Raises InputError for a name that is none, and where step or order do not go with it.
-    """
-    if name not in METHODS:
-        raise InputError(f"unknown method '{name}'; the methods are {', '.join(METHODS)}")
-    kind = METHODS[name]
-    wanted = {entry.name for entry in options_of(kind)}
-    if ("step" in wanted) != (step is not None):
-        with_steps = [key for key, value in METHODS.items() if not value.adaptive]
-        raise InputError(f"--step H and --method {' or '.join(with_steps)} go together")
-    if order is not None and "order" not in wanted:
-        with_orders = [
-            key
-            for key, value in METHODS.items()
-            if any(o.name == "order" for o in options_of(value))
-        ]
-        raise InputError(f"--order P goes with --method {' or '.join(with_orders)}")
-    given: dict[str, Any] = {"step": step, "order": order, "rtol": rtol, "atol": atol}
-    return kind(**{k: v for k, v in given.items() if k in wanted and v is not None})

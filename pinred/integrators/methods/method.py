@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import Field, dataclass, field
 from functools import cache
 from math import ceil, inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ...common.arrays import positive
+from ...common.defaults import Default
 from ...common.errors import InputError
 
 if TYPE_CHECKING:
@@ -70,17 +71,28 @@ class ErrorControl(Method):
     """A method that keeps to a tolerance.
 
     rtol, atol: the estimated error of a step stays below atol + rtol |y| in the mean.
+    If neither is given, a Scene gives its own; else, and outside of scenes, defaults hold.
     max_steps: of trial steps, the rejected ones included.  max_step: their longest [s].
     """
 
-    rtol: float = field(default=1e-10, metadata=option("relative tolerance of a step"))
-    atol: float = field(default=1e-12, metadata=option("absolute tolerance of a step"))
+    rtol: float = field(default=Default(1e-10), metadata=option("relative tolerance of a step"))
+    atol: float = field(default=Default(1e-12), metadata=option("absolute tolerance of a step"))
     max_steps: int = field(
         default=1_000_000, metadata=option("largest number of trial steps", least=1)
     )
     max_step: float = field(default=inf, metadata=option("longest step [s]"))
 
     adaptive: ClassVar[bool] = True
+
+    def __init_subclass__(cls) -> None:
+        """Tell the defaults of a method's tolerances from tolerances that are given."""
+        super().__init_subclass__()
+        for name in ("rtol", "atol"):
+            value = vars(cls).get(name)
+            if isinstance(value, Field):
+                value.default = Default(value.default)  # type: ignore[arg-type]
+            elif value is not None:
+                setattr(cls, name, Default(value))
 
     def __post_init__(self) -> None:
         positive(self.rtol, "rtol")

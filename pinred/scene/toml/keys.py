@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
+from ...common.defaults import Default
 from ...integrators.methods import METHODS, Method, Option, options_of
 from ..scene import DURATION, ENGINES, EVEN_TIMES, OUTPUTS, Scene
 from .schema import (
@@ -25,7 +26,12 @@ from .schema import (
 GROUPS = ("R", "SO2", "SE2", "SO3", "SE3")
 ENDS = ("natural", "clamped", "not-a-knot", "periodic")
 MOST_SAMPLES = 1_000_000
-_STATE = ("x0", "xdot0", "xi0", "momentum")
+_APART = (
+    ("xi0", "momentum"),
+    *((name, "q0") for name in ("x0", "pose0")),
+    *((name, "v0") for name in ("xdot0", "xi0", "momentum")),
+    *((name, "seed") for name in ("x0", "xdot0", "xi0", "momentum", "q0", "v0")),
+)
 _BOTH = "time and value: two names in the header of the csv, or two columns counted from 0"
 
 NUMBER, POSITIVE = Number(), Number(positive=True)
@@ -89,6 +95,10 @@ START = Table(
     {
         "x0": Key(SHAPE, "shape [rad | m]; by name, the others are zero", default=_OWN),
         "xdot0": Key(SHAPE, "shape rate; by name, the others are zero", default=_OWN),
+        "q0": Key(NUMBERS, "Pinocchio's configuration instead of x0 and pose0", default="as of x0"),
+        "v0": Key(
+            NUMBERS, "Pinocchio's velocity instead of xdot0, xi0, momentum", default="as of xdot0"
+        ),
         "xi0": Key(NUMBERS, "body twist of the base [linear; angular]", default="as of x0"),
         "momentum": Key(
             Either((NUMBER, NUMBERS)), "body momentum instead of xi0, or just 0", default="from xi0"
@@ -97,7 +107,7 @@ START = Table(
         "seed": Key(Whole(), "a random state instead of all these but pose0", default="none"),
     },
     "the initial state",
-    apart=(("xi0", "momentum"), *((name, "seed") for name in _STATE)),
+    apart=_APART,
 )
 
 
@@ -109,7 +119,7 @@ def _method_table(kind: type[Method]) -> Table:
                 _option_node(option),
                 option.about,
                 required=option.required,
-                default="" if option.required else _shown_default(option.default),
+                default=_default_of(option),
             )
             for option in options_of(kind)
         },
@@ -125,12 +135,22 @@ def _option_node(option: Option) -> Node:
     return Text(option.among)
 
 
+def _default_of(option: Option) -> str:
+    """Return what holds without an option: of tolerances, the scene's, or their own as a pair."""
+    if not isinstance(option.default, Default):
+        return "" if option.required else _shown_default(option.default)
+    other = {"rtol": "atol", "atol": "rtol"}[option.name]
+    return f"a tenth of run.{option.name}, or {_shown_default(option.default)} beside {other}"
+
+
 def _shown_default(value: float | str) -> str:
     if value == inf:
         return "none"
     return f"{value:g}".replace("e-0", "e-") if isinstance(value, float) else str(value)
 
 
+_INTEGRATOR = "an integrator {name = …}"
+_APART_FROM = "not beside a method's own"
 _METHODS = {
     "auto": Table({}, "one that suits the scene and its tolerance"),
     **{name: _method_table(kind) for name, kind in METHODS.items()},
@@ -144,13 +164,13 @@ RUN = Table(
         "samples": Key(
             Whole(2, MOST_SAMPLES), "number of even report times instead", default=str(EVEN_TIMES)
         ),
-        "rtol": Key(POSITIVE, "relative tolerance", default=f"{Scene.rtol:g}"),
-        "atol": Key(POSITIVE, "absolute tolerance", default=f"{Scene.atol:g}"),
+        "rtol": Key(POSITIVE, "relative tolerance", default=f"{Scene.rtol:g}; {_APART_FROM}"),
+        "atol": Key(POSITIVE, "absolute tolerance", default=f"{Scene.atol:g}; {_APART_FROM}"),
         "outputs": Key(Text(OUTPUTS), "shape leaves out the base", default=Scene.outputs),
         "engine": Key(Text(ENGINES), "what integrates", default=ENGINES[0]),
         "method": Key(
-            Tagged("name", _METHODS, "an integrator {name = …}"),
-            "an integrator of the compiled engine",
+            Either((Text((), "an integrator as text"), Tagged("name", _METHODS, _INTEGRATOR))),
+            'an integrator of the compiled engine: "Radau", "RKMK4(0.01)", or a table',
             default="auto",
         ),
     },

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import re
 import tomllib
@@ -12,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
 from ...common.errors import InputError, PinredError
+from ...common.names import nearest
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
 _SHOWN = 40  # characters of a value in a message
@@ -87,9 +87,9 @@ def one_line(error: Exception) -> str:
 def unknown(name: str, kind: str, known: Iterable[str], title: str) -> str:
     """Return the message about an unknown name, with the nearest known one."""
     known = list(known)
-    near = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean '{near[0]}'? " if near else ""
-    return f"unknown {kind} {_text(name)}; {hint}{title} {', '.join(known) or 'none'}"
+    return (
+        f"unknown {kind} {_text(name)}; {nearest(name, known)}{title} {', '.join(known) or 'none'}"
+    )
 
 
 def shown(value: Any) -> str:

@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 import casadi as ca
 import numpy as np
@@ -18,10 +18,11 @@ from ...forces.force import Force, Limit
 from ...forces.force_model import remembered_model
 from ...forces.signals import Signal
 from ...forces.signals.expressions import parse
-from ...integrators.methods import METHODS
+from ...integrators.methods import METHODS, Method
 from ...system.catalogue import bundled_robots
 from ...system.load import load
 from ...system.system import System
+from .. import forms
 from ..scene import DURATION, Engine, Scene
 from .csv_columns import read_text
 from .keys import SCENE
@@ -39,7 +40,7 @@ _FORCES: dict[str, Callable[..., Force]] = {
     "wrench": acting.Wrench,
 }
 _SECTIONS = {
-    **dict.fromkeys(("x0", "xdot0", "xi0", "momentum", "seed"), "start"),
+    **dict.fromkeys(("x0", "xdot0", "xi0", "momentum", "seed", "q0", "v0"), "start"),
     **dict.fromkeys(("duration", "times", "rtol", "atol"), "run"),
 }
 
@@ -108,12 +109,10 @@ class _Builder:
             end = run.get("duration", DURATION if initial is None else initial.duration)
             run["times"] = np.linspace(0.0, end, run.pop("samples"))
         if "method" in run:
-            method = dict(run["method"])
-            name = method.pop("name")
-            if name != "auto" and engine != "compiled":
-                (place / "method").fail("engine 'pinocchio' has an integrator of its own")
             with naming(place / "method"):
-                run["method"] = name if name == "auto" else METHODS[name](**method)
+                run["method"] = _method(run["method"])
+            if run["method"] != "auto" and engine != "compiled":
+                (place / "method").fail("engine 'pinocchio' has an integrator of its own")
         prescribed = self._by_joint(
             self.document.get("prescribed", {}), self.place / "prescribed", self.signals.motion
         )
@@ -148,11 +147,9 @@ class _Builder:
 
     def _start(self) -> dict[str, Any]:
         start, place = dict(self.document.get("start", {})), self.place / "start"
-        joints = self.system.shape_names
         for name in ("x0", "xdot0"):
             if isinstance(start.get(name), dict):
-                given = self._by_joint(start[name], place / name, lambda value, _: value)
-                start[name] = [given.get(joint, 0.0) for joint in joints]
+                self._by_joint(start[name], place / name, lambda value, _: value)
         if "pose0" in start:
             with naming(place / "pose0"):
                 self.system.group.pose(start["pose0"])
@@ -252,6 +249,15 @@ class _Builder:
         if isinstance(value, dict):
             self._by_joint(value, place, lambda entry, _: entry)
         return value
+
+
+def _method(given: str | dict[str, Any]) -> Method | Literal["auto"]:
+    """Return the integrator of a text or a table."""
+    if isinstance(given, str):
+        return forms.method(given)
+    options = dict(given)
+    name = options.pop("name")
+    return "auto" if name == "auto" else METHODS[name](**options)
 
 
 def _is_file(path: Path) -> bool:

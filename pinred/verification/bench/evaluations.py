@@ -11,7 +11,7 @@ momenta, pose) one scale, its largest over the motion.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -128,7 +128,7 @@ def _at_errors(points: list[tuple[float, float]]) -> tuple[float, ...]:
 def _own(problem: Problem, truth: FullMotion, method: Any, stages: int) -> tuple[float, float]:
     from ...simulation.simulate import simulate
 
-    traj = simulate(replace(problem.scene(1e-10, 1e-12), method=method))
+    traj = simulate(problem.scene(method=method))
     end = FullMotion(x=traj.x, q=traj.q)
     return problem.apart(truth, end), traj.run.evaluations / stages
 
@@ -138,13 +138,13 @@ def _own_norm(tol: float) -> Tolerances:
 
 
 def _without_base(problem: Problem) -> Norm:
-    weights = np.ones(len(CompiledFlow(plan_of(problem.scene(1e-10, 1e-12))).y0))
+    weights = np.ones(len(CompiledFlow(plan_of(problem.scene())).y0))
     weights[2 * problem.system.m :] = _NEVER
     return lambda tol: (max(tol, 1e-13), ATOL * tol * weights)
 
 
 def _scale_a_kind(problem: Problem) -> Norm:
-    flow = CompiledFlow(plan_of(problem.scene(1e-10, 1e-12)))
+    flow = CompiledFlow(plan_of(problem.scene()))
     largest = np.abs(_solve(flow, problem, "DOP853", 1e-6, 1e-8).y).max(axis=1)
     m = problem.system.m
     for kind in (slice(0, m), slice(m, 2 * m), slice(2 * m, None)):
@@ -165,7 +165,7 @@ def _solve(
 def _other(
     problem: Problem, truth: FullMotion, kind: Any, norm: Norm, tol: float
 ) -> tuple[float, float]:
-    scene = problem.scene(1e-10, 1e-12)
+    scene = problem.scene()
     flow = CompiledFlow(plan_of(scene))
     try:
         found = _solve(flow, problem, kind, *norm(tol))

@@ -45,9 +45,9 @@ def own_method(
 
         start, times = problem.start, problem.times
         given = tolerance * start.duration if fixed else tolerance
-        options: dict[str, Any] = {} if make is None else {"method": make(given)}
-        if not fixed:
-            options |= {"rtol": tolerance, "atol": ATOL * tolerance}
+        options: dict[str, Any] = {"rtol": tolerance, "atol": ATOL * tolerance}
+        if make is not None:
+            options = {"method": make(given)}
 
         def run() -> Any:
             traj = simulate(
@@ -65,7 +65,7 @@ def _integration(problem: Problem, tolerance: float) -> Prepared:
     from ...simulation.compiled.integrator import integrator
     from ...simulation.plan import plan_of
 
-    scene = problem.scene(tolerance, ATOL * tolerance)
+    scene = problem.scene(rtol=tolerance, atol=ATOL * tolerance)
     plan = plan_of(scene)
     flow = CompiledFlow(plan)
 

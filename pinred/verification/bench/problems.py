@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -43,8 +44,8 @@ class Problem:
         """Pinocchio's velocity at the start, (n,)."""
         return self.system.v(self.start.xi, self.start.xdot)
 
-    def scene(self, rtol: float, atol: float) -> Scene:
-        """Return the problem as a Scene."""
+    def scene(self, **options: Any) -> Scene:
+        """Return the problem as a Scene.  options: further ones."""
         start = self.start
         return Scene(
             system=self.system,
@@ -52,14 +53,13 @@ class Problem:
             xdot0=start.xdot,
             xi0=start.xi,
             times=self.times,
-            rtol=rtol,
-            atol=atol,
+            **options,
         )
 
     @cached_property
     def full(self) -> FullState:
         """Pinocchio's ABA on the full state, and its judgement of distances."""
-        return FullState(self.scene(1e-10, 1e-12))
+        return FullState(self.scene())
 
     def full_start(self) -> Array:
         """Return the full state at the start, as FullState has it."""

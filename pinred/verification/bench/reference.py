@@ -59,7 +59,7 @@ def _quadruple(problem: Problem, aba: FullMotion) -> Reference:
     from ...simulation.plan import plan_of
 
     hy = import_module("heyoka")
-    scene = problem.scene(1e-10, 1e-12)  # its tolerances are not used
+    scene = problem.scene()
     flow = CompiledFlow(plan_of(scene))
     expressions = taylor_expressions(reduced_graph(problem), flow.parameters.tolist())
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from math import inf
 from typing import Literal, TypeAlias, TypeVar
 
-from ...integrators.methods import DOP853, DOP853_LEAST, RKMK4, AdaptiveGauss, Gauss, Method
-from ...scene.scene import MOMENTUM_MARGIN
+from ...integrators.methods import DOP853, RKMK4, AdaptiveGauss, Gauss, Method
 from ...simulation.simulate import simulate
 from ...simulation.simulate_many import Trajectories, simulate_many
 from ...simulation.trajectory import Trajectory
 
 T = TypeVar("T")
 _TIGHT = 1e-8  # relative tolerances for which there are special methods
+_ANY = 10**12  # steps
 Effort: TypeAlias = Literal["short", "usual", "full"]
 
 
@@ -23,20 +23,19 @@ class Trial:
     """What a check is given: how much to do, and what is under trial.
 
     simulate, simulate_many: take what those of pinred take.  fixed: from a step [s] to
-    methods of fixed step.  adaptive: from relative and absolute tolerance to methods for
-    tight tolerances, beside DOP853.
+    methods of fixed step.  adaptive: give methods for tight tolerances, beside DOP853.
     """
 
     effort: Effort = "usual"
     simulate: Callable[..., Trajectory] = simulate
     simulate_many: Callable[..., Trajectories] = simulate_many
     fixed: tuple[Callable[[float], Method], ...] = (RKMK4, Gauss)
-    adaptive: tuple[Callable[[float, float], Method], ...] = (AdaptiveGauss,)
+    adaptive: tuple[Callable[[], Method], ...] = (AdaptiveGauss,)
 
     def methods(self, rtol: float) -> list[Method]:
-        """Return the adaptive methods for a tolerance."""
+        """Return the adaptive methods for scenes of a tolerance, which they take."""
         others = self.adaptive if rtol <= _TIGHT else ()
-        return [make(*tight(rtol)) for make in (dop853, *others)]
+        return [DOP853(max_steps=_ANY), *(make() for make in others)]
 
     def pick(self, short: T, usual: T, full: T | None = None) -> T:
         """Return the value for this effort; the usual one where `full` has none of its own."""
@@ -117,14 +116,9 @@ def tolerance(rtol: float) -> dict[str, float]:
     return {"rtol": rtol, "atol": 1e-2 * rtol}
 
 
-def tight(rtol: float) -> tuple[float, float]:
-    """Return what an integrator gets for the tolerance of a scene: a tenth, as DOP853 does."""
-    return max(rtol / MOMENTUM_MARGIN, DOP853_LEAST), 1e-2 * rtol / MOMENTUM_MARGIN
-
-
 def dop853(rtol: float, atol: float) -> DOP853:
     """Return DOP853 for runs of any length."""
-    return DOP853(rtol=rtol, atol=atol, max_steps=10**12)
+    return DOP853(rtol=rtol, atol=atol, max_steps=_ANY)
 
 
 # What passes, in units of the tolerance; docs/stress.md says why.

@@ -26,7 +26,7 @@ from .page import page
 from .playback import frame_times
 from .view import View
 
-SIZE, FPS = (960, 720), 30.0
+SIZE = (960, 720)
 MOST_FRAMES, MOST_FPS = 20_000, 120
 GIF_FPS = (0.01, 50.0)  # a gif counts hundredths of a second, and browsers slow down below two
 SUFFIXES = (".mp4", ".gif", ".png")

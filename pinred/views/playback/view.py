@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, TypedDict
 
 from ...common.arrays import positive
 from ...common.errors import InputError
+
+FPS = 60.0  # frames in a second of playback
+FILM_FPS = 30.0  # and of a film
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +28,7 @@ class View:
 
     ghost: bool = False
     speed: float = 1.0
-    fps: float = 60.0
+    fps: float = FPS
     pair: Sequence[str] | None = None
     meshes: bool = True
 
@@ -41,7 +44,17 @@ class View:
             object.__setattr__(self, "pair", pair)
 
 
-def as_view(options: dict[str, Any], what: str) -> View:
+class ViewOptions(TypedDict, total=False):
+    """The fields of View, for functions that take them as `**options`."""
+
+    ghost: bool
+    speed: float
+    fps: float
+    pair: Sequence[str] | None
+    meshes: bool
+
+
+def as_view(options: Mapping[str, Any], what: str) -> View:
     """Return the View that options make.  Raises InputError for one that there is not."""
     names = [entry.name for entry in fields(View)]
     for option in options:

@@ -2,22 +2,108 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from ...common.errors import InputError
+from ...common.signatures import shows_overloads
 from .. import plots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
+
+    from ...simulation.trajectory import Trajectory
+    from ...verification.bench.work_precision import WorkPrecision
+    from ...verification.compare import Report
+    from ..motion_source import MotionSource
+    from .curvature_field import Source
+    from .shape_plane import Limits
 
 
-def plot(source: Any, kind: str, **options: Any) -> Figure:
+@overload
+def plot(
+    source: MotionSource,
+    kind: Literal["shape"] = "shape",
+    *,
+    joints: Sequence[str | int] | None = None,
+) -> Figure: ...
+
+
+@overload
+def plot(source: MotionSource, kind: Literal["base", "momentum", "energy"]) -> Figure: ...
+
+
+@overload
+def plot(source: Report | Trajectory, kind: Literal["error"]) -> Figure: ...
+
+
+@overload
+def plot(
+    source: MotionSource,
+    kind: Literal["phase"],
+    *,
+    joints: Sequence[str | int] | None = None,
+    limits: Limits | None = None,
+    when: float = 0.0,
+) -> Figure: ...
+
+
+@overload
+def plot(source: MotionSource, kind: Literal["sphere"], *, when: float = 0.0) -> Figure: ...
+
+
+@overload
+def plot(
+    source: Source,
+    kind: Literal["curvature"],
+    *,
+    joints: Sequence[str | int] | None = None,
+    component: str | int | None = None,
+    limits: Limits | None = None,
+    at: ArrayLike | None = None,
+    path: ArrayLike | None = None,
+) -> Figure: ...
+
+
+@overload
+def plot(
+    source: MotionSource | Sequence[MotionSource],
+    kind: Literal["poincare"],
+    *,
+    joints: Sequence[str | int] | None = None,
+    value: float | None = None,
+    direction: int = 1,
+) -> Figure: ...
+
+
+@overload
+def plot(
+    source: WorkPrecision | Sequence[WorkPrecision],
+    kind: Literal["work_precision"],
+    *,
+    against: Literal["wall", "evaluations"] = "wall",
+) -> Figure: ...
+
+
+@overload
+def plot(source: Any, kind: str) -> Figure: ...
+
+
+@shows_overloads
+def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
     """Return the figure of a kind: the function of that name in pinred.plots.
 
-    source: what the function takes, a Trajectory for all but work_precision.
+    source: what the function takes, a Trajectory for all but work_precision.  options: those
+    of the function; no kind takes all that are shown here.
     Raises InputError for a kind or option that there is not, listing those there are;
     MissingPackageError if matplotlib is not installed.
     """
+    return draw(source, kind, options)
+
+
+def draw(source: Any, kind: str, options: Mapping[str, Any]) -> Figure:
+    """Return what `plot` does, of options under any names."""
     known = options_of(kind)
     for option in options:
         if option not in known:

@@ -127,7 +127,7 @@ def _reduced(problem: Problem, tolerance: float) -> Prepared:
     from ....simulation.compiled.compiled_flow import CompiledFlow
     from ....simulation.plan import plan_of
 
-    scene = problem.scene(1e-10, 1e-12)  # its tolerances are not used
+    scene = problem.scene()
     flow = CompiledFlow(plan_of(scene))
     code = problem.system.workspace(
         ("reduced C", problem.name), lambda: compiled(reduced_graph(problem))

@@ -23,7 +23,7 @@ def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> Prepared:
     from ....simulation.compiled.compiled_flow import CompiledFlow
     from ....simulation.plan import plan_of
 
-    scene = problem.scene(1e-10, 1e-12)  # its tolerances are not used
+    scene = problem.scene()
     flow = CompiledFlow(plan_of(scene))
     began = time.perf_counter()
     ta = taylor_integrator(
