@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, vector
 from ..common.errors import InputError, LoadError, ModelError
-from ..lie.groups import GROUPS, SE3, Group, group_named
+from ..lie.group import Group
+from ..lie.groups import GROUPS, group_named
+from ..lie.se3 import SE3
 from . import catalogue
 from .admission import refuse_mimicking
 from .joints import motion_group, root_joint

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import inf
 
 from ...integrators.methods import METHODS, Method, Option, options_of
+from ...lie.groups import GROUPS
 from ..scene import DURATION, ENGINES, EVEN_TIMES, OUTPUTS, Scene
 from .schema import (
     ByName,
@@ -22,7 +23,6 @@ from .schema import (
     Whole,
 )
 
-GROUPS = ("R", "SO2", "SE2", "SO3", "SE3")
 ENDS = ("natural", "clamped", "not-a-knot", "periodic")
 MOST_SAMPLES = 1_000_000
 _STATE = ("x0", "xdot0", "xi0", "momentum")
@@ -74,7 +74,7 @@ ACTION = Named("action", Either((NUMBER, _FORMULA, SIGNAL_TABLE)))
 
 LOAD = Table(
     {
-        "group": Key(Text(GROUPS), "the symmetry", default="the robot's own root"),
+        "group": Key(Text(tuple(GROUPS)), "the symmetry", default="the robot's own root"),
         "gravity": Key(ListOf(NUMBER, 3), "in the world frame [m/s²]", default="the robot's own"),
         "lock": Key(
             Either((ListOf(Text((), "the name of a joint")), ByName(NUMBER))),
