@@ -8,4 +8,5 @@ from .groups import SE3 as SE3
 from .groups import SO2 as SO2
 from .groups import SO3 as SO3
 from .groups import R as R
+from .groups import RxSE2 as RxSE2
 from .groups import group_named as group_named

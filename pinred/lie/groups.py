@@ -8,6 +8,7 @@ A pose g is a vector of coordinates, a twist ξ = g⁻¹ġ a body velocity:
     SE2     (x, y, θ)     m, m, rad     (v1, v2, ω)         planar
     SO3     (qx, qy, qz, qw)            (ω1, ω2, ω3)        spherical
     SE3     (x, y, z, qx, qy, qz, qw)   (v, ω)              free flyer
+    RxSE2   (z, x, y, θ)  m, m, m, rad  (v3, v1, v2, ω)     prismatic with planar across it
 
 Twists and momenta are [linear; angular], quaternions end with the real part, both
 as in Pinocchio.  Planar angles are not wrapped: a pose that has turned twice says
@@ -26,11 +27,12 @@ from ..common.errors import InputError
 from .group import Group
 from .line_and_circle import SO2 as SO2
 from .line_and_circle import R as R
+from .r_se2 import RxSE2 as RxSE2
 from .se2 import SE2 as SE2
 from .se3 import SE3 as SE3
 from .so3 import SO3 as SO3
 
-GROUPS: dict[str, Group] = {group.name: group for group in (R, SO2, SE2, SO3, SE3)}
+GROUPS: dict[str, Group] = {group.name: group for group in (R, SO2, SE2, SO3, SE3, RxSE2)}
 
 
 def group_named(name: str) -> Group:
