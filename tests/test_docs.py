@@ -10,6 +10,7 @@ import scene_tables
 
 import pinred
 from pinred.cli.main import main
+from pinred.lie import GROUPS
 from pinred.system.catalogue import bundled_folder, bundled_robots
 
 ROOT = Path(__file__).parent.parent
@@ -93,6 +94,18 @@ def test_robots_readme_is_the_catalogue() -> None:
         assert robot.closed_form or robot.source
     files = {path.name for path in bundled_folder().glob("*.urdf")}
     assert files == {robot.path.name for robot in bundled_robots().values()}
+
+
+def test_groups_of_the_readme_are_those_there_are() -> None:
+    """Each has a row, with the coordinates of a pose and of a twist in their order."""
+    rows = {}
+    for line in README[README.index("| `group` |") :].split("\n\n")[0].splitlines()[2:]:
+        name, *cells = (cell.strip().strip("`()") for cell in line.strip("|").split("|"))
+        rows[name] = cells
+    assert list(rows) == list(GROUPS)
+    for name, group in GROUPS.items():
+        assert rows[name][:2] == [", ".join(group.pose_names), ", ".join(group.twist_names)]
+        assert rows[name][2].startswith(group.root)
 
 
 def test_errata_name_tests_that_exist() -> None:

@@ -118,16 +118,10 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
 def _symmetries(system: System, cyclic: tuple[str, ...], broken: str) -> list[str]:
     if broken:
         return [broken]
-    kept = {
-        "R": "momentum along the root's axis",
-        "SO2": "angular momentum about the root's axis",
-        "SE2": "momentum in the plane and angular momentum about the centre of mass",
-        "SO3": "angular momentum about the pivot",
-        "SE3": "momentum and angular momentum about the centre of mass",
-    }
+    kept = system.group.conserved
     if pivot_weight(system).any():  # what is left of SO(3) is turning about the vertical
-        kept["SO3"] = "angular momentum about the direction of gravity through the pivot"
-    lines = [f"{system.group.name}: conserves {kept[system.group.name]}"]
+        kept = "angular momentum about the direction of gravity through the pivot"
+    lines = [f"{system.group.name}: conserves {kept}"]
     if cyclic:
         lines.append(f"cyclic joints, whose momentum is constant: {', '.join(cyclic)}")
     return lines

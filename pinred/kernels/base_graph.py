@@ -6,7 +6,6 @@ from dataclasses import astuple, dataclass
 
 import casadi as ca
 
-from ..lie.groups import SE2
 from ..reduction.base_parts import BaseParts, root_of
 from ..reduction.tree.scalars import Scalar, Vec, add, cross, dot, mul, plus, sub
 from ..system.system import System
@@ -108,13 +107,8 @@ class BaseGraph:
 
     def about(self, com: Vec, wrench: list[Scalar]) -> list[Scalar]:
         """Return the angular part about the centre of mass, N − c × F, of a wrench or momentum."""
-        force, moment = wrench[: self._k], wrench[self._k :]
-        if self._k == 3:
-            return [sub(a, b) for a, b in zip(moment, cross(com, force), strict=True)]
-        if self._group is SE2:
-            arm = sub(mul(com[0], force[1]), mul(com[1], force[0]))
-            return [sub(moment[0], arm)]
-        return moment
+        moment = self._moment(com, wrench[: self._k])
+        return [sub(a, b) for a, b in zip(wrench[self._k :], moment, strict=True)]
 
     def turned_angular(self, v: list[Scalar]) -> list[Scalar]:
         """Return an angular part in the fixed frame."""
@@ -144,27 +138,22 @@ class BaseGraph:
         return Full(
             pose=place + [a / size for a in self.attitude],
             xi=[add(a, mul(1.0 / m, b)) for a, b in zip(xi, carried, strict=False)] + xi[k:],
-            body_momentum=carried + self._moment(shift, carried, about),
-            spatial_momentum=P + self._moment(c, P, spatial),
+            body_momentum=carried + plus(self._moment(self._in_space(shift), carried), about),
+            spatial_momentum=P + plus(self._moment(self._in_space(c), P), spatial),
             energy=0.5 / m * dot(P, P) - m * dot(g, plus(c, origin)),
         )
 
-    def _linear_back(self, v: list[Scalar]) -> list[Scalar]:
-        """Return a linear part in the body's frame."""
-        if self._k == 3:
-            return _rotated(self.attitude, v, -1.0)
-        if self._k == 2:
-            c, s = ca.cos(self.attitude[0]), ca.sin(self.attitude[0])
-            return [add(mul(c, v[0]), mul(s, v[1])), sub(mul(c, v[1]), mul(s, v[0]))]
-        return list(v)
+    def _in_space(self, v: list[Scalar]) -> Vec:
+        """Return a linear part, (k,), as a vector of space."""
+        out: Vec = [0.0, 0.0, 0.0]
+        for axis, entry in zip(self._group.axes, v, strict=False):
+            out[axis] = entry
+        return out
 
-    def _moment(self, c: list[Scalar], P: list[Scalar], about: list[Scalar]) -> list[Scalar]:
-        """Return c × P + about, in the angular part of the group."""
-        if self._k == 3:
-            return plus(cross(c, P), about)
-        if self._k == 2:
-            return [add(sub(mul(c[0], P[1]), mul(c[1], P[0])), about[0])]
-        return list(about)
+    def _moment(self, c: Vec, P: list[Scalar]) -> list[Scalar]:
+        """Return c × P about the group's axes.  c: (3,).  P: (k,)."""
+        moment = cross(c, self._in_space(P))
+        return [moment[axis - 3] for axis in self._group.axes[self._k :]]
 
     def _turned_back(self, v: list[Scalar]) -> list[Scalar]:
         """Return an angular part, or any (3,), in the body's frame."""
@@ -172,12 +161,19 @@ class BaseGraph:
 
     def turned(self, v: list[Scalar]) -> list[Scalar]:
         """Return a linear part in the fixed frame."""
-        if self._k == 3:
-            return _rotated(self.attitude, v, 1.0)
-        if self._k == 2:
+        if self._group.plane:
+            *rest, x, y = v
             c, s = ca.cos(self.attitude[0]), ca.sin(self.attitude[0])
-            return [sub(mul(c, v[0]), mul(s, v[1])), add(mul(s, v[0]), mul(c, v[1]))]
-        return list(v)
+            return [*rest, sub(mul(c, x), mul(s, y)), add(mul(s, x), mul(c, y))]
+        return self.turned_angular(v) if self._group.turns == 3 else list(v)
+
+    def _linear_back(self, v: list[Scalar]) -> list[Scalar]:
+        """Return a linear part in the body's frame."""
+        if self._group.plane:
+            *rest, x, y = v
+            c, s = ca.cos(self.attitude[0]), ca.sin(self.attitude[0])
+            return [*rest, add(mul(c, x), mul(s, y)), sub(mul(c, y), mul(s, x))]
+        return self._turned_back(v) if self._group.turns == 3 else list(v)
 
 
 def _rotated(q: list[Scalar], v: list[Scalar], sign: float) -> list[Scalar]:

@@ -12,7 +12,7 @@ from ..system.system import System
 def model_bytes(system: System) -> bytes:
     """Return a digest of every number of the model that the equations depend on."""
     model = system.model
-    digest = hashlib.sha256(system.group.name.encode())
+    digest = hashlib.sha256(f"{system.group.name} {system.group.axes}".encode())
     for i in range(1, model.njoints):
         joint, Y = model.joints[i], model.inertias[i]
         digest.update(f"{joint.shortname()} {model.parents[i]} {joint.nq};".encode())

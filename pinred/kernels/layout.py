@@ -7,7 +7,6 @@ from itertools import pairwise
 from typing import Any
 
 from ..forces.force_model import ForceModel
-from ..lie.groups import SO3
 from ..reduction.base_parts import BaseParts, base_parts
 from ..system.system import System
 
@@ -114,7 +113,7 @@ def outputs_of(system: System, layout: Layout) -> Outputs:
 def layout_of(system: System, structure: Structure, forces: ForceModel | None) -> Layout:
     """Return where things stand in y and in the parameters of a kernel of this structure."""
     prescribed = forces.joints if forces is not None else ()
-    heavy = system.group is SO3 and structure.gravity is not None
+    heavy = system.group.is_pivot and structure.gravity is not None
     parts = base_parts(
         system.group,
         wanted=structure.base or structure.lifted,

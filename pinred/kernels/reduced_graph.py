@@ -17,12 +17,11 @@ from functools import cached_property
 import casadi as ca
 
 from ..forces.force_model import ForceModel
-from ..lie.groups import SO2
 from ..reduction.base_parts import root_of
 from ..reduction.tree.articulated_sweep import sweep
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.limbs import Lanes
-from ..reduction.tree.momenta import AXES, centre_of_mass
+from ..reduction.tree.momenta import centre_of_mass
 from ..reduction.tree.scalars import Scalar, Vec, add, dot, mul, sub
 from ..system.system import System
 from .base_graph import BaseGraph
@@ -61,14 +60,13 @@ class ReducedGraph:
         for k, place in zip(prescribed, given, strict=False):
             self.x[k] = place
         self._mu = mu = self.base.body_momentum()
-        armature = float(system.model.armature[0]) if group is SO2 else 0.0
+        armature = float(system.model.armature[0])  # zero for all but one axis
         # Nothing depends on the angle of a cyclic joint, so it may as well be zero.
         angles: list[Scalar] = [0.0 if k in structure.cyclic else self.x[k] for k in range(m)]
         rates = dict(zip(prescribed, given[len(prescribed) :], strict=True))
-        found = sweep(self._bodies, angles, self.pi, mu, AXES[group.name], armature, rates, lanes)
+        found = sweep(self._bodies, angles, self.pi, mu, group.axes, armature, rates, lanes)
         self.xi: list[Scalar] = [
-            (found.root_angular if angular else found.root_linear)[k]
-            for angular, k in AXES[group.name]
+            [*found.root_linear, *found.root_angular][axis] for axis in group.axes
         ]
         self.xdot: list[Scalar] = found.xdot
         self._driven_pi = {k: found.pi[k] for k in prescribed}

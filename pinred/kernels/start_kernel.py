@@ -16,13 +16,12 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.memo import once
-from ..lie.groups import SO2
 from ..reduction.base_parts import BaseParts
 from ..reduction.inertia_split import symmetric
 from ..reduction.potential import translations
 from ..reduction.tree.articulated_sweep import sweep
 from ..reduction.tree.body_frames import bodies_of
-from ..reduction.tree.momenta import AXES, centre_of_mass, momenta
+from ..reduction.tree.momenta import centre_of_mass, momenta
 from ..reduction.tree.scalars import Scalar
 from ..system.system import System
 from .base_graph import BaseGraph
@@ -105,10 +104,10 @@ def _graph(system: System, given: TwistOrMomentum) -> ca.Function:
             ca.vertsplit((p - momenta(system, x, ca.densify(carried)))[r:]) if m else []
         )
     else:
-        armature = float(system.model.armature[0]) if group is SO2 else 0.0
+        armature = float(system.model.armature[0])
         found = sweep(
             bodies_of(system), ca.vertsplit(x) if m else [], [0.0] * m, [0.0] * k + about,
-            AXES[group.name], armature, dict(enumerate(ca.vertsplit(xdot))) if m else {},
+            group.axes, armature, dict(enumerate(ca.vertsplit(xdot))) if m else {},
         )  # fmt: skip
         pi = found.pi
     fixed, moved, velocity = (

@@ -72,7 +72,7 @@ def cache_key(*parts: bytes | str) -> str:
 @cache
 def _surroundings() -> tuple[str | bytes, ...]:
     package = Path(__file__).parent.parent  # all that decides what is compiled, and nothing else
-    folders = (package / "kernels", package / "reduction" / "tree")
+    folders = (package / "lie", package / "kernels", package / "reduction" / "tree")
     files = sorted(path for folder in folders for path in folder.rglob("*.py"))
     sources = sha256(b"".join(path.read_bytes() for path in files))
     return (

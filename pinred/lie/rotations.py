@@ -45,6 +45,11 @@ def conjugate(q: Array) -> Array:
     return np.asarray(q * np.array([-1.0, -1.0, -1.0, 1.0]))
 
 
+def unit(q: Array) -> Array:
+    """Return quaternions of any length as unit ones."""
+    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
+
+
 def sinc(angle: Array) -> Array:
     """Return sin(a)/a, exact at zero."""
     return np.asarray(np.sinc(angle / np.pi))

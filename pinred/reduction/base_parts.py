@@ -3,8 +3,8 @@
 Translations are not integrated.  In the frame of the centre of mass the linear momentum is
 zero; the centre of mass itself moves on c0 + v0 t + ½ g t², and the base is where that puts
 it, p = c − R c_b(x).  Of the rotation, the attitude is integrated if it is asked for; the
-angular momentum is not: in SO(2) and SE(2) it is a constant, in SO(3) and SE(3) it turns with
-the body, μ = Rᵀ J.
+angular momentum is not: about a single axis (SO(2), SE(2), ℝ × SE(2)) it is a constant, in SO(3)
+and SE(3) it turns with the body, μ = Rᵀ J.
 
 Forces on the base make more parts move.  A wrench (F, N) at the base's origin, in its frame,
 or the weight of a pivoted body changes the angular momentum μ about the centre of mass (in
@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..common.arrays import Array
-from ..lie.groups import Group
+from ..lie.group import Group
 from ..lie.rotations import apply, rotation
 from ..system.system import System
 from .potential import falling, translations
@@ -67,7 +67,7 @@ def base_parts(
     wanted: whether the base is asked for.  heavy: whether gravity turns it.  wrench:
     whether one acts on it.  zero_momentum: whether its angular momentum is exactly zero.
     """
-    turns = group.dim - group.linear
+    turns = group.turns
     changing = turns > 0 and (heavy or wrench)
     free = turns == 3 and not wanted and not zero_momentum
     momentum = turns if changing or free else 0

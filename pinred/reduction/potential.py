@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array, as_floats, read_only
 from ..common.errors import InputError, SymmetryError
-from ..lie.groups import SO2, SO3, R
+from ..common.memo import once
 from ..system.system import Indices, System
 
 Springs: TypeAlias = Mapping[str, tuple[float, float]]
@@ -26,11 +26,16 @@ _TOLERANCE = 1e-10  # of weight times size, the torque that counts as none
 
 def translations(system: System) -> Array:
     """Return the directions in which the group translates the base, (3, k), root joint frame."""
-    if system.group is R:
-        data = system.model.createData()
-        pin.computeJointJacobians(system.model, data, pin.neutral(system.model))
-        return np.array(data.joints[1].S[:3]).reshape(3, 1)
-    return np.eye(3)[:, : system.group.linear]
+    return once(system, translations, lambda: read_only(_translations(system)))
+
+
+def _translations(system: System) -> Array:
+    linear = system.group.linear
+    if system.r > 1 or not linear:
+        return np.eye(3)[:, list(system.group.axes[:linear])]
+    data = system.model.createData()  # one axis alone may be any
+    pin.computeJointJacobians(system.model, data, pin.neutral(system.model))
+    return np.array(data.joints[1].S[:3]).reshape(3, 1)
 
 
 def falling(system: System) -> Array:
@@ -64,10 +69,10 @@ class Potential:
         self._model.gravity.linear = sideways
         self._data = self._model.createData()
         self._identity = system.group.identity()
-        if sideways.any() and not system.group.linear:
+        if sideways.any() and system.group.turns and not system.group.plane:
             _check_invariance(system, self._model, self._data)
         # What every rotation about a pivot leaves alone has its centre of mass there at all shapes.
-        self._acts = sideways.any() and system.group is not SO3
+        self._acts = sideways.any() and not system.group.is_pivot
         self._weighs = self._acts and system.m > 0
 
     @property
@@ -123,7 +128,7 @@ def pivot_weight(system: System) -> Array:
 
 
 def _pivot_weight(system: System) -> Array:
-    if system.group is SO3:
+    if system.group.is_pivot:
         try:
             Potential(system)
         except SymmetryError:
@@ -184,7 +189,7 @@ def _check_invariance(system: System, model: pin.Model, data: pin.Data) -> None:
     if not directions:
         return
     gravity = ", ".join(f"{g:g}" for g in system.gravity)
-    if system.group is SO2:
+    if system.group.turns == 1:
         axis = ", ".join(f"{a:.3g}" for a in directions[0] / np.linalg.norm(directions[0]))
         broken = f"turning about its axis ({axis}), which is not along gravity,"
     else:

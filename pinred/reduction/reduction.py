@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, vector, vectors
 from ..common.errors import SymmetryError
-from ..lie.groups import Group
+from ..lie.group import Group
 from ..system.system import System, checked_system
 from .inertia_split import InertiaSplit, split_inertia, symmetric
 from .potential import Potential, Springs

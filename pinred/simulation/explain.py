@@ -44,7 +44,7 @@ def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:
             lines.append("translation of the base: the centre of mass moves on a known path")
         if falling(system).any():
             lines.append("gravity along it: it only makes the centre of mass fall")
-    if group.dim > group.linear and not layout.base.momentum:
+    if group.turns and not layout.base.momentum:
         if zero_momentum:
             lines.append("all terms with momentum: it is zero, and the base follows the shape")
         else:

@@ -103,10 +103,8 @@ class Plan:
         return once(self, (Kind, zero), lambda: self._kind(zero))
 
     def _kind(self, zero: bool) -> Kind:
-        group = self.system.group
-        turns = group.dim - group.linear
         # A constant angular momentum that turns in the body is a quaternion to symplectic methods.
-        constant = turns == 3 and not (zero or self.momentum_changes)
+        constant = self.system.group.turns == 3 and not (zero or self.momentum_changes)
         structure = Structure(
             zero_momentum=zero,
             cyclic=self.cyclic,

@@ -9,16 +9,9 @@ from typing import BinaryIO
 import numpy as np
 
 from ..common.files import check_path, write_atomic
-from ..lie.groups import SE2, SE3, SO2, SO3
 from .state import OverTime
 
-_POSE_LABELS = {
-    "R": ("s",),
-    SO2.name: ("theta",),
-    SE2.name: ("x", "y", "theta"),
-    SO3.name: ("qx", "qy", "qz", "qw"),
-    SE3.name: ("x", "y", "z", "qx", "qy", "qz", "qw"),
-}
+_GREEK = str.maketrans({"θ": "theta"})
 
 
 def save(traj: OverTime, path: str | Path) -> None:
@@ -54,11 +47,11 @@ def _write_npz(traj: OverTime, file: BinaryIO) -> None:
 
 def _write_csv(traj: OverTime, file: BinaryIO) -> None:
     system = traj.system
-    twist = _POSE_LABELS["R"] if system.r == 1 else tuple(str(k + 1) for k in range(system.r))
+    twist = ("s",) if system.r == 1 else tuple(str(k + 1) for k in range(system.r))
     labels = {
         "x": system.shape_names,
         "xdot": system.shape_names,
-        "pose": _POSE_LABELS[system.group.name],
+        "pose": [name.translate(_GREEK) for name in system.group.pose_names],
         "xi": twist,
         "body_momentum": twist,
         "spatial_momentum": twist,

@@ -10,8 +10,9 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.errors import ModelError
-from ..lie.groups import SO2, Group
-from .joints import is_shape_joint, motion_group
+from ..lie.group import Group
+from ..lie.groups import GROUPS
+from .joints import is_shape_joint, joint_kind, motion_group
 
 _TRIANGLE_SLACK = 1e-9  # a flat body meets the triangle inequality with equality, up to round-off
 _UNIT = 1e-9  # by how much an axis may miss length one
@@ -49,10 +50,10 @@ def _root_group(model: pin.Model) -> Group:
     refuse_mimicking(model)
     group = motion_group(model.joints[1])
     if group is None:
-        kind = model.joints[1].shortname().removeprefix("JointModel")
+        *names, last = GROUPS
         raise ModelError(
-            f"root joint '{model.names[1]}' is of kind {kind}; a root moves in "
-            "R, SO2, SE2, SO3 or SE3 (prismatic, revolute, planar, spherical, free flyer)"
+            f"root joint '{model.names[1]}' is of kind {joint_kind(model.joints[1])}; a root moves "
+            f"in {', '.join(names)} or {last} ({', '.join(g.root for g in GROUPS.values())})"
         )
     return group
 
@@ -77,7 +78,7 @@ def _admit_shape_joint(model: pin.Model, i: int) -> None:
             "hang it on a moving link or lock it"
         )
     if not is_shape_joint(joint):
-        kind = joint.shortname().removeprefix("JointModel")
+        kind = joint_kind(joint)
         split = "split it into such joints with a small body between, " if joint.nv > 1 else ""
         raise ModelError(
             f"joint '{name}' is of kind {kind} with {joint.nv} degrees of freedom; shape joints "
@@ -130,7 +131,7 @@ def _admit_numbers(model: pin.Model, group: Group) -> None:
         raise ModelError(f"the model's gravity turns: {model.gravity.vector}; it must be linear")
     if (model.armature < 0.0).any():
         raise ModelError(f"armature must not be negative: {model.armature}")
-    if group is not SO2 and model.armature[: group.dim].any():
+    if (group.dim > 1 or group.linear) and model.armature[: group.dim].any():
         raise ModelError(
             f"root joint '{model.names[1]}' has armature {model.armature[: group.dim]}, which only "
             "a root that turns about one axis (SO2) can have; set it to zero, or add it to the "

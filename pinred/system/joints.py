@@ -4,36 +4,36 @@ from __future__ import annotations
 
 import pinocchio as pin
 
-from ..lie.groups import SE2, SE3, SO2, SO3, Group, R
+from ..lie.group import Group
+from ..lie.groups import GROUPS
 
-# "RUB" is Pinocchio's name for a revolute joint without limits: its coordinates are (cos, sin).
-_REVOLUTE = frozenset(
-    f"JointModel{kind}"
-    for kind in (
-        *("RX", "RY", "RZ", "RevoluteUnaligned"),
-        *("RUBX", "RUBY", "RUBZ", "RevoluteUnboundedUnaligned"),
-    )
-)
-_PRISMATIC = frozenset(f"JointModel{kind}" for kind in ("PX", "PY", "PZ", "PrismaticUnaligned"))
-_MANY = {"JointModelPlanar": SE2, "JointModelSpherical": SO3, "JointModelFreeFlyer": SE3}
+
+def joint_kind(joint: pin.JointModel) -> str:
+    """Return what Pinocchio calls a joint; of a composite one, its parts, joined by "+"."""
+    kind = str(joint.shortname()).removeprefix("JointModel")
+    if kind != "Composite":
+        return kind
+    parts = joint.extract()
+    apart = any(not place.isIdentity() for place in parts.jointPlacements)
+    return kind if apart else "+".join(map(joint_kind, parts.joints))
 
 
 def motion_group(joint: pin.JointModel) -> Group | None:
-    """Return the group in which a joint moves its body, or None if it is none of the five."""
-    kind = joint.shortname()
-    if kind in _REVOLUTE:
-        return SO2
-    return R if kind in _PRISMATIC else _MANY.get(kind)
+    """Return the group in which a joint moves its body, or None if it is none that is known."""
+    kind = joint_kind(joint)
+    return next((group for group in GROUPS.values() if kind in group.joints), None)
 
 
 def is_shape_joint(joint: pin.JointModel) -> bool:
     """Return whether a joint can be a shape coordinate: revolute or prismatic."""
-    return motion_group(joint) in (R, SO2)
+    group = motion_group(joint)
+    return group is not None and group.dim == 1
 
 
 def is_prismatic(joint: pin.JointModel) -> bool:
     """Return whether a joint slides (metres) rather than turns (radians)."""
-    return joint.shortname() in _PRISMATIC
+    group = motion_group(joint)
+    return group is not None and group.dim == group.linear == 1
 
 
 def shape_units(model: pin.Model) -> tuple[str, ...]:
@@ -44,12 +44,13 @@ def shape_units(model: pin.Model) -> tuple[str, ...]:
 def root_joint(group: Group) -> pin.JointModel:
     """Return the joint that makes a body float in `group`.
 
-    ℝ slides along x and SO(2) turns about z of the root link; SE(2) moves in its xy plane.
+    ℝ slides along x and SO(2) turns about z of the root link; SE(2) moves in its xy plane,
+    and ℝ × SE(2) along its z as well.
     """
-    if group is R:
-        return pin.JointModelPX()
-    if group is SO2:
-        return pin.JointModelRZ()
-    if group is SE2:
-        return pin.JointModelPlanar()
-    return pin.JointModelSpherical() if group is SO3 else pin.JointModelFreeFlyer()
+    parts = [getattr(pin, f"JointModel{kind}")() for kind in group.joints[0].split("+")]
+    if len(parts) == 1:
+        return parts[0]
+    whole = pin.JointModelComposite()
+    for part in parts:
+        whole.addJoint(part)
+    return whole

@@ -13,12 +13,15 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, vector
 from ..common.errors import InputError, LoadError, ModelError
-from ..lie.groups import GROUPS, SE3, Group, group_named
+from ..lie.group import Group
+from ..lie.groups import GROUPS, group_named
+from ..lie.se3 import SE3
 from . import catalogue
 from .admission import refuse_mimicking
 from .joints import motion_group, root_joint
 from .rerooting import rebuild
 from .robot_files import read_description, read_xml
+from .root_chain import root_chain
 from .system import InitialState, Origin, System
 from .urdf import mimic_joints, refuse_mimics
 
@@ -36,10 +39,11 @@ def load(
 
     source: the name of a bundled robot or of one in example-robot-data, the path of a
         URDF or MJCF file, or a pin.Model (which is copied).  Meshes are not read.
-    group: the symmetry, "R", "SO2", "SE2", "SO3" or "SE3".  If None, the file's own root:
-        its free, planar or spherical root joint (the link above that is the ground); or its
-        first moving joint, if the link above has no mass (a mere anchor) and all else
-        hangs on it; else SE3: a root link with mass floats on a new root joint.
+    group: the symmetry, "R", "SO2", "SE2", "SO3", "SE3" or "RxSE2".  If None, the file's own
+        root: its free, planar or spherical root joint (the link above that is the ground); or
+        its first moving joint, if the link above has no mass (a mere anchor) and all else
+        hangs on it; else SE3: a root link with mass floats on a new root joint.  Joints at
+        the root with nothing between them are one joint, if a group moves so.
     lock: joints to freeze at zero, or a mapping from joint to its fixed value [rad | m].
     gravity: (3,) in the world frame [m/s²]; if None, what the robot comes with
         (Pinocchio's 9.81 along −z for a URDF).
@@ -153,16 +157,19 @@ def _frozen(raw: pin.Model, locked: Mapping[str, float]) -> dict[int, Array]:
 
 def _on_root(raw: pin.Model, wanted: Group | None) -> pin.Model:
     """Return the model with the symmetry's root joint first: its own, or a new one."""
-    own = _own_root(raw)
+    chain = root_chain(raw)
+    own = _own_root(raw) if chain is None else chain.group
     if own is None:
         return rebuild(raw, {}, root_joint(wanted or SE3))
     if wanted in (None, own):
-        return raw
-    way_out = f"load it with group='{own}', or lock '{raw.names[1]}'"
-    if raw.joints[1].nv == 1:
+        return raw if chain is None else rebuild(raw, {}, root_joint(own), chain)
+    joints = list(raw.names)[1 : 2 if chain is None else chain.last + 1]
+    locked = "' or '".join(joints)
+    way_out = f"load it with group='{own}', or lock '{locked}'"
+    if chain is None and raw.joints[1].nv == 1:
         way_out += ", or give the link above it, which has none, a mass so that it can float"
     raise ModelError(
-        f"group {wanted} was asked for, but the root joint '{raw.names[1]}' of the model has "
+        f"group {wanted} was asked for, but the root joint '{'+'.join(joints)}' of the model has "
         f"group {own}; {way_out}"
     )
 

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
+from .root_chain import RootChain
 
 
 @dataclass(frozen=True)
@@ -25,12 +26,16 @@ class _Carrier:
 
 
 def rebuild(
-    raw: pin.Model, frozen: Mapping[int, Array], root: pin.JointModel | None = None
+    raw: pin.Model,
+    frozen: Mapping[int, Array],
+    root: pin.JointModel | None = None,
+    chain: RootChain | None = None,
 ) -> pin.Model:
     """Return a copy of a model without its frozen joints, floating on `root` if one is given.
 
     frozen: from joint to its fixed configuration (nq of the joint,).  The bodies of
-    frozen joints become part of the bodies that carry them.
+    frozen joints become part of the bodies that carry them.  chain: the joints in whose
+    place `root` is.
     """
     q = pin.neutral(raw)
     for i, value in frozen.items():
@@ -41,14 +46,19 @@ def rebuild(
     model.name, model.gravity = raw.name, raw.gravity
     base = 0
     if root is not None:
-        base = model.addJoint(0, root, pin.SE3.Identity(), _free_name(raw))
+        at = pin.SE3.Identity() if chain is None else chain.at
+        base = model.addJoint(0, root, at, _free_name(raw, chain))
         model.addJointFrame(base)
-    carriers = [_Carrier(base, pin.SE3.Identity())]
+    carriers = [_Carrier(base if chain is None else 0, pin.SE3.Identity())]
     model.inertias[base] += raw.inertias[0]
     armature, lower, upper = _free_limits(root)
+    if chain is not None:
+        armature = [chain.armature]
     for i in range(1, raw.njoints):
         under = carriers[raw.parents[i]]
-        if i in frozen:
+        if chain is not None and i <= chain.last:
+            carrier = _Carrier(base, chain.at.actInv(data.oMi[i]))
+        elif i in frozen:
             carrier = _Carrier(under.joint, under.placement * data.liMi[i])
         else:
             joint, at = raw.joints[i], under.placement * raw.jointPlacements[i]
@@ -83,8 +93,8 @@ def _free_limits(root: pin.JointModel | None) -> tuple[list[Array], list[Array],
     return [np.zeros(nv)], [np.full(nq, -np.inf)], [np.full(nq, np.inf)]
 
 
-def _free_name(raw: pin.Model) -> str:
-    name = "root_joint"
+def _free_name(raw: pin.Model, chain: RootChain | None) -> str:
+    name = "root_joint" if chain is None else "+".join(list(raw.names)[1 : chain.last + 1])
     while raw.existJointName(name) or raw.existFrame(name):
         name = f"{name}_"
     return name

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, ModelError, ShapeError
 from ..common.memo import once_a_thread
-from ..lie.groups import SE2, SO2, Group
+from ..lie.group import Group
 from .admission import admit
 
 T = TypeVar("T")
@@ -236,14 +236,10 @@ def _leading(a: Array, b: Array, what: str, other: str) -> tuple[int, ...]:
 
 def _coordinate_maps(model: pin.Model, group: Group) -> dict[str, Indices]:
     """Return where (pose, x) stand in q; a joint whose nq exceeds its nv keeps cos and sin."""
-    plain: list[tuple[int, int]] = []  # (position in (pose, x), position in q)
+    plain = [(k, k) for k in range(group.size)]  # (position in (pose, x), position in q)
     angle: list[tuple[int, int]] = []
-    if group is SE2:
-        plain, angle = [(0, 0), (1, 1)], [(2, 2)]
-    elif group is SO2:
-        (angle if model.joints[1].nq == 2 else plain).append((0, 0))
-    else:
-        plain = [(k, k) for k in range(group.size)]
+    if model.joints[1].nq > group.size:
+        angle.append(plain.pop())
     for i in range(2, model.njoints):
         joint = model.joints[i]
         (angle if joint.nq == 2 else plain).append((group.size + i - 2, joint.idx_q))

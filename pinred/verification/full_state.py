@@ -19,6 +19,7 @@ from ..common.errors import IntegrationError
 from ..scene.scene import Scene
 from ..simulation.state import Sample, State
 from ..simulation.stops import begin_stretch, stops_of
+from .root_motion import root_motion
 
 FINEST = (2e-14, 1e-16)  # the tightest rtol and atol that Hairer's codes can keep
 KICK = 1e-6  # relative size of the perturbation whose growth is measured
@@ -70,7 +71,7 @@ class Audit:
 
     energies: (T,) change over the largest kinetic energy T about the centre of mass.
     momenta: (T, r) change of each conserved component, angular about the centre of mass if
-    the group translates, over √(2mT), for angular ones times the radius of gyration.
+    the group moves it freely, over √(2mT), for angular ones times the radius of gyration.
     fields: largest difference of pose, twist, momenta and energy from those that q and v have.
     """
 
@@ -104,19 +105,14 @@ class FullState:
         self._stops = stops_of(scene)
         self._numbers = np.empty(0) if self._forces is None else self._forces.numbers.copy()
         self._model, self._data = system.model, system.model.createData()
-        self._root = system.model.joints[1]
-        self._kind = system.group.name
         self._r, self._m = system.r, system.m
-        self._size = {"R": 1, "SO2": 1, "SE2": 3, "SO3": 4, "SE3": 7}[self._kind]
-        self._linear = {"R": 1, "SO2": 0, "SE2": 2, "SO3": 0, "SE3": 3}[self._kind]
         # Pinocchio 4.1 leaves the armature of slanted revolute joints out of the kinetic energy.
         self._weightless = system.model.copy()
         self._weightless.gravity.setZero()
         self._bare = system.model.copy()
         self._bare.armature = np.zeros(system.n)
-        # Axes of the root joint's motion in its fixed frame, (6, r).
-        pin.computeJointJacobians(self._model, self._data, pin.neutral(self._model))
-        self._axes = np.array(self._data.joints[1].S).reshape(6, self._r)
+        self._root = root = root_motion(system.model)
+        self._axes, self._linear, self._size = root.axes, root.linear, root.size
         self._driven = [] if self._forces is None else list(self._forces.joints)
         self._fixed = self._r + np.array(self._driven, dtype=np.intp)
         self._free = np.setdiff1d(np.arange(system.n), self._fixed)
@@ -205,7 +201,7 @@ class FullState:
         if self._forces is None:
             v, q = y[size + m :], self.q(y)
             a = pin.aba(self._model, self._data, q, v, np.zeros(len(v)))
-            return np.concatenate([self._root_rate(y[:size], v[:r]), v[r:], a])
+            return np.concatenate([self._root.rate(y[:size], v[:r]), v[r:], a])
         y = y.copy()
         accelerations = np.empty(0)
         if self._driven:
@@ -221,7 +217,7 @@ class FullState:
             a = self._driven_acceleration(q, v, tau, accelerations)
         else:
             a = pin.aba(self._model, self._data, q, v, tau)
-        return np.concatenate([self._root_rate(y[:size], v[:r]), v[r:], a])
+        return np.concatenate([self._root.rate(y[:size], v[:r]), v[r:], a])
 
     def _driven_acceleration(self, q: Array, v: Array, tau: Array, given: Array) -> Array:
         """Return the acceleration, (n,), where that of some joints is given."""
@@ -238,7 +234,7 @@ class FullState:
     def _relative(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return body twist and momentum, (r,) each, as seen from the centre of mass."""
         data, r, k = self._data, self._r, self._linear
-        inside = self.momentum(q, v, np.zeros(3), about_pivot=not k)
+        inside = self.momentum(q, v, np.zeros(3), about_pivot=self._root.is_pivoted)
         body = data.oMi[1].rotation.T
         root = self._model.jointPlacements[1].rotation
         xi, mu = v[:r].copy(), np.zeros(r)
@@ -249,29 +245,10 @@ class FullState:
         mu[k:] = body @ root @ angular if len(angular) == 3 else angular
         return xi, mu
 
-    def _root_rate(self, root: Array, v: Array) -> Array:
-        if self._kind in ("R", "SO2"):
-            return v
-        if self._kind == "SE2":
-            c, s = np.cos(root[2]), np.sin(root[2])
-            return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]])
-        q = pin.Quaternion(root[-4:])
-        spin = pin.Quaternion(np.append(0.5 * v[-3:], 0.0))
-        turn = (q * spin).coeffs()
-        if self._kind == "SO3":
-            return np.asarray(turn)
-        return np.concatenate([q.normalized().matrix() @ v[:3], turn])
-
     def q(self, y: Array) -> Array:
         """Return Pinocchio's configuration of y, (nq,)."""
         root, x = y[: self._size], y[self._size : self._size + self._m]
-        parts: list[Array]
-        if self._root.nq == self._size:
-            parts = [root.copy()]
-            if self._size >= 4:
-                parts[0][-4:] /= np.linalg.norm(root[-4:])
-        else:
-            parts = [root[:-1], np.array([np.cos(root[-1]), np.sin(root[-1])])]
+        parts = [self._root.q(root)]
         for i, angle in enumerate(x, start=2):
             circle = self._model.joints[i].nq == 2
             parts.append(np.array([np.cos(angle), np.sin(angle)] if circle else [angle]))
@@ -283,7 +260,7 @@ class FullState:
             pin.difference(self._model, p, q)[: self._r] for p, q in zip(a.q, b.q, strict=True)
         ]
         log = np.array(apart)
-        if self._root.nq != self._size:
+        if self._root.circle:
             # Pinocchio's planar log takes a trace above 2, which is round-off, for no turn at all.
             k = self._linear
             (c, s), (cb, sb) = a.q[:, k : k + 2].T, b.q[:, k : k + 2].T
@@ -326,7 +303,7 @@ class FullState:
             body[k] = pin.rnea(self._weightless, data, q, rest, v)[:r]
             spatial[k] = self.momentum(q, v, np.zeros(3), about_pivot=True)
             fall = data.Ig.mass * model.gravity.linear * t
-            conserved.append(self.momentum(q, v, fall, about_pivot=not self._linear))
+            conserved.append(self.momentum(q, v, fall, about_pivot=self._root.is_pivoted))
             total.append(kinetic)
             internal.append(kinetic - self.carried_energy(q, v))
         # A body that only falls has no internal motion to measure its changes by.

@@ -14,6 +14,7 @@ from forced_trees import against_aba, tree
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import PD, ComputedTorque, Controller, Damper, Limit, Spring, Torque
+from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Expression, Fourier, Signal, Spline
 
@@ -81,7 +82,7 @@ def closed_form(error: float, rate: float, kp: float, kd: float, t: Array) -> Ar
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("group", ["R", "SO2", "SE2", "SO3", "SE3"])
+@pytest.mark.parametrize("group", GROUPS)
 def test_computed_torque_decays_as_it_says(group: str, engine: Engine) -> None:
     """ë + kd ė + kp e = 0, joint by joint, whatever springs, dampers, gravity and plans do."""
     # About the vertical, gravity acts on the shape.

@@ -18,6 +18,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.forces import PD, Controller, Damper, PotentialEnergy, Spring, Torque, Wrench
 from pinred.forces.force import Force
+from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Constant, Hold, Linear, Spline
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
@@ -128,7 +129,7 @@ def test_wrench_on_random_trees(group: str, seed: int) -> None:
         np.testing.assert_allclose(shape.x, traj.x, atol=1e-6)
 
 
-@pytest.mark.parametrize("group", ["R", "SO2", "SE2", "SO3", "SE3"])
+@pytest.mark.parametrize("group", GROUPS)
 def test_wrench_from_tables(group: str) -> None:
     """Signals that jump and bend, on a pushed and falling tree of every group."""
     system = tree(group, 2, 11)

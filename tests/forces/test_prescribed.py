@@ -18,6 +18,7 @@ from strategies import groups, seeds
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import Damper, Spring, Torque, Wrench
+from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Expression, Fourier, Signal, Spline
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
@@ -61,7 +62,7 @@ def drives(traj: pinred.Trajectory, driven: list[int], tau: Array, t: int) -> Ar
     return np.asarray(full[traj.system.r + np.array(driven)])
 
 
-@pytest.mark.parametrize("group", ["R", "SO2", "SE2", "SO3", "SE3"])
+@pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize("driven", [[0], [2, 0], [1, 2], [0, 1, 2]])
 def test_any_subset(group: str, driven: list[int]) -> None:
     """Some joints follow a plan, in any order, and the others move: both engines against ABA."""

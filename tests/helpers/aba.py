@@ -27,6 +27,8 @@ def kinematics(model: pin.Model) -> Callable[[Array, Array], Array]:
     ]
 
     def of(kind: str, p: Array, w: Array) -> Array:
+        if kind == "JointModelComposite":  # a slide before a plane
+            return np.append(w[0], of("JointModelPlanar", p[1:], w[1:]))
         if len(p) == len(w):
             return np.asarray(w)
         if len(p) == 2:

@@ -8,15 +8,16 @@ from trees import random_model
 
 import pinred
 
-GRAVITY = {"R": (1.0, -2.0, 3.0), "SE2": (1.0, -2.0, 3.0), "SO3": (2.0, 0.0, -3.0)}
+GRAVITY = {
+    "R": (1.0, -2.0, 3.0), "SE2": (1.0, -2.0, 3.0), "SO3": (2.0, 0.0, -3.0),
+    "SE3": (0.5, 0.0, -3.0), "RxSE2": (1.0, -2.0, -3.0),
+}  # fmt: skip
 
 
 def tree(group: str, joints: int, seed: int) -> pinred.System:
     """A random tree in gravity, where its group allows any."""
     model = random_model(group, joints, seed)
     model.gravity.linear = np.array(GRAVITY.get(group, (0.0, 0.0, 0.0)))
-    if group == "SE3":
-        model.gravity.linear = np.array([0.5, 0.0, -3.0])
     return pinred.load(model)
 
 

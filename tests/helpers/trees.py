@@ -47,6 +47,14 @@ def continuous(rng: Rng) -> pin.JointModel:
     ).joints[1]
 
 
+def climbing_joint() -> pin.JointModel:
+    """A slide along z and a plane across it, in one joint."""
+    joint = pin.JointModelComposite()
+    joint.addJoint(pin.JointModelPZ())
+    joint.addJoint(pin.JointModelPlanar())
+    return joint
+
+
 ROOTS: dict[str, list[Callable[[Rng], pin.JointModel]]] = {
     "R": [lambda _: pin.JointModelPX(), lambda rng: pin.JointModelPrismaticUnaligned(unit(rng))],
     "SO2": [
@@ -57,6 +65,7 @@ ROOTS: dict[str, list[Callable[[Rng], pin.JointModel]]] = {
     "SE2": [lambda _: pin.JointModelPlanar()],
     "SO3": [lambda _: pin.JointModelSpherical()],
     "SE3": [lambda _: pin.JointModelFreeFlyer()],
+    "RxSE2": [lambda _: climbing_joint()],
 }
 JOINTS: list[Callable[[Rng], pin.JointModel]] = [
     lambda _: pin.JointModelRX(),

@@ -19,6 +19,7 @@ from pinred.kernels.judge import judge
 from pinred.kernels.layout import Structure
 from pinred.kernels.machine.native import NativeCode
 from pinred.kernels.store import ObjectCache
+from pinred.lie import GROUPS
 from pinred.reduction.cyclic_joints import cyclic_joints
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.compiled.kernel_of_plan import kernel_of
@@ -201,7 +202,7 @@ def test_failure_names_time_and_joint() -> None:
     assert 0.0 < caught.value.time < 100.0  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("group", ["R", "SO2", "SE2", "SO3", "SE3"])
+@pytest.mark.parametrize("group", GROUPS)
 def test_casadi_functions(group: str) -> None:
     """I, A, M, B and H as CasADi Functions, and the exact Jacobian of the vector field."""
     system = pinred.load(random_model(group, 3, 5))

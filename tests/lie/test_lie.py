@@ -1,4 +1,4 @@
-"""One set of axioms for all five groups, also near the identity and near half turns."""
+"""One set of axioms for all groups, also near the identity and near half turns."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
+from trees import climbing_joint
 
 from pinred import InputError, ShapeError
 from pinred.common.arrays import Array
-from pinred.lie import GROUPS, SE2, SE3, SO2, SO3, Group, R, group_named
+from pinred.lie import GROUPS, SE2, SE3, SO2, SO3, Group, R, RxSE2, group_named
 from pinred.lie.rotations import hat
 
 ALL = list(GROUPS.values())
@@ -24,17 +25,21 @@ seeds = st.integers(0, 2**32 - 1)
 
 def algebra(group: Group, xi: Array) -> Array:
     """ξ as a matrix: the derivative of the homogeneous matrix at the identity."""
-    v, w = xi[: group.linear], xi[group.linear :]
-    k = {"R": 1, "SO2": 2, "SE2": 2, "SO3": 3, "SE3": 3}[group.name]
-    turning = np.zeros((k, k))
-    if w.size == 1:
-        turning = w[0] * np.array([[0.0, -1.0], [1.0, 0.0]])
-    elif w.size == 3:
-        turning = hat(w)
-    if not group.linear:
-        return turning
-    out = np.zeros((k + 1, k + 1))
-    out[:k, :k], out[:k, k] = turning, v
+    v, w = np.split(in_space(group, xi), 2)
+    out = np.zeros((4, 4))
+    out[:3, :3], out[:3, 3] = hat(w), v
+    # The matrix is that of space, without the directions in which nothing ever moves.
+    moving = {axis for axis in group.axes if axis < 3}
+    for axis in group.axes[group.linear :]:
+        moving |= {0, 1, 2} - {axis - 3}
+    rows = [*sorted(moving), *([3] if group.linear else [])]
+    return out[np.ix_(rows, rows)]
+
+
+def in_space(group: Group, xi: Array) -> Array:
+    """A twist of the group as one of space, (6,)."""
+    out = np.zeros(6)
+    out[list(group.axes)] = xi
     return out
 
 
@@ -81,7 +86,7 @@ def test_log_undoes_exp(group: Group, size: float) -> None:
 
 
 @pytest.mark.parametrize("turn", NEAR_HALF_TURN)
-@pytest.mark.parametrize("group", [SO2, SE2, SO3, SE3], ids=repr)
+@pytest.mark.parametrize("group", [group for group in ALL if group.turns], ids=repr)
 def test_half_turns(group: Group, turn: float) -> None:
     """Near and at a half turn, log gives back the turn, of at most π."""
     rng = np.random.default_rng(1)
@@ -110,6 +115,39 @@ def test_exp_is_the_matrix_exponential(group: Group, seed: int, turn: float) -> 
     np.testing.assert_allclose(bracket, X @ Y - Y @ X, atol=1e-14)
     np.testing.assert_allclose(group.ad(xi) @ eta, group.bracket(xi, eta), atol=1e-15)
     np.testing.assert_allclose(group.Ad(g), expm(group.ad(xi)), atol=1e-13)
+
+
+@given(groups, seeds)
+def test_a_group_is_a_part_of_space(group: Group, seed: int) -> None:
+    """Its axes are closed under the bracket of se(3), and its own bracket is that one."""
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(size=(2, group.dim))
+    whole = pin.Motion(in_space(group, a)).cross(pin.Motion(in_space(group, b))).vector
+    np.testing.assert_allclose(in_space(group, group.bracket(a, b)), whole, atol=1e-15)
+
+
+@given(groups, seeds)
+def test_parts_of_momenta(group: Group, seed: int) -> None:
+    """Translations turn as Ad says; the angular part about a point is that of space."""
+    rng = np.random.default_rng(seed)
+    g, k = group.exp(twist(group, rng, 3.0)), group.linear
+    v = rng.normal(size=k)
+    np.testing.assert_allclose(group.turned(g[k:], v), group.Ad(g)[:k, :k] @ v, atol=1e-14)
+    np.testing.assert_allclose(group.turned_back(g[k:], group.turned(g[k:], v)), v, atol=1e-14)
+    c, mu = rng.normal(size=3), rng.normal(size=group.dim)
+    moved = pin.SE3(np.eye(3), c).actInv(pin.Force(in_space(group, mu))).vector
+    expected = moved[list(group.axes[k:])]
+    np.testing.assert_allclose(group.about(c, mu), expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("group", ALL, ids=repr)
+def test_names_and_sizes(group: Group) -> None:
+    """Every number of a pose and of a twist has a name of its own."""
+    assert len(set(group.pose_names)) == len(group.identity()) == group.size
+    assert len(set(group.twist_names)) == group.dim == group.linear + group.turns
+    assert group.linear == sum(name.startswith("v") for name in group.twist_names)
+    assert repr(group) == group.name
+    assert GROUPS[group.name] is group
 
 
 @given(groups, seeds)
@@ -156,6 +194,10 @@ def test_against_pinocchio(seed: int) -> None:
     planar = np.array([xi[0], xi[1], xi[5]])
     x, y, c, s = pin.liegroups.SE2().integrate(np.array([0.0, 0.0, 1.0, 0.0]), planar)
     np.testing.assert_allclose(SE2.exp(planar), [x, y, np.arctan2(s, c)], atol=1e-13)
+    climbing, model = np.append(xi[2], planar), pin.Model()
+    model.addJoint(0, climbing_joint(), pin.SE3.Identity(), "root")
+    q = pin.integrate(model, pin.neutral(model), climbing)
+    np.testing.assert_allclose(RxSE2.exp(climbing), [*q[:3], np.arctan2(q[4], q[3])], atol=1e-13)
 
 
 @pytest.mark.parametrize("group", ALL, ids=repr)
@@ -207,9 +249,9 @@ def test_poses_are_taken_in_every_form(group: Group) -> None:
     g = group.exp(np.linspace(0.2, 0.7, group.dim))
     assert same(group, group.pose(g.tolist()), g)
     assert same(group, group.pose(group.matrix(g)), g)
-    if group in (SO2, SE2):
+    if group.turns == 1:
         assert same(group, group.pose([*g[:-1], np.cos(g[-1]), np.sin(g[-1])]), g)
-    if group is SE3:
+    if group in (SE3, RxSE2):
         assert same(group, group.pose(pin.SE3(group.matrix(g))), g)
 
 
@@ -222,6 +264,7 @@ def test_poses_are_taken_in_every_form(group: Group) -> None:
         (SO3, 2 * np.eye(3), InputError, "not in SO3"),
         (SE3, np.diag([1.0, 1.0, 1.0, 2.0]), InputError, "not in SE3"),
         (SE2, [0, 0, 0.5, 0.5], InputError, "norm 1"),
+        (RxSE2, np.diag([1.0, -1.0, -1.0, 1.0]), InputError, "not in RxSE2"),
         (SO2, "east", ShapeError, "numbers"),
         (R, [[1.0]], ShapeError, "shape"),
     ],

@@ -18,7 +18,6 @@ from pinred.reduction.cyclic_joints import cyclic_joints
 from pinred.reduction.potential import shape_gravity
 from pinred.reduction.tree.articulated_sweep import sweep
 from pinred.reduction.tree.body_frames import bodies_of
-from pinred.reduction.tree.momenta import AXES
 from pinred.simulation.pinocchio.readable_flow import ReducedFlow
 from pinred.simulation.plan import plan_of
 
@@ -36,9 +35,8 @@ def test_sweep_solves_for_velocities_and_forces(case: Case) -> None:
     x = [ca.SX.sym(f"x{k}") for k in range(m)]
     pi = [ca.SX.sym(f"pi{k}") for k in range(m)]
     mu = [ca.SX.sym(f"mu{k}") for k in range(r)]
-    axes = AXES[system.group.name]
-    found = sweep(bodies_of(system), x, pi, mu, axes, 0.0, {})
-    xi = [(found.root_angular if angular else found.root_linear)[k] for angular, k in axes]
+    found = sweep(bodies_of(system), x, pi, mu, system.group.axes, 0.0, {})
+    xi = [[*found.root_linear, *found.root_angular][axis] for axis in system.group.axes]
     function = ca.Function(
         "f",
         [ca.vertcat(*x), ca.vertcat(*pi), ca.vertcat(*mu)],

@@ -32,9 +32,7 @@ from pinred.integrators.methods import (
     Tsit5,
     Variational,
 )
-from pinred.lie import GROUPS
 from pinred.scene.toml.keys import _METHODS, ENDS, FORCES, LOAD, RUN, START
-from pinred.scene.toml.keys import GROUPS as GROUP_KEYS
 from pinred.scene.toml.reader import _FORCES, read_scene_file
 from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Spline
 from pinred.system.catalogue import has_example_robots
@@ -310,7 +308,6 @@ def test_keys_are_those_of_python() -> None:
             elif said != "none":
                 assert said == entry.default or float(said) == entry.default
     assert ENDS == _ENDS
-    assert tuple(GROUPS) == GROUP_KEYS
 
 
 PATHS = sorted(EXAMPLES.glob("*.toml"))

@@ -108,7 +108,7 @@ def test_eulers_top_in_elliptic_functions() -> None:
     np.testing.assert_allclose(seen @ z, (c * rates(traj.t)[:, 2]) / L, atol=1e-9)
 
 
-@pytest.mark.parametrize("group", ["R", "SE2", "SE3"])
+@pytest.mark.parametrize("group", [name for name in GROUPS if GROUPS[name].linear])
 def test_free_fall_is_exact(group: str) -> None:
     """The centre of mass is on its parabola to round-off, and the shape does not notice."""
     model = random_model(group, 3, 2)

@@ -11,6 +11,7 @@ from trees import random_model
 
 import pinred
 from pinred.common.arrays import Array
+from pinred.lie import GROUPS
 from pinred.simulation.pieces import Motion
 from pinred.simulation.state import with_base
 from pinred.system.catalogue import bundled_robots, has_example_robots
@@ -40,11 +41,11 @@ def test_example_robot(name: str) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("group", ["R", "SO2", "SE2", "SO3", "SE3"])
+@pytest.mark.parametrize("group", GROUPS)
 def test_random_trees(group: str, seed: int) -> None:
     """Random trees on every group, with springs, armature, a moved pose and gravity if it fits."""
     model = random_model(group, seed + 1, seed)
-    if group in ("R", "SE2", "SE3"):
+    if GROUPS[group].linear:
         model.gravity.linear = np.array([1.0, -2.0, 3.0])
     system = pinred.load(model)
     springs = dict.fromkeys(system.shape_names[:2], (1.0, 0.2))
@@ -208,7 +209,7 @@ def test_report_is_a_table_with_its_numbers() -> None:
     assert report.wall_full > 0.0
 
 
-@pytest.mark.parametrize("group", ["SO2", "SE2", "SO3", "SE3"])
+@pytest.mark.parametrize("group", [name for name in GROUPS if GROUPS[name].turns])
 @pytest.mark.parametrize("angle", [1e-3, 1e-6, 3e-9, 1e-12])
 def test_small_turns_are_seen(group: str, angle: float) -> None:
     """Two bases that differ by a small turn are as far apart, wherever they stand."""

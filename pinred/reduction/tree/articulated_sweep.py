@@ -13,7 +13,7 @@ Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 7.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -134,17 +134,17 @@ def sweep(
     x: list[Scalar],
     pi: list[Scalar],
     mu: list[Scalar],
-    axes: list[tuple[bool, int]],
+    axes: Sequence[int],
     root_armature: float,
     rates: Mapping[int, Scalar],
     lanes: Lanes | None = None,
 ) -> Swept:
     """Solve H v = p and return velocities and π̇ (without forces).
 
-    x, pi: per shape joint.  mu: (r,).  axes: which twist entries the group has, each as
-    (angular, axis).  root_armature: added to the diagonal of SO(2)'s locked inertia.  rates: ẋ
-    of the joints that are prescribed, whose π is not read.  lanes: if given, limbs of one
-    build are computed at once, and marked there.
+    x, pi: per shape joint.  mu: (r,).  axes: of the group (see Group).  root_armature: added
+    to the diagonal of SO(2)'s locked inertia.  rates: ẋ of the joints that are prescribed,
+    whose π is not read.  lanes: if given, limbs of one build are computed at once, and marked
+    there.
     """
     links = links_of(bodies, lanes, {k + 1 for k in rates})
     lanes = lanes or Lanes()  # that nothing is marked in
@@ -164,7 +164,7 @@ def sweep(
         joints[i] = joint
         width = len(link.lanes) if len(links[link.parent].lanes) == 1 else 1
         _add(inertia[link.parent], _carried(joint.inner, step.fixed), lanes, width)
-    linear, angular = _solve_root(inertia[0], mu, axes, root_armature)
+    linear, angular = _solve_root(inertia[0], mu, [divmod(k, 3) for k in axes], root_armature)
     v, w = [linear], [angular]
     xdot: list[Scalar] = [0.0] * len(x)
     momenta = list(pi)
@@ -324,11 +324,14 @@ def _angular_row(a: Articulated, k: int, v: Vec, w: Vec) -> Scalar:
 
 
 def _solve_root(
-    a: Articulated, mu: list[Scalar], axes: list[tuple[bool, int]], armature: float
+    a: Articulated, mu: list[Scalar], axes: list[tuple[int, int]], armature: float
 ) -> tuple[Vec, Vec]:
-    """Return the root's twist (linear, angular) from its momentum."""
+    """Return the root's twist (linear, angular) from its momentum.
 
-    def entry(p: tuple[bool, int], q: tuple[bool, int]) -> Scalar:
+    axes: which entries of a twist there are, each as (0 or 1, axis): linear, or angular.
+    """
+
+    def entry(p: tuple[int, int], q: tuple[int, int]) -> Scalar:
         (ang_p, i), (ang_q, j) = p, q
         if ang_p and ang_q:
             return a.I[INDEX[i][j]]

@@ -15,7 +15,6 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.arrays import Array
-from ...lie.groups import SO2, R
 from ...system.joints import is_prismatic
 from ...system.system import System
 from .scalars import Scalar, Sym, Vec
@@ -113,9 +112,9 @@ def _heaviest_children(parents: list[int]) -> dict[int, int]:
 
 
 def _root_frame(system: System, S: Array) -> pin.SE3:
-    """Return the root body's frame: its joint's own, with the axis of ℝ or SO(2) along z."""
-    if system.group is SO2 or system.group is R:
-        axis = S.ravel()[3:] if system.group is SO2 else S.ravel()[:3]
+    """Return the root body's frame: its joint's own, where there is one axis with that along z."""
+    if system.r == 1:
+        axis = S.ravel()[3:] if system.group.turns else S.ravel()[:3]
         return pin.SE3(_to_z(axis), np.zeros(3))
     return pin.SE3.Identity()
 

@@ -26,9 +26,6 @@ from ...system.system import System
 from .body_frames import Body, bodies_of, cosine, sine
 from .scalars import INDEX, Scalar, Sym, Turn, Vec, add, cross, dot, mul, plus, sub, times
 
-# Of a twist [linear; angular] in the frame of the root body, what the group has.
-_ROWS = {"R": [2], "SO2": [5], "SE2": [0, 1, 5], "SO3": [3, 4, 5], "SE3": [0, 1, 2, 3, 4, 5]}
-
 
 @dataclass
 class Composite:
@@ -55,7 +52,7 @@ class CompositeBodies:
         """Prepare the frames of the bodies."""
         self._bodies = bodies_of(system)
         self._armature = np.array(system.model.armature)
-        self._rows = _ROWS[system.group.name]
+        self._rows = system.group.axes
 
     def mass_matrix(self, x: Array, H: Array) -> None:
         """Write H into zeros (N, n, n); entries of joints on different branches stay zero."""

@@ -7,15 +7,7 @@ import casadi as ca
 from ...system.system import System
 from .articulated_sweep import step_of
 from .body_frames import Body, bodies_of
-from .scalars import Scalar, Vec, cross, mul, plus, sub, times, total
-
-AXES: dict[str, list[tuple[bool, int]]] = {
-    "R": [(False, 2)],
-    "SO2": [(True, 2)],
-    "SE2": [(False, 0), (False, 1), (True, 2)],
-    "SO3": [(True, 0), (True, 1), (True, 2)],
-    "SE3": [(False, 0), (False, 1), (False, 2), (True, 0), (True, 1), (True, 2)],
-}
+from .scalars import Scalar, Vec, add, cross, mul, plus, sub, times, total
 
 
 def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
@@ -37,13 +29,9 @@ def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
 
 def momenta(system: System, x: ca.SX, v: ca.SX) -> ca.SX:
     """Return the momenta H(x) v, (n,), of velocities v = (ξ, ẋ), in one sweep."""
-    bodies, axes = bodies_of(system), AXES[system.group.name]
-    linear: Vec = [0.0, 0.0, 0.0]
-    angular: Vec = [0.0, 0.0, 0.0]
-    for k, (turning, axis) in enumerate(axes):
-        (angular if turning else linear)[axis] = v[k]
+    bodies = bodies_of(system)
     steps = [None, *(step_of(bodies[i], x[i - 1]) for i in range(1, len(bodies)))]
-    twists = [(linear, angular)]
+    twists = [_in_space(system, v)]
     for i in range(1, len(bodies)):
         step = steps[i]
         assert step is not None
@@ -61,9 +49,8 @@ def momenta(system: System, x: ca.SX, v: ca.SX) -> ca.SX:
         lin0, ang0 = carried[body.parent]
         carried[body.parent] = plus(lin0, up), plus(ang0, about)
     lin, ang = carried[0]
-    mu = [(ang if turning else lin)[axis] for turning, axis in axes]
-    if system.group.name == "SO2":
-        mu[0] = mu[0] + float(system.model.armature[0]) * v[0]
+    mu = [[*lin, *ang][axis] for axis in system.group.axes]
+    mu[0] = add(mu[0], mul(float(system.model.armature[0]), v[0]))  # only about one axis
     column: ca.SX = ca.vertcat(*mu, *pi)
     return column
 
@@ -74,12 +61,17 @@ def _momentum(body: Body, v: Vec, w: Vec) -> tuple[Vec, Vec]:
 
 
 def bracket(system: System, a: ca.SX, b: ca.SX) -> ca.SX:
-    """Return [a, b] in the group's algebra."""
-    name = system.group.name
-    if name in ("R", "SO2"):
-        return ca.SX.zeros(1)
-    if name == "SO3":
-        return ca.cross(a, b)
-    if name == "SE2":
-        return ca.vertcat(b[2] * a[1] - a[2] * b[1], a[2] * b[0] - b[2] * a[0], 0)
-    return ca.vertcat(ca.cross(a[3:], b[:3]) - ca.cross(b[3:], a[:3]), ca.cross(a[3:], b[3:]))
+    """Return [a, b] in the group's algebra, which is a part of se(3)."""
+    (v, w), (dv, dw) = _in_space(system, a), _in_space(system, b)
+    moved = [sub(p, q) for p, q in zip(cross(w, dv), cross(dw, v), strict=True)]
+    both = [*moved, *cross(w, dw)]
+    column: ca.SX = ca.vertcat(ca.SX(0, 1), *(both[axis] for axis in system.group.axes))
+    return column
+
+
+def _in_space(system: System, xi: ca.SX) -> tuple[Vec, Vec]:
+    """Return a twist of the root, (r,), as one of space: linear, angular."""
+    both: Vec = [0.0] * 6
+    for k, axis in enumerate(system.group.axes):
+        both[axis] = xi[k]
+    return both[:3], both[3:]

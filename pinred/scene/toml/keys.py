@@ -6,6 +6,7 @@ from math import inf
 
 from ...common.defaults import Default
 from ...integrators.methods import METHODS, Method, Option, options_of
+from ...lie.groups import GROUPS
 from ..scene import DURATION, ENGINES, EVEN_TIMES, OUTPUTS, Scene
 from .schema import (
     ByName,
@@ -23,7 +24,6 @@ from .schema import (
     Whole,
 )
 
-GROUPS = ("R", "SO2", "SE2", "SO3", "SE3")
 ENDS = ("natural", "clamped", "not-a-knot", "periodic")
 MOST_SAMPLES = 1_000_000
 _APART = (
@@ -80,7 +80,7 @@ ACTION = Named("action", Either((NUMBER, _FORMULA, SIGNAL_TABLE)))
 
 LOAD = Table(
     {
-        "group": Key(Text(GROUPS), "the symmetry", default="the robot's own root"),
+        "group": Key(Text(tuple(GROUPS)), "the symmetry", default="the robot's own root"),
         "gravity": Key(ListOf(NUMBER, 3), "in the world frame [m/s²]", default="the robot's own"),
         "lock": Key(
             Either((ListOf(Text((), "the name of a joint")), ByName(NUMBER))),

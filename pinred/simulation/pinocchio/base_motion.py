@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...common.arrays import Array
-from ...lie.groups import SE2, SE3, SO3, Group
-from ...lie.rotations import apply, hat, plane_rotation, rotation
+from ...lie.rotations import apply, rotation, unit
 from ...reduction.base_parts import base_parts, into_body, quaternion_rate, root_of
 from ...scene.initial_state import Start
 from ..plan import Plan
@@ -27,19 +26,19 @@ class Base:
         system, weight, wrench = plan.system, plan.weight, plan.wrench
         group, root = system.group, root_of(system)
         k = self._k = group.linear
-        self._group, self._mass, self.turns = group, system.mass, group.dim - k
+        self._group, self._mass, self.turns = group, system.mass, group.turns
         self.axes, self._g, self._weight = root.axes, root.g, weight
         self._lift = float(root.origin @ root.axes @ root.g)
         self._pivot = float(weight @ root.origin)
         heavy = plan.turned
         attitude, c, P = start.pose[k:], start.com @ root.axes, start.mu[:k]
-        about = start.mu[k:] - _moment(group, c, P)
+        about = group.about(start.com, start.mu)
         self.parts = base_parts(
             group, wanted=plan.wanted, heavy=heavy, wrench=wrench, zero_momentum=not about.any()
         )
         self.has_momentum = plan.momentum_changes or bool(about.any())
-        self._c0 = start.pose[:k] + self._turn(attitude, c)
-        self._v0 = self._turn(attitude, P / system.mass)
+        self._c0 = start.pose[:k] + group.turned(attitude, c)
+        self._v0 = group.turned(attitude, P / system.mass)
         self.spin = self._fixed(attitude, about)[: self.parts.spin]
         down = self._body(attitude, weight / np.linalg.norm(weight)) if self.parts.down else weight
         pieces = [attitude[: self.parts.attitude], down[: self.parts.down]]
@@ -88,17 +87,14 @@ class Base:
         elif self.parts.momentum:
             out.append(moment)
         if self.parts.push:
-            out += [push[self._k :] / self._mass, self._turn(self._normal(attitude), force)]
+            turned = self._group.turned(self._normal(attitude), force)
+            out += [push[self._k :] / self._mass, turned]
         return np.concatenate(out) if out else np.empty(0)
-
-    def about_com(self, com: Array, wrench: Array) -> Array:
-        """Return the moment about the centre of mass, N − c × F, of a wrench (r,) at the origin."""
-        return wrench[self._k :] - _moment(self._group, com @ self.axes, wrench[: self._k])
 
     def pose(self, b: Array, com: Array, t: Array) -> Array:
         """Return the pose (T, size) from b (T, …), body-frame com (T, 3), times (T,)."""
         attitude = self._attitude(b)
-        p = self._centre(b, t) - self._turn(attitude, com @ self.axes)
+        p = self._centre(b, t) - self._group.turned(attitude, com @ self.axes)
         return np.concatenate([p, attitude], axis=1)
 
     def twist(self, b: Array, xi: Array, t: Array) -> Array:
@@ -106,7 +102,8 @@ class Base:
         if not self._k:
             return xi
         out = xi.copy()
-        out[:, : self._k] += self._turned_back(self._attitude(b), self._linear(b, t) / self._mass)
+        carried = self._linear(b, t) / self._mass
+        out[:, : self._k] += self._group.turned_back(self._attitude(b), carried)
         return out
 
     def base_energy(self, b: Array, com: Array, t: Array) -> Array:
@@ -133,7 +130,7 @@ class Base:
         return self._normal(self.parts.split(b)[0])
 
     def _normal(self, attitude: Array) -> Array:
-        return SO3.normalize(attitude) if self.parts.attitude == 4 else attitude
+        return unit(attitude) if self.parts.attitude == 4 else attitude
 
     def _centre(self, b: Array, t: Array) -> Array:
         """Return the centre of mass in the root joint's fixed frame, (T, k) [m]."""
@@ -146,18 +143,6 @@ class Base:
         P = self._mass * (self._v0 + self._g * t[:, None])
         return P + self.parts.split(b)[3][:, self._k :] if self.parts.push else P
 
-    def _turn(self, attitude: Array, v: Array) -> Array:
-        """Return linear parts (..., k) in the fixed frame from the body's."""
-        if self._k == 2:
-            return np.asarray(apply(plane_rotation(attitude[..., 0]), v))
-        return np.asarray(apply(rotation(attitude), v)) if self._k == 3 else v
-
-    def _turned_back(self, attitude: Array, v: Array) -> Array:
-        """Return linear parts (..., k) in the body's frame from the fixed one."""
-        if self._k == 2:
-            return np.asarray(apply(plane_rotation(-attitude[..., 0]), v))
-        return self._body(attitude, v) if self._k == 3 else v
-
     def _fixed(self, attitude: Array, v: Array) -> Array:
         """Return angular parts in the fixed frame from the body's."""
         return np.asarray(apply(rotation(attitude), v)) if v.shape[-1] == 3 else v
@@ -167,15 +152,6 @@ class Base:
         if v.shape[-1] != 3 or attitude.shape[-1] != 4:
             return v
         return into_body(attitude, v)
-
-
-def _moment(group: Group, c: Array, F: Array) -> Array:
-    """Return c × F in the angular part of the group, (..., a)."""
-    if group is SE3:
-        return np.asarray(apply(hat(c), F))
-    if group is SE2:
-        return np.asarray(c[..., :1] * F[..., 1:] - c[..., 1:] * F[..., :1])
-    return np.zeros((*F.shape[:-1], group.dim - group.linear))
 
 
 def _into_body(q: Array, J: Array) -> Array:

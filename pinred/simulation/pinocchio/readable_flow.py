@@ -55,7 +55,7 @@ class ReducedFlow:
             pidot = pidot + acting.torque
             if self._forces.has_wrench:
                 push = acting.wrench[:k]
-                moment = self.base.about_com(com, acting.wrench)
+                moment = system.group.about(com, acting.wrench)
                 slope = form.com_slope(x)
                 pidot = pidot - push @ (self.base.axes.T @ slope)
         if self._weight.any():

@@ -33,8 +33,8 @@ def drift(problem: Problem, q: Array, v: Array) -> Drift:
     internal = total - full.carried_energy(q0, v0)
     scale = internal if internal > 1e-9 * total else total
     fall = system.mass * system.gravity * start.duration
-    before = full.momentum(q0, v0, np.zeros(3), about_pivot=not k)
-    after = full.momentum(q, v, fall, about_pivot=not k)
+    before = full.momentum(q0, v0, np.zeros(3), about_pivot=not system.group.turns_about_com)
+    after = full.momentum(q, v, fall, about_pivot=not system.group.turns_about_com)
     unit = np.full(system.r, np.sqrt(2.0 * system.mass * scale))
     unit[k:] *= full.radius(q0)
     energy = total + full.potential_energy(q0)

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.arrays import Array
+from ...lie.group import Group
 from ...system.system import System
 
 Floats = Sequence[float]
@@ -23,7 +24,7 @@ def full_field(system: System) -> Callable[[float, Array], Array]:
     """Return (t, y) → dy/dt of a system without forces but its gravity."""
     model, data = system.model, system.model.createData()
     size, r, at = system.group.size, system.r, system.group.size + system.m
-    root_rate, tau = _ROOTS[system.group.name], np.zeros(system.n)
+    root_rate, tau = _root_rate(system.group), np.zeros(system.n)
     circles = _circles(system)
     plain = not any(circles)
     aba, empty = pin.aba, np.empty
@@ -61,8 +62,9 @@ def _same(_: Floats, v: Floats) -> Floats:
 
 
 def _planar(root: Floats, v: Floats) -> Floats:
-    c, s = cos(root[2]), sin(root[2])
-    return c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]
+    c, s = cos(root[-1]), sin(root[-1])
+    *across, x, y, w = v
+    return *across, c * x - s * y, s * x + c * y, w
 
 
 def _attitude(q: Floats, w: Floats) -> Floats:
@@ -88,4 +90,8 @@ def _free(root: Floats, v: Floats) -> Floats:
     )
 
 
-_ROOTS = {"R": _same, "SO2": _same, "SE2": _planar, "SO3": _attitude, "SE3": _free}
+def _root_rate(group: Group) -> Callable[[Floats, Floats], Floats]:
+    """Return (root, body twist) → the rate of the root's coordinates."""
+    if group.turns == 3:
+        return _free if group.linear else _attitude
+    return _planar if group.plane else _same

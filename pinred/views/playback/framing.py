@@ -105,7 +105,8 @@ def _radius(film: Playback, bodies: Bodies) -> float:
 
 def _eye(film: Playback) -> Array:
     """Return the direction, among some around the vertical, most across the momentum."""
-    planar = film.system.group.name == "SE2"
+    group = film.system.group
+    planar = group.plane and group.linear == 2
     elevation = np.radians(_PLANAR_ELEVATION if planar else _ELEVATION)
     turn = np.arange(0.0, 181.0, 15.0)
     azimuth = np.radians(-60.0 + np.column_stack([-turn, turn]).ravel())

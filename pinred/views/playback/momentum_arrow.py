@@ -37,8 +37,8 @@ def conserved_momentum(system: System, q: Array, v: Array) -> Momentum:
     if there is one, along the axes about which it can turn; else momentum along its axis.
     """
     model, data = system.model, system.model.createData()
-    linear = system.group.linear
-    slides, pivoted = linear == system.r, linear == 0
+    linear, slides = system.group.linear, not system.group.turns
+    pivoted = not (slides or system.group.turns_about_com)
     pivot = np.array(model.jointPlacements[1].translation)
     axes, rotor = _axes(system), model.armature
     about = slice(0 if slides else linear, system.r)
@@ -66,15 +66,16 @@ def _axes(system: System) -> Array:
     pin.computeJointJacobians(model, data, pin.neutral(model))
     motion = np.array(data.joints[1].S).reshape(6, system.r)
     linear = system.group.linear
-    own = motion[:3] if linear == system.r else motion[3:, linear:]
+    own = motion[3:, linear:] if system.group.turns else motion[:3]
     return np.asarray(model.jointPlacements[1].rotation @ own)
 
 
 def _words(system: System) -> tuple[str, str]:
     """Return what the arrow is, and its unit."""
-    if system.group.linear == system.r:
-        return "momentum along the axis", "kg m/s"
-    if system.group.linear:
+    group = system.group
+    if not group.turns:
+        return "momentum along the axis" if group.dim == 1 else "momentum", "kg m/s"
+    if group.turns_about_com:
         return "angular momentum about the centre of mass", "kg m²/s"
-    about = "the axis" if system.r == 1 else "the pivot"
+    about = "the axis" if group.turns == 1 else "the pivot"
     return f"angular momentum about {about}", "kg m²/s"

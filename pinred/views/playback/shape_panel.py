@@ -85,11 +85,13 @@ def _range(path: Array) -> tuple[Array, Array]:
 
 def _strongest_first(system: System, field: Array, per: str) -> tuple[tuple[str, ...], Array]:
     """Return the components with their names, turns before shifts, the strongest first."""
-    linear, r = system.group.linear, system.r
-    turns = [f"turn about {axis}" for axis in "xyz"[: r - linear]]
+    axes, linear, r = system.group.axes, system.group.linear, system.r
+    turns = [f"turn about {'xyz'[axis - 3]}" for axis in axes[linear:]]
     if len(turns) == 1:
         turns = ["turn"]
-    shifts = ["shift"] if linear == 1 else [f"shift along {axis}" for axis in "xyz"[:linear]]
+    shifts = [f"shift along {'xyz'[axis]}" for axis in axes[:linear]]
+    if len(shifts) == 1:
+        shifts = ["shift"]
     names = [f"{name} [m/{per}]" for name in shifts] + [f"{name} [rad/{per}]" for name in turns]
     strength = np.abs(field).max(axis=(1, 2))
     order = sorted(range(r), key=lambda k: (k < linear, -strength[k]))

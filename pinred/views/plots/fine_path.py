@@ -71,13 +71,3 @@ def shape_path(motion: MotionSource) -> Callable[[Array], tuple[Array, Array]]:
     x = CubicHermiteSpline(motion.t, motion.x, motion.xdot)
     xdot = x.derivative()
     return lambda t: (np.asarray(x(t)), np.asarray(xdot(t)))
-
-
-def about_com(mu: Array, com: Array) -> Array:
-    """Return the angular momentum (…, 1 or 3) about the centre of mass, in the body's frame.
-
-    mu: (…, 3 or 6) body momentum.  com: (…, 2 or 3) in the body's frame.
-    """
-    if mu.shape[-1] == 3:
-        return np.asarray(mu[..., 2:] - (com[..., :1] * mu[..., 1:2] - com[..., 1:2] * mu[..., :1]))
-    return np.asarray(mu[..., 3:] - np.cross(com, mu[..., :3]))

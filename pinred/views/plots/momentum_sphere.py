@@ -11,11 +11,12 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from ...common.arrays import Array
 from ...common.errors import InputError
+from ...lie.groups import GROUPS, group_named
 from ...reduction.reduction import Reduction
 from ...simulation.state import with_base
 from ...system.system import System
 from ..motion_source import MotionSource
-from .fine_path import Path, about_com, fine_path, state_at
+from .fine_path import Path, fine_path, state_at
 from .motion_labels import labels, robot_of
 from .style import BLACK, RED, figure, styled
 
@@ -47,7 +48,7 @@ def sphere(motion: MotionSource, *, when: float = 0.0) -> Figure:
     if size <= least:
         raise InputError(f"'{names.robot}' has no angular momentum, so there is no sphere")
     steady = np.ptp(np.linalg.norm(L, axis=1)) <= _CONSTANT * size
-    about = "pivot" if names.group == "SO3" else "centre of mass"
+    about = "pivot" if group_named(names.group).is_pivot else "centre of mass"
     made = figure(
         f"{names.robot}: angular momentum about the {about}, in the body's frame\n"
         + (f"|L| = {size:.4g} N·m·s" if steady else f"|L| changes from {size:.4g} N·m·s (sphere)"),
@@ -80,11 +81,14 @@ def angular_momentum(motion: MotionSource, path: Path) -> Array:
     Raises InputError for groups other than SO3 and SE3; LoadError if SE3 needs the robot of a file
     and it cannot be loaded.
     """
-    group = labels(motion).group
-    if group not in ("SO3", "SE3"):
-        raise InputError(f"the body momentum moves on a sphere for SO3 and SE3, not for {group}")
+    group = group_named(labels(motion).group)
+    if group.turns < 3:
+        known = " and ".join(each.name for each in GROUPS.values() if each.turns == 3)
+        raise InputError(f"the body momentum moves on a sphere for {known}, not for {group}")
     mu = with_base(path, labels(motion).robot).body_momentum
-    return mu if group == "SO3" else about_com(mu, Reduction(motion.system).grid(path.x).com)
+    if group.is_pivot:
+        return mu
+    return group.about(Reduction(motion.system).grid(path.x).com, mu)
 
 
 def level_curves(inertia: Array, size: float) -> list[Array]:

@@ -17,7 +17,7 @@ from ...simulation.state import State, with_base
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
 from ..motion_source import MotionSource
-from .fine_path import Path, about_com, fine_path, state_at
+from .fine_path import Path, fine_path, state_at
 from .motion_labels import Labels, labels, robot_of
 from .shape_plane import Limits, Plane, around, draw_path, plane, title_at
 from .style import BLACK, BLUE, FIELD, RED, StyledFigure, figure, legend, line, styled
@@ -86,13 +86,11 @@ class _Landscape:
         self._reduction = Reduction(system)
         group = system.group
         self.mu = np.zeros(group.dim)
-        if group.name in ("SO2", "SO3"):
-            self.mu[:] = state.body_momentum
-        elif group.linear > 1:
+        if group.turns:
             com = self._reduction.grid(state.x).com
-            self.mu[group.linear :] = about_com(state.body_momentum, com)
+            self.mu[group.linear :] = group.about(com, state.body_momentum)
         # Constant in the body: one number, or nothing.
-        self.is_exact = group.name in ("R", "SO2", "SE2") or not self.mu.any()
+        self.is_exact = group.turns < 3 or not self.mu.any()
         self._xdot = state.xdot
 
     def potential(self, shapes: Array) -> Array | None:

@@ -9,20 +9,10 @@ from matplotlib.figure import Figure
 
 from ...common.arrays import Array
 from ...common.errors import InputError
+from ...lie.groups import group_named
 from ..motion_source import MotionSource
 from .motion_labels import Labels, labels
 from .style import legend, line, over_time, shown, steady, styled
-
-_BASE: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
-    "R": (("position [m]", ("s",)),),
-    "SO2": (("angle [rad]", ("θ",)),),
-    "SE2": (("position [m]", ("x", "y")), ("angle [rad]", ("θ",))),
-    "SO3": (("quaternion [1]", ("qx", "qy", "qz", "qw")),),
-    "SE3": (
-        ("position [m]", ("x", "y", "z")),
-        ("quaternion [1]", ("qx", "qy", "qz", "qw")),
-    ),
-}
 
 
 @styled
@@ -57,8 +47,11 @@ def base(motion: MotionSource) -> Figure:
     continuous.  Raises InputError if the base was left out.
     """
     names = labels(motion)
-    parts = _BASE[names.group]
-    pose = continuous(motion.pose) if names.group in ("SO3", "SE3") else motion.pose
+    group = group_named(names.group)
+    k, pose = group.linear, continuous(motion.pose) if group.turns == 3 else motion.pose
+    turned = "quaternion [1]" if group.turns == 3 else "angle [rad]"
+    parts = [("position [m]", group.pose_names[:k]), (turned, group.pose_names[k:])]
+    parts = [(quantity, entries) for quantity, entries in parts if entries]
     figure, every = over_time(f"{names.robot}: pose of the base ({names.group})", len(parts))
     first = 0
     for axes, (quantity, entries) in zip(every, parts, strict=True):

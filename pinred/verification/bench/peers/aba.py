@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from ....common.arrays import Array
-from ....lie.groups import SE2, SE3, SO3
+from ....lie.group import Group
 from ..full_field import full_field
 from ..problems import Problem
 from ..solver import End, Prepared, Solver, halvings, steps_of
@@ -78,7 +78,7 @@ def _rk4(problem: Problem, h: float, *, corrected: bool) -> Step:
     stages are added as they are, and the order is 2 where the base turns.
     """
     model, data, tau = _space(problem)
-    correct = _DEXP_INVERSE.get(problem.system.group.name) if corrected else None
+    correct = _correction(problem.system.group) if corrected else None
     aba, integrate = pin.aba, pin.integrate
 
     def step(q: Array, v: Array) -> tuple[Array, Array]:
@@ -108,7 +108,9 @@ def _space(problem: Problem) -> tuple[pin.Model, pin.Data, Array]:
 
 
 def _planar_bracket(a: Array, b: Array) -> Array:
-    return np.array([b[2] * a[1] - a[2] * b[1], a[2] * b[0] - b[2] * a[0], 0.0])
+    out = np.zeros(len(a))
+    out[-3], out[-2] = b[-1] * a[-2] - a[-1] * b[-2], a[-1] * b[-3] - b[-1] * a[-3]
+    return out
 
 
 def _free_bracket(a: Array, b: Array) -> Array:
@@ -130,11 +132,12 @@ def _dexp_inverse(bracket: Callable[[Array, Array], Array], r: int) -> Tangent:
     return correct
 
 
-_DEXP_INVERSE: dict[str, Tangent] = {
-    SE2.name: _dexp_inverse(_planar_bracket, 3),
-    SO3.name: _dexp_inverse(np.cross, 3),
-    SE3.name: _dexp_inverse(_free_bracket, 6),
-}
+def _correction(group: Group) -> Tangent | None:
+    """Return dexp⁻¹ of a group, or None if its motions commute."""
+    if group.turns == 3:
+        return _dexp_inverse(_free_bracket if group.linear else np.cross, group.dim)
+    return _dexp_inverse(_planar_bracket, group.dim) if group.plane else None
+
 
 _STEPS = halvings(50, 14)
 

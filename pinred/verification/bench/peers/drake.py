@@ -15,6 +15,7 @@ from ....system.system import System
 from ..problems import Problem
 from ..solver import End, Prepared, Solver, decades
 from .equality import missing_unless_equal
+from .fixed_axes import carried, turn
 from .survived import survived
 
 _MAX_STEP = 0.1  # s, Drake's own
@@ -30,7 +31,7 @@ class DrakeModel:
     def __init__(self, system: System) -> None:
         """Build the plant."""
         self.system = system
-        self._kind, self._m = system.group.name, system.m
+        self._m = system.m
         tree = import_module("pydrake.multibody.tree")
         math = import_module("pydrake.math")
         self.plant = import_module("pydrake.multibody.plant").MultibodyPlant(time_step=0.0)
@@ -45,6 +46,8 @@ class DrakeModel:
             where = math.RigidTransform(math.RotationMatrix(place.rotation), place.translation)
             frame = plant.AddFrame(tree.FixedOffsetFrame(f"frame{i}", above, where))
             S = np.array(data.joints[i].S).reshape(6, -1)
+            if i == 1 and not self._has_joint:
+                frame, S = self._add_slides(tree, frame, S)
             ends = (f"joint{i}", frame, body.body_frame())
             joint = plant.AddJoint(self._joint(tree, S, ends))
             armature = float(model.armature[model.joints[i].idx_v])
@@ -56,8 +59,9 @@ class DrakeModel:
         self.context = plant.CreateDefaultContext()
         r, m = system.r, system.m
         # Where the root's and the shape's coordinates stand in Drake's q and v.
-        self._root_q, self._root_v = joints[0].position_start(), joints[0].velocity_start()
-        self._root_nq = joints[0].num_positions()
+        first = plant.GetJointByName("joint1" if self._has_joint else "slide0")
+        self._root_q, self._root_v = first.position_start(), first.velocity_start()
+        self._root_nq = plant.num_positions() - m
         self._x = np.array([joint.position_start() for joint in joints[1:]], dtype=np.intp)
         shape = [joint.velocity_start() for joint in joints[1:]]
         self._v = np.array([*range(self._root_v, self._root_v + r), *shape], dtype=np.intp)
@@ -68,19 +72,32 @@ class DrakeModel:
             if S[:3].any():
                 return tree.PrismaticJoint(*ends, S[:3, 0])
             return tree.RevoluteJoint(*ends, S[3:, 0])
-        kinds = {
-            "SE2": tree.PlanarJoint,
-            "SO3": tree.BallRpyJoint,
-            "SE3": tree.QuaternionFloatingJoint,
-        }
-        return kinds[self._kind](*ends)
+        group = self.system.group
+        if group.turns == 3:
+            return (tree.QuaternionFloatingJoint if group.linear else tree.BallRpyJoint)(*ends)
+        return tree.PlanarJoint(*ends)
+
+    @property
+    def _has_joint(self) -> bool:
+        """Whether one joint of Drake's moves as the root does."""
+        group = self.system.group
+        return group.dim == 1 or group.turns == 3 or (bool(group.plane) and group.linear == 2)
+
+    def _add_slides(self, tree: Any, frame: Any, S: Array) -> tuple[Any, Array]:
+        """Add a joint for each axis but the last; return the frame behind them, and that axis."""
+        for k in range(S.shape[1] - 1):
+            link = self.plant.AddRigidBody(f"link{k}", tree.SpatialInertia.Zero())
+            ends = (f"slide{k}", frame, link.body_frame())
+            self.plant.AddJoint(self._joint(tree, S[:, k : k + 1], ends))
+            frame = link.body_frame()
+        return frame, S[:, -1:]
 
     def positions(self, q: Array, x: Array) -> Array:
         """Return Drake's positions of Pinocchio's q and the unwrapped shape."""
         pose, out = self.system.configuration(q).pose, np.empty(self._size)
-        if self._kind == "SE3":
+        if self._is_free:
             pose = np.concatenate([pose[6:], pose[3:6], pose[:3]])
-        elif self._kind == "SO3":
+        elif self.system.group.is_pivot:
             pose = pin.rpy.matrixToRpy(self.system.group.matrix(pose)[:3, :3])
         out[self._root_q : self._root_q + self._root_nq] = pose
         out[self._x] = x
@@ -95,10 +112,10 @@ class DrakeModel:
     def end(self, y: Array, rates: Array, evaluations: float) -> End:
         """Return the end of a motion in Pinocchio's terms."""
         pose = y[self._root_q : self._root_q + self._root_nq].copy()
-        if self._kind == "SE3":
-            turn = np.append(pose[1:4], pose[0])
-            pose = np.concatenate([pose[4:], turn / np.linalg.norm(turn)])
-        elif self._kind == "SO3":
+        if self._is_free:
+            attitude = np.append(pose[1:4], pose[0])
+            pose = np.concatenate([pose[4:], attitude / np.linalg.norm(attitude)])
+        elif self.system.group.is_pivot:
             pose = pin.Quaternion(pin.rpy.rpyToMatrix(pose)).coeffs()
         x = y[self._x].copy()
         q = self.system.q(pose, x)
@@ -116,10 +133,7 @@ class DrakeModel:
         self.put(q, v, self.system.configuration(q).x)
         rates = self.plant.EvalTimeDerivatives(self.context)
         out = self._turn(q).T @ rates.get_generalized_velocity().CopyToVector()[self._v]
-        if self._kind == "SE3":
-            out[:3] -= np.cross(v[3:6], v[:3])
-        elif self._kind == "SE2":
-            out[:2] -= v[2] * np.array([-v[1], v[0]])
+        out[: self.system.group.linear] -= carried(self.system, v)
         return np.asarray(out)
 
     def put(self, q: Array, v: Array, x: Array) -> None:
@@ -130,15 +144,19 @@ class DrakeModel:
     def _turn(self, q: Array) -> Array:
         """Return the matrix from Pinocchio's velocities to Drake's, (n, n), orthogonal."""
         system, T = self.system, np.eye(self.system.n)
-        R = system.group.matrix(system.configuration(q).pose)
-        if self._kind == "SE3":
+        k = system.group.linear
+        if self._is_free:
             T[:6, :6] = 0.0
-            T[:3, 3:6] = T[3:6, :3] = R[:3, :3]
-        elif self._kind == "SE2":
-            T[:2, :2] = R[:2, :2]
-        elif self._kind == "SO3":
-            T[:3, :3] = R[:3, :3]
+            T[:3, 3:6] = T[3:6, :3] = turn(system, q)
+        elif system.group.is_pivot:
+            T[:3, :3] = system.group.matrix(system.configuration(q).pose)
+        else:
+            T[:k, :k] = turn(system, q)
         return T
+
+    @property
+    def _is_free(self) -> bool:
+        return self.system.group.turns == 3 and bool(self.system.group.linear)
 
 
 def _inertia(tree: Any, body: pin.Inertia) -> Any:

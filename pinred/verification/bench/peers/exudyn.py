@@ -19,6 +19,7 @@ from ..problems import Problem
 from ..solver import ATOL, UNKNOWN, End, Prepared, Solver, decades, halvings, steps_of
 from .equality import missing_unless_equal
 from .euler import ORDERS, Order, angles_of, best_order, rotation_of, spin_matrix, spin_rate
+from .fixed_axes import carried
 
 
 class ExudynModel:
@@ -31,7 +32,7 @@ class ExudynModel:
         """Build the model."""
         self.exu = import_module("exudyn")
         self.system, self.order = system, order
-        self._kind, self._m = system.group.name, system.m
+        self._m, self._has_quaternion = system.m, system.group.turns == 3
         self.container = self.exu.SystemContainer()
         self.mbs = self.container.AddSystem()
         self._build()
@@ -108,15 +109,14 @@ class ExudynModel:
         kinds = self.exu.JointType
         slides = [kinds.PrismaticX, kinds.PrismaticY, kinds.PrismaticZ]
         turns = [kinds.RevoluteX, kinds.RevoluteY, kinds.RevoluteZ]
-        if self._kind == "SE2":
-            return [*slides[:2], turns[2]]
-        linear = slides if self._kind == "SE3" else []
-        return [*linear, *(turns[k] for k in self.order)]
+        axes, k = self.system.group.axes, self.system.group.linear
+        about = self.order if self._has_quaternion else [axis - 3 for axis in axes[k:]]
+        return [*(slides[axis] for axis in axes[:k]), *(turns[axis] for axis in about)]
 
     def coordinates(self, q: Array, x: Array) -> Array:
         """Return Exudyn's coordinates of Pinocchio's q and the unwrapped shape."""
         pose, group = self.system.configuration(q).pose, self.system.group
-        if self._kind in ("SE3", "SO3"):
+        if self._has_quaternion:
             R = group.matrix(pose)[:3, :3]
             pose = np.concatenate([pose[: group.linear], angles_of(R, self.order)])
         return np.concatenate([pose, x])
@@ -130,7 +130,7 @@ class ExudynModel:
         """Return the end of a motion in Pinocchio's terms."""
         r, group = self.system.r, self.system.group
         pose, x = y[:r].copy(), y[r:].copy()
-        if self._kind in ("SE3", "SO3"):
+        if self._has_quaternion:
             R = rotation_of(pose[-3:], self.order)
             quaternion = pin.Quaternion(R).normalized().coeffs()
             pose = np.concatenate([pose[: group.linear], quaternion])
@@ -149,21 +149,18 @@ class ExudynModel:
         H, load = self._equations(y, rates)
         out = self._turn(y) @ np.linalg.solve(H, load)
         k = self.system.group.linear
-        if self._kind in ("SE3", "SO3"):
+        if self._has_quaternion:
             out[k : k + 3] += spin_rate(y[k : k + 3], rates[k : k + 3], self.order)
-        if self._kind == "SE3":
-            out[:3] -= np.cross(v[3:6], v[:3])
-        elif self._kind == "SE2":
-            out[:2] -= v[2] * np.array([-v[1], v[0]])
+        out[:k] -= carried(self.system, v)
         return np.asarray(out)
 
     def _turn(self, y: Array) -> Array:
         """Return the matrix from rates of Exudyn's coordinates to Pinocchio's velocities."""
-        T, k = np.eye(self.system.n), self.system.group.linear
-        if self._kind == "SE2":
-            c, s = np.cos(y[2]), np.sin(y[2])
-            T[:2, :2] = [[c, s], [-s, c]]
-        elif self._kind in ("SE3", "SO3"):
+        T, group = np.eye(self.system.n), self.system.group
+        k = group.linear
+        if group.plane:
+            T[:k, :k] = group.turned_back(y[k : k + 1], np.eye(k)).T
+        elif self._has_quaternion:
             T[k : k + 3, k : k + 3] = spin_matrix(y[k : k + 3], self.order)
             if k:
                 T[:3, :3] = rotation_of(y[3:6], self.order).T

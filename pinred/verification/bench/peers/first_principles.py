@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from ....common.arrays import Array
+from ....lie.group import Group
 from ....system.system import System
 
 
@@ -20,10 +21,10 @@ def full_graph(system: System) -> ca.Function:
     size, r, m = system.group.size, system.r, system.m
     y = ca.SX.sym("y", size + m + system.n)
     root, x, v = y[:size], y[size : size + m], y[size + m :]
-    turn = _root_rotation(system.group.name, root)
+    turn = _root_rotation(system.group, root)
     pull = ca.sparsify(ca.SX(-system.model.jointPlacements[1].rotation.T @ system.gravity))
     acceleration = _articulated(system, x, v, ca.mtimes(turn.T, pull))
-    rate = ca.vertcat(_root_rate(system.group.name, root, v[:r], turn), v[r:], acceleration)
+    rate = ca.vertcat(_root_rate(system.group, root, v[:r], turn), v[r:], acceleration)
     return ca.Function("full", [y], [ca.densify(rate)], {"cse": True})
 
 
@@ -116,27 +117,26 @@ def _solved(H: ca.SX, b: ca.SX) -> ca.SX:
     return ca.vertcat(*out)
 
 
-def _root_rotation(kind: str, root: ca.SX) -> ca.SX:
+def _root_rotation(group: Group, root: ca.SX) -> ca.SX:
     """Return the rotation matrix of the root's body against the joint's fixed frame."""
-    if kind == "R":
-        return ca.SX.eye(3)
-    if kind in ("SO2", "SE2"):
-        # SO2 turns about an axis along gravity, or feels none: nothing depends on its angle.
-        if kind == "SO2":
-            return ca.SX.eye(3)
-        c, s = ca.cos(root[2]), ca.sin(root[2])
+    if group.turns == 3:
+        x, y, z, w = (root[root.numel() - 4 + k] for k in range(4))
+        K = ca.skew(ca.vertcat(x, y, z))
+        return ca.SX.eye(3) + 2.0 * w * K + 2.0 * ca.mtimes(K, K)
+    if group.plane:
+        c, s = ca.cos(root[group.linear]), ca.sin(root[group.linear])
         return ca.sparsify(ca.blockcat([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
-    x, y, z, w = (root[root.numel() - 4 + k] for k in range(4))
-    K = ca.skew(ca.vertcat(x, y, z))
-    return ca.SX.eye(3) + 2.0 * w * K + 2.0 * ca.mtimes(K, K)
+    # A mere axis is along gravity, or feels none: nothing depends on its angle.
+    return ca.SX.eye(3)
 
 
-def _root_rate(kind: str, root: ca.SX, v: ca.SX, turn: ca.SX) -> ca.SX:
-    if kind in ("R", "SO2"):
+def _root_rate(group: Group, root: ca.SX, v: ca.SX, turn: ca.SX) -> ca.SX:
+    if not group.plane and group.turns < 3:
         return v
-    if kind == "SE2":
-        return ca.vertcat(ca.mtimes(turn[:2, :2], v[:2]), v[2])
-    x, w = root[root.numel() - 4 : root.numel() - 1], root[root.numel() - 1]
-    spin = v[v.numel() - 3 :]
+    k, axes = group.linear, list(group.axes[: group.linear])
+    spin = v[k:]
+    if group.plane:
+        return ca.vertcat(ca.mtimes(turn[axes, axes], v[:k]), spin)
+    x, w = root[k : k + 3], root[k + 3]
     attitude = 0.5 * ca.vertcat(w * spin + ca.cross(x, spin), -ca.dot(x, spin))
-    return attitude if kind == "SO3" else ca.vertcat(ca.mtimes(turn, v[:3]), attitude)
+    return ca.vertcat(ca.mtimes(turn, v[:3]), attitude) if k else attitude

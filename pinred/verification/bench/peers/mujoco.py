@@ -12,13 +12,13 @@ import pinocchio as pin
 
 from ....common.arrays import Array
 from ....common.errors import UnsupportedOperationError
+from ....lie.group import Group
 from ....system.system import System
 from ..problems import Problem
 from ..solver import End, Prepared, Solver, halvings, steps_of
 from .equality import missing_unless_equal
+from .fixed_axes import carried, turn
 from .scipy_over_field import Field, scipy_methods
-
-_PLANAR = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class MujocoModel:
@@ -34,9 +34,11 @@ class MujocoModel:
             # Motions that blow up are seen by their end; MuJoCo would write a file of them.
             mj.set_mju_user_warning(lambda _: None)
         self.mj, self.system = mj, system
-        self._kind, self._m = system.group.name, system.m
-        if self._kind == "SE3" and not np.array_equal(
-            system.model.jointPlacements[1].homogeneous, np.eye(4)
+        self._m, self._has_quaternion = system.m, system.group.turns == 3
+        if (
+            self._has_quaternion
+            and system.group.linear
+            and not np.array_equal(system.model.jointPlacements[1].homogeneous, np.eye(4))
         ):
             raise UnsupportedOperationError("its free joint is at the world's origin")
         self.model = self._build().compile()
@@ -87,10 +89,9 @@ class MujocoModel:
 
     def _add_root(self, body: Any, S: Array) -> None:
         kinds = self.mj.mjtJoint
-        if self._kind == "SE3":
-            body.add_joint(name="root", type=kinds.mjJNT_FREE)
-        elif self._kind == "SO3":
-            body.add_joint(name="root", type=kinds.mjJNT_BALL)
+        if self._has_quaternion:
+            free = bool(self.system.group.linear)
+            body.add_joint(name="root", type=kinds.mjJNT_FREE if free else kinds.mjJNT_BALL)
         else:
             for k in range(self.system.r):
                 self._add_joint(body, S[:, k], self.system.model.armature[k], f"root{k}")
@@ -98,7 +99,7 @@ class MujocoModel:
     def qpos(self, q: Array, x: Array) -> Array:
         """Return MuJoCo's coordinates of Pinocchio's q and the unwrapped shape."""
         pose = self.system.configuration(q).pose
-        if self._kind in ("SE3", "SO3"):
+        if self._has_quaternion:
             pose = np.concatenate([pose[:-4], pose[-1:], pose[-4:-1]])
         return np.concatenate([pose, x])
 
@@ -109,7 +110,7 @@ class MujocoModel:
     def end(self, qpos: Array, qvel: Array, evaluations: float) -> End:
         """Return the end of a motion in Pinocchio's terms."""
         pose, x = qpos[: -self._m or None].copy(), qpos[len(qpos) - self._m :].copy()
-        if self._kind in ("SE3", "SO3"):
+        if self._has_quaternion:
             pose[-4:] = np.append(pose[-3:], pose[-4]) / np.linalg.norm(pose[-4:])
         q = self.system.q(pose, x)
         return End(x, q, self._turn(q).T @ qvel, evaluations)
@@ -126,10 +127,7 @@ class MujocoModel:
         """Return Pinocchio's dv/dt without torques, (n,)."""
         self._put(q, v)
         out = self._turn(q).T @ self.data.qacc
-        if self._kind == "SE3":
-            out[:3] -= np.cross(v[3:6], v[:3])
-        elif self._kind == "SE2":
-            out[:2] -= v[2] * np.array([-v[1], v[0]])
+        out[: self.system.group.linear] -= carried(self.system, v)
         return np.asarray(out)
 
     def _put(self, q: Array, v: Array) -> None:
@@ -142,10 +140,8 @@ class MujocoModel:
 
         MuJoCo's linear velocity is that in the parent's axes.
         """
-        T, system = np.eye(self.system.n), self.system
-        if self._kind in ("SE3", "SE2"):
-            k = system.group.linear
-            T[:k, :k] = system.group.matrix(system.configuration(q).pose)[:k, :k]
+        T, k = np.eye(self.system.n), self.system.group.linear
+        T[:k, :k] = turn(self.system, q)
         return T
 
 
@@ -180,7 +176,7 @@ def _field(problem: Problem) -> Field:
     """Return the vector field on (qpos, qvel), by mj_forward."""
     bridge = mujoco_model(problem.system)
     model, data, forward = bridge.model, bridge.data, bridge.mj.mj_forward
-    nq, rate_of = model.nq, _rates(problem.system.group.name)
+    nq, rate_of = model.nq, _rates(problem.system.group)
     qpos, qvel, qacc = data.qpos, data.qvel, data.qacc
 
     def rate(t: float, y: Array) -> Array:  # noqa: ARG001
@@ -200,15 +196,15 @@ def _field(problem: Problem) -> Field:
     return Field(rate, y0, end)
 
 
-def _rates(kind: str) -> Callable[[Array, Array, Array], None]:
+def _rates(group: Group) -> Callable[[Array, Array, Array], None]:
     """Return what writes d(qpos)/dt."""
-    if kind not in ("SE3", "SO3"):
+    if group.turns < 3:
 
         def same(out: Array, _: Array, v: Array) -> None:
             out[:] = v
 
         return same
-    k = 3 if kind == "SE3" else 0
+    k = group.linear
 
     def turning(out: Array, y: Array, v: Array) -> None:
         out[:k] = v[:k]

@@ -1,0 +1,66 @@
+"""SE(2): motions of the plane."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..common.arrays import Array
+from .group import Group
+from .rotations import apply, homogeneous, plane_rotation, sinc, wrap
+
+
+class _SE2(Group):
+    def identity(self) -> Array:
+        return np.zeros(3)
+
+    def compose(self, g: Array, h: Array) -> Array:
+        p = g[..., :2] + apply(plane_rotation(g[..., 2]), h[..., :2])
+        return np.concatenate([p, g[..., 2:] + h[..., 2:]], axis=-1)
+
+    def inverse(self, g: Array) -> Array:
+        return np.concatenate(
+            [-apply(plane_rotation(-g[..., 2]), g[..., :2]), -g[..., 2:]], axis=-1
+        )
+
+    def exp(self, xi: Array) -> Array:
+        w = xi[..., 2:]
+        a, b = sinc(w), 0.5 * w * sinc(0.5 * w) ** 2  # sin(ω)/ω and (1 − cos ω)/ω
+        v1, v2 = xi[..., :1], xi[..., 1:2]
+        return np.concatenate([a * v1 - b * v2, b * v1 + a * v2, w], axis=-1)
+
+    def log(self, g: Array) -> Array:
+        w = wrap(g[..., 2:])
+        a, b = np.cos(0.5 * w) / sinc(0.5 * w), 0.5 * w
+        x, y = g[..., :1], g[..., 1:2]
+        return np.concatenate([a * x + b * y, a * y - b * x, w], axis=-1)
+
+    def Ad(self, g: Array) -> Array:
+        out = homogeneous(plane_rotation(g[..., 2]), g[..., :2])
+        out[..., 0, 2], out[..., 1, 2] = g[..., 1], -g[..., 0]
+        return out
+
+    def ad(self, xi: Array) -> Array:
+        out = np.zeros((*xi.shape[:-1], 3, 3))
+        out[..., 0, 1], out[..., 1, 0] = -xi[..., 2], xi[..., 2]
+        out[..., 0, 2], out[..., 1, 2] = xi[..., 1], -xi[..., 0]
+        return out
+
+    def rate(self, g: Array, xi: Array) -> Array:
+        return np.concatenate([apply(plane_rotation(g[..., 2]), xi[..., :2]), xi[..., 2:]], axis=-1)
+
+    def matrix(self, g: Array) -> Array:
+        return homogeneous(plane_rotation(g[..., 2]), g[..., :2])
+
+    def from_matrix(self, matrix: Array) -> Array:
+        theta = np.arctan2(matrix[..., 1, :1], matrix[..., 0, :1])
+        return np.concatenate([matrix[..., :2, 2], theta], axis=-1)
+
+
+SE2 = _SE2(
+    name="SE2",
+    axes=(0, 1, 5),
+    pose_names=("x", "y", "θ"),
+    root="planar",
+    joints=("Planar",),
+    conserved="momentum in the plane and angular momentum about the centre of mass",
+)

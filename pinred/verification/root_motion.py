@@ -1,0 +1,81 @@
+"""The root joint of the full simulation, read from Pinocchio's motion subspace alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ..common.arrays import Array
+
+
+@dataclass(frozen=True)
+class RootMotion:
+    """How the root joint of a model moves.
+
+    axes: (6, r) of its motion in its fixed frame, slides first.  linear, turns: how many
+    slides, how many rotations.  plane: which two slides a single hinge turns into each other,
+    if any.  circle: whether Pinocchio keeps its angle as cosine and sine.
+    """
+
+    axes: Array
+    linear: int
+    turns: int
+    plane: tuple[int, int] | None
+    circle: bool
+
+    @property
+    def size(self) -> int:
+        """How many coordinates it has: positions; angle or quaternion."""
+        return self.linear + (4 if self.turns == 3 else self.turns)
+
+    @property
+    def is_pivoted(self) -> bool:
+        """Whether it turns about what it cannot slide across: momentum is about that."""
+        slides_across = self.plane is not None or (self.turns == 3 and self.linear == 3)
+        return self.turns > 0 and not slides_across
+
+    def rate(self, root: Array, v: Array) -> Array:
+        """Return the rate of its coordinates (size,) at a body twist (r,)."""
+        if self.turns < 3:
+            if self.plane is None:
+                return v
+            out, (i, j) = v.copy(), self.plane
+            c, s = np.cos(root[-1]), np.sin(root[-1])
+            out[i], out[j] = c * v[i] - s * v[j], s * v[i] + c * v[j]
+            return out
+        q = pin.Quaternion(root[-4:])
+        spin = pin.Quaternion(np.append(0.5 * v[-3:], 0.0))
+        turn = (q * spin).coeffs()
+        if not self.linear:
+            return np.asarray(turn)
+        return np.concatenate([q.normalized().matrix() @ v[:3], turn])
+
+    def q(self, root: Array) -> Array:
+        """Return Pinocchio's configuration of the joint."""
+        if self.circle:
+            return np.concatenate([root[:-1], [np.cos(root[-1]), np.sin(root[-1])]])
+        q = root.copy()
+        if self.turns == 3:
+            q[-4:] /= np.linalg.norm(root[-4:])
+        return q
+
+
+def root_motion(model: pin.Model) -> RootMotion:
+    """Return how the root joint of a model moves."""
+    data, joint = model.createData(), model.joints[1]
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    axes = np.array(data.joints[1].S).reshape(6, joint.nv)
+    linear = int((~axes[3:].any(axis=0)).sum())
+    turns = joint.nv - linear
+    plane = _plane(axes, linear) if turns == 1 else None
+    return RootMotion(axes, linear, turns, plane, circle=turns == 1 and joint.nq > joint.nv)
+
+
+def _plane(axes: Array, linear: int) -> tuple[int, int] | None:
+    """Return which two slides of a root joint its one hinge turns into each other, if any."""
+    turned = np.cross(axes[3:, -1], axes[:3, :linear], axis=0)
+    onto = axes[:3, :linear].T @ turned  # (i, j): how much of slide j goes to slide i
+    found = np.argwhere(onto > 0.5)
+    return (int(found[0, 1]), int(found[0, 0])) if found.size else None
