@@ -1,9 +1,22 @@
 """Everything that acts on a system: forces, controllers, and the signals they follow.
 
 One set of expressions serves every route.  Imports `reduction` and what lies below it.
-Names are imported when they are first used; the stub beside this file says where each stands.
+The names are those that `kinds` lists, imported when they are first used.
 """
 
-import lazy_loader
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+if TYPE_CHECKING:
+    from .kinds import *  # noqa: F403
+
+
+def __getattr__(name: str) -> Any:
+    kinds = import_module(f"{__name__}.kinds")
+    if name == "__all__" or name in kinds.__all__:
+        return getattr(kinds, name)
+    raise AttributeError(f"No {__name__} attribute {name}")
+
+
+def __dir__() -> list[str]:
+    return sorted(import_module(f"{__name__}.kinds").__all__)

@@ -37,6 +37,20 @@ from .force import (
 )
 from .signals import Signal
 
+__all__ = [
+    "PD",
+    "Action",
+    "ComputedTorque",
+    "Controller",
+    "Damper",
+    "Force",
+    "Limit",
+    "PotentialEnergy",
+    "Spring",
+    "Torque",
+    "Wrench",
+]
+
 Action: TypeAlias = Callable[[Any, Any, Any, Any], Any]
 
 

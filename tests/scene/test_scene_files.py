@@ -32,8 +32,10 @@ from pinred.integrators.methods import (
     Tsit5,
     Variational,
 )
-from pinred.scene.toml.keys import _METHODS, ENDS, FORCES, LOAD, RUN, START
-from pinred.scene.toml.reader import _FORCES, read_scene_file
+from pinred.scene.toml.force_kinds import FORCES
+from pinred.scene.toml.keys import _METHODS, LOAD, RUN, START
+from pinred.scene.toml.reader import read_scene_file
+from pinred.scene.toml.signal_keys import ENDS
 from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Spline
 from pinred.system.catalogue import has_example_robots
 
@@ -169,7 +171,7 @@ def test_forces(kind: str, tmp_path: Path) -> None:
 def test_every_kind_of_force_is_tested() -> None:
     """The cases above hold each kind of force."""
     kinds = {text.split("\n")[0].split("=")[1].strip(" '\"") for text, _ in FORCE_CASES.values()}
-    assert kinds == set(FORCES) == set(_FORCES)
+    assert kinds == set(FORCES)
 
 
 SIGNAL_CASES = {
@@ -290,8 +292,9 @@ def test_keys_are_those_of_python() -> None:
     keys = {*START.keys, *RUN.keys, "springs", "forces", "prescribed"}
     assert keys == scene | {"samples", "engine"}
     assert set(LOAD.keys) == {"group", "gravity", "lock"}
-    for name, table in FORCES.items():
-        wanted = {entry.name for entry in fields(_FORCES[name])}  # type: ignore[arg-type]
+    for kind in FORCES.values():
+        table = kind.table
+        wanted = {entry.name for entry in fields(kind.make)}  # type: ignore[arg-type]
         assert set(table.keys) - {"smooth"} == wanted
         assert ("smooth" in table.keys) == ("limit" in wanted)
     assert set(_METHODS) == {"auto", *METHODS}

@@ -8,23 +8,21 @@ from ...common.defaults import Default
 from ...integrators.methods import METHODS, Method, Option, options_of
 from ...lie.groups import GROUPS
 from ..scene import DURATION, ENGINES, EVEN_TIMES, OUTPUTS, Scene
+from .force_kinds import FORCE
 from .schema import (
     ByName,
     Either,
-    Flag,
     Key,
     ListOf,
-    Named,
     Node,
-    Number,
     Schema,
     Table,
     Tagged,
     Text,
     Whole,
 )
+from .signal_keys import NUMBER, NUMBERS, POSITIVE, SHAPE, SIGNAL
 
-ENDS = ("natural", "clamped", "not-a-knot", "periodic")
 MOST_SAMPLES = 1_000_000
 _APART = (
     ("xi0", "momentum"),
@@ -32,52 +30,6 @@ _APART = (
     *((name, "v0") for name in ("xdot0", "xi0", "momentum")),
     *((name, "seed") for name in ("x0", "xdot0", "xi0", "momentum", "q0", "v0")),
 )
-_BOTH = "time and value: two names in the header of the csv, or two columns counted from 0"
-
-NUMBER, POSITIVE = Number(), Number(positive=True)
-NUMBERS = ListOf(NUMBER)
-PER_JOINT = Named("per_joint", Either((NUMBER, ByName(NUMBER))))
-SHAPE = Named("shape", Either((NUMBERS, ByName(NUMBER))))
-
-
-def _tabulated(words: str, **more: Key) -> Table:
-    """Return the table of a signal through points, given in the table or in a csv file."""
-    keys = {
-        "times": Key(NUMBERS, "strictly increasing times [s], at most 1000"),
-        "values": Key(NUMBERS, "as many values"),
-        "file": Key(Text(), "a csv file with the times and values, relative to this file"),
-        "columns": Key(ListOf(Either((Text((), "a name"), Whole())), 2), _BOTH, default="[0, 1]"),
-        **more,
-    }
-    return Table(
-        keys,
-        words,
-        needs={"times": "values", "values": "times", "columns": "file"},
-        one_of=("times", "file"),
-    )
-
-
-_END = Key(Text(ENDS), "what holds at both ends", default="natural")
-_FOURIER = Table(
-    {
-        "mean": Key(NUMBER, "the mean", default="0"),
-        "cosines": Key(NUMBERS, "amplitudes of cos(2πk t/period), k from 1", default="none"),
-        "sines": Key(NUMBERS, "amplitudes of sin(2πk t/period), k from 1", default="none"),
-        "period": Key(POSITIVE, "period [s]", required=True),
-    },
-    "a Fourier series",
-)
-_KINDS = {
-    "spline": Key(_tabulated("a cubic spline", end=_END), "the cubic spline through a table"),
-    "linear": Key(_tabulated("straight lines"), "straight lines from entry to entry"),
-    "hold": Key(_tabulated("steps"), "each value until the next"),
-    "fourier": Key(_FOURIER, "mean + Σ aₖ cos(2πk t/period) + bₖ sin(2πk t/period)"),
-}
-SIGNAL_TABLE = Named("signal_table", Table(_KINDS, "a signal table", one_of=tuple(_KINDS)))
-SIGNAL = Named("signal", Either((NUMBER, Text((), "a formula in t"), SIGNAL_TABLE)))
-_FORMULA = Text((), "a formula in t, x, xdot and mu")
-ACTION = Named("action", Either((NUMBER, _FORMULA, SIGNAL_TABLE)))
-
 LOAD = Table(
     {
         "group": Key(Text(tuple(GROUPS)), "the symmetry", default="the robot's own root"),
@@ -178,83 +130,6 @@ RUN = Table(
     apart=(("times", "samples"),),
 )
 
-_NAME = {"name": Key(Text(), "what tables and messages call it", default="its kind")}
-_LIMITED = {
-    "limit": Key(PER_JOINT, "largest torque [N·m | N]", default="none"),
-    "smooth": Key(Flag(), "whether the limit is a tanh, not a kink", default="false"),
-}
-_SMOOTH = {"smooth": "limit"}
-_JOINT = Key(Text((), "the name of a joint"), "the joint", required=True)
-_TO = Key(Text((), "the name of a joint"), "the joint at the other end", default="none")
-_REFERENCE = Key(ByName(SIGNAL), "where each joint should be [rad | m]", required=True)
-_FOLLOWING = {
-    "kp": Key(PER_JOINT, "gain of the position's error", required=True),
-    "kd": Key(PER_JOINT, "gain of the rate's error", required=True),
-}
-FORCES = {
-    "spring": Table(
-        {
-            "joint": _JOINT,
-            "stiffness": Key(NUMBER, "[N·m/rad | N/m]", required=True),
-            "rest": Key(NUMBER, "where it is relaxed [rad | m]", default="0"),
-            "to": _TO,
-        },
-        "a spring at a joint, or between two",
-    ),
-    "damper": Table(
-        {
-            "joint": _JOINT,
-            "coefficient": Key(NUMBER, "[N·m·s/rad | N·s/m]", required=True),
-            "to": _TO,
-        },
-        "a damper at a joint, or between two",
-    ),
-    "potential": Table(
-        {"function": Key(Text((), "a formula in x"), "V(x) [J], a formula in x", required=True)}
-        | _NAME,
-        "a potential energy of the shape",
-    ),
-    "torque": Table(
-        {
-            "function": Key(
-                ByName(ACTION),
-                "torque at each joint [N·m | N]: number, formula or signal table",
-                required=True,
-            )
-        }
-        | _LIMITED
-        | _NAME,
-        "torques at the joints",
-        needs=_SMOOTH,
-    ),
-    "pd": Table(
-        {"reference": _REFERENCE} | _FOLLOWING | _LIMITED | _NAME,
-        "a PD controller of the joints",
-        needs=_SMOOTH,
-    ),
-    "computed_torque": Table(
-        {"reference": _REFERENCE} | _FOLLOWING | _LIMITED | _NAME,
-        "torques that make every joint follow its reference exactly",
-        needs=_SMOOTH,
-    ),
-    "wrench": Table(
-        {
-            "function": Key(
-                ListOf(ACTION),
-                "wrench on the base in its own frame [linear; angular]: as many entries as the "
-                "group has dimensions, each a number, formula or signal table",
-                required=True,
-            )
-        }
-        | _NAME,
-        "a wrench on the base: thrusters",
-    ),
-}
-_NO_FUNCTIONS = (
-    "a Controller is a Python function, and what stands in a file is never executed; "
-    "write it in Python, or use pd, computed_torque or torque"
-)
-FORCE = Tagged("kind", FORCES, "a force {kind = …}", {"controller": _NO_FUNCTIONS})
 SCENE = Table(
     {
         "robot": Key(

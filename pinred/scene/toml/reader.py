@@ -13,7 +13,6 @@ import casadi as ca
 import numpy as np
 
 from ...common.errors import InputError, LoadError, PinredError
-from ...forces import kinds as acting
 from ...forces.force import Force, Limit
 from ...forces.force_model import remembered_model
 from ...forces.signals import Signal
@@ -25,20 +24,12 @@ from ...system.system import System
 from .. import forms
 from ..scene import DURATION, Engine, Scene
 from .csv_columns import read_text
+from .force_kinds import FORCES
 from .keys import SCENE
 from .places import Place, naming, one_line, unknown
 from .signal_reader import SignalReader
 
 _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+\s*\.\s*){50}""")
-_FORCES: dict[str, Callable[..., Force]] = {
-    "spring": acting.Spring,
-    "damper": acting.Damper,
-    "potential": acting.PotentialEnergy,
-    "torque": acting.Torque,
-    "pd": acting.PD,
-    "computed_torque": acting.ComputedTorque,
-    "wrench": acting.Wrench,
-}
 _SECTIONS = {
     **dict.fromkeys(("x0", "xdot0", "xi0", "momentum", "seed", "q0", "v0"), "start"),
     **dict.fromkeys(("duration", "times", "rtol", "atol"), "run"),
@@ -163,7 +154,7 @@ class _Builder:
     def _force(self, entry: dict[str, Any], place: Place) -> Force:
         """Return a force with its names of joints checked and its formulas read."""
         options = dict(entry)
-        kind = options.pop("kind")
+        kind = FORCES[options.pop("kind")]
         for name in ("joint", "to"):
             if name in options:
                 self._joint(options[name], place / name)
@@ -177,18 +168,18 @@ class _Builder:
             where = place / "reference"
             options["reference"] = self._by_joint(options["reference"], where, self.signals.value)
         where = place / "function"
-        if kind == "potential":
+        if kind.function == "of the shape":
             options["function"] = self._potential(options["function"], where)
-        elif kind == "torque":
+        elif kind.function == "by joint":
             options["function"] = self._by_joint(options["function"], where, self._action)
-        elif kind == "wrench":
+        elif kind.function == "on the base":
             given = options["function"]
             if len(given) != self.system.r:
                 group = self.system.group.name
                 where.fail(f"must have {self.system.r} entries for {group}, got {len(given)}")
             options["function"] = [self._action(v, where / k) for k, v in enumerate(given)]
         with naming(place):
-            return _FORCES[kind](**options)
+            return kind.make(**options)
 
     def _action(self, value: Any, place: Place) -> Any:
         """Return a number, a Signal, or the function of (t, x, ẋ, μ) that a formula is."""
