@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
 import pinred
+from pinred.cli.main import main
 from pinred.forces import Wrench
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Fourier
+from pinred.system.catalogue import bundled_folder
 
 G = 9.81
 
@@ -87,3 +91,24 @@ def test_any_gravity_only_makes_it_fall() -> None:
     np.testing.assert_allclose(falling.pose[:, 3], still.pose[:, 3], atol=1e-14)
     fall = 0.5 * still.t[:, None] ** 2 * np.array([-9.0, 1.0, -2.0])
     np.testing.assert_allclose((falling.pose - still.pose)[:, :3], fall, atol=1e-12)
+
+
+def test_files_say_the_group(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """On the command line, in a scene file, and in what is written and read back."""
+    urdf = bundled_folder() / "upright_drone.urdf"
+    assert pinred.load(urdf).group.name == "SE3"
+    assert main(["compare", str(urdf), "--group", "RxSE2", "--seed", "1", "--time", "0.5"]) == 0
+    assert "upright_drone: RxSE2 × 2 joints" in capsys.readouterr().out
+    path = tmp_path / "hover.toml"
+    path.write_text(
+        f"robot = '{urdf}'\nload = {{ group = 'RxSE2', lock = ['swivel', 'raise'] }}\n"
+        "start = { pose0 = [2, 0, 0, 0.5], momentum = 0 }\nrun = { duration = 1.0 }\n"
+        "[[forces]]\nkind = 'wrench'\nfunction = [39.24, 0, 0, '-0.3*mu[3]']\n",
+        encoding="utf-8",
+    )
+    traj = pinred.simulate(pinred.load_scene(path))
+    np.testing.assert_allclose(traj.pose - [2.0, 0.0, 0.0, 0.5], 0.0, atol=1e-12)
+    traj.save(tmp_path / "hover.npz")
+    kept = pinred.read_recording(tmp_path / "hover.npz")
+    assert kept.system.group is traj.system.group
+    np.testing.assert_array_equal(kept.pose, traj.pose)
