@@ -17,6 +17,13 @@ settings.register_profile("pinred", deadline=None, print_blob=True)
 settings.load_profile("pinred")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What opens pages is slow."""
+    for item in items:
+        if item.get_closest_marker("browser"):
+            item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(scope="module")
 def screen() -> Iterator[Browser]:
     """One browser for all tests of a file; they are skipped where there is none."""

@@ -20,6 +20,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 CODE: list[str] = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", CODE)
 def test_readme_examples_run(code: str, capsys: pytest.CaptureFixture[str]) -> None:
     """The examples of the README run as they stand and pass their comparison."""
@@ -32,6 +33,7 @@ def test_ten_lines_are_ten_lines() -> None:
     assert len(CODE[0].strip().splitlines()) <= 12
 
 
+@pytest.mark.slow
 def test_readme_scene_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The scene of the README runs as it stands and passes its comparison."""
     (text,) = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
@@ -130,6 +132,7 @@ def test_files_that_documents_name_exist(path: Path) -> None:
         assert any((folder / name).exists() for folder in folders), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.name)
 def test_examples_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every example runs from anywhere."""

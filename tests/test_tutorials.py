@@ -23,6 +23,8 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.system.catalogue import has_example_robots
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent
 PATHS = sorted((ROOT / "examples/tutorials").glob("*.py"))
 NUMBER = r"(-?[\d.]+(?:e-?\d+)?)"

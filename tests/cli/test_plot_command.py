@@ -149,6 +149,7 @@ DOCUMENT = (Path(__file__).parents[2] / "docs/plots.md").read_text(encoding="utf
 COMMANDS = re.findall(r"^\$ pinred plot (?!measured)(.*)$", DOCUMENT, re.MULTILINE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_of_the_document(
     capsys: pytest.CaptureFixture[str],

@@ -122,6 +122,7 @@ def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
     return found
 
 
+@pytest.mark.slow
 def test_a_notebook_gets_a_bar(outputs: dict[str, list[Any]]) -> None:
     """One output of the cell, updated in place, with its title escaped."""
     before, bar, after = outputs["0"]

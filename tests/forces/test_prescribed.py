@@ -146,6 +146,7 @@ def test_fully_prescribed_is_reconstruction(momentum: bool, engine: Engine) -> N
         assert report.passed, str(report)
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(groups, seeds, st.integers(1, 4), st.data())
 def test_driving_torques(group: str, seed: int, joints: int, data: st.DataObject) -> None:

@@ -390,6 +390,7 @@ def test_steps_from_rest_are_solved_to_round_off(
         np.testing.assert_allclose(found, [x0 + dx.sum(), v0 + dv.sum()], rtol=0, atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "rate"), [(4, 16.0), (4, 24.0), (4, 26.0), (6, 32.0), (16, 80.0)]
 )
@@ -414,6 +415,7 @@ def test_slow_iterations_come_to_round_off(order: int, rate: float) -> None:
     np.testing.assert_allclose(found.states[1:, 0], ends, rtol=0, atol=3e-13)
 
 
+@pytest.mark.slow
 def test_a_state_without_a_solution_is_an_error() -> None:
     """Nobody gets NaN for a state at a time."""
     found = replace(run("kepler", Gauss(0.1), ORBIT, 1.0), _params=np.array([np.nan]))

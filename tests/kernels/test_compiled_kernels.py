@@ -34,6 +34,7 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monk
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path_factory.mktemp("cache", numbered=True)))
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(cases(0, 6))
 def test_kernels_of_random_trees(case: Case) -> None:
@@ -228,6 +229,7 @@ def test_casadi_functions(group: str) -> None:
     np.testing.assert_allclose(jacobian, np.stack(columns, axis=1), atol=1e-7)
 
 
+@pytest.mark.slow
 def test_long_chain_and_extreme_numbers() -> None:
     """Sixty joints, a mass ratio of a million, a spin of 1000 rad/s: kernels pass the judge."""
     chain = pinred.load(random_model("SE3", 60, 1, armature=False))

@@ -392,6 +392,7 @@ def mutated(draw: st.DrawFn) -> str:
     return text
 
 
+@pytest.mark.slow
 @settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=mutated())
 def test_nothing_but_errors_of_pinred(text: str, tmp_path_factory: pytest.TempPathFactory) -> None:

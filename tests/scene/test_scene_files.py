@@ -316,6 +316,7 @@ def test_keys_are_those_of_python() -> None:
 PATHS = sorted(EXAMPLES.glob("*.toml"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
 def test_examples(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

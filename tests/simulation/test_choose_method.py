@@ -66,6 +66,7 @@ def test_reports_and_pieces_ask_for_short_steps() -> None:
         assert "in pieces" in plan_of(scene(system, forces=[force])).choice.why
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping", [1.0, 300.0])
 def test_stiff_forces_get_radau(damping: float) -> None:
     """Where stability alone would make steps short; the motion is ABA's all the same."""

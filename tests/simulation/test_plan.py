@@ -25,6 +25,7 @@ AUTO: Any = "auto"
 METHODS = [AUTO, DOP853(1e-9, 1e-11), Gauss(0.01), Radau(1e-9, 1e-11), Variational(0.01)]
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(
     groups,

@@ -18,6 +18,8 @@ from pinred.common.errors import InputError
 from pinred.verification.bench import Scaling, bench_many, bench_scaling, timing
 from pinred.verification.bench.chains import chain
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:

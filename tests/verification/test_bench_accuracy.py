@@ -45,6 +45,8 @@ from pinred.verification.bench.reference import _quadruple
 from pinred.verification.bench.solvers import solvers_named
 from pinred.verification.full_state import FullMotion
 
+pytestmark = pytest.mark.slow
+
 needs_heyoka = pytest.mark.skipif(find_spec("heyoka") is None, reason="heyoka is not installed")
 OWN = solvers_named(["pinred", "pinred-integration", "aba-dop853"])
 BRIEF = Effort("brief", rounds=1, patience=10.0, budget=1.0)

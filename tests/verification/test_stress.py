@@ -17,6 +17,8 @@ from pinred.forces import Damper, Wrench
 from pinred.verification.stress.check import Case, Check, Trial
 from pinred.verification.stress.suite import CHECKS, chosen, run_check, table
 
+pytestmark = pytest.mark.slow
+
 SHORT = Trial(effort="short")
 
 
