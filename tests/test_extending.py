@@ -1,0 +1,110 @@
+"""The examples of docs/extending.md, run as they stand there, and judged by other routes."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import pinred
+from pinred.forces import Torque
+from pinred.lie import GROUPS
+from pinred.verification.bench.solvers import SOLVERS
+
+ROOT = Path(__file__).parents[1]
+BEFORE = """
+import numpy as np
+import pinocchio as pin
+import pinred
+from pinred.common.arrays import Array
+traj = pinred.simulate(pinred.load("falling_cat"), seed=1, duration=0.5)
+"""
+DOCUMENT = (ROOT / "docs/extending.md").read_text(encoding="utf-8")
+
+
+def code_of(section: str) -> list[str]:
+    """The blocks of code in a section, in order."""
+    (text,) = re.findall(rf"^## {section}\n(.*?)(?=^## |\Z)", DOCUMENT, re.DOTALL | re.MULTILINE)
+    return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+
+
+@pytest.fixture
+def names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> Iterator[dict[str, Any]]:
+    """What the code of a section, run in order in an empty folder, has defined."""
+    monkeypatch.chdir(tmp_path)
+    before = dict(GROUPS)
+    module = ModuleType("example")  # dataclasses look their module up
+    monkeypatch.setitem(sys.modules, "example", module)
+    for block in [BEFORE, *code_of(request.param)]:
+        exec(compile(block, "docs/extending.md", "exec"), vars(module))
+    yield vars(module)
+    GROUPS.clear()
+    GROUPS.update(before)
+
+
+def test_every_section_is_run() -> None:
+    """The sections are those of the tests here; an integrator has its example on its own page."""
+    sections = re.findall(r"^## (.*)$", DOCUMENT, re.MULTILINE)
+    assert sections == ["A force", "An integrator", "A group", "A figure", "A benchmark peer"]
+    assert [bool(code_of(section)) for section in sections] == [True, False, True, True, True]
+    assert "A further explicit method" in (ROOT / "docs/integrators.md").read_text("utf-8")
+
+
+@pytest.mark.parametrize("names", ["A force"], indirect=True)
+def test_force(names: dict[str, Any]) -> None:
+    """The same motion as of a torque that says the same; its work is what it took."""
+    torque = Torque(lambda t, x, xdot, mu: {"bend": -0.3 * ca.fabs(xdot[0]) * xdot[0]})  # noqa: ARG005
+    cat, traj = pinred.load("falling_cat"), names["traj"]
+    assert cat.shape_names[0] == "bend"
+    same = pinred.simulate(cat, seed=1, duration=1.0, forces=[torque])
+    np.testing.assert_allclose(traj.x, same.x, rtol=0, atol=1e-9)
+    assert np.abs(traj.x - pinred.simulate(cat, seed=1, duration=1.0).x).max() > 1e-3
+    assert traj.energy_balance.work[-1, 0] < -1e-3
+    assert abs(traj.energy_balance.residual).max() < 1e-8
+    with pytest.raises(pinred.InputError, match="no shape joint 'bent'"):
+        pinred.simulate(cat, seed=1, forces=[names["QuadraticDrag"]("bent", 0.3)])
+
+
+@pytest.mark.parametrize("names", ["A group"], indirect=True)
+def test_group(names: dict[str, Any]) -> None:
+    """Falls along its axis as a stone does, and keeps its angular momentum."""
+    motion = names["motion"]
+    assert motion.system.group is names["CYLINDER"]
+    t, J = motion.t, motion.spatial_momentum
+    np.testing.assert_allclose(J[:, 1], J[0, 1], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(J[:, 0], J[0, 0] - 4.0 * 9.81 * t, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("names", ["A figure"], indirect=True)
+def test_figure(names: dict[str, Any], tmp_path: Path) -> None:
+    """The lines are the rates, named by their joints; the file is written."""
+    traj, (axes,) = names["traj"], names["rates"](names["traj"]).axes
+    for k, name in enumerate(traj.system.shape_names):
+        drawn = axes.lines[k]
+        assert drawn.get_label() == name
+        np.testing.assert_array_equal(
+            np.transpose(drawn.get_data()), np.stack([traj.t, traj.xdot[:, k]], axis=1)
+        )
+    assert (tmp_path / "rates.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("names", ["A benchmark peer"], indirect=True)
+def test_peer(names: dict[str, Any]) -> None:
+    """Its error falls with its step, as of order one; its name is free."""
+    problem, solver = names["problem"], names["EULER"]
+    assert solver.name not in {each.name for each in SOLVERS}
+    truth = pinred.simulate(problem.scene()).x[-1]
+    errors = []
+    for part in solver.tolerances:
+        ready = solver.prepare(problem, part)
+        errors.append(np.abs(ready.end(ready.run()).x - truth).max())
+    assert errors[-1] < 0.7 * errors[-2] < 0.7 * 0.7 * errors[-3]
