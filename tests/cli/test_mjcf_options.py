@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import warnings
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +12,7 @@ import pytest
 from commands import run
 
 import pinred
-from pinred import InputError, LeftOutWarning
+from pinred import InputError
 
 TEXT = """<mujoco><worldbody>
 <body name="robot"><freejoint name="float"/><geom size=".3"/>
@@ -25,6 +23,8 @@ TEXT = """<mujoco><worldbody>
 </keyframe></mujoco>"""
 ROBOT = ("--root", "robot")
 
+pytestmark = pytest.mark.filterwarnings("ignore::pinred.common.errors.LeftOutWarning")
+
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
@@ -34,15 +34,6 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def shown() -> Iterator[None]:
-    """Warnings are shown, as to a user."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("default", LeftOutWarning)
-        yield
-
-
-@pytest.mark.usefixtures("shown")
 def test_inspect(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What is left out is listed, and so are the keyframes."""
     code, out, _ = run(capsys, "inspect", str(path), *ROBOT)
@@ -54,7 +45,7 @@ def test_inspect(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_the_warning_is_one_line(path: Path) -> None:
     """On standard error, like errors."""
-    command = [sys.executable, "-m", "pinred.cli.main", "inspect", str(path), *ROBOT]
+    command = [sys.executable, "-m", "pinred", "inspect", str(path), *ROBOT]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
     start = "pinred: warning: robot: in the file, but not simulated: joint damping (1), "
@@ -69,7 +60,6 @@ def test_no_root(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "robot, ball" in err
 
 
-@pytest.mark.usefixtures("shown")
 def test_a_keyframe_and_a_file_of_the_motion(
     path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -93,7 +83,6 @@ def test_a_keyframe_and_a_file_of_the_motion(
     assert picture.is_file()
 
 
-@pytest.mark.usefixtures("shown")
 def test_scene_file(path: Path) -> None:
     """Root and keyframe are keys; a pose beside the keyframe moves its base."""
     scene = path.with_name("scene.toml")
@@ -116,7 +105,6 @@ def test_scene_file(path: Path) -> None:
             pinred.load_scene(scene)
 
 
-@pytest.mark.usefixtures("shown")
 def test_a_keyframe_is_a_whole_state(path: Path) -> None:
     """Nothing but a pose stands beside it, and a robot without keyframes has none."""
     system = pinred.load(path, root="robot")
