@@ -278,3 +278,49 @@ def mixed(rng: np.random.Generator) -> str:
     return robot(
         "".join([HEADS[s] for s in settings] + heads), root, [CONSTRUCTS[n][1] for n in names]
     )
+
+
+FAR = '<site name="far" pos="0 0 2"/>'
+# What acts and is left out: head, what stands in the body 'arm', what is said in the world, and the names of what is listed.
+ACTING = {
+    "actuators": (
+        '<actuator><motor name="m" joint="arm"/><general site="tip"/><motor tendon="line"/>'
+        '<adhesion body="base" ctrlrange="0 1"/><motor name="not" joint="drift"/></actuator>'
+        '<tendon><fixed name="line"><joint joint="arm" coef="1"/></fixed></tendon>',
+        '<site name="tip"/>', "", ("m", "actuator 1", "actuator 2", "actuator 3"),
+    ),
+    "joint springs": (
+        '<default><joint stiffness="2"/></default>', "", "", ("arm",),
+    ),
+    "joint damping": ('<default><joint damping="2"/></default>', "", "", ("arm",)),
+    "dry friction": ('<default><joint frictionloss="2"/></default>', "", "", ("arm",)),
+    "joint limits": ('<default><joint range="-1 1"/></default>', "", "", ("arm",)),
+    "contact": (
+        '<contact><pair geom1="pin" geom2="stone"/></contact>',
+        '<geom name="ball" size=".1" contype="1" mass="0"/><geom name="pin" size=".1" mass="0"/>',
+        '<geom name="stone" size=".1"/>', ("ball", "pin"),
+    ),
+    "fluid": ('<option density="1.2"/>', "", "", ("density 1.2, viscosity 0",)),
+    "tendons": (
+        '<tendon><spatial name="rope" stiffness="3"><site site="tip"/><site site="top"/></spatial>'
+        '<spatial name="strut" stiffness="3"><site site="tip"/><site site="far"/></spatial>'
+        '<spatial name="slack"><site site="tip"/><site site="top"/></spatial>'
+        '<fixed name="stop" range="-1 1"><joint joint="arm" coef="1"/></fixed></tendon>',
+        f'<site name="tip"/>{FAR}', '<site name="top"/>', ("rope", "stop"),
+    ),
+    "equality constraints": (
+        '<equality><weld name="held" body1="arm" body2="hand"/><tendon name="same" tendon1="line"/>'
+        '<connect name="apart" body1="side" anchor="0 0 0"/></equality>'
+        '<tendon><fixed name="line"><joint joint="arm" coef="1"/></fixed></tendon>',
+        "", '<body name="hand" mocap="true"/>', ("held", "same"),
+    ),
+    "compensated gravity": (
+        "", f'<body name="light" gravcomp="1">{INERTIAL}</body>', "", ("light",),
+    ),
+}  # fmt: skip
+# The flags that switch it off.
+SWITCHES = {
+    "actuators": "actuation", "joint springs": "spring", "joint damping": "damper",
+    "dry friction": "frictionloss", "joint limits": "limit", "contact": "contact",
+    "equality constraints": "equality", "compensated gravity": "gravity",
+}  # fmt: skip

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from mjcf_constructs import BOX, HINGE, INERTIAL, SLIDE, robot
+from mjcf_constructs import ACTING, BOX, HINGE, INERTIAL, SLIDE, SWITCHES, robot
 from mujoco_judge import Judge, read_tree
 
 import pinred
@@ -236,50 +236,6 @@ def test_a_ball_inside_is_refused_and_locked() -> None:
 
 
 # ---- what acts and is left out
-
-FAR = '<site name="far" pos="0 0 2"/>'
-# head, what stands in the body 'arm', what is said in the world: what is left out, and of what
-ACTING = {
-    "actuators": (
-        '<actuator><motor name="m" joint="arm"/><general site="tip"/><motor tendon="line"/>'
-        '<adhesion body="base" ctrlrange="0 1"/><motor name="not" joint="drift"/></actuator>'
-        '<tendon><fixed name="line"><joint joint="arm" coef="1"/></fixed></tendon>',
-        '<site name="tip"/>', "", ("m", "actuator 1", "actuator 2", "actuator 3"),
-    ),
-    "joint springs": (
-        '<default><joint stiffness="2"/></default>', "", "", ("arm",),
-    ),
-    "joint damping": ('<default><joint damping="2"/></default>', "", "", ("arm",)),
-    "dry friction": ('<default><joint frictionloss="2"/></default>', "", "", ("arm",)),
-    "joint limits": ('<default><joint range="-1 1"/></default>', "", "", ("arm",)),
-    "contact": (
-        '<contact><pair geom1="pin" geom2="stone"/></contact>',
-        '<geom name="ball" size=".1" contype="1" mass="0"/><geom name="pin" size=".1" mass="0"/>',
-        '<geom name="stone" size=".1"/>', ("ball", "pin"),
-    ),
-    "fluid": ('<option density="1.2"/>', "", "", ("density 1.2, viscosity 0",)),
-    "tendons": (
-        '<tendon><spatial name="rope" stiffness="3"><site site="tip"/><site site="top"/></spatial>'
-        '<spatial name="strut" stiffness="3"><site site="tip"/><site site="far"/></spatial>'
-        '<spatial name="slack"><site site="tip"/><site site="top"/></spatial>'
-        '<fixed name="stop" range="-1 1"><joint joint="arm" coef="1"/></fixed></tendon>',
-        f'<site name="tip"/>{FAR}', '<site name="top"/>', ("rope", "stop"),
-    ),
-    "equality constraints": (
-        '<equality><weld name="held" body1="arm" body2="hand"/><tendon name="same" tendon1="line"/>'
-        '<connect name="apart" body1="side" anchor="0 0 0"/></equality>'
-        '<tendon><fixed name="line"><joint joint="arm" coef="1"/></fixed></tendon>',
-        "", '<body name="hand" mocap="true"/>', ("held", "same"),
-    ),
-    "compensated gravity": (
-        "", f'<body name="light" gravcomp="1">{INERTIAL}</body>', "", ("light",),
-    ),
-}  # fmt: skip
-SWITCHES = {
-    "actuators": "actuation", "joint springs": "spring", "joint damping": "damper",
-    "dry friction": "frictionloss", "joint limits": "limit", "contact": "contact",
-    "equality constraints": "equality", "compensated gravity": "gravity",
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("what", ACTING)
