@@ -281,7 +281,8 @@ def mixed(rng: np.random.Generator) -> str:
 
 
 FAR = '<site name="far" pos="0 0 2"/>'
-# What acts and is left out: head, what stands in the body 'arm', what is said in the world, and the names of what is listed.
+# What acts and is left out: a head, what stands in the body "arm", what is said in the world, and
+# the names of what is listed.
 ACTING = {
     "actuators": (
         '<actuator><motor name="m" joint="arm"/><general site="tip"/><motor tendon="line"/>'
