@@ -10,6 +10,7 @@ from .analysis.inspection import inspect as inspect
 from .common.errors import InputError as InputError
 from .common.errors import IntegrationError as IntegrationError
 from .common.errors import KernelMismatch as KernelMismatch
+from .common.errors import LeftOutWarning as LeftOutWarning
 from .common.errors import LoadError as LoadError
 from .common.errors import MissingPackageError as MissingPackageError
 from .common.errors import ModelError as ModelError

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import scene_tables
+from mjcf_constructs import ACTING
 
 import pinred
 from pinred.cli.main import main
@@ -96,6 +97,12 @@ def test_robots_readme_is_the_catalogue() -> None:
         assert robot.closed_form or robot.source
     files = {path.name for path in bundled_folder().glob("*.urdf")}
     assert files == {robot.path.name for robot in bundled_robots().values()}
+
+
+def test_what_is_left_out_of_mjcf_is_documented() -> None:
+    """docs/robots.md names each kind of thing that can be left out, and each group of a base."""
+    text = (ROOT / "docs/robots.md").read_text(encoding="utf-8")
+    assert [kind for kind in (*ACTING, *GROUPS) if kind not in text] == []
 
 
 def test_groups_of_the_readme_are_those_there_are() -> None:

@@ -46,12 +46,13 @@ class Inspection:
         ]
         size = "" if self.reduced_size is None else f" → {self.reduced_size} numbers"
         lines = [
-            f"{system.name}: group {system.group.name} (r = {system.r}) on joint "
-            f"'{system.root_name}', shape of {system.m} joints, {system.mass:g} kg",
+            f"{system.name}: {_group(system)}, shape of {system.m} joints, {system.mass:g} kg",
             *_wrapped("joints", kinds),
             f"gravity     ({', '.join(f'{g:g}' for g in system.gravity)}) m/s²",
             *_wrapped("symmetries", self.symmetries),
             *_wrapped("skipped", self.skipped),
+            *(_wrapped("left out", [*map(str, system.left_out)]) if system.left_out else []),
+            *(_wrapped("keyframes", [", ".join(system.keyframes)]) if system.keyframes else []),
             f"integrated  {self.full_size}{size}",
             f"at x =      {_numbers(at.x)}",
             _matrix("I", "locked inertia", at.locked_inertia),
@@ -70,12 +71,14 @@ class Inspection:
         facts = [
             *(("symmetry", text) for text in self.symmetries),
             *(("skipped", text) for text in self.skipped),
+            *(("left out", str(left)) for left in system.left_out),
+            *(("keyframe", name) for name in system.keyframes),
             ("integrated", f"{self.full_size}{size} numbers"),
         ]
         return card(
             system.name,
-            f"group {system.group.name} (r = {system.r}) on joint '{system.root_name}', shape of "
-            f"{system.m} joints, {system.mass:g} kg, gravity {numbers(system.gravity)} m/s²",
+            f"{_group(system)}, shape of {system.m} joints, {system.mass:g} kg, "
+            f"gravity {numbers(system.gravity)} m/s²",
             table("", ["", ""], facts),
             line(f"at x = {numbers(at.x)}:"),
             matrix("locked inertia I", at.locked_inertia, twist, twist),
@@ -113,6 +116,13 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
         full_size=system.model.nq + system.n,
         reduced_size=size,
     )
+
+
+def _group(system: System) -> str:
+    """Return the group and its joint, and which body floats only here."""
+    text = f"group {system.group.name} (r = {system.r}) on joint '{system.root_name}'"
+    freed = system.contents.freed
+    return text + (f" (the file fixes '{freed}' to the world; here it is free)" if freed else "")
 
 
 def _symmetries(system: System, cyclic: tuple[str, ...], broken: str) -> list[str]:

@@ -38,6 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser(words).parse_args(words)
     # What overflows or is not finite is refused or stopped by name; numpy need not say so too.
     warnings.simplefilter("ignore", RuntimeWarning)
+    shown, warnings.formatwarning = warnings.formatwarning, _warned
     try:
         code: int = options.run(options)
         print(end="", flush=True)
@@ -54,7 +55,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _failed(f"cannot write the output: {error.strerror}", 2)
+    finally:
+        warnings.formatwarning = shown
     return code
+
+
+def _warned(message: Warning | str, *_: object, **__: object) -> str:
+    """Return a warning as one line."""
+    return f"pinred: warning: {' '.join(str(message).split())}\n"
 
 
 def _failed(message: str, code: int) -> int:

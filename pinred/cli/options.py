@@ -43,6 +43,7 @@ def add_robot(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--group", metavar="G", help=f"{', '.join(GROUPS)}; the robot's own root")
     sub.add_argument("--lock", metavar="J1,J2,…", help="joints to freeze, as NAME or NAME=VALUE")
     sub.add_argument("--gravity", metavar="GX,GY,GZ", help="in the world frame [m/s²]")
+    sub.add_argument("--root", metavar="BODY", help="of MJCF, which of several bodies that move")
 
 
 def system_of(options: argparse.Namespace) -> System:
@@ -54,7 +55,7 @@ def system_of(options: argparse.Namespace) -> System:
         name, _, value = entry.partition("=")
         lock[name] = (numbers_in(value, "lock") or [0.0])[0]
     gravity = numbers_in(options.gravity, "gravity")
-    return load(options.robot, group=options.group, lock=lock, gravity=gravity)
+    return load(options.robot, group=options.group, lock=lock, gravity=gravity, root=options.root)
 
 
 def add_scene(sub: argparse.ArgumentParser) -> None:
@@ -64,6 +65,7 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
 
     sub.add_argument("--time", metavar="T", type=float, help="duration [s]")
     sub.add_argument("--seed", metavar="S", type=int, help="a random initial state")
+    sub.add_argument("--keyframe", metavar="K", help="an initial state that the MJCF file names")
     sub.add_argument("--engine", metavar="E", default=ENGINES[0], help=one_of(ENGINES, ENGINES[0]))
     sub.add_argument(
         "--outputs", metavar="O", default=Scene.outputs, help=one_of(OUTPUTS, Scene.outputs)
@@ -107,6 +109,7 @@ def scene_of(options: argparse.Namespace) -> Scene:
         prescribed=_prescribed(options.prescribed),
         outputs=options.outputs,
         method=_method(options),
+        keyframe=options.keyframe,
         **given,
     )
 
@@ -119,7 +122,8 @@ def scene_with(system: System, seed: int | None, **given: Any) -> Scene:
     """
     from ..scene.scene import Scene
 
-    known = system.initial is not None or any(given.get(name) is not None for name in STATE)
+    states = (*STATE, "keyframe")
+    known = system.initial is not None or any(given.get(name) is not None for name in states)
     seed = 0 if seed is None and not known else seed
     scene = Scene(system=system, seed=seed, **given)
     if seed is not None:

@@ -49,6 +49,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--time", metavar="T", type=float, help="duration of a robot's motion [s]")
     sub.add_argument("--seed", metavar="S", type=int, help="a random initial state of a robot")
     sub.add_argument("--group", metavar="G", help="the symmetry of a robot")
+    sub.add_argument("--root", metavar="BODY", help="of MJCF, which of several bodies that move")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -114,7 +115,7 @@ def _source(options: argparse.Namespace, kinds: list[str]) -> Any:
     check_robot(source, options.robot)
     if suffix not in (".npz", ".toml", ".csv"):
         return _motion_of_robot(options)
-    for name in ("time", "seed", "group"):
+    for name in ("time", "seed", "group", "root"):
         if getattr(options, name) is not None:
             raise InputError(f"--{name} is for robots; '{source}' says itself")
     if suffix == ".csv":
@@ -132,7 +133,7 @@ def _motion_of_robot(options: argparse.Namespace) -> Trajectory:
     from ..simulation.simulate import simulate
     from ..system.load import load
 
-    system = load(options.source, group=options.group)
+    system = load(options.source, group=options.group, root=options.root)
     scene = scene_with(system, options.seed, duration=options.time)
     scene = replace(scene, times=np.linspace(0.0, scene.end, SAMPLES))
     return simulate(scene, progress=True)

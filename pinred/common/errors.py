@@ -96,5 +96,9 @@ class NonFiniteState(_Stopped):
         return type(self), (str(self), self.time, self.state, self.entry)
 
 
+class LeftOutWarning(UserWarning):
+    """Something acts in a robot's file that is not simulated; the motion is without it."""
+
+
 class CacheWarning(UserWarning):
     """Something is wrong with the kernels on disk; they are rebuilt."""

@@ -21,6 +21,7 @@ class SceneOptions(TypedDict, total=False):
     xi0: ArrayLike | None
     momentum: ArrayLike | None
     seed: int | None
+    keyframe: str | None
     pose0: Any
     q0: ArrayLike | None
     v0: ArrayLike | None

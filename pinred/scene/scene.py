@@ -36,8 +36,10 @@ TIGHTEST = 1e-14  # relative tolerance; below it round-off decides the step
 # small part of a large momentum is a ten times larger part of the light joint's rate.
 MOMENTUM_MARGIN = 10.0
 MOST_CALLS = 1_000_000  # of one controller; each ends a run of the integrator
+_STATE = ("x0", "xdot0", "xi0", "momentum", "q0", "v0")
 _STAND_FOR = {  # an option: what it is, and those that it stands for
-    "seed": ("a whole random state", ("x0", "xdot0", "xi0", "momentum", "q0", "v0")),
+    "seed": ("a whole random state", _STATE),
+    "keyframe": ("a whole state", (*_STATE, "seed")),
     "q0": ("shape and pose", ("x0", "pose0")),
     "v0": ("shape rate and body twist", ("xdot0", "xi0", "momentum")),
 }
@@ -51,7 +53,8 @@ class Scene:
     given, the other is zero; if neither, they are those the robot comes with.  Either xi0, (r,)
     body twist of the base, or momentum, (r,) body momentum μ (or just 0); if neither, the
     robot's own with its own shape, else zero twist.  seed: a generic random state instead of
-    all these.  pose0: pose of the base (identity).  q0: Pinocchio's configuration, (nq,),
+    all these.  keyframe: the name of a state in the robot's file (System.keyframes), with its
+    pose, instead.  pose0: pose of the base (identity).  q0: Pinocchio's configuration, (nq,),
     instead of x0 and pose0, with angles in (−π, π].  v0: its velocity, (n,), instead of xdot0,
     xi0 and momentum.
     duration: s; else up to the last of `times`, else what the robot comes with, else 2 s.
@@ -77,6 +80,7 @@ class Scene:
     xi0: ArrayLike | None = None
     momentum: ArrayLike | None = None
     seed: int | None = None
+    keyframe: str | None = None
     pose0: Any = None
     q0: ArrayLike | None = None
     v0: ArrayLike | None = None
@@ -92,7 +96,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         checked_system(self.system, "a scene")
-        given = [name for name in _STAND_FOR["seed"][1] if getattr(self, name) is not None]
+        given = [name for name in _STATE if getattr(self, name) is not None]
         for name, (what, others) in _STAND_FOR.items():
             if getattr(self, name) is None:
                 continue
@@ -101,6 +105,8 @@ class Scene:
                 raise InputError(f"{name} stands for {what}; do not give {both[0]} with it")
         if self.xi0 is not None and self.momentum is not None:
             raise InputError("give xi0 or momentum, not both: each fixes the other")
+        if self.keyframe is not None:
+            given.append(checked_keyframe(self.system, self.keyframe))
         if self.seed is None and not given and self.system.initial is None:
             raise InputError(
                 f"'{self.system.name}' comes with no initial state; "
@@ -253,7 +259,10 @@ class Scene:
 
     def _resolve(self) -> GivenStates:
         system = self.system
-        pose = system.group.identity() if self.pose0 is None else system.group.pose(self.pose0)
+        key = None if self.keyframe is None else system.keyframes[self.keyframe]
+        pose = system.group.identity() if key is None else key.pose
+        if self.pose0 is not None:
+            pose = system.group.pose(self.pose0)
         x = _or_zero(self.x0, system.m, "x0", system.shape_names)
         xdot = _or_zero(self.xdot0, system.m, "xdot0", system.shape_names)
         xi = _or_zero(self.xi0, system.r, "xi0")
@@ -263,7 +272,7 @@ class Scene:
         if self.v0 is not None:
             motion = forms.velocity(self.v0, system)
             xi, xdot = motion.xi, motion.xdot
-        ready = system.initial if self.seed is None else random_state(system, self.seed)
+        ready = key or (system.initial if self.seed is None else random_state(system, self.seed))
         own = all(getattr(self, name) is None for name in ("x0", "xdot0", "q0", "v0"))
         if ready is not None and own:
             x, xdot = ready.x, ready.xdot
@@ -285,6 +294,16 @@ class Scene:
         given = model.prescribed(0.0, model.numbers_from(0.0, self.end))
         x[:, joints], xdot[:, joints] = given.x, given.xdot
         return x, xdot
+
+
+def checked_keyframe(system: System, name: str) -> str:
+    """Return the name of a keyframe if the robot has it.  Raises InputError."""
+    if name not in system.keyframes:
+        known = ", ".join(system.keyframes) or "none"
+        raise InputError(
+            f"keyframe: '{system.name}' has no keyframe {name!r}; the keyframes are {known}"
+        )
+    return name
 
 
 def checked_seed(seed: Any) -> int:

@@ -103,7 +103,7 @@ def read_recording(path: str | Path, robot: str | None = None) -> Recording:
         )
     origin: dict[str, Any] = {
         name: content[name]
-        for name in ("source", "lock_joints", "lock_values", "gravity")
+        for name in ("source", "lock_joints", "lock_values", "gravity", "root")
         if name in content
     }
     found = Recording(
@@ -173,7 +173,8 @@ def _loaded(path: Path, robot: str, group: str, origin: Mapping[str, Any]) -> Sy
         names = map(str, origin.get("lock_joints", ()))
         values = map(float, origin.get("lock_values", ()))
         lock = dict(zip(names, values, strict=True))
-        return load(source, group=group, lock=lock, gravity=origin.get("gravity"))
+        root = str(origin["root"]) if "root" in origin else None
+        return load(source, group=group, lock=lock, gravity=origin.get("gravity"), root=root)
     except (PinredError, ValueError, TypeError) as error:
         raise LoadError(
             f"the robot of {path} cannot be loaded: {error}; name another (--robot, or robot=)"

@@ -18,7 +18,8 @@ def save(traj: OverTime, path: str | Path) -> None:
     """Write the states of `traj` at its report times; the suffix, .npz or .csv, decides.
 
     npz: one array per field of State, time first, with `robot`, `group` and `joints`, and
-    what load() needs to find the robot again: `source`, `lock_joints`, `lock_values`, `gravity`.
+    what load() needs to find the robot again: `source`, `lock_joints`, `lock_values`, `gravity`,
+    and `root` if it was given.
     csv: a row per time, columns such as `pose.x`, `x.hinge`, `energy`.
     Either the whole file is written or none.  Raises InputError for another suffix or a
     folder that does not exist, OutputError if writing fails.
@@ -32,6 +33,9 @@ def _write_npz(traj: OverTime, file: BinaryIO) -> None:
     arrays = {field.name: getattr(traj.outputs, field.name) for field in fields(traj.outputs)}
     system = traj.system
     lock = {} if system.origin is None else system.origin.lock
+    chosen = None if system.origin is None else system.origin.root
+    if chosen is not None:
+        arrays["root"] = np.array(chosen)
     np.savez_compressed(
         file,
         robot=np.array(system.name),

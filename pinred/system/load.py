@@ -1,44 +1,53 @@
-"""load(): from a name, a file or a pin.Model to a System with its symmetry group."""
+"""load(): from a name, a file or a model to a System with its symmetry group."""
 
 from __future__ import annotations
 
 import difflib
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, vector
-from ..common.errors import InputError, LoadError, ModelError
+from ..common.errors import InputError, LeftOutWarning, LoadError, ModelError
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
 from ..lie.se3 import SE3
 from . import catalogue
 from .admission import refuse_mimicking
+from .contents import Contents
 from .joints import motion_group, root_joint
+from .mjcf.package import is_mujoco
+from .mjcf.read import read_mujoco
 from .rerooting import rebuild
-from .robot_files import read_description, read_xml
-from .root_chain import root_chain
+from .robot_files import is_file, is_mjcf, read_description, read_text, read_xml
+from .root_chain import RootChain, root_chain
 from .system import InitialState, Origin, System
 from .urdf import mimic_joints, refuse_mimics
+
+if TYPE_CHECKING:
+    from mujoco import MjModel, MjSpec
 
 _HUGE = 1e100  # m/s²; the square of what is far above overflows
 
 
 def load(
-    source: str | Path | pin.Model,
+    source: str | Path | pin.Model | MjModel | MjSpec,
     *,
     group: str | Group | None = None,
     lock: Iterable[str] | Mapping[str, float] = (),
     gravity: ArrayLike | None = None,
+    root: str | None = None,
 ) -> System:
     """Load a robot and read it as symmetry group times shape.
 
     source: the name of a bundled robot or of one in example-robot-data, the path of a
-        URDF or MJCF file, or a pin.Model (which is copied).  Meshes are not read.
+        URDF or MJCF file, a pin.Model (which is copied), or mujoco's MjModel or MjSpec.
+        Meshes are read only where an MJCF file takes mass from them.
     group: the symmetry, "R", "SO2", "SE2", "SO3", "SE3" or "RxSE2".  If None, the file's own
         root: its free, planar or spherical root joint (the link above that is the ground); or
         its first moving joint, if the link above has no mass (a mere anchor) and all else
@@ -47,16 +56,27 @@ def load(
     lock: joints to freeze at zero, or a mapping from joint to its fixed value [rad | m].
     gravity: (3,) in the world frame [m/s²]; if None, what the robot comes with
         (Pinocchio's 9.81 along −z for a URDF).
+    root: of an MJCF file, the body of the world that carries the robot, where several move.
 
-    Raises LoadError if there is nothing to read, ModelError if pinred cannot reduce the
-    model, InputError for an unknown group or joint.
+    Warns with LeftOutWarning of what acts in an MJCF file and is not part of the reduction
+    (System.left_out).  Raises LoadError if there is nothing to read, ModelError if pinred
+    cannot reduce the model, InputError for an unknown group, joint or root,
+    MissingPackageError for MJCF without mujoco.
     """
     wanted = group_named(group) if isinstance(group, str) else group
     if wanted is not None and not isinstance(wanted, Group):
         raise InputError(f"group must be one of {', '.join(GROUPS)}, got {group!r}")
-    if not isinstance(source, (str, Path, pin.Model)):
-        raise InputError(f"load takes a name, a path or a pin.Model, got {type(source).__name__}")
+    weight = None if gravity is None else _gravity(gravity)
     locked = _locked(lock)
+    if mujoco := _as_mujoco(source):
+        return _load_mujoco(source, mujoco, wanted, locked, weight, root)
+    if not isinstance(source, (str, Path, pin.Model)):
+        raise InputError(
+            "load takes a name, a path, a pin.Model, an MjModel or an MjSpec, "
+            f"got {type(source).__name__}"
+        )
+    if root is not None:
+        raise InputError(f"root='{root}' is for MJCF; elsewhere one link carries the robot")
     initial: InitialState | None = None
     name = str(source)
     origin: Origin | None = Origin(name, locked)
@@ -74,13 +94,61 @@ def load(
         origin = Origin(str(Path(source).absolute()), locked)
     else:
         raw = _example(name, locked)
-    model = _on_root(rebuild(raw, _frozen(raw, locked)), wanted)
-    if gravity is not None:
-        model.gravity.linear = vector(gravity, 3, "gravity")
-        if np.abs(model.gravity.linear).max() > _HUGE:
-            raise InputError(f"gravity must be below {_HUGE:g} m/s², got {gravity}")
+    raw = rebuild(raw, _frozen(raw, locked))
+    model = _on_root(raw, wanted, root_chain(raw))
+    if weight is not None:
+        model.gravity.linear = weight
     model.name = name
     return System(model, name=name, initial=initial, origin=origin)
+
+
+def _as_mujoco(source: object) -> str:
+    """Return what kind of MJCF a source is: a path, an MjModel or an MjSpec; else nothing."""
+    for kind in ("MjModel", "MjSpec"):
+        if is_mujoco(source, kind):
+            return kind
+    if not isinstance(source, (str, Path)) or str(source) in catalogue.bundled_robots():
+        return ""
+    path = Path(source)
+    return "path" if _is_path(str(source)) and is_file(path) and is_mjcf(read_text(path)) else ""
+
+
+def _load_mujoco(
+    source: Any,
+    kind: str,
+    wanted: Group | None,
+    locked: Mapping[str, float],
+    gravity: Array | None,
+    root: str | None,
+) -> System:
+    """Return the system of an MJCF file, an MjModel or an MjSpec, and warn of what is left out."""
+    robot = read_mujoco(source, root=root, lock=locked, gravity=gravity)
+    model = _on_root(robot.model, wanted, None)
+    origin = None
+    if kind == "path":
+        name = Path(source).stem
+        origin = Origin(str(Path(source).absolute()), locked, root)
+    else:
+        name = robot.name
+    model.name = name
+    own = motion_group(model.joints[1])
+    contents = Contents() if own is None else robot.contents(own)
+    system = System(model, name=name, origin=origin, contents=contents)
+    if system.left_out:
+        counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
+        warnings.warn(
+            f"{name}: in the file, but not simulated: {counts} (see System.left_out)",
+            LeftOutWarning,
+            stacklevel=3,
+        )
+    return system
+
+
+def _gravity(given: ArrayLike) -> Array:
+    gravity = vector(given, 3, "gravity")
+    if np.abs(gravity).max() > _HUGE:
+        raise InputError(f"gravity must be below {_HUGE:g} m/s², got {gravity}")
+    return gravity
 
 
 def _initial_state(entry: Mapping[str, Any]) -> InitialState:
@@ -155,9 +223,11 @@ def _frozen(raw: pin.Model, locked: Mapping[str, float]) -> dict[int, Array]:
     return frozen
 
 
-def _on_root(raw: pin.Model, wanted: Group | None) -> pin.Model:
-    """Return the model with the symmetry's root joint first: its own, or a new one."""
-    chain = root_chain(raw)
+def _on_root(raw: pin.Model, wanted: Group | None, chain: RootChain | None) -> pin.Model:
+    """Return the model with the symmetry's root joint first: its own, or a new one.
+
+    chain: the joints at its root that are one joint together.
+    """
     own = _own_root(raw) if chain is None else chain.group
     if own is None:
         return rebuild(raw, {}, root_joint(wanted or SE3))

@@ -1,9 +1,8 @@
-"""Robot description files: URDF and MJCF, read through Pinocchio without their meshes.
+"""Robot description files: what kind they are; URDF is read through Pinocchio without its meshes.
 
-Pinocchio passes over much that changes the dynamics, or fills it in: mimic joints,
-equality constraints, links on two joints, axes of length zero, inertias with a part
-missing, second bodies, gravity and inclusions in MJCF.  Here these are looked up in the
-file itself, so that they are honoured or refused, never dropped.
+Pinocchio passes over much that changes the dynamics, or fills it in: mimic joints, links on
+two joints, axes of length zero, inertias with a part missing.  Here these are looked up in
+the file itself, so that they are honoured or refused, never dropped.
 """
 
 from __future__ import annotations
@@ -12,45 +11,40 @@ import os
 import sys
 import tempfile
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 import pinocchio as pin
 
 from ..common.errors import LoadError, ModelError
-from .mjcf import check_mjcf, gravity_of
 from .urdf import check_urdf, total_mass
+
+_MOST_BYTES = 256_000_000  # of a file that is read whole
+_FEW = 4096  # letters that are looked at at once
 
 
 def read_description(path: Path, lock: Collection[str]) -> pin.Model:
-    """Return the model in a URDF or MJCF file, on its own root, with its gravity.
+    """Return the model in a URDF file, on its own root.
 
     lock: joints that will be locked, which may therefore be mimic joints.
     Raises LoadError if the file cannot be read, ModelError if its robot cannot be reduced.
     """
     root = read_xml(path)
-    if root.tag == "robot":
-        check_urdf(root, lock)
-        build = pin.buildModelFromUrdf
-    elif root.tag == "mujoco":
-        check_mjcf(root)
-        build = pin.buildModelFromMJCF
-    else:
+    if root.tag != "robot":
         raise LoadError(f"{path} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>")
-    with _captured_stderr() as said:
+    check_urdf(root, lock)
+    with captured_stderr() as said:
         try:
-            model = build(str(path))
+            model = pin.buildModelFromUrdf(str(path))
         except Exception as error:  # Pinocchio raises what its parsers raise, of any type
             said.append(str(error).strip() or type(error).__name__)
             model = None
     if model is None:
         reason = said[0].splitlines()[0] if said[0] else said[-1].splitlines()[-1]
         raise LoadError(f"Pinocchio cannot read {path}: {reason.removeprefix('Error:').strip()}")
-    if root.tag == "robot":
-        _check_mass(path, model, total_mass(root))
-    elif (gravity := gravity_of(root)) is not None:
-        model.gravity.linear = gravity
+    _check_mass(path, model, total_mass(root))
     return model
 
 
@@ -65,7 +59,7 @@ def _check_mass(path: Path, model: pin.Model, written: float) -> None:
 
 
 @contextmanager
-def _captured_stderr() -> Iterator[list[str]]:
+def captured_stderr() -> Iterator[list[str]]:
     """Collect what a C++ library prints on standard error; it becomes the first entry."""
     said: list[str] = []
     sys.stderr.flush()
@@ -81,12 +75,22 @@ def _captured_stderr() -> Iterator[list[str]]:
             said.insert(0, file.read().decode(errors="replace").strip())
 
 
-def read_xml(path: Path) -> ElementTree.Element:
-    """Return the root element of an XML file.  Raises LoadError."""
-    if not path.is_file():
+def is_file(path: Path) -> bool:
+    """Return whether there is such a file; what is no name of a file at all is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def read_text(path: Path) -> str:
+    """Return what stands in a file of XML.  Raises LoadError."""
+    if not is_file(path):
         what = "is a folder" if path.is_dir() else "no such file"
         raise LoadError(f"{what}: {path}")
     try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise LoadError(f"{path} is larger than {_MOST_BYTES // 10**6} MB")
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError:
         raise LoadError(f"{path} is not XML in UTF-8") from None
@@ -94,7 +98,25 @@ def read_xml(path: Path) -> ElementTree.Element:
         raise LoadError(f"{path} cannot be read: {error.strerror}") from None
     if "<!DOCTYPE" in text:
         raise LoadError(f"{path} declares a document type; entities are not supported")
+    return text
+
+
+def is_mjcf(text: str) -> bool:
+    """Return whether the outermost element of a text is MJCF's."""
+    found: list[str] = []
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = lambda tag, _: found.append(tag) if not found else None
+    with suppress(expat.ExpatError, ValueError):
+        for start in range(0, len(text), _FEW):
+            parser.Parse(text[start : start + _FEW])
+            if found:
+                break
+    return bool(found) and found[0].lower() == "mujoco"
+
+
+def read_xml(path: Path) -> ElementTree.Element:
+    """Return the root element of an XML file.  Raises LoadError."""
     try:
-        return ElementTree.fromstring(text)
+        return ElementTree.fromstring(read_text(path))
     except (ElementTree.ParseError, ValueError) as error:
         raise LoadError(f"{path} is not XML: {error}") from None

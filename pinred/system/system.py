@@ -15,6 +15,7 @@ from ..common.errors import InputError, ModelError, ShapeError
 from ..common.memo import once_a_thread
 from ..lie.group import Group
 from .admission import admit
+from .contents import Contents, Keyframe, LeftOut, PassiveJoint
 
 T = TypeVar("T")
 Indices: TypeAlias = NDArray[np.intp]
@@ -39,11 +40,12 @@ class Origin:
     """The origin of a system: the file or name it was loaded from.
 
     source: the robot's name, or the absolute path of its file.  lock: frozen joints and
-    their values [rad | m].
+    their values [rad | m].  root: the body of an MJCF file that was chosen, if one was.
     """
 
     source: str
     lock: Mapping[str, float]
+    root: str | None = None
 
 
 @dataclass(frozen=True)
@@ -68,12 +70,14 @@ class System:
 
     name: the robot's.  model: the pin.Model, root joint first.  initial: a generic initial
     state, if the robot comes with one.  origin: the name or file that was loaded, if it was one.
+    contents: what else stands in the file.
     """
 
     model: pin.Model
     name: str = ""
     initial: InitialState | None = None
     origin: Origin | None = None
+    contents: Contents = field(default=Contents(), repr=False)
     group: Group = field(init=False)
     shape_names: tuple[str, ...] = field(init=False)
     # Where the coordinates (pose, x) stand in Pinocchio's q: as they are, or as (cos, sin).
@@ -139,6 +143,21 @@ class System:
 
     def _mass(self) -> float:
         return float(sum(self.model.inertias[i].mass for i in range(1, self.model.njoints)))
+
+    @property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """What acts in the file and is not simulated, kind by kind."""
+        return self.contents.left_out
+
+    @property
+    def passive(self) -> tuple[PassiveJoint, ...]:
+        """Springs, dampers and dry friction at joints in the file, which are left out."""
+        return self.contents.passive
+
+    @property
+    def keyframes(self) -> Mapping[str, Keyframe]:
+        """States that the file has names for."""
+        return self.contents.keyframes
 
     @property
     def gravity(self) -> Array:

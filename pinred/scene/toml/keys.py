@@ -28,7 +28,12 @@ _APART = (
     ("xi0", "momentum"),
     *((name, "q0") for name in ("x0", "pose0")),
     *((name, "v0") for name in ("xdot0", "xi0", "momentum")),
-    *((name, "seed") for name in ("x0", "xdot0", "xi0", "momentum", "q0", "v0")),
+    *(
+        (name, whole)
+        for name in ("x0", "xdot0", "xi0", "momentum", "q0", "v0")
+        for whole in ("seed", "keyframe")
+    ),
+    ("seed", "keyframe"),
 )
 LOAD = Table(
     {
@@ -38,6 +43,11 @@ LOAD = Table(
             Either((ListOf(Text((), "the name of a joint")), ByName(NUMBER))),
             "joints to freeze at zero, or at the values given by name [rad | m]",
             default="none",
+        ),
+        "root": Key(
+            Text((), "the name of a body"),
+            "of an MJCF file, the body of the world that carries the robot, where several move",
+            default="the only one",
         ),
     },
     "the options of pinred.load",
@@ -57,6 +67,11 @@ START = Table(
         ),
         "pose0": Key(NUMBERS, "pose of the base, as in Trajectory.pose", default="identity"),
         "seed": Key(Whole(), "a random state instead of all these but pose0", default="none"),
+        "keyframe": Key(
+            Text((), "the name of a keyframe"),
+            "a state that an MJCF file has a name for, instead of all these but pose0",
+            default="none",
+        ),
     },
     "the initial state",
     apart=_APART,

@@ -31,7 +31,7 @@ from .signal_reader import SignalReader
 
 _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+\s*\.\s*){50}""")
 _SECTIONS = {
-    **dict.fromkeys(("x0", "xdot0", "xi0", "momentum", "seed", "q0", "v0"), "start"),
+    **dict.fromkeys(("x0", "xdot0", "xi0", "momentum", "seed", "q0", "v0", "keyframe"), "start"),
     **dict.fromkeys(("duration", "times", "rtol", "atol"), "run"),
 }
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import PinredError
 from ...system.catalogue import bundled_robots, example_robot
+from ...system.robot_files import is_mjcf, read_text
 from ...system.system import System
+from .mjcf_shapes import mjcf_shapes
+from .solids import Bodies, Mesh, Solid
 
 # Muted colours that the colour-blind tell apart (after Okabe and Ito).
 PALETTE = (
@@ -22,39 +23,6 @@ PALETTE = (
 )  # fmt: skip
 _SLENDER = 0.04  # radius of a limb, in radii of gyration of the robot
 _THIN = 1e-3  # least semi-axis of an ellipsoid, in radii of gyration
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """Triangles.  vertices: (V, 3) [m].  faces: (T, 3) of indices."""
-
-    vertices: NDArray[np.float32]
-    faces: NDArray[np.uint32]
-
-
-@dataclass(frozen=True)
-class Solid:
-    """One shape on a joint (0 is the world).
-
-    kind and size [m]: box (three half sides), sphere (radius), cylinder, capsule or cone
-    (radius, half length, along z), ellipsoid (three semi-axes), mesh (index of a Mesh).
-    placement: (7,) on the joint, position and quaternion.  colour: red, green, blue, opacity.
-    """
-
-    joint: int
-    kind: str
-    size: tuple[float, ...]
-    placement: Array
-    colour: tuple[float, float, float, float]
-
-
-@dataclass(frozen=True)
-class Bodies:
-    """All shapes, the meshes that they use, and a word on where they come from."""
-
-    solids: tuple[Solid, ...]
-    meshes: tuple[Mesh, ...]
-    note: str
 
 
 def drawn_bodies(system: System, *, meshes: bool = True) -> Bodies:
@@ -108,16 +76,14 @@ def _file(source: str) -> Path:
 
 
 def _from_file(system: System, path: Path) -> Bodies:
-    """Return the visual shapes in a URDF or MJCF file.  Raises what Pinocchio raises."""
+    """Return the visual shapes in a URDF or MJCF file.  Raises what their readers raise."""
+    if is_mjcf(read_text(path)):
+        return mjcf_shapes(system, path)
+    raw = pin.buildModelFromUrdf(str(path))
+    # A package is a folder in one of those above the file.
+    folders = [str(folder) for folder in path.resolve().parents][:-1]
     visual = pin.GeometryType.VISUAL
-    if path.suffix == ".urdf":
-        raw = pin.buildModelFromUrdf(str(path))
-        # A package is a folder in one of those above the file.
-        folders = [str(folder) for folder in path.resolve().parents][:-1]
-        geometry = pin.buildGeomFromUrdf(raw, str(path), visual, package_dirs=folders)
-    else:
-        raw = pin.buildModelFromMJCF(str(path))
-        geometry = pin.buildGeomFromMJCF(raw, str(path), visual)
+    geometry = pin.buildGeomFromUrdf(raw, str(path), visual, package_dirs=folders)
     solids: list[Solid] = []
     meshes: list[Mesh] = []
     left_out = 0

@@ -8,8 +8,9 @@ import numpy as np
 
 from ...common.arrays import Array, freeze
 from ...lie.rotations import rotation
-from .drawn_bodies import Bodies, extents
+from .drawn_bodies import extents
 from .playback import Playback
+from .solids import Bodies
 
 ARROW = 1.3  # length of the momentum arrow with a margin, in radii of the robot
 _LOOKS = 200  # frames from which the size is taken

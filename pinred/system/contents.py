@@ -1,0 +1,94 @@
+"""What a robot's file holds beside bodies and joints: keyframes, couplings, springs and more."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from ..common.arrays import Array, freeze
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """A state that the file has a name for; arrays are read-only.
+
+    pose: (size,) of the base.  x, xdot: (m,) shape [rad | m] and its rate.  xi: (r,) body
+    twist of the base [linear; angular].  time: s.
+    """
+
+    pose: Array
+    x: Array
+    xi: Array
+    xdot: Array
+    time: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A joint that follows another: x_follower = ratio · x_leader + offset.
+
+    Coordinates are those of the shape [rad | m], not relative to a reference position.
+    """
+
+    follower: str
+    leader: str
+    ratio: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class PassiveJoint:
+    """What the file says acts at a joint by itself; nothing of it is simulated.
+
+    Of a joint at y from its rest and with rate v, the force is −(k₁ y + k₂ y² + k₃ y³)
+    − sign(v) (d₁ |v| + d₂ v² + d₃ |v|³), and dry friction of at most `friction`.
+    stiffness: (k₁, k₂, k₃).  damping: (d₁, d₂, d₃).  rest: [rad | m], or a quaternion (x, y,
+    z, w).  yields: the displacement at which the rest begins to move along; 0 for never.
+    """
+
+    joint: str
+    stiffness: tuple[float, ...]
+    rest: tuple[float, ...]
+    damping: tuple[float, ...]
+    friction: float
+    yields: float
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Things of one kind that act in the file and are not part of the reduction.
+
+    what: the kind, as "actuators".  names: what they are called.
+    """
+
+    what: str
+    names: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"{self.what}: {shortened(self.names)}"
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a file holds beside bodies and joints.
+
+    left_out: what acts in it and is not simulated.  passive: springs, dampers and friction at
+    joints, which are part of that.  keyframes: states by name.  couplings: joints that follow
+    others.  freed: the body that the file fixes to the world and that floats here, or "".
+    """
+
+    left_out: tuple[LeftOut, ...] = ()
+    passive: tuple[PassiveJoint, ...] = ()
+    keyframes: Mapping[str, Keyframe] = field(default_factory=lambda: MappingProxyType({}))
+    couplings: tuple[Coupling, ...] = ()
+    freed: str = ""
+
+
+def shortened(names: tuple[str, ...], most: int = 6) -> str:
+    """Return names in a list, of which the last are left out where there are many."""
+    shown = ", ".join(names[:most])
+    return shown if len(names) <= most else f"{shown}, … ({len(names)} in all)"

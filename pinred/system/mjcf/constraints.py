@@ -1,0 +1,153 @@
+"""Equality constraints of a MuJoCo model: loops are refused by name, couplings become values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...common.errors import ModelError
+from ..contents import Coupling
+from .joints import Joint, joint_of
+from .package import mujoco_package
+from .tree import Tree
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """What the active equality constraints of a robot come to.
+
+    couplings: joints that follow others in proportion.  outside: names of constraints that tie
+    the robot to what is not part of it, or act on tendons or flexible bodies.
+    """
+
+    couplings: tuple[Coupling, ...]
+    outside: tuple[str, ...]
+
+
+def constraints_of(tree: Tree) -> Constraints:
+    """Return the constraints that act on a robot.
+
+    Raises ModelError, naming it, for one that closes a loop, holds a joint, or couples joints
+    otherwise than in proportion.
+    """
+    model = tree.world.model
+    kinds = {
+        int(kind): name.removeprefix("mjEQ_").lower()
+        for name, kind in mujoco_package().mjtEq.__members__.items()
+    }
+    couplings: list[Coupling] = []
+    outside: list[str] = []
+    active = [] if tree.world.disabled("EQUALITY") else np.flatnonzero(model.eq_active0).tolist()
+    for number in active:
+        kind, name = kinds[int(model.eq_type[number])], tree.world.name("EQUALITY", number)
+        if kind in ("connect", "weld"):
+            if _ties_outside(tree, number, f"{kind} '{name}'"):
+                outside.append(name)
+        elif kind == "joint":
+            couplings += _coupling(tree, number, name)
+        else:
+            outside.append(name)
+    return Constraints(tuple(couplings), tuple(outside))
+
+
+def _ties_outside(tree: Tree, number: int, who: str) -> bool:
+    """Return whether a constraint ties the robot to a body that is not part of it.
+
+    Raises ModelError if it ties bodies of the robot, or one of them and the ground, that
+    move against each other.
+    """
+    world, model = tree.world, tree.world.model
+    bodies = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
+    if int(model.eq_objtype[number]) == int(mujoco_package().mjtObj.mjOBJ_SITE):
+        bodies = [int(model.site_bodyid[site]) for site in bodies]
+    inside = [body for body in bodies if body in tree.carriers]
+    # The ground is what neither moves nor is moved by a hand (a mocap body).
+    ground = [body for body in bodies if _is_ground(tree, body)]
+    if not inside:
+        return False
+    if len(inside) + len(ground) < 2:
+        return True
+    ends = {tree.carriers[body].joint for body in inside} | ({0} if ground else set())
+    if len(ends) == 1:  # the two stand still against each other
+        return False
+    names = " and ".join(f"'{world.body_names[body] or 'world'}'" for body in bodies)
+    raise ModelError(
+        f"closed loops are not supported: equality {who} ties {names}; remove it or set "
+        'active="false", or lock the joints between them (lock=)'
+    )
+
+
+def _is_ground(tree: Tree, body: int) -> bool:
+    model = tree.world.model
+    while body:
+        if body in tree.carriers or model.body_jntnum[body] or model.body_mocapid[body] >= 0:
+            return False
+        body = int(model.body_parentid[body])
+    return True
+
+
+def _coupling(tree: Tree, number: int, name: str) -> Sequence[Coupling]:
+    """Return the coupling that a constraint between joints is, if the follower can move.
+
+    MuJoCo's polynomial is in displacements from where the file has the joints drawn.
+    """
+    world, model = tree.world, tree.world.model
+    first, second = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
+    own = tree.free_joints
+    if first not in own and second not in own:
+        return ()
+    follower = joint_of(world, first)
+    c0, c1, *higher = (float(c) for c in model.eq_data[number, :5])
+    way_out = f"lock it (lock=['{follower.name}']), or remove the constraint"
+    who = f"joint '{follower.name}' by equality '{name}'"
+    if second < 0:
+        raise ModelError(
+            f"a joint that is held is not supported: {who}; lock it there "
+            f"(lock={{'{follower.name}': {follower.q0 + c0:g}}}), or remove the constraint"
+        )
+    if first not in own:  # frozen, and so would be its leader
+        return ()
+    leader = joint_of(world, second)
+    if any(higher):
+        raise ModelError(
+            f"a joint that follows '{leader.name}' otherwise than in proportion is not supported: "
+            f"{who}; {way_out}"
+        )
+    if second not in own:
+        raise ModelError(f"'{leader.name}', which leads {who}, cannot move; {way_out}")
+    return (_in_proportion(follower, leader, c0, c1),)
+
+
+def _in_proportion(follower: Joint, leader: Joint, c0: float, c1: float) -> Coupling:
+    offset = follower.q0 + c0 - c1 * leader.q0
+    return Coupling(follower.name, leader.name, ratio=c1, offset=offset)
+
+
+def refuse_couplings(couplings: Sequence[Coupling]) -> None:
+    """Raise ModelError, with the joints to lock, if joints follow others."""
+    if couplings:
+        raise ModelError(
+            "coupled joints are not supported; lock the joints that follow others: "
+            f"lock={[coupling.follower for coupling in couplings]}"
+        )
+
+
+def refuse_heavy_tendons(tree: Tree, tendons: Sequence[int]) -> None:
+    """Refuse tendons with armature, of those that act on a robot.  Raises ModelError."""
+    model = tree.world.model
+    for tendon in tendons:
+        if model.tendon_armature[tendon] or _rotors_on(model, tendon):
+            raise ModelError(
+                f"tendon '{tree.world.name('TENDON', tendon)}' has armature, which couples joints "
+                "in the mass matrix and is not supported; set it to zero"
+            )
+
+
+def _rotors_on(model: Any, tendon: int) -> bool:
+    """Return whether actuators on a tendon have armature."""
+    kind = int(mujoco_package().mjtTrn.mjTRN_TENDON)
+    on = (model.actuator_trntype == kind) & (model.actuator_trnid[:, 0] == tendon)
+    return bool((on & (model.actuator_armature != 0.0)).any())

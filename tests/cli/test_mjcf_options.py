@@ -1,0 +1,115 @@
+"""MJCF on the command line, in scene files and in files of motions."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import run
+
+import pinred
+from pinred import InputError
+
+TEXT = """<mujoco><worldbody>
+<body name="robot"><freejoint name="float"/><geom size=".3"/>
+<body name="arm" pos=".5 0 0"><joint name="elbow" damping="1"/><geom size=".2" pos=".3 0 0"/></body>
+</body>
+<body name="ball" pos="5 0 0"><freejoint name="drift"/><geom size=".1"/></body></worldbody>
+<keyframe><key name="home" qpos="1 2 3 1 0 0 0 .4 5 0 0 1 0 0 0" qvel="0 0 1 0 0 0 .7 0 0 0 0 0 0"/>
+</keyframe></mujoco>"""
+ROBOT = ("--root", "robot")
+
+pytestmark = pytest.mark.filterwarnings("ignore::pinred.common.errors.LeftOutWarning")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """A file with a robot and a ball."""
+    path = tmp_path / "robot.xml"
+    path.write_text(TEXT, encoding="utf-8")
+    return path
+
+
+def test_inspect(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is left out is listed, and so are the keyframes."""
+    code, out, _ = run(capsys, "inspect", str(path), *ROBOT)
+    assert code == 0
+    assert "left out    joint damping: elbow\n            contact: geom 0, geom 1\n" in out
+    assert "            other bodies: ball\n" in out
+    assert "keyframes   home\n" in out
+
+
+def test_the_warning_is_one_line(path: Path) -> None:
+    """On standard error, like errors."""
+    command = [sys.executable, "-m", "pinred", "inspect", str(path), *ROBOT]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
+    start = "pinred: warning: robot: in the file, but not simulated: joint damping (1), "
+    assert done.stderr.startswith(start)
+    assert done.stderr.count("\n") == 1
+
+
+def test_no_root(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The bodies to choose from are listed."""
+    code, _, err = run(capsys, "inspect", str(path))
+    assert code == 2
+    assert "robot, ball" in err
+
+
+def test_a_keyframe_and_a_file_of_the_motion(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The motion begins at the keyframe; its file finds the robot again, of several."""
+    out = tmp_path / "motion.npz"
+    arguments = ("--keyframe", "home", "--time", "0.1", "--out", str(out))
+    code, text, _ = run(capsys, "simulate", str(path), *ROBOT, *arguments)
+    assert code == 0
+    assert "random" not in text
+    recording = pinred.read_recording(out)
+    assert recording.x[0] == pytest.approx([0.4])
+    assert recording.xdot[0] == pytest.approx([0.7])
+    assert recording.pose[0] == pytest.approx([1, 2, 3, 0, 0, 0, 1])
+    assert recording.system.shape_names == ("elbow",)
+    assert recording.system.root_name == "float"
+    picture = tmp_path / "phase.png"
+    code, _, _ = run(
+        capsys, "plot", str(path), *ROBOT, "--kind", "phase", "--time", "0.1", "--out", str(picture)
+    )
+    assert code == 0
+    assert picture.is_file()
+
+
+def test_scene_file(path: Path) -> None:
+    """Root and keyframe are keys; a pose beside the keyframe moves its base."""
+    scene = path.with_name("scene.toml")
+    text = 'robot = "robot.xml"\nload = {root = "robot"}\n[start]\nkeyframe = "home"\n'
+    scene.write_text(text)
+    start = pinred.load_scene(scene).start
+    assert start.x == pytest.approx([0.4])
+    assert start.pose[:3] == pytest.approx([1, 2, 3])
+    assert start.xi == pytest.approx([0, 0, 1, 0, 0, 0])
+    scene.write_text(text + "pose0 = [0, 0, 0, 0, 0, 0, 1]\n")
+    start = pinred.load_scene(scene).start
+    assert start.pose.tolist() == [0, 0, 0, 0, 0, 0, 1]
+    assert start.x == pytest.approx([0.4])
+    scene.write_text(text.replace("home", "away"))
+    with pytest.raises(InputError, match=r"start\.keyframe.*'away'; the keyframes are home"):
+        pinred.load_scene(scene)
+    for key in ("x0 = [0]", "seed = 1", "momentum = 0"):
+        scene.write_text(f"{text}{key}\n")
+        with pytest.raises(InputError, match="keyframe"):
+            pinred.load_scene(scene)
+
+
+def test_a_keyframe_is_a_whole_state(path: Path) -> None:
+    """Nothing but a pose stands beside it, and a robot without keyframes has none."""
+    system = pinred.load(path, root="robot")
+    for options in ({"x0": [0.0]}, {"xi0": np.zeros(6)}, {"momentum": 0}, {"seed": 1}):
+        with pytest.raises(InputError, match=f"keyframe.*{next(iter(options))}"):
+            pinred.Scene(system=system, keyframe="home", **options)
+    with pytest.raises(InputError, match="the keyframes are none"):
+        pinred.Scene(system=pinred.load("falling_cat"), keyframe="home")

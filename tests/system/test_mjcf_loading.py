@@ -1,0 +1,393 @@
+"""What of an MJCF file is the robot, what it is called, and what else the file is said to hold."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from mjcf_constructs import ACTING, BOX, HINGE, INERTIAL, SLIDE, SWITCHES, robot
+from mujoco_judge import Judge, read_tree
+
+import pinred
+from pinred import InputError, LeftOutWarning, LoadError, MissingPackageError, ModelError
+from pinred.system.contents import PassiveJoint
+
+# Shapes that touch nothing, so that nothing is left out of the reduction.
+SILENT = '<default><geom contype="0" conaffinity="0"/></default>'
+SIDE = '<body name="side" pos="5 0 0"><freejoint name="drift"/><geom size=".3"/></body>'
+TABLE = f'<geom type="plane" size="9 9 1"/><body name="table" pos="0 5 0">{BOX}</body>'
+
+
+def arm(name: str = "arm", joints: str = "") -> str:
+    """A body on a hinge that is called as it is."""
+    joints = joints or f'<joint name="{name}" axis="0 1 0" pos=".1 0 .2"/>'
+    return f'<body name="{name}" pos=".1 .2 .3">{joints}{INERTIAL}</body>'
+
+
+def text(world: str, head: str = "") -> str:
+    """A file in which nothing touches."""
+    return f"<mujoco>{SILENT}{head}<worldbody>{world}</worldbody></mujoco>"
+
+
+def base(inside: str = "", joints: str = '<freejoint name="float"/>') -> str:
+    """A carrying body."""
+    return f'<body name="base" pos="1 2 3">{joints}{BOX}{inside}</body>'
+
+
+def write(folder: Path, content: str) -> Path:
+    """Write a file."""
+    path = folder / "robot.xml"
+    path.write_text(content, encoding="utf-8")
+    return path
+
+
+def loaded(content: str, **options: Any) -> pinred.System:
+    """The system in a text, of which nothing may be left out."""
+    return pinred.load(mujoco.MjSpec.from_string(content), **options)
+
+
+def with_warning(content: str, **options: Any) -> tuple[pinred.System, str]:
+    """The system in a text, and the one line of warning that comes with it."""
+    with pytest.warns(LeftOutWarning) as caught:
+        system = loaded(content, **options)
+    assert len(caught) == 1
+    line = str(caught[0].message)
+    assert "\n" not in line
+    assert caught[0].filename == __file__
+    return system, line
+
+
+# ---- which bodies
+
+
+def test_static_surroundings_do_not_matter() -> None:
+    """A floor, a table and a hand that is moved are no robots."""
+    hand = '<body name="hand" mocap="true"><geom size=".1"/></body>'
+    system = loaded(text(f"{TABLE}{base(arm())}{hand}"))
+    assert (system.root_name, system.shape_names) == ("float", ("arm",))
+    assert system.mass == pytest.approx(8.0 + 1.3)
+
+
+def test_of_several_bodies_one_is_chosen(tmp_path: Path) -> None:
+    """Without a choice the error lists them; the others are told as left out."""
+    content = text(f"{TABLE}{base(arm())}{SIDE}")
+    with pytest.raises(ModelError, match=r"base, side.*root="):
+        loaded(content)
+    system, line = with_warning(content, root="base")
+    assert (system.root_name, system.shape_names) == ("float", ("arm",))
+    assert "other bodies (1)" in line
+    assert [(left.what, left.names) for left in system.left_out] == [("other bodies", ("side",))]
+    system, _ = with_warning(content, root="side")
+    assert (system.root_name, system.m) == ("drift", 0)
+    with pytest.raises(InputError, match=r"no body 'arm' in the world.*base, side"):
+        loaded(content, root="arm")
+    path = write(tmp_path, content)
+    with pytest.warns(LeftOutWarning):
+        system = pinred.load(path, root="side")
+    assert system.origin == pinred.system.system.Origin(str(path), {}, "side")
+
+
+def test_root_is_for_mjcf() -> None:
+    """One link carries all others elsewhere."""
+    with pytest.raises(InputError, match="root='trunk' is for MJCF"):
+        pinred.load("falling_cat", root="trunk")
+
+
+def test_one_body_without_joints_floats() -> None:
+    """Where nothing moves, the one body with mass is set free."""
+    system = loaded(text(f'{base(joints="")}<body name="mark"/>'))
+    assert (system.group.name, system.m, system.contents.freed) == ("SE3", 0, "base")
+    with pytest.raises(ModelError, match="base, table"):
+        loaded(text(base(joints="") + TABLE))
+    with pytest.raises(LoadError, match="no body in the model has a joint or a mass"):
+        loaded(text('<body name="mark"/>'))
+
+
+def test_several_trees_on_one_carrier_are_one_robot() -> None:
+    """However many kinematic trees MuJoCo counts, what hangs on one body is one robot."""
+    content = text(base(arm("left") + arm("right"), joints=""))
+    assert mujoco.MjModel.from_xml_string(content).ntree == 2
+    system = loaded(content)
+    assert (system.group.name, system.shape_names) == ("SE3", ("left", "right"))
+    assert system.contents.freed == "base"
+
+
+@pytest.mark.parametrize("head", ["", '<compiler fusestatic="true"/>'])
+def test_a_carrier_with_mass_floats_as_on_a_free_joint(head: str) -> None:
+    """The mass matrix of a base set free is that of the file with a free joint, turned to it."""
+    inner = '<body name="inner" pos="0 0 1" euler="10 20 30">' + BOX + arm("left") + "</body>"
+    fixed, free = (
+        loaded(text(base(inner + arm("right"), joints=joints), head))
+        for joints in ("", "<freejoint/>")
+    )
+    assert (fixed.contents.freed, free.contents.freed) == ("base", "")
+    x = np.array([0.3, -0.7])
+    H = [pinred.Reduction(system).mass_matrix(x) for system in (fixed, free)]
+    place = fixed.model.frames[fixed.model.getFrameId("base", pin.FrameType.BODY)].placement
+    T = np.eye(8)
+    T[:6, :6] = place.actionInverse  # of a twist, from the root joint's frame to the body's
+    assert T.T @ H[1] @ T == pytest.approx(H[0], abs=1e-12 * np.abs(H[0]).max())
+    first = str(pinred.inspect(fixed)).splitlines()[0]
+    assert "the file fixes 'base' to the world; here it is free" in first
+    assert "fixes" not in str(pinred.inspect(free)).splitlines()[0]
+    assert "here it is free" in pinred.inspect(fixed)._repr_html_()
+
+
+def test_a_mere_anchor_leaves_the_first_joint_the_root() -> None:
+    """A fixed body without mass, with one moving body on it, and other such bodies."""
+    anchor = f'<body name="anchor" pos="0 0 1"><body name="mark"/>{arm("first")}</body>'
+    system = loaded(text(anchor))
+    assert (system.group.name, system.root_name, system.contents.freed) == ("SO2", "first", "")
+    two = f'<body name="anchor">{arm("first")}{arm("second")}</body>'
+    with pytest.raises(ModelError, match="no mass"):
+        loaded(text(two))
+
+
+# ---- names
+
+
+def test_names_of_what_has_none() -> None:
+    """They are made of bodies, kinds and numbers, and give way to those in the file."""
+    inside = (
+        f"<body>{HINGE}{SLIDE}{INERTIAL}</body>"
+        f'<body name="body3"><joint name="body2_hinge"/>{INERTIAL}</body>'
+        f'<body name="universe"><joint name="universe"/>{INERTIAL}</body>'
+    )
+    tree = read_tree(mujoco.MjSpec.from_string(text(base(inside, joints="<freejoint/>"))))
+    names = ["base_free", "body2_hinge_", "body2_slide2", "body2_hinge", "universe_"]
+    assert list(tree.model.names)[1:] == names
+    bodies = [f.name for f in tree.model.frames if f.type == pin.FrameType.BODY]
+    assert bodies == ["base", "body2", "body3", "universe_"]
+
+
+def test_a_plane_is_called_after_its_joints() -> None:
+    """And gives way to a joint that is called so."""
+    joints = (
+        '<joint name="a" type="slide" axis="1 0 0"/><joint name="b" type="slide"/>'
+        '<joint name="c" axis="0 1 0"/>'
+    )
+    assert loaded(text(base(arm("d"), joints))).root_name == "a+b+c"
+    system = loaded(text(base(arm("a+b+c"), joints)))
+    assert (system.root_name, system.shape_names) == ("a+b+c_", ("a+b+c",))
+
+
+# ---- locks
+
+
+@pytest.mark.parametrize("joint", ['<joint name="arm" {}/>', '<joint name="arm" type="slide" {}/>'])
+def test_a_locked_joint_is_at_its_coordinate(joint: str) -> None:
+    """The rest of the mass matrix is MuJoCo's with the joint at that value."""
+    joint = joint.format('ref=".3" pos=".1 0 0" axis="1 1 0"')
+    content = text(base(arm(joints=joint) + arm("other")), '<compiler angle="radian"/>')
+    system = loaded(content, lock={"arm": 0.8})
+    assert system.shape_names == ("other",)
+    judge = Judge(read_tree(mujoco.MjSpec.from_string(content)))
+    m, qpos = judge.mujoco, judge.mujoco.qpos0.copy()
+    qpos[m.joint("arm").qposadr], qpos[m.joint("other").qposadr] = 0.8, 0.4
+    judge.at(qpos, np.zeros(m.nv))
+    M = np.zeros((m.nv, m.nv))
+    mujoco.mj_fullM(m, judge.data, M)
+    rows = [0, 1, 2, 3, 4, 5, int(m.joint("other").dofadr[0])]
+    H = pinred.Reduction(system).mass_matrix(np.array([0.4]))
+    assert pytest.approx(M[np.ix_(rows, rows)], abs=1e-12 * np.abs(M).max()) == H
+
+
+def test_locking_joints_of_the_base() -> None:
+    """What is left of a plane's joints is another group; of a free base, one that floats."""
+    joints = (
+        '<joint name="a" type="slide" axis="1 0 0"/><joint name="b" type="slide"/>'
+        '<joint name="c" axis="0 1 0"/>'
+    )
+    content = text(base(arm(), joints))
+    assert loaded(content, lock=["a", "b"]).group.name == "SO2"
+    assert loaded(content, lock=["b", "c"]).group.name == "R"
+    system = loaded(content, lock=["a", "b", "c"])
+    assert (system.group.name, system.contents.freed) == ("SE3", "base")
+    floating = loaded(text(base(arm())), lock=["float"])
+    assert (floating.group.name, floating.contents.freed) == ("SE3", "base")
+    place = floating.model.frames[floating.model.getFrameId("base", pin.FrameType.BODY)].placement
+    assert place.translation.tolist() == [1.0, 2.0, 3.0]  # where the file has it
+
+
+def test_locks_that_cannot_be() -> None:
+    """A joint that is not there, of another robot, or with several degrees not at zero."""
+    content = text(base(arm()) + SIDE)
+    for name in ("elbow", "drift"):
+        with pytest.raises(InputError, match=f"no joint '{name}'.*float, arm"):
+            loaded(content, root="base", lock=[name])
+    with pytest.raises(InputError, match=r"'float'.*zero only"):
+        loaded(content, root="base", lock={"float": 1.0})
+
+
+def test_a_ball_inside_is_refused_and_locked() -> None:
+    """By name, and with the way out."""
+    content = text(base(arm(joints='<joint name="socket" type="ball"/>')))
+    with pytest.raises(ModelError, match=r"'socket' is a ball joint.*lock.*three hinges"):
+        loaded(content)
+    assert loaded(content, lock=["socket"]).m == 0
+
+
+# ---- what acts and is left out
+
+
+@pytest.mark.parametrize("what", ACTING)
+def test_what_acts_is_left_out_and_told(what: str) -> None:
+    """By name, if it acts on the robot and no flag switches it off."""
+    head, inside, outside, names = ACTING[what]
+    carrier = arm().replace("</body>", f"{inside}</body>")
+    content = text(base(carrier) + SIDE + outside, head)
+    system, line = with_warning(content, root="base")
+    left = {entry.what: entry.names for entry in system.left_out}
+    assert left == {what: names, "other bodies": ("side",)}
+    assert f"{what} ({len(names)})" in line
+    assert f"{what}: {names[0]}" in str(pinred.inspect(system))
+    assert f"{what}: {names[0]}" in pinred.inspect(system)._repr_html_()
+    if what in SWITCHES:
+        flag = f'<option><flag {SWITCHES[what]}="disable"/></option>'
+        system, _ = with_warning(content.replace("<worldbody>", f"{flag}<worldbody>"), root="base")
+        assert what not in {entry.what for entry in system.left_out}
+
+
+def test_constraints_and_passive_forces_switched_off() -> None:
+    """One flag for all constraints; both flags of springs and dampers for all passive forces."""
+    head = (
+        '<option density="1">'
+        '<flag constraint="disable" spring="disable" damper="disable"/></option>'
+        '<default><joint range="-1 1" frictionloss="1" stiffness="1" damping="1"/></default>'
+        '<equality><weld body1="arm"/></equality>'
+    )
+    content = text(base(arm().replace('"arm" pos', '"arm" gravcomp="1" pos')), head)
+    assert loaded(content).left_out == ()
+
+
+def test_several_kinds_are_told_in_one_line() -> None:
+    """With their counts; long lists are cut in the middle of nothing."""
+    head = '<default><joint damping="1" range="-1 1"/></default>'
+    system, line = with_warning(text(base("".join(arm(f"j{k}") for k in range(9))), head))
+    assert "joint damping (9), joint limits (9)" in line
+    assert str(system.left_out[0]) == "joint damping: j0, j1, j2, j3, j4, j5, … (9 in all)"
+
+
+def test_passive_joints_are_kept_as_data() -> None:
+    """Springs, dampers and dry friction, with their polynomials, rests and units."""
+    joint = (
+        '<joint name="arm" stiffness="2 .3 .1" damping=".5 .2 .1" frictionloss=".7" '
+        'springref="30" ref="10"/>'
+    )
+    system, _ = with_warning(text(base(arm(joints=joint))))
+    assert system.passive == (
+        PassiveJoint("arm", (2.0, 0.3, 0.1), (np.deg2rad(30.0),), (0.5, 0.2, 0.1), 0.7, 0.0),
+    )
+    root = '<joint name="b" type="ball" stiffness="4"/>'
+    system, _ = with_warning(text(base(joints=root)))
+    assert system.passive[0].rest == (0.0, 0.0, 0.0, 1.0)
+
+
+def test_gravity_that_is_compensated_alike() -> None:
+    """What is left of it is the gravity; with a motor at the joint that does it or not."""
+    carrier = base(arm()).replace('name="base"', 'name="base" gravcomp=".75"')
+    carrier = carrier.replace('name="arm" pos', 'name="arm" gravcomp=".75" pos')
+    head = '<option gravity="0 4 -8"/>'
+    assert loaded(text(carrier, head)).gravity.tolist() == [0.0, 1.0, -2.0]
+    assert loaded(text(carrier, head), gravity=[0, 0, -1]).gravity.tolist() == [0.0, 0.0, -1.0]
+
+
+# ---- packages, memory, threads
+
+
+def run(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run Python in a folder."""
+    env = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(Path(pinred.__file__).parents[1]), *sys.path])
+    }
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
+
+
+def test_mujoco_is_imported_for_mjcf_alone(tmp_path: Path) -> None:
+    """Not for pinred, nor for a URDF; and without it one line says what to install."""
+    path = write(tmp_path, text(base(arm())))
+    code = (
+        "import sys, pinred\npinred.load('falling_cat')\nassert 'mujoco' not in sys.modules\n"
+        f"pinred.load({str(path)!r})\nassert 'mujoco' in sys.modules\n"
+    )
+    done = run(code, tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+def test_without_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One line says what to install."""
+    path = write(tmp_path, text(base(arm())))
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(MissingPackageError, match=r'pip install "pinred\[mjcf\]"') as caught:
+        pinred.load(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_file_is_written(tmp_path: Path) -> None:
+    """What MuJoCo warns of neither ends in a file beside one nor stays switched off."""
+    nan = write(tmp_path, text(base(arm()).replace("1 2 3", "1 nan 3")))
+    code = (
+        "import mujoco, pinred\n"
+        "said = []\nmujoco.set_mju_user_warning(said.append)\n"
+        "kept = mujoco.get_mju_user_warning()\n"
+        f"try:\n    pinred.load({str(nan)!r})\n"
+        "except pinred.LoadError as error:\n    print(error)\n"
+        "assert mujoco.get_mju_user_warning() is kept and said == []\n"
+        "mujoco.set_mju_user_warning(None)\n"
+        f"try:\n    pinred.load({str(nan)!r})\nexcept pinred.LoadError:\n    pass\n"
+        "assert mujoco.get_mju_user_warning() is None\n"
+    )
+    done = run(code, tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "holds nan" in done.stdout
+    assert done.stderr == ""
+    assert [entry.name for entry in tmp_path.iterdir()] == ["robot.xml"]
+
+
+def test_names_of_systems(tmp_path: Path) -> None:
+    """A file's is its own, a model's what it says."""
+    content = text(base(arm())).replace("<mujoco>", '<mujoco model="walker">')
+    assert pinred.load(write(tmp_path, content)).name == "robot"
+    assert loaded(content).name == "walker"
+    assert pinred.load(mujoco.MjModel.from_xml_string(content)).name == "walker"
+    assert loaded(content).origin is None
+
+
+def test_a_robot_with_nothing_left_out_loads_without_a_word() -> None:
+    """MuJoCo's own words about what is out of fashion are not passed on."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        system = loaded(text(base(arm()), '<compiler settotalmass="5"/>'))
+    assert system.mass == pytest.approx(5.0)
+    assert (system.left_out, system.passive, dict(system.keyframes)) == ((), (), {})
+
+
+def test_a_motion_is_that_of_mujoco() -> None:
+    """A planar robot for a second: by the reduced equations, and by MuJoCo's small steps."""
+    spec = mujoco.MjSpec.from_string(
+        robot(f'{SILENT}<option integrator="RK4" timestep="1e-4" gravity="0 0 -9.81"/>', "plane",
+              [arm("a"), arm("b", '<joint name="b" axis="0 1 0" ref="20"/>')])
+    )  # fmt: skip
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(3)
+    data.qpos[:] = model.qpos0 + rng.uniform(-1, 1, model.nq)
+    data.qvel[:] = rng.normal(size=model.nv)
+    spec.add_key(name="start", qpos=data.qpos, qvel=data.qvel)
+    mujoco.mj_step(model, data, 10_000)
+    spec.add_key(name="end", qpos=data.qpos, qvel=data.qvel)
+    system = pinred.load(spec)
+    traj = pinred.simulate(system, keyframe="start", duration=1.0)
+    end = system.keyframes["end"]
+    assert traj.x[-1] == pytest.approx(end.x, abs=1e-9)
+    assert traj.pose[-1] == pytest.approx(end.pose, abs=1e-9)
+    assert traj.xi[-1] == pytest.approx(end.xi, abs=1e-8)

@@ -1,0 +1,334 @@
+"""Refusals of MJCF: constraints by name with a way out, texts that no parser should see."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from mjcf_constructs import BOX
+from mujoco_judge import read_tree
+from test_mjcf_loading import SIDE, arm, base, loaded, text, with_warning, write
+
+import pinred
+from pinred import LoadError, ModelError, PinredError
+from pinred.system.contents import Coupling
+from pinred.system.mjcf import text as mjcf_text
+from pinred.system.mjcf.constraints import constraints_of
+
+TWO = base(arm("left") + arm("right"))
+# the constraint between left and right, or one of them and the ground; what the refusal says
+LOOPS = {
+    "weld": ('<weld name="tie" body1="left" body2="right"/>', ["weld 'tie'", "'left'", "'right'"]),
+    "weld to the ground": ('<weld name="tie" body1="left"/>', ["weld 'tie'", "'left'", "'world'"]),
+    "weld to a table": ('<weld name="tie" body1="left" body2="table"/>', ["weld 'tie'", "'table'"]),
+    "connect": (
+        '<connect name="pin" body1="base" body2="left" anchor="0 0 0"/>',
+        ["connect 'pin'", "'base' and 'left'"],
+    ),
+    "connect, sites": (
+        '<connect site1="a" site2="b"/>', ["connect 'equality 0'", "'base'", "'left'"],
+    ),
+}  # fmt: skip
+
+
+def with_loop(constraint: str, **options: str) -> str:
+    """A robot of two arms with a constraint."""
+    sites = TWO.replace('<body name="left"', '<site name="a"/><body name="left"').replace(
+        '<joint name="left"', '<site name="b"/><joint name="left"'
+    )
+    said = "".join(f' {key}="{value}"' for key, value in options.items())
+    equality = f"<equality>{constraint.replace('/>', said + '/>')}</equality>"
+    return text(f'{sites}<body name="table" pos="0 5 0">{BOX}</body>', equality)
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_loops(name: str) -> None:
+    """They are refused by name; switched off, they are nothing; with the joints locked, too."""
+    constraint, words = LOOPS[name]
+    with pytest.raises(ModelError) as caught:
+        loaded(with_loop(constraint))
+    message = str(caught.value)
+    assert [
+        word for word in [*words, "closed loops", "lock=", "remove it"] if word not in message
+    ] == []
+    assert loaded(with_loop(constraint, active="false")).m == 2
+    if "ground" not in name and "table" not in name:
+        assert loaded(with_loop(constraint), lock=["left", "right"]).m == 0
+    off = '<option><flag equality="disable"/></option><equality>'
+    assert loaded(with_loop(constraint).replace("<equality>", off)).m == 2
+
+
+def test_a_loop_between_what_does_not_move() -> None:
+    """A constraint between bodies that are fixed to each other, or are not the robot's."""
+    constraint = '<weld body1="table"/>'
+    assert loaded(with_loop(constraint)).m == 2
+    system, _ = with_warning(
+        with_loop('<weld body1="side"/>').replace("</worldbody>", SIDE + "</worldbody>"),
+        root="base",
+    )
+    assert [left.what for left in system.left_out] == ["other bodies"]
+
+
+def coupled(constraints: str) -> str:
+    """Two hinges, one of which has a reference of its own, with constraints on joints."""
+    right = '<joint name="right" axis="0 1 0" ref=".4"/>'
+    left = '<joint name="left" type="slide" ref=".3"/>'
+    return text(
+        base(arm("left", left) + arm("right", right)),
+        f'<compiler angle="radian"/><equality>{constraints}</equality>',
+    )
+
+
+def test_couplings() -> None:
+    """In coordinates of the shape, for MuJoCo's are counted from the references; locks undo it."""
+    content = coupled('<joint name="gear" joint1="left" joint2="right" polycoef=".1 2"/>')
+    tree = read_tree(mujoco.MjSpec.from_string(content))
+    (coupling,) = constraints_of(tree).couplings
+    assert coupling == Coupling("left", "right", 2.0, coupling.offset)
+    assert coupling.offset == pytest.approx(0.3 + 0.1 - 2.0 * 0.4)
+    # MuJoCo's own residual of the constraint is zero there.
+    model = tree.world.model
+    data = mujoco.MjData(model)
+    leader = 0.9
+    data.qpos[model.joint("right").qposadr] = leader
+    data.qpos[model.joint("left").qposadr] = coupling.ratio * leader + coupling.offset
+    mujoco.mj_forward(model, data)
+    assert data.nefc == 1
+    assert data.efc_pos[0] == pytest.approx(0.0, abs=1e-15)
+    with pytest.raises(ModelError, match=r"coupled joints.*lock=\['left'\]"):
+        loaded(content)
+    assert loaded(content, lock=["left"]).shape_names == ("right",)
+
+
+@pytest.mark.parametrize(
+    ("constraint", "words"),
+    [
+        ('<joint name="e" joint1="left"/>', ["'left'", "'e'", "lock={'left': 0.3}"]),
+        ('<joint joint1="left" polycoef=".5"/>', ["'left'", "lock={'left': 0.8}"]),
+        (
+            '<joint name="e" joint1="left" joint2="right" polycoef="0 1 1"/>',
+            ["'left'", "'right'", "'e'", "proportion", "lock=['left']"],
+        ),
+    ],
+)
+def test_joints_that_are_held_or_follow_otherwise(constraint: str, words: list[str]) -> None:
+    """By name, with the lock that helps; and it does."""
+    content = coupled(constraint)
+    with pytest.raises(ModelError) as caught:
+        loaded(content)
+    assert [word for word in words if word not in str(caught.value)] == []
+    assert loaded(content, lock={"left": 0.3}).shape_names == ("right",)
+
+
+def test_a_leader_that_is_locked() -> None:
+    """Its follower does not move either, and has to be locked as well."""
+    content = coupled('<joint joint1="left" joint2="right"/>')
+    with pytest.raises(ModelError, match=r"'right', which leads joint 'left'.*lock=\['left'\]"):
+        loaded(content, lock=["right"])
+    assert loaded(content, lock=["left", "right"]).m == 0
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        '<tendon><fixed name="line" armature="2"><joint joint="left" coef="1"/></fixed></tendon>',
+        '<tendon><fixed name="line"><joint joint="left" coef="1"/></fixed></tendon>'
+        '<actuator><motor tendon="line" armature="2"/></actuator>',
+    ],
+)
+def test_tendons_that_weigh(said: str) -> None:
+    """They couple joints in the mass matrix; on joints that are locked they do nothing."""
+    content = text(TWO, said)
+    with pytest.raises(ModelError, match=r"tendon 'line' has armature"):
+        loaded(content)
+    assert loaded(content, lock=["left"]).m == 1
+
+
+# ---- texts
+
+
+def deep(count: int) -> str:
+    """Bodies in one another."""
+    return text("<body>" * count + BOX + "</body>" * count)
+
+
+LAUGHS = "".join(
+    f'<body name="b{k}"><attach body="b{k - 1}" prefix="x{k}_"/>'
+    f'<attach body="b{k - 1}" prefix="y{k}_"/></body>'
+    for k in range(1, 40)
+)
+PREFIXED = "".join(
+    f'<body name="b{k}"><attach body="b{k - 1}" prefix="x"/><attach body="xb{k - 1}" prefix="y"/>'
+    "</body>"
+    for k in range(1, 60)
+)
+# Texts that would fill the stack or the memory, take hours, or have more in them than one sees.
+BOMBS = {
+    "deep": (deep(20_000), "within one another"),
+    "defaults": (
+        f"<mujoco>{'<default>' * 9_000}{'</default>' * 9_000}</mujoco>", "within one another",
+    ),
+    "wide": (text("<site/>" * 120_000), "more than 100000 elements"),
+    "replicated": (
+        text(f'<body><replicate count="1000000000">{BOX}</replicate></body>'), "elements",
+    ),
+    "replicated as numbers go": (
+        text(f'<replicate count="1e9"><body>{BOX}</body></replicate>'), "elements",
+    ),
+    "replicates in replicates": (
+        text('<replicate count="99">' * 9 + f"<body>{BOX}</body>" + "</replicate>" * 9), "elements",
+    ),
+    "grid": (
+        text('<body name="b"><flexcomp name="f" type="grid" count="900 900 900" dim="3"/></body>'),
+        "elements",
+    ),
+    "attached": (text(f'<body name="b0">{BOX}</body>{LAUGHS}'), "elements"),
+    "attached under new names": (text(f'<body name="b0">{BOX}</body>{PREFIXED}'), "elements"),
+    "attributes": (
+        text("<body " + " ".join(f'a{k}="1"' for k in range(30_000)) + "/>"), "attributes",
+    ),
+    "itself": ('<mujoco><include file="robot.xml"/></mujoco>', "includes itself"),
+    "itself as a model": (
+        '<mujoco><asset><model name="m" file="robot.xml"/></asset><worldbody><body>'
+        '<attach model="m" prefix="a"/></body></worldbody></mujoco>',
+        "includes itself",
+    ),
+    "cut": (text(base())[:90], "is not XML"),
+    "entities": ('<!DOCTYPE m [<!ENTITY a "b">]><mujoco/>', "document type"),
+    "landscape": (
+        text(base(), '<asset><hfield name="h" nrow="90000" ncol="90000" size="1 1 1 1"/></asset>'),
+        "elements",
+    ),
+    "ready-made plate": (
+        text(base(), '<asset><mesh name="m" builtin="plate" params="9000 9000"/></asset>'),
+        "elements",
+    ),
+    "ready-made torus": (
+        text(base(), '<asset><mesh name="m" builtin="supertorus" params="9000 .5 1 1"/></asset>'),
+        "elements",
+    ),
+    "cells": (
+        text('<body name="b"><flexcomp name="f" cellcount="900 900 900" count="2 2 2"/></body>'),
+        "elements",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_texts_that_no_parser_should_see(tmp_path: Path, name: str) -> None:
+    """Each is refused in one line that names the file, at once."""
+    content, words = BOMBS[name]
+    with pytest.raises(LoadError, match=words) as caught:
+        pinred.load(write(tmp_path, content))
+    assert "robot.xml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("tag", ["include", "INCLUDE", "model"])
+def test_what_is_included_is_looked_at_too(tmp_path: Path, tag: str) -> None:
+    """A file that is named by another, from either folder, in any letters."""
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts/bomb.xml").write_text(deep(5_000))
+    (tmp_path / "parts/fuse.xml").write_text(
+        f'<mujoco><asset><{tag} name="m" file="bomb.xml"/></asset></mujoco>'
+    )
+    content = f'<mujoco><include file="parts/fuse.xml"/><worldbody>{base()}</worldbody></mujoco>'
+    with pytest.raises(LoadError, match=r"bomb\.xml.*within one another"):
+        pinred.load(write(tmp_path, content))
+
+
+def test_many_files_in_one_another(tmp_path: Path) -> None:
+    """Each includes the next."""
+    for k in range(200):
+        (tmp_path / f"f{k}.xml").write_text(f'<mujoco><include file="f{k + 1}.xml"/></mujoco>')
+    with pytest.raises(LoadError, match="too many files"):
+        pinred.load(tmp_path / "f0.xml")
+
+
+def test_too_much_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of all files together."""
+    content = text(base())
+    path = write(tmp_path, content)
+    monkeypatch.setattr(mjcf_text, "_MOST_LETTERS", len(content))
+    assert pinred.load(path).m == 0
+    monkeypatch.setattr(mjcf_text, "_MOST_LETTERS", len(content) - 1)
+    with pytest.raises(LoadError, match="letters of MJCF"):
+        pinred.load(path)
+
+
+def test_a_file_that_is_too_large(tmp_path: Path) -> None:
+    """It is not even read: of a URDF, too."""
+    for name in ("robot.xml", "robot.urdf"):
+        path = tmp_path / name
+        with path.open("wb") as file:
+            file.truncate(300_000_000)
+        with pytest.raises(LoadError, match="larger than 256 MB"):
+            pinred.load(path)
+
+
+ROOMS = '<size memory="9000G" nuserdata="2000000000" nkey="2000000000" nuser_body="2000000000"/>'
+PICTURES = (
+    '<asset><texture name="t" type="2d" builtin="flat" width="99999" height="99999"/></asset>'
+)
+
+
+@pytest.mark.parametrize("head", [ROOMS, PICTURES])
+def test_room_for_what_is_not_needed_is_not_taken(head: str) -> None:
+    """Neither memory of MuJoCo's simulation nor pictures and landscapes."""
+    assert loaded(text(base(arm()), head)).m == 1
+
+
+def test_a_wrong_text_never_ends_the_process(tmp_path: Path) -> None:
+    """Texts changed at random end in a System or in an error of pinred's, in one line."""
+    code = f"""
+import random, warnings
+from pathlib import Path
+import pinred
+warnings.simplefilter("ignore")
+seed = Path({str(tmp_path / "seed.xml")!r}).read_text()
+path = Path({str(tmp_path / "robot.xml")!r})
+words = ["-1", "0", "1e300", "nan", "", "x", "99999999", "1 2", "world", "base", "<", "&", '"']
+rng = random.Random(1)
+for k in range(150):
+    parts = seed.split('"')
+    for _ in range(rng.randint(1, 3)):
+        parts[rng.randrange(len(parts))] = rng.choice(words)
+    path.write_text('"'.join(parts))
+    try:
+        pinred.load(path)
+    except pinred.PinredError as error:
+        assert "\\n" not in str(error), error
+"""
+    seed = text(
+        base(arm("left") + arm("right")) + SIDE,
+        '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1" face="0 2 1 0 1 3 1 2 3 2 0 3"/>'
+        '</asset><actuator><motor name="a" joint="left" gear="2" armature=".1"/></actuator>'
+        '<equality><joint joint1="left" joint2="right" polycoef="0 1"/></equality>'
+        '<tendon><fixed name="t"><joint joint="left" coef="1"/></fixed></tendon>'
+        '<keyframe><key name="k" time="1"/></keyframe>',
+    )
+    (tmp_path / "seed.xml").write_text(seed)
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(
+        command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["robot.xml", "seed.xml"]
+
+
+def test_numbers_that_are_not_finite() -> None:
+    """In a model that was changed, and in one that overflows."""
+    model = mujoco.MjModel.from_xml_string(text(base(arm())))
+    for name in ("body_mass", "jnt_axis", "dof_armature", "qpos0"):
+        changed = model.__copy__()
+        getattr(changed, name)[-1] = np.nan
+        with pytest.raises(ModelError, match=name):
+            pinred.load(changed)
+    with pytest.raises(PinredError):
+        loaded(text(base(arm().replace('mass="1.3"', 'mass="inf"'))))
