@@ -96,5 +96,9 @@ class NonFiniteState(_Stopped):
         return type(self), (str(self), self.time, self.state, self.entry)
 
 
+class ModelWarning(UserWarning):
+    """A robot can be simulated, but its model has what no real one has, or singular shapes."""
+
+
 class CacheWarning(UserWarning):
     """Something is wrong with the kernels on disk; they are rebuilt."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pinocchio as pin
 
+from ..common.arrays import Array
 from ..lie.groups import SE2, SE3, SO2, SO3, Group, R
 
 # "RUB" is Pinocchio's name for a revolute joint without limits: its coordinates are (cos, sin).
@@ -34,6 +36,11 @@ def is_shape_joint(joint: pin.JointModel) -> bool:
 def is_prismatic(joint: pin.JointModel) -> bool:
     """Return whether a joint slides (metres) rather than turns (radians)."""
     return joint.shortname() in _PRISMATIC
+
+
+def axes_of(joint: pin.JointModel) -> Array:
+    """Return the twists, (6, nv), by which a joint moves its body, in the body's frame."""
+    return np.array(joint.createData().S).reshape(6, joint.nv)
 
 
 def shape_units(model: pin.Model) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, vector
-from ..common.errors import InputError, LoadError, ModelError
+from ..common.errors import InputError, LoadError, ModelError, ModelWarning
+from ..common.names import quoted
 from ..lie.groups import GROUPS, SE3, Group, group_named
 from . import catalogue
 from .admission import refuse_mimicking
@@ -31,6 +33,7 @@ def load(
     group: str | Group | None = None,
     lock: Iterable[str] | Mapping[str, float] = (),
     gravity: ArrayLike | None = None,
+    strict: bool = False,
 ) -> System:
     """Load a robot and read it as symmetry group times shape.
 
@@ -43,6 +46,8 @@ def load(
     lock: joints to freeze at zero, or a mapping from joint to its fixed value [rad | m].
     gravity: (3,) in the world frame [m/s²]; if None, what the robot comes with
         (Pinocchio's 9.81 along −z for a URDF).
+    strict: whether to refuse what there is otherwise only a ModelWarning about: moments of
+        inertia that no distribution of mass has, and mass matrices singular at single shapes.
 
     Raises LoadError if there is nothing to read, ModelError if pinred cannot reduce the
     model, InputError for an unknown group or joint.
@@ -76,7 +81,12 @@ def load(
         if np.abs(model.gravity.linear).max() > _HUGE:
             raise InputError(f"gravity must be below {_HUGE:g} m/s², got {gravity}")
     model.name = name
-    return System(model, name=name, initial=initial, origin=origin)
+    system = System(model, name=name, initial=initial, origin=origin)
+    for doubt in system.doubts:
+        if strict:
+            raise ModelError(f"{quoted(name)} is refused, strictly: {doubt}")
+        warnings.warn(f"{quoted(name)}: {doubt}", ModelWarning, stacklevel=2)
+    return system
 
 
 def _initial_state(entry: Mapping[str, Any]) -> InitialState:

@@ -68,6 +68,8 @@ class System:
 
     name: the robot's.  model: the pin.Model, root joint first.  initial: a generic initial
     state, if the robot comes with one.  origin: the name or file that was loaded, if it was one.
+    doubts: sentences about what only no real robot has, or what makes the mass matrix singular at
+    single shapes.
     """
 
     model: pin.Model
@@ -76,6 +78,7 @@ class System:
     origin: Origin | None = None
     group: Group = field(init=False)
     shape_names: tuple[str, ...] = field(init=False)
+    doubts: tuple[str, ...] = field(init=False, repr=False)
     # Where the coordinates (pose, x) stand in Pinocchio's q: as they are, or as (cos, sin).
     _plain: Indices = field(init=False, repr=False)
     _plain_q: Indices = field(init=False, repr=False)
@@ -85,9 +88,11 @@ class System:
     def __post_init__(self) -> None:
         if self.model.njoints < 2:
             raise ModelError(f"model '{self.model.name}' has no joint; load it with a group")
-        group = admit(self.model)
+        admitted = admit(self.model)
+        group = admitted.group
         derived: dict[str, Any] = {
             "group": group,
+            "doubts": admitted.doubts,
             "shape_names": tuple(self.model.names[i] for i in range(2, self.model.njoints)),
         }
         derived |= _coordinate_maps(self.model, group)
