@@ -77,7 +77,7 @@ def _judge_full_state(kernel: Kernel, at: JudgedState, out: Array) -> None:
     model, r, k = system.model, system.r, system.group.linear
     data = model.createData()
     pose, q, v = out[where.pose], out[where.q], out[where.v]
-    check("configuration", q, system.q(pose, at.x))
+    check("configuration", q, system.model_q(pose, at.x))
     root, (c0, v0, fall) = model.jointPlacements[1], at.line.reshape(3, k)
     c, velocity = c0 + v0 * at.time + 0.5 * fall * at.time**2, v0 + fall * at.time
     if at.pushed.size:

@@ -73,7 +73,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         x[driven], v[[r + j for j in driven]], accelerations = given.x, given.xdot, given.xddot
         if not np.isfinite([given.x, given.xdot, given.xddot]).all():
             return None
-    q, data = system.q(pose, x), model.createData()
+    q, data = system.model_q(pose, x), model.createData()
     H = symmetric(pin.crba(model, data, q))
     v, mu = _with_known_momentum(kernel, H, v)
     pi = H[r:] @ v

@@ -131,15 +131,15 @@ def _judge(kernel: StartKernel, given: TwistOrMomentum) -> None:
     pose, x = group.exp(rng.uniform(-1.0, 1.0, r)), rng.uniform(-2.0, 2.0, system.m)
     xi, xdot = rng.normal(size=r), rng.normal(size=system.m)
     data = system.model.createData()
-    H = symmetric(pin.crba(system.model, data, system.q(group.identity(), x)))
+    H = symmetric(pin.crba(system.model, data, system.model_q(group.identity(), x)))
     mu = H[:r] @ np.concatenate([xi, xdot])
     motion = xi if given == "xi" else mu
     found = kernel(*(row[None] for row in (pose, x, xdot, motion)))
     relative = xi.copy()
     relative[:k] -= mu[:k] / system.mass
     v = np.concatenate([relative, xdot])
-    q = system.q(pose, x)
-    pin.centerOfMass(system.model, data, q, system.v(xi, xdot))
+    q = system.model_q(pose, x)
+    pin.centerOfMass(system.model, data, q, system.model_v(xi, xdot))
     root = system.model.jointPlacements[1]
     c = translations(system).T @ root.actInv(pin.centerOfMass(system.model, data, q))
     about = H[k:r] @ v

@@ -39,7 +39,7 @@ def cyclic_joints(red: Reduction, touched: Collection[int] = ()) -> tuple[int, .
         for derivative in (at.dI, at.dM, at.locked_inertia @ at.dA.reshape(r, -1)):
             depends |= (np.abs(derivative).reshape(-1, m) > small).any(axis=0)
         if heavy:
-            q = system.q(system.group.identity(), at.x)
+            q = system.model_q(system.group.identity(), at.x)
             slope = system.mass * pin.jacobianCenterOfMass(system.model, data, q)[:, r:]
             depends |= (np.abs(slope) > small).any(axis=0)
             continue

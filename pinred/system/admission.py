@@ -39,6 +39,7 @@ def admit(model: pin.Model) -> Admission:
     way out, if pinred cannot reduce it.
     """
     group = _root_group(model)
+    _admit_names(model)
     for i in range(2, model.njoints):
         _admit_shape_joint(model, i)
     for i in range(1, model.njoints):
@@ -66,6 +67,13 @@ def _root_group(model: pin.Model) -> Group:
             "R, SO2, SE2, SO3 or SE3 (prismatic, revolute, planar, spherical, free flyer)"
         )
     return group
+
+
+def _admit_names(model: pin.Model) -> None:
+    names = list(model.names)
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ModelError(f"several joints are called {quoted(twice)}; give each a name of its own")
 
 
 def _admit_shape_joint(model: pin.Model, i: int) -> None:
@@ -111,7 +119,7 @@ def _admit_numbers(model: pin.Model, group: Group) -> None:
     rotor = model.armature[: group.dim]
     if group is not SO2 and rotor.any():
         raise ModelError(
-            f"root joint {quoted(model.names[1])} has armature {rotor}, which only a root that turns "
-            "about one axis (SO2) can have; set it to zero, or add it to the inertia of the root "
-            "link"
+            f"root joint {quoted(model.names[1])} has armature {rotor}, which only a root that "
+            "turns about one axis (SO2) can have; set it to zero, or add it to the inertia of the "
+            "root link"
         )

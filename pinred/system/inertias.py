@@ -113,21 +113,27 @@ def _nearly(model: pin.Model, joints: tuple[str, ...]) -> str:
 
 
 def _isolated(model: pin.Model, shapes: tuple[SingularShape, ...]) -> str:
+    """Return at which single shapes joints move no mass."""
     if not shapes:
         return ""
+    where: dict[tuple[str, str], list[str]] = {}  # of one joint's values, in a row
+    for shape in shapes:
+        *others, last = [_valued(model, *entry) for entry in shape.at.items()]
+        name, _, value = last.rpartition(" = ")
+        where.setdefault((shape.joint, ", ".join([*others, name])), []).append(value)
+    told = [
+        f"joint {quoted(joint)} moves no mass at {names} = {' or '.join(values)}"
+        for (joint, names), values in where.items()
+    ]
     return (
         "the mass matrix is singular at single shapes, where a simulation cannot go on: "
-        f"{_some([told(model, shape) for shape in shapes])}"
+        f"{_some(told)}"
     )
 
 
-def told(model: pin.Model, shape: SingularShape) -> str:
-    """Return words for a singular shape: the joint that moves no mass, and where."""
-    values = []
-    for name, value in shape.at.items():
-        unit = "m" if is_prismatic(model.joints[model.getJointId(name)]) else "rad"
-        values.append(f"{quoted(name)} = {value:.6g} {unit}")
-    return f"joint {quoted(shape.joint)} moves no mass at {', '.join(values)}"
+def _valued(model: pin.Model, name: str, value: float) -> str:
+    unit = "m" if is_prismatic(model.joints[model.getJointId(name)]) else "rad"
+    return f"{quoted(name)} = {value:.6g} {unit}"
 
 
 def _some(parts: list[str], most: int = 6) -> str:

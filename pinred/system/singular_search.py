@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 from ..common.arrays import Array
 from .joints import is_prismatic
 
-_EVALUATIONS = 2000  # of the mass matrix: some tenths of a second
+_EVALUATIONS = 3000  # of the mass matrix: some tenths of a second
 _CORNERS = 64
 _DESCENTS = 10  # from corners, and from random shapes
 _SAMPLES = 32  # random shapes from which the joint's usual inertia is taken
@@ -56,7 +56,7 @@ class _Left:
         self._model = model.copy()
         self._model.gravity.setZero()
         self._data = self._model.createData()
-        self._neutral = pin.neutral(model)
+        self._neutral: Array = np.array(pin.neutral(model))
         subtree = [int(k) for k in model.subtrees[joint + 1]]
         self.behind = [k for k in subtree if k != joint + 1]
         first = model.joints[joint + 1]
@@ -87,7 +87,7 @@ class _Left:
         if self.at(x)[0] <= _LOST:
             return x
         # BFGS in Python: that in Fortran starts threads even for these few numbers.
-        options = {"gtol": 1e-9, "maxiter": 40}
+        options = {"gtol": 1e-9, "maxiter": 80}
         return np.asarray(minimize(self.at, x, jac=True, method="BFGS", options=options).x)
 
     def at(self, x: Array) -> tuple[float, Array]:

@@ -126,7 +126,7 @@ def _by_children(
         values = _solutions(tree, c, P, axes[:, 0], prismatic=prismatic)
         if values is not None:
             scale = tree.unit if prismatic else 1.0
-            choices.append([(tree.names[c], scale * value) for value in values])
+            choices.append([(tree.names[c], scale * value) for value in sorted(values)])
     if not all(choices):
         return []
     if any(hull[c].shape != usual[c].shape for c in children):
@@ -170,7 +170,7 @@ def _flattest(a: Array, b: Array, c: Array) -> list[float]:
     roots = np.roots([*half, 0.0, *np.conj(half[::-1])])
     angles: list[float] = []
     for x in np.angle(roots).tolist():
-        x = np.pi if x < 1e-9 - np.pi else x
+        x = np.pi if x < 1e-9 - np.pi else 0.0 if abs(x) < 1e-15 else x
         if all(abs(np.exp(1j * x) - np.exp(1j * y)) > 1e-5 for y in angles):
             angles.append(x)
     return angles
