@@ -20,7 +20,7 @@ from scipy.linalg.lapack import dposv
 from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
 from ..system.system import System
-from .inertia_split import symmetric
+from .inertia_split import symmetric, usual_inertias
 from .lost_inertia import lost_inertia
 from .potential import Potential
 
@@ -35,6 +35,7 @@ class CanonicalForm:
         self._data = system.model.createData()
         self._identity = system.group.identity()
         self._r = system.r
+        self._least = np.finfo(float).eps * usual_inertias(system).min() if system.doubts else 0.0
         self._gradient = None if potential.is_zero else potential.gradient
 
     def mass_matrix(self, x: Array) -> Array:
@@ -78,8 +79,9 @@ class CanonicalForm:
         return force if self._gradient is None else force - self._gradient(x)
 
     def _solve(self, H: Array, momentum: Array, x: Array) -> Array:
-        _, v, info = dposv(H, momentum)
-        if info:
+        factor, v, info = dposv(H, momentum)
+        # Where the matrix can be singular, what a coordinate has of its own must not be round-off.
+        if info or (self._least and not factor.diagonal().min() ** 2 > self._least):
             raise SingularInertiaError(
                 f"the mass matrix of '{self._system.name}' is not positive definite at x = {x}"
                 f"{lost_inertia(self._system, x)}"

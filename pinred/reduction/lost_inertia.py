@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.names import quoted
 from ..system.system import System
-from .inertia_split import symmetric
+from .inertia_split import mass_matrix, usual_inertias, usual_mass_matrices
 
-_SAMPLES = 20  # random shapes that tell what is usual
 _LOST = 1e-6  # of the usual; the square of the distance from a singular shape
 _LEADING = 0.1  # of the motion's largest part: the first joint that has as much has lost its mass
 
@@ -23,20 +21,12 @@ def lost_inertia(system: System, x: Array) -> str:
     """
     if not np.isfinite(x).all():
         return ""
-    data = system.workspace("lost inertia", system.model.createData)
-    rng = np.random.default_rng(0)
-
-    def mass_matrix(shape: Array) -> Array:
-        q = system.model_q(system.group.identity(), shape)
-        return symmetric(pin.crba(system.model, data, q))
-
-    others = [mass_matrix(rng.uniform(-np.pi, np.pi, system.m)) for _ in range(_SAMPLES)]
-    size = np.sqrt(np.max([np.diag(H) for H in others], axis=0))
+    size, others = np.sqrt(usual_inertias(system)), usual_mass_matrices(system)
     if not (size > 0.0).all():
         return ""
     scale = np.outer(size, size)
     usual = float(np.median([np.linalg.eigvalsh(H / scale)[0] for H in others]))
-    values, directions = np.linalg.eigh(mass_matrix(x) / scale)
+    values, directions = np.linalg.eigh(mass_matrix(system, x) / scale)
     if not values[0] < _LOST * usual:
         return ""
     part = np.abs(directions[:, 0])

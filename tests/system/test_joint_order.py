@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -63,7 +61,7 @@ def test_q_and_v_are_those_of_the_given_model(group: str, joints: int, seed: int
     assert np.array_equal(rate.xdot, xdot)
 
 
-def test_a_motion_in_the_given_order(tmp_path: Path) -> None:
+def test_a_motion_in_the_given_order() -> None:
     """A trajectory of such a model passes the judge; its q and v move the given model's energy.
 
     Pinocchio's kinetic energy needs no depth-first order, unlike crba.
