@@ -289,7 +289,7 @@ def test_keys_are_those_of_python() -> None:
     scene = {entry.name for entry in fields(pinred.Scene)} - {"system"}
     keys = {*START.keys, *RUN.keys, "springs", "forces", "prescribed"}
     assert keys == scene | {"samples", "engine"}
-    assert set(LOAD.keys) == {"group", "gravity", "lock"}
+    assert set(LOAD.keys) == {"group", "gravity", "lock", "strict"}
     for name, table in FORCES.items():
         wanted = {entry.name for entry in fields(_FORCES[name])}  # type: ignore[arg-type]
         assert set(table.keys) - {"smooth"} == wanted

@@ -81,6 +81,7 @@ LOAD = Table(
             "joints to freeze at zero, or at the values given by name [rad | m]",
             default="none",
         ),
+        "strict": Key(Flag(), "refuse what is otherwise a warning", default="false"),
     },
     "the options of pinred.load",
 )
