@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # so too.
             warnings.simplefilter("ignore", RuntimeWarning)
             warnings.simplefilter("always", ModelWarning)
-            warnings.showwarning = _warned
+            warnings.showwarning = _warned  # type: ignore[assignment]
             code: int = options.run(options)
         print(end="", flush=True)
     except PinredError as error:

@@ -13,10 +13,10 @@ import pinocchio as pin
 from ..common.errors import ModelError
 from ..common.names import listed, quoted
 from .joints import is_prismatic
+from .massless_motions import largest_step, no_moment
 from .singular_shapes import SingularShape, singular_shapes
 
 TRIANGLE_SLACK = 1e-9  # a flat body meets the triangle inequality with equality, up to round-off
-_ROUND_OFF = 1e-14  # of what a moment was computed from
 
 
 def check_inertias(model: pin.Model) -> tuple[str, ...]:
@@ -24,15 +24,16 @@ def check_inertias(model: pin.Model) -> tuple[str, ...]:
 
     Raises ModelError, naming links or joints and the way out, for what cannot be simulated.
     """
+    unit = largest_step(model)
     for i in range(1, model.njoints):
-        _check_body(model, i)
+        _check_body(model, i, unit)
     if not sum(model.inertias[i].mass for i in range(1, model.njoints)) > 0.0:
         raise ModelError(f"{body_of(model, 1)} has no mass, nor has anything that hangs on it")
     singular = singular_shapes(model)
     if singular.everywhere:
         raise ModelError(_refusal(model, singular.everywhere))
     doubts = (
-        _triangle(model),
+        _triangle(model, unit),
         _nearly(model, singular.nearly),
         _isolated(model, singular.isolated),
     )
@@ -48,7 +49,7 @@ def body_of(model: pin.Model, i: int) -> str:
     return f"{who} moved by joint {quoted(model.names[i])}"
 
 
-def _check_body(model: pin.Model, i: int) -> None:
+def _check_body(model: pin.Model, i: int, unit: float) -> None:
     body = model.inertias[i]
     mass, inertia = body.mass, body.inertia
     if not all(np.isfinite(a).all() for a in (mass, inertia, body.lever)):
@@ -58,7 +59,7 @@ def _check_body(model: pin.Model, i: int) -> None:
             f"{body_of(model, i)} has negative mass {mass:g}; give it a positive one, or none"
         )
     moments = np.linalg.eigvalsh(inertia)
-    if moments[0] < -_ROUND_OFF * max(np.abs(moments).max(), mass * body.lever @ body.lever):
+    if moments[0] < -no_moment(body, unit):
         raise ModelError(
             f"{body_of(model, i)} has principal moments of inertia {_shown(moments)}; "
             "none may be negative"
@@ -71,10 +72,11 @@ def _refusal(model: pin.Model, joints: tuple[str, ...]) -> str:
     body, behind = model.inertias[i], len(model.children[i]) > 0
     lacks = "no mass"
     if body.mass > 0.0:
-        least, _, most = np.linalg.eigvalsh(body.inertia)
-        lacks = (
-            "its mass in one point" if most <= _ROUND_OFF else f"a moment of inertia of {least:g}"
-        )
+        moments = np.linalg.eigvalsh(body.inertia)
+        in_point = moments[2] <= no_moment(body, largest_step(model))
+        lacks = f"its mass in one {'point' if in_point else 'line'}"
+        if not in_point:
+            lacks += f" (principal moments of inertia {_shown(moments)})"
     text = f"{body_of(model, i)} has {lacks}"
     if behind:
         text += ", and what hangs behind it can undo the joint's motion"
@@ -85,13 +87,14 @@ def _refusal(model: pin.Model, joints: tuple[str, ...]) -> str:
     return f"{text}, or choose a smaller group"
 
 
-def _triangle(model: pin.Model) -> str:
+def _triangle(model: pin.Model, unit: float) -> str:
     """Return which bodies break the triangle inequality of moments of inertia, and by how much."""
     broken = []
     for i in range(1, model.njoints):
-        moments = np.linalg.eigvalsh(model.inertias[i].inertia)
+        body = model.inertias[i]
+        moments = np.linalg.eigvalsh(body.inertia)
         others = float(moments[0] + moments[1])
-        if moments[2] > others * (1.0 + TRIANGLE_SLACK):
+        if moments[2] > others * (1.0 + TRIANGLE_SLACK) + no_moment(body, unit):
             much = f"{100.0 * (moments[2] / others - 1.0):.3g} %" if others > 0.0 else "all of it"
             broken.append(f"{body_of(model, i)} by {much} ({_shown(moments)})")
     if not broken:

@@ -65,11 +65,7 @@ class Tree:
 
 def tree_of(model: pin.Model) -> Tree:
     """Return the tree of a model whose joint 1 is the root and whose inertias are finite."""
-    count = range(1, model.njoints)
-    steps = [model.jointPlacements[i].translation for i in count if i > 1]
-    levers = [model.inertias[i].lever for i in count if model.inertias[i].mass > 0.0]
-    unit = max((float(np.linalg.norm(p)) for p in (*steps, *levers)), default=0.0) or 1.0
-    axes = []
+    count, unit, axes = range(1, model.njoints), largest_step(model), []
     for i in count:
         S = axes_of(model.joints[i])
         axes.append(S / np.linalg.norm(S, axis=0))
@@ -89,12 +85,28 @@ def tree_of(model: pin.Model) -> Tree:
     )
 
 
+def largest_step(model: pin.Model) -> float:
+    """Return the largest distance from a joint to the next, or to its mass [m]; 1 if none."""
+    count = range(1, model.njoints)
+    steps = [model.jointPlacements[i].translation for i in count if i > 1]
+    levers = [model.inertias[i].lever for i in count if model.inertias[i].mass > 0.0]
+    return max((float(np.linalg.norm(p)) for p in (*steps, *levers)), default=0.0) or 1.0
+
+
+def no_moment(inertia: pin.Inertia, unit: float) -> float:
+    """Return the moment [kg m²] below which one of a body is round-off.
+
+    unit: the largest step of the robot; its frames were multiplied together from such steps.
+    """
+    reach = max(float(np.linalg.norm(inertia.lever)), 0.01 * unit) if inertia.mass > 0.0 else 0.0
+    return _ZERO * max(float(np.abs(inertia.inertia).max()), float(inertia.mass) * reach**2)
+
+
 def _still(inertia: pin.Inertia, unit: float) -> Array:
     """Return an orthonormal basis (6, k) of the twists at which one body has no energy."""
     moments, directions = np.linalg.eigh(inertia.inertia)
     lever = inertia.lever if inertia.mass > 0.0 else np.zeros(3)
-    least = _ZERO * max(float(moments[2]), inertia.mass * float(lever @ lever))
-    free = directions[:, moments <= least]
+    free = directions[:, moments <= no_moment(inertia, unit)]
     if inertia.mass > 0.0 and not free.size:
         return np.zeros((6, 0))
     about_mass = np.vstack([np.cross(lever / unit, free, axisb=0, axisc=0), free])
@@ -166,7 +178,9 @@ def _closed(P: Array, axis: Array) -> Array:
 
 def _join(A: Array, B: Array) -> Array:
     """Return an orthonormal basis of the span of both; the columns of A are orthonormal."""
-    return np.hstack([A, _orthonormal(B - A @ (A.T @ B))])
+    rest = _orthonormal(B - A @ (A.T @ B))
+    # What was small is now of length one, and so is its round-off along A: take that off again.
+    return np.hstack([A, _orthonormal(rest - A @ (A.T @ rest))])
 
 
 def _orthonormal(A: Array) -> Array:
