@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, vector
 from ..common.errors import InputError, LoadError, ModelError, ModelWarning
-from ..common.names import quoted
+from ..common.names import listed, quoted
 from ..lie.groups import GROUPS, SE3, Group, group_named
 from . import catalogue
 from .admission import refuse_mimicking
@@ -165,6 +165,8 @@ def _on_root(raw: pin.Model, wanted: Group | None) -> pin.Model:
     """Return the model with the symmetry's root joint first: its own, or a new one."""
     own = _own_root(raw)
     if own is None:
+        if wanted is None and raw.njoints > 1 and raw.inertias[0].mass == 0.0:
+            raise ModelError(_unclear(raw))
         return rebuild(raw, {}, root_joint(wanted or SE3))
     if wanted in (None, own):
         return raw
@@ -174,6 +176,18 @@ def _on_root(raw: pin.Model, wanted: Group | None) -> pin.Model:
     raise ModelError(
         f"group {wanted} was asked for, but the root joint '{raw.names[1]}' of the model has "
         f"group {own}; {way_out}"
+    )
+
+
+def _unclear(raw: pin.Model) -> str:
+    """Return why the root link of a model neither stands nor floats."""
+    links = [f.name for f in raw.frames if f.parentJoint == 0 and f.type == pin.FrameType.BODY]
+    carried = [raw.names[i] for i in range(1, raw.njoints) if raw.parents[i] == 0]
+    who = f"the root link {quoted(links[0])}" if links else "the root"
+    return (
+        f"{who} has no mass and carries several joints ({listed(carried)}): does it stand, or "
+        "float? group='SE3' lets it float; as a ground it must carry one joint: lock the others, "
+        "or give it a mass"
     )
 
 
