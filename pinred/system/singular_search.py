@@ -23,6 +23,7 @@ _EVALUATIONS = 3000  # of the mass matrix: some tenths of a second
 _CORNERS = 64
 _DESCENTS = 10  # from corners, and from random shapes
 _SAMPLES = 32  # random shapes from which the joint's usual inertia is taken
+_FAR = 100.0  # times the largest step of the subtree
 _LOST = 1e-11  # of the usual inertia: the square of the decimals of a file
 
 
@@ -41,6 +42,8 @@ def search(model: pin.Model, joint: int, most: int) -> list[dict[str, float]]:
     found: list[dict[str, float]] = []
     for start in starts:
         end = left.descend(start)
+        if not left.within(end):
+            continue
         if left.at(end)[0] <= _LOST and (values := left.named(end, rng)) not in found:
             found.append(values)
         if left.evaluations > _EVALUATIONS or len(found) >= most:
@@ -89,6 +92,10 @@ class _Left:
         # BFGS in Python: that in Fortran starts threads even for these few numbers.
         options = {"gtol": 1e-9, "maxiter": 80}
         return np.asarray(minimize(self.at, x, jac=True, method="BFGS", options=options).x)
+
+    def within(self, x: Array) -> bool:
+        """Return whether slides are where a robot is: far out, other inertias are none."""
+        return bool((np.abs(x[self._slides]) <= _FAR * self._reach).all())
 
     def at(self, x: Array) -> tuple[float, Array]:
         """Return the inertia left over the usual one, and its gradient (k,)."""
