@@ -79,7 +79,7 @@ def _judge_full_state(kernel: Kernel, at: JudgedState, out: Array) -> None:
     data = model.createData()
     pose, q, v = out[where.pose], out[where.q], out[where.v]
     check("configuration", q, system.model_q(pose, at.x), abs(q))
-    check("velocity of turning and of the joints", v[k:], at.v[k:], at.velocity_terms[k:])
+    check("full velocity", v[k:], at.v[k:], at.velocity_terms[k:])
     root, (c0, v0, fall) = model.jointPlacements[1], at.line.reshape(3, k)
     parts = [c0, v0 * at.time, 0.5 * fall * at.time**2]
     speeds = [v0, fall * at.time]
