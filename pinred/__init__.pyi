@@ -14,6 +14,7 @@ from .common.errors import LeftOutWarning as LeftOutWarning
 from .common.errors import LoadError as LoadError
 from .common.errors import MissingPackageError as MissingPackageError
 from .common.errors import ModelError as ModelError
+from .common.errors import ModelWarning as ModelWarning
 from .common.errors import NoConvergence as NoConvergence
 from .common.errors import NonFiniteState as NonFiniteState
 from .common.errors import OutputError as OutputError

@@ -12,9 +12,9 @@ import sys
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NoReturn
+from typing import Any, NoReturn
 
-from ..common.errors import IntegrationError, PinredError
+from ..common.errors import IntegrationError, LeftOutWarning, ModelWarning, PinredError
 from ..common.version import __version__
 from .options import VECTORS
 
@@ -36,11 +36,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command.  Returns 0, or 1 if a comparison does not pass, or 2 on bad input."""
     words = _joined(sys.argv[1:] if arguments is None else arguments)
     options = _parser(words).parse_args(words)
-    # What overflows or is not finite is refused or stopped by name; numpy need not say so too.
-    warnings.simplefilter("ignore", RuntimeWarning)
-    shown, warnings.formatwarning = warnings.formatwarning, _warned
     try:
-        code: int = options.run(options)
+        with warnings.catch_warnings():
+            # What overflows or is not finite is refused or stopped by name; numpy need not say
+            # so too.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            for kind in (ModelWarning, LeftOutWarning):
+                warnings.simplefilter("always", kind)
+            warnings.showwarning = _warned  # type: ignore[assignment]
+            code: int = options.run(options)
         print(end="", flush=True)
     except PinredError as error:
         return _failed(str(error), 1 if isinstance(error, IntegrationError) else 2)
@@ -55,14 +59,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _failed(f"cannot write the output: {error.strerror}", 2)
-    finally:
-        warnings.formatwarning = shown
     return code
 
 
-def _warned(message: Warning | str, *_: object, **__: object) -> str:
-    """Return a warning as one line."""
-    return f"pinred: warning: {' '.join(str(message).split())}\n"
+def _warned(message: Warning | str, *_: Any) -> None:
+    """Print a warning as one line on standard error."""
+    print(f"pinred: warning: {' '.join(str(message).split())}", file=sys.stderr)
 
 
 def _failed(message: str, code: int) -> int:

@@ -44,6 +44,9 @@ def add_robot(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--lock", metavar="J1,J2,…", help="joints to freeze, as NAME or NAME=VALUE")
     sub.add_argument("--gravity", metavar="GX,GY,GZ", help="in the world frame [m/s²]")
     sub.add_argument("--root", metavar="BODY", help="of MJCF, which of several bodies that move")
+    sub.add_argument(
+        "--strict", action="store_true", help="refuse what there is a warning about otherwise"
+    )
 
 
 def system_of(options: argparse.Namespace) -> System:
@@ -55,7 +58,14 @@ def system_of(options: argparse.Namespace) -> System:
         name, _, value = entry.partition("=")
         lock[name] = (numbers_in(value, "lock") or [0.0])[0]
     gravity = numbers_in(options.gravity, "gravity")
-    return load(options.robot, group=options.group, lock=lock, gravity=gravity, root=options.root)
+    return load(
+        options.robot,
+        group=options.group,
+        lock=lock,
+        gravity=gravity,
+        root=options.root,
+        strict=options.strict,
+    )
 
 
 def add_scene(sub: argparse.ArgumentParser) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 
 from ..common.errors import PinredError
 
@@ -34,10 +35,13 @@ def run(options: argparse.Namespace) -> int:
     width = max(map(len, examples))
     for name in examples:
         try:
-            system = load(name)
+            with warnings.catch_warnings(record=True) as told:
+                system = load(name)
             print(
                 f"  {name:<{width}}  {system.group.name:<3}  {system.m} joints, {system.mass:g} kg"
             )
+            for warning in told:
+                print(f"  {'':<{width}}  warning: {warning.message}")
         except PinredError as error:
             print(f"  {name:<{width}}  refused: {error}")
     return 0

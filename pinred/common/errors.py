@@ -100,5 +100,9 @@ class LeftOutWarning(UserWarning):
     """Something acts in a robot's file that is not simulated; the motion is without it."""
 
 
+class ModelWarning(UserWarning):
+    """A robot can be simulated, but its model has what no real one has, or singular shapes."""
+
+
 class CacheWarning(UserWarning):
     """Something is wrong with the kernels on disk; they are rebuilt."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..reduction.inertia_split import symmetric
 from ..reduction.potential import falling
+from ..system.joints import axes_of
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
@@ -29,7 +31,7 @@ class JudgedState:
     displacement and momentum that a wrench has given the centre of mass, or none.  line: (3k,)
     start, velocity and fall of the centre of mass.  H: (n, n) mass matrix.  com: (3,)
     centre of mass in the body's frame.  mu: (r,) body momentum.  pi: (m,) canonical momenta.
-    y, parameters: the kernel's arguments.
+    y, parameters: the kernel's arguments.  driven: the prescribed joints.
     """
 
     model: pin.Model
@@ -50,6 +52,79 @@ class JudgedState:
     pi: Array
     y: Array
     parameters: Array
+    driven: tuple[int, ...]
+
+    @property
+    def free(self) -> Array:
+        """Indices of the velocities that momenta decide, (f,)."""
+        r = len(self.mu)
+        return np.setdiff1d(np.arange(len(self.v)), [r + k for k in self.driven])
+
+    @cached_property
+    def momentum_terms(self) -> Array:
+        """Magnitude of what the momenta are sums of, |H| |v|, (n,).
+
+        The base's are turned into its frame from another, which mixes their components.
+        """
+        terms = np.abs(self.H) @ np.abs(self.v)
+        linear = len(self.line) // 3
+        for part in (slice(0, linear), slice(linear, len(self.mu))):
+            terms[part] = terms[part].max(initial=0.0)
+        return np.asarray(terms)
+
+    @cached_property
+    def velocity_terms(self) -> Array:
+        """Magnitude of what round-off in the momenta's terms changes velocities by, (n,)."""
+        return self.solved_terms(self.momentum_terms) + np.abs(self.v)
+
+    def solved_terms(self, terms: Array) -> Array:
+        """Return the magnitude, (n,), of what solutions a of H a = b are sums of.
+
+        terms: (n,) magnitude of what b is a sum of.
+        """
+        free, out = self.free, np.zeros(len(self.v))
+        out[free] = np.abs(np.linalg.inv(self.H[np.ix_(free, free)])) @ terms[free]
+        return out
+
+    @cached_property
+    def force_terms(self) -> Array:
+        """Magnitude of the inertial forces, (n,), before those of several bodies cancel.
+
+        They are sums of products of angular rates with momenta, and of speeds among each other
+        times masses.
+        """
+        model, data = self.model, self.model.createData()
+        pin.crba(model, data, self.q)
+        angular, mass = np.ones(len(self.v), dtype=bool), np.empty(len(self.v))
+        for i in range(1, model.njoints):
+            joint = model.joints[i]
+            own = slice(joint.idx_v, joint.idx_v + joint.nv)
+            angular[own] = np.abs(axes_of(joint)[3:]).sum(axis=0) > 0.0
+            mass[own] = data.Ycrb[i].mass
+        turning = float(np.abs(self.v[angular]).sum())
+        speed = float(np.abs(self.v[~angular]).sum()) + self.reach * turning
+        moving = mass * speed * np.where(angular, speed, turning)
+        return np.asarray(turning * self.momentum_terms + moving)
+
+    @cached_property
+    def reach(self) -> float:
+        """Largest distance of a joint from the root's, with the size of its body, [m]."""
+        model, data = self.model, self.model.createData()
+        pin.forwardKinematics(model, data, self.q)
+        root = data.oMi[1].translation
+        bodies = range(1, model.njoints)
+        return max(
+            float(np.linalg.norm(data.oMi[i].translation - root)) + _size(model.inertias[i])
+            for i in bodies
+        )
+
+
+def _size(body: pin.Inertia) -> float:
+    """Return the distance of a body's mass from its joint, and its radius of gyration, [m]."""
+    if not body.mass > 0.0:
+        return 0.0
+    gyration = float(np.sqrt(max(0.0, np.trace(body.inertia)) / body.mass))
+    return float(np.linalg.norm(body.lever)) + gyration
 
 
 def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> JudgedState | None:
@@ -73,7 +148,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         x[driven], v[[r + j for j in driven]], accelerations = given.x, given.xdot, given.xddot
         if not np.isfinite([given.x, given.xdot, given.xddot]).all():
             return None
-    q, data = system.q(pose, x), model.createData()
+    q, data = system.model_q(pose, x), model.createData()
     H = symmetric(pin.crba(model, data, q))
     v, mu = _with_known_momentum(kernel, H, v)
     pi = H[r:] @ v
@@ -108,6 +183,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         pi=pi,
         y=np.concatenate([x[active], pi[active], x[cyclic], b, [time] * layout.clock]),
         parameters=np.concatenate([spin, pi[cyclic], numbers]),
+        driven=tuple(driven),
     )
 
 
@@ -115,14 +191,12 @@ def _with_known_momentum(kernel: Kernel, H: Array, v: Array) -> tuple[Array, Arr
     """Return a velocity whose momentum is of the kind that a kernel knows, and that momentum."""
     system, parts = kernel.system, kernel.layout.base
     r, k, v = system.r, system.group.linear, v.copy()
-    mu = H[:r] @ v
     if not (parts.spin or parts.momentum):
-        v[:r] -= np.linalg.solve(H[:r, :r], mu)
+        v[:r] = -np.linalg.solve(H[:r, :r], H[:r, r:] @ v[r:])
         return v, np.zeros(r)
-    if k:
-        v[:k] -= mu[:k] / system.mass
-        mu = H[:r] @ v
-        mu[:k] = 0.0
+    v[:k] = -np.linalg.solve(H[:k, :k], H[:k, k:] @ v[k:])
+    mu = H[:r] @ v
+    mu[:k] = 0.0
     return v, mu
 
 

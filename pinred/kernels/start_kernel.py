@@ -27,7 +27,7 @@ from ..system.system import System
 from .base_graph import BaseGraph
 from .evaluate import evaluate
 from .fingerprint import model_bytes
-from .judge import agree, slack_of
+from .judge import agree
 from .machine.native import NativeCode, compile_object, load_object
 from .store import ObjectCache, cache_key
 
@@ -130,24 +130,33 @@ def _judge(kernel: StartKernel, given: TwistOrMomentum) -> None:
     pose, x = group.exp(rng.uniform(-1.0, 1.0, r)), rng.uniform(-2.0, 2.0, system.m)
     xi, xdot = rng.normal(size=r), rng.normal(size=system.m)
     data = system.model.createData()
-    H = symmetric(pin.crba(system.model, data, system.q(group.identity(), x)))
+    H = symmetric(pin.crba(system.model, data, system.model_q(group.identity(), x)))
     mu = H[:r] @ np.concatenate([xi, xdot])
     motion = xi if given == "xi" else mu
     found = kernel(*(row[None] for row in (pose, x, xdot, motion)))
     relative = xi.copy()
     relative[:k] -= mu[:k] / system.mass
     v = np.concatenate([relative, xdot])
-    q = system.q(pose, x)
-    pin.centerOfMass(system.model, data, q, system.v(xi, xdot))
+    q = system.model_q(pose, x)
+    pin.centerOfMass(system.model, data, q, system.model_v(xi, xdot))
     root = system.model.jointPlacements[1]
     c = translations(system).T @ root.actInv(pin.centerOfMass(system.model, data, q))
     about = H[k:r] @ v
+    # If a momentum is given, what it is a sum of has moved the twist that it is made into.
+    whole = np.concatenate([xi, xdot])
+    terms = np.abs(H) @ np.abs(whole)
+    moved = np.abs(whole)
+    moved[:r] += np.abs(np.linalg.inv(H[:r, :r])) @ np.full(r, terms[:r].max())
+    terms = np.abs(H) @ moved
+    far, turning, push = np.abs(c).sum() + np.abs(pose[:k]).sum(), terms[k:r].sum(), terms[:k].sum()
     expected = {
-        "canonical momenta": (found.pi[0], H[r:] @ v),
-        "angular momentum": (found.about[0], about),
-        "spatial angular momentum": (found.fixed[0], group.Ad(pose)[k:, k:] @ about),
-        "centre of mass": (found.c0[0], c),
-        "momentum": (found.v0[0], group.Ad(pose)[:k, :k] @ mu[:k] / system.mass),
-    }
-    for what, (value, true) in expected.items():
-        agree(f"the start kernel of '{system.name}'", what, value, true, slack_of(H))
+        "canonical momenta": (found.pi[0], H[r:] @ v, terms[r:]),
+        "angular momentum": (found.about[0], about, turning),
+        "spatial angular momentum": (found.fixed[0], group.Ad(pose)[k:, k:] @ about, turning),
+        "centre of mass": (found.c0[0], c, far),
+        "momentum": (
+            found.v0[0], group.Ad(pose)[:k, :k] @ mu[:k] / system.mass, push / system.mass,
+        ),
+    }  # fmt: skip
+    for what, (value, true, size) in expected.items():
+        agree(f"the start kernel of '{system.name}'", what, value, true, size)

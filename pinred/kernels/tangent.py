@@ -15,7 +15,7 @@ from ..integrators.machine.kernel_call import SEEDS
 from ..integrators.machine.linear_systems import jacobian
 from .derived import derived_code
 from .evaluate import evaluate
-from .judge import agree
+from .judge import ROUND_OFF, agree
 from .kernel import Kernel
 from .machine.native import NativeCode, compile_object
 from .reduced_graph import ReducedGraph
@@ -23,6 +23,7 @@ from .reduced_graph import ReducedGraph
 _TRIALS, _NEEDED = 40, 2
 _STEP = 2e-3  # of the differences, for states of size one
 _TOLERANCE = 1e-7  # of the largest entry in a column
+_NOISE = 1e-13  # of the largest rate; what its round-off is to differences
 
 
 def tangent_of(kernel: Kernel) -> NativeCode:
@@ -72,13 +73,16 @@ def _judge(kernel: Kernel, native: NativeCode) -> None:
         parameters = reach * rng.normal(size=kernel.layout.parameters)
         found = _jacobian(native, y, parameters)
         rough, expected = (_differences(kernel, y, parameters, h) for h in (2.0 * _STEP, _STEP))
+        rate = kernel.evaluate_rate(y, parameters)
         # Where a force has a kink or is not defined, differences say nothing.
         with np.errstate(invalid="ignore"):
-            scale = np.maximum(1e-3, np.abs(expected).max(axis=0, initial=0.0))
-            smooth = np.abs(rough - expected).max(axis=0, initial=0.0) <= _TOLERANCE * scale
+            noise = _NOISE * np.abs(rate).max(initial=0.0) / _STEP
+            most = _TOLERANCE * np.abs(expected).max(axis=0, initial=0.0) + noise
+            smooth = np.abs(rough - expected).max(axis=0, initial=0.0) <= most
         smooth &= np.isfinite(found).all(axis=0)
         for j in np.flatnonzero(smooth):
-            agree(who, f"column {j}", found[:, j], expected[:, j], 10.0 * _TOLERANCE)
+            terms = noise / ROUND_OFF
+            agree(who, f"column {j}", found[:, j], expected[:, j], terms, 10.0 * _TOLERANCE)
         judged += bool(2 * smooth.sum() >= size)
         if judged == _NEEDED:
             return

@@ -45,7 +45,7 @@ def _judge(kernel: Kernel, native: NativeCode, lanes: int) -> None:
         found = evaluate(native.address, parameters, y.T.reshape(1, -1), size * lanes)
         for lane, one in enumerate(expected):
             if np.isfinite(one).all():
-                agree(who, "the rate", found.reshape(size, lanes)[:, lane], one)
+                agree(who, "the rate", found.reshape(size, lanes)[:, lane], one, abs(one))
                 judged[lane] += 1
         if judged.min() >= _TRIALS:
             return

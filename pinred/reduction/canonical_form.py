@@ -20,7 +20,8 @@ from scipy.linalg.lapack import dposv
 from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
 from ..system.system import System
-from .inertia_split import symmetric
+from .inertia_split import symmetric, usual_inertias
+from .lost_inertia import lost_inertia
 from .potential import Potential
 
 
@@ -34,11 +35,14 @@ class CanonicalForm:
         self._data = system.model.createData()
         self._identity = system.group.identity()
         self._r = system.r
+        self._least = np.finfo(float).eps * usual_inertias(system).min() if system.doubts else 0.0
         self._gradient = None if potential.is_zero else potential.gradient
 
     def mass_matrix(self, x: Array) -> Array:
         """Return H(x), upper triangle only, as CRBA fills it; sets the centre of mass."""
-        return np.asarray(pin.crba(self._model, self._data, self._system.q(self._identity, x)))
+        return np.asarray(
+            pin.crba(self._model, self._data, self._system.model_q(self._identity, x))
+        )
 
     def com(self) -> Array:
         """Return the centre of mass in the root body's frame at the last shape, (3,) [m]."""
@@ -46,7 +50,7 @@ class CanonicalForm:
 
     def com_slope(self, x: Array) -> Array:
         """Return ∂c/∂x of the centre of mass in the root body's frame, (3, m)."""
-        q = self._system.q(self._identity, x)
+        q = self._system.model_q(self._identity, x)
         world = pin.jacobianCenterOfMass(self._model, self._data, q)[:, self._r :]
         return np.asarray(self._model.jointPlacements[1].rotation.T @ world)
 
@@ -69,15 +73,17 @@ class CanonicalForm:
 
     def force(self, x: Array, v: Array) -> Array:
         """Return π̇ = ½ vᵀ ∂H v − ∂V, (m,)."""
-        q = self._system.q(self._identity, x)
+        q = self._system.model_q(self._identity, x)
         C = pin.computeCoriolisMatrix(self._model, self._data, q, v)
         force = np.asarray(v @ C[:, self._r :])
         return force if self._gradient is None else force - self._gradient(x)
 
     def _solve(self, H: Array, momentum: Array, x: Array) -> Array:
-        _, v, info = dposv(H, momentum)
-        if info:
+        factor, v, info = dposv(H, momentum)
+        # Where the matrix can be singular, what a coordinate has of its own must not be round-off.
+        if info or (self._least and not factor.diagonal().min() ** 2 > self._least):
             raise SingularInertiaError(
                 f"the mass matrix of '{self._system.name}' is not positive definite at x = {x}"
+                f"{lost_inertia(self._system, x)}"
             )
         return np.asarray(v)

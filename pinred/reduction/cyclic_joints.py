@@ -10,13 +10,16 @@ from collections.abc import Collection
 import numpy as np
 import pinocchio as pin
 
+from ..common.arrays import Array
 from ..common.errors import SymmetryError
+from ..system.joints import axes_of
 from ..system.system import System
 from .potential import pivot_weight
 from .reduction import Reduction
 
 _SAMPLES = 3  # random shapes at which a dependence would show
-_NO_DEPENDENCE = 1e-12  # of the mass matrix
+_NO_DEPENDENCE = 1e-12  # of a joint's own kinetic energy at usual rates
+_ROUND_OFF = 2e-14  # of what its subtree would have at the end of the robot
 
 
 def cyclic_joints(red: Reduction, touched: Collection[int] = ()) -> tuple[int, ...]:
@@ -35,19 +38,47 @@ def cyclic_joints(red: Reduction, touched: Collection[int] = ()) -> tuple[int, .
     heavy = pivot_weight(system).any()
     for _ in range(_SAMPLES if m else 0):
         at = red.at(rng.uniform(-3.0, 3.0, m))
-        small = _NO_DEPENDENCE * np.linalg.norm(at.mass_matrix)
-        for derivative in (at.dI, at.dM, at.locked_inertia @ at.dA.reshape(r, -1)):
-            depends |= (np.abs(derivative).reshape(-1, m) > small).any(axis=0)
+        q = system.model_q(system.group.identity(), at.x)
+        slope = pin.jacobianCenterOfMass(system.model, data, q)[:, r:]
+        unit, none = _nothing(system, data, at.mass_matrix)
+        b, s = unit[:r, None], unit[r:, None]
+        dIA = np.einsum("ij,jbc->ibc", at.locked_inertia, at.dA)
+        for derivative, rates in ((at.dI, b * b.T), (dIA, b * s.T), (at.dM, s * s.T)):
+            forces = np.abs(derivative) * rates[:, :, None] * unit[r:]
+            depends |= (forces > none).reshape(-1, m).any(axis=0)
+        weight = float(np.linalg.norm(system.gravity))
         if heavy:
-            q = system.q(system.group.identity(), at.x)
-            slope = system.mass * pin.jacobianCenterOfMass(system.model, data, q)[:, r:]
-            depends |= (np.abs(slope) > small).any(axis=0)
+            moved = system.mass * np.abs(slope).max(axis=0)
+            depends |= weight * moved * unit[r:] > none + weight * none
             continue
         try:
-            depends |= np.abs(red.potential_gradient(at.x)) > small
+            pull = np.abs(red.potential_gradient(at.x)) * unit[r:]
+            depends |= pull > none + weight * none
         except SymmetryError:
             depends[:] = True
     return tuple(np.flatnonzero(~depends).tolist())
+
+
+def _nothing(system: System, data: pin.Data, H: Array) -> tuple[Array, Array]:
+    """Return usual rates (n,), and the work on each shape joint, (m,), below which it is none.
+
+    Usual rates are 1 rad/s, and what covers the robot in a second.  Work is none below a part
+    of the joint's own kinetic energy, not of the robot's: a light joint feels little as much
+    as a heavy one feels more.  data: with the places of the joints.
+    """
+    model, r = system.model, system.r
+    root = data.oMi[1].translation
+    places = [data.oMi[i].act(model.inertias[i].lever) for i in range(1, model.njoints)]
+    places += [data.oMi[i].translation for i in range(2, model.njoints)]
+    reach = max(float(np.linalg.norm(place - root)) for place in places) or 1.0
+    unit = np.ones(system.n)
+    for i in range(1, model.njoints):
+        joint = model.joints[i]
+        slides = ~axes_of(joint)[3:].any(axis=0)
+        unit[joint.idx_v : joint.idx_v + joint.nv][slides] = reach
+    own = (np.diag(H) * unit**2)[r:]
+    terms = np.array([data.mass[i] for i in range(2, model.njoints)]) * reach**2
+    return unit, np.maximum(_NO_DEPENDENCE * own, _ROUND_OFF * terms)
 
 
 def cyclic_of(system: System, touched: frozenset[int]) -> tuple[int, ...]:

@@ -8,11 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, freeze, vector
 from ..common.errors import SingularInertiaError
 from ..system.system import System
+
+_SAMPLES = 20  # random shapes that tell what is usual
 
 
 @dataclass(frozen=True)
@@ -84,14 +87,13 @@ def split_inertia(system: System, x: Array, H: Array, com: Array) -> InertiaSpli
 def cholesky(H: Array, system: System, x: Array) -> Array:
     """Return L with H = L Lᵀ.  Raises SingularInertiaError as `split_inertia` does."""
     try:
-        L = np.linalg.cholesky(H)
+        L = np.asarray(np.linalg.cholesky(H), dtype=float)
     except np.linalg.LinAlgError:
         eigenvalues, directions = np.linalg.eigh(H)
         i = int(np.argmax(np.abs(directions[:, 0])))
         found = f"least eigenvalue {eigenvalues[0]:.3g}"
     else:
-        # The part of each diagonal entry that the coordinates before it do not explain.
-        own = np.diag(L) ** 2 / np.diag(H)
+        own = own_part(L, H, system)
         if (own > len(H) * np.finfo(float).eps).all():
             return np.asarray(L)
         i = int(np.argmin(own))
@@ -104,6 +106,37 @@ def cholesky(H: Array, system: System, x: Array) -> Array:
         f"the mass matrix of '{system.name}' is singular to working precision at x = {x}: "
         f"{who} has no inertia of its own ({found})"
     )
+
+
+def own_part(L: Array, H: Array, system: System) -> Array:
+    """Return the part of each diagonal entry that the coordinates before it do not explain.
+
+    L: (..., n, n), with H = L Lᵀ.  Where a mass matrix can be singular, entries count at least
+    with what they usually are.
+    """
+    size = np.diagonal(H, axis1=-2, axis2=-1)
+    if system.doubts:
+        size = np.maximum(size, usual_inertias(system))
+    return np.asarray(np.diagonal(L, axis1=-2, axis2=-1) ** 2 / size)
+
+
+def usual_inertias(system: System) -> Array:
+    """Return the diagonal of the mass matrix, (n,), each entry at its largest over some shapes."""
+    return np.asarray(np.max([np.diag(H) for H in usual_mass_matrices(system)], axis=0))
+
+
+def usual_mass_matrices(system: System) -> list[Array]:
+    """Return the mass matrices (n, n) at some random shapes, found once."""
+    rng = np.random.default_rng(0)
+    shapes = rng.uniform(-np.pi, np.pi, (_SAMPLES, system.m))
+    return system.workspace(usual_mass_matrices, lambda: [mass_matrix(system, x) for x in shapes])
+
+
+def mass_matrix(system: System, x: Array) -> Array:
+    """Return the mass matrix (n, n) at shape x (m,), whatever it is."""
+    data = system.workspace(mass_matrix, system.model.createData)
+    q = system.model_q(system.group.identity(), x)
+    return symmetric(pin.crba(system.model, data, q))
 
 
 def symmetric(upper: Array) -> Array:

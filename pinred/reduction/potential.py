@@ -99,7 +99,7 @@ class Potential:
         """Return V(x) [J]; heights are counted from the world origin."""
         energy = 0.0
         if self._sideways.any():
-            q = self._system.q(self._identity, x)
+            q = self._system.model_q(self._identity, x)
             energy += float(pin.computePotentialEnergy(self._model, self._data, q))
         return energy + self._spring_energy(x)
 
@@ -112,7 +112,7 @@ class Potential:
         """Return ∂V/∂x, (m,) [N·m | N]."""
         out = np.zeros(self._system.m)
         if self._weighs:
-            q = self._system.q(self._identity, x)
+            q = self._system.model_q(self._identity, x)
             torque = pin.computeGeneralizedGravity(self._model, self._data, q)
             out += torque[self._system.r :]
         out[self._index] += self._stiffness * (x[self._index] - self._rest)
@@ -176,7 +176,7 @@ def _check_invariance(system: System, model: pin.Model, data: pin.Data) -> None:
     directions = []
     for _ in range(_SAMPLES):
         pose = system.group.exp(rng.uniform(-3.0, 3.0, system.r))
-        q = system.q(pose, rng.uniform(-3.0, 3.0, system.m))
+        q = system.model_q(pose, rng.uniform(-3.0, 3.0, system.m))
         moment = pin.computeGeneralizedGravity(model, data, q)[: system.r]
         pin.centerOfMass(model, data, q)
         size = np.linalg.norm(data.com[0] - data.oMi[1].translation)

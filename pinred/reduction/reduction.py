@@ -165,7 +165,7 @@ class Reduction:
         x = self._shape(x).copy()
         split = self._split(x)
         r, n, m = self.system.r, self.system.n, self.system.m
-        q = self.system.q(self._identity, x)
+        q = self.system.model_q(self._identity, x)
         zero, dH = np.zeros(n), np.empty((n, n, m))
         for k in range(n if m else 0):
             e_k = zero.copy()
@@ -222,5 +222,5 @@ class Reduction:
         return self._split(self._shape(x))
 
     def _split(self, x: Array) -> InertiaSplit:
-        upper = pin.crba(self._model, self._data, self.system.q(self._identity, x))
+        upper = pin.crba(self._model, self._data, self.system.model_q(self._identity, x))
         return split_inertia(self.system, x, symmetric(upper), np.array(self._data.Ycrb[1].lever))

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, freeze, read_only, vector
 from ..common.errors import SymmetryError
 from ..system.system import System
-from .inertia_split import cholesky
+from .inertia_split import cholesky, own_part
 from .potential import Potential
 from .tree.composite_bodies import CompositeBodies
 
@@ -146,11 +146,10 @@ class ShapeField:
 def _factors(H: Array, system: System, x: Array) -> Array:
     """Return the Cholesky factors of all H.  Raises SingularInertiaError as one alone would."""
     try:
-        L = np.linalg.cholesky(H)
+        L = np.asarray(np.linalg.cholesky(H), dtype=float)
     except np.linalg.LinAlgError:
         return np.stack([cholesky(h, system, shape) for h, shape in zip(H, x, strict=True)])
-    own = np.diagonal(L, axis1=1, axis2=2) ** 2 / np.diagonal(H, axis1=1, axis2=2)
-    enough = (own > H.shape[1] * np.finfo(float).eps).all(axis=1)
+    enough = (own_part(L, H, system) > H.shape[1] * np.finfo(float).eps).all(axis=1)
     for k in np.flatnonzero(~enough):
         cholesky(H[k], system, x[k])
     return np.asarray(L)

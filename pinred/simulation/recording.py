@@ -187,6 +187,6 @@ def _belong(path: Path, states: State, system: System) -> None:
     if q.shape != shape:
         raise InputError(f"{path}: 'q' has shape {q.shape}, but '{system.name}' has {shape}")
     wanted = system.q(system.configuration(q).pose, states.x)
-    rotations = all(pin.isNormalized(system.model, row, _AGREE) for row in q)
+    rotations = all(pin.isNormalized(system.model, row, _AGREE) for row in system.sorted_q(q))
     if not rotations or np.abs(wanted - q).max() > _AGREE:
         raise InputError(f"{path}: 'q' is not the configuration of '{system.name}' at shape 'x'")

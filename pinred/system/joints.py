@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pinocchio as pin
 
+from ..common.arrays import Array
 from ..lie.group import Group
 from ..lie.groups import GROUPS
 
@@ -34,6 +36,11 @@ def is_prismatic(joint: pin.JointModel) -> bool:
     """Return whether a joint slides (metres) rather than turns (radians)."""
     group = motion_group(joint)
     return group is not None and group.dim == group.linear == 1
+
+
+def axes_of(joint: pin.JointModel) -> Array:
+    """Return the twists, (6, nv), by which a joint moves its body, in the body's frame."""
+    return np.array(joint.createData().S).reshape(6, joint.nv)
 
 
 def shape_units(model: pin.Model) -> tuple[str, ...]:

@@ -13,7 +13,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, vector
-from ..common.errors import InputError, LeftOutWarning, LoadError, ModelError
+from ..common.errors import InputError, LeftOutWarning, LoadError, ModelError, ModelWarning
+from ..common.plain_names import listed, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
 from ..lie.se3 import SE3
@@ -42,6 +43,7 @@ def load(
     lock: Iterable[str] | Mapping[str, float] = (),
     gravity: ArrayLike | None = None,
     root: str | None = None,
+    strict: bool = False,
 ) -> System:
     """Load a robot and read it as symmetry group times shape.
 
@@ -57,6 +59,8 @@ def load(
     gravity: (3,) in the world frame [m/s²]; if None, what the robot comes with
         (Pinocchio's 9.81 along −z for a URDF).
     root: of an MJCF file, the body of the world that carries the robot, where several move.
+    strict: whether to refuse what there is otherwise only a ModelWarning about: moments of
+        inertia that no distribution of mass has, and mass matrices singular at single shapes.
 
     Warns with LeftOutWarning of what acts in an MJCF file and is not part of the reduction
     (System.left_out).  Raises LoadError if there is nothing to read, ModelError if pinred
@@ -99,7 +103,12 @@ def load(
     if weight is not None:
         model.gravity.linear = weight
     model.name = name
-    return System(model, name=name, initial=initial, origin=origin)
+    system = System(model, name=name, initial=initial, origin=origin)
+    for doubt in system.doubts:
+        if strict:
+            raise ModelError(f"{quoted(name)} is refused, strictly: {doubt}")
+        warnings.warn(f"{quoted(name)}: {doubt}", ModelWarning, stacklevel=2)
+    return system
 
 
 def _as_mujoco(source: object) -> str:
@@ -230,6 +239,8 @@ def _on_root(raw: pin.Model, wanted: Group | None, chain: RootChain | None) -> p
     """
     own = _own_root(raw) if chain is None else chain.group
     if own is None:
+        if wanted is None and raw.njoints > 1 and raw.inertias[0].mass == 0.0:
+            raise ModelError(_unclear(raw))
         return rebuild(raw, {}, root_joint(wanted or SE3))
     if wanted in (None, own):
         return raw if chain is None else rebuild(raw, {}, root_joint(own), chain)
@@ -241,6 +252,18 @@ def _on_root(raw: pin.Model, wanted: Group | None, chain: RootChain | None) -> p
     raise ModelError(
         f"group {wanted} was asked for, but the root joint '{'+'.join(joints)}' of the model has "
         f"group {own}; {way_out}"
+    )
+
+
+def _unclear(raw: pin.Model) -> str:
+    """Return why the root link of a model neither stands nor floats."""
+    links = [f.name for f in raw.frames if f.parentJoint == 0 and f.type == pin.FrameType.BODY]
+    carried = [raw.names[i] for i in range(1, raw.njoints) if raw.parents[i] == 0]
+    who = f"the root link {quoted(links[0])}" if links else "the root"
+    return (
+        f"{who} has no mass and carries several joints ({listed(carried)}): does it stand, or "
+        "float? group='SE3' lets it float; as a ground it must carry one joint: lock the others, "
+        "or give it a mass"
     )
 
 

@@ -1,4 +1,4 @@
-"""A model rebuilt joint by joint: with joints frozen, or on another root.
+"""A model rebuilt joint by joint: with joints frozen, on another root, or in another order.
 
 pin.buildReducedModel and pin.appendModel are not used: the first crashes on models without
 joint frames and fails where a link and a joint share a name; the second drops gravity,
@@ -7,7 +7,7 @@ armature and limits.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,18 +30,15 @@ def rebuild(
     frozen: Mapping[int, Array],
     root: pin.JointModel | None = None,
     chain: RootChain | None = None,
+    order: Sequence[int] = (),
 ) -> pin.Model:
     """Return a copy of a model without its frozen joints, floating on `root` if one is given.
 
     frozen: from joint to its fixed configuration (nq of the joint,).  The bodies of
     frozen joints become part of the bodies that carry them.  chain: the joints in whose
-    place `root` is.
+    place `root` is.  order: of all joints, parents before children; if empty, the model's own.
     """
     q = pin.neutral(raw)
-    for i, value in frozen.items():
-        q[raw.joints[i].idx_q : raw.joints[i].idx_q + raw.joints[i].nq] = value
-    data = raw.createData()
-    pin.forwardKinematics(raw, data, q)
     model = pin.Model()
     model.name, model.gravity = raw.name, raw.gravity
     base = 0
@@ -49,19 +46,24 @@ def rebuild(
         at = pin.SE3.Identity() if chain is None else chain.at
         base = model.addJoint(0, root, at, _free_name(raw, chain))
         model.addJointFrame(base)
-    carriers = [_Carrier(base if chain is None else 0, pin.SE3.Identity())]
+    carriers = {0: _Carrier(base if chain is None else 0, pin.SE3.Identity())}
     model.inertias[base] += raw.inertias[0]
     armature, lower, upper = _free_limits(root)
     if chain is not None:
         armature = [chain.armature]
-    for i in range(1, raw.njoints):
-        under = carriers[raw.parents[i]]
+    along = pin.SE3.Identity()  # the chain, in the world
+    for i in order or range(1, raw.njoints):
+        under, joint = carriers[raw.parents[i]], raw.joints[i]
+        at = under.placement * raw.jointPlacements[i]
         if chain is not None and i <= chain.last:
-            carrier = _Carrier(base, chain.at.actInv(data.oMi[i]))
+            along = along * raw.jointPlacements[i]
+            carrier = _Carrier(base, chain.at.actInv(along))
         elif i in frozen:
-            carrier = _Carrier(under.joint, under.placement * data.liMi[i])
+            q[joint.idx_q : joint.idx_q + joint.nq] = frozen[i]
+            moved = joint.createData()
+            joint.calc(moved, q)
+            carrier = _Carrier(under.joint, at * moved.M)
         else:
-            joint, at = raw.joints[i], under.placement * raw.jointPlacements[i]
             k = model.addJoint(under.joint, joint, at, raw.names[i])
             carrier = _Carrier(k, pin.SE3.Identity())
             qs, vs = (
@@ -71,9 +73,10 @@ def rebuild(
             lower.append(raw.lowerPositionLimit[qs])
             upper.append(raw.upperPositionLimit[qs])
         model.appendBodyToJoint(carrier.joint, raw.inertias[i], carrier.placement)
-        carriers.append(carrier)
+        carriers[i] = carrier
     for j in range(1, raw.nframes):
-        frame, on = raw.frames[j], carriers[raw.frames[j].parentJoint]
+        frame = raw.frames[j]
+        on = carriers[frame.parentJoint]
         model.addFrame(
             pin.Frame(frame.name, on.joint, 0, on.placement * frame.placement, frame.type), False
         )
@@ -98,3 +101,20 @@ def _free_name(raw: pin.Model, chain: RootChain | None) -> str:
     while raw.existJointName(name) or raw.existFrame(name):
         name = f"{name}_"
     return name
+
+
+def depth_first(parents: Sequence[int]) -> list[int]:
+    """Return joints 1, 2, … so that each is followed by all that hang on it.
+
+    Pinocchio's algorithms need that order: its crba is silently wrong in any other.
+    parents: of all joints, that of the world at index 0 not read.
+    """
+    children: list[list[int]] = [[] for _ in parents]
+    for i in range(len(parents) - 1, 0, -1):
+        children[parents[i]].append(i)
+    order, ahead = [], children[0]
+    while ahead:
+        i = ahead.pop()
+        order.append(i)
+        ahead += children[i]
+    return order

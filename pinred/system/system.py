@@ -16,6 +16,7 @@ from ..common.memo import once_a_thread
 from ..lie.group import Group
 from .admission import admit
 from .contents import Contents, Keyframe, LeftOut, PassiveJoint
+from .rerooting import depth_first, rebuild
 
 T = TypeVar("T")
 Indices: TypeAlias = NDArray[np.intp]
@@ -68,9 +69,11 @@ class Velocity:
 class System:
     """A multibody system with symmetry: the root joint is the group, the others the shape.
 
-    name: the robot's.  model: the pin.Model, root joint first.  initial: a generic initial
-    state, if the robot comes with one.  origin: the name or file that was loaded, if it was one.
-    contents: what else stands in the file.
+    name: the robot's.  model: the pin.Model, root joint first, in depth-first order, which is that
+    of the shape; q and v are in the order of the model that was given.  initial: a generic
+    initial state, if the robot comes with one.  origin: the name or file that was loaded, if it
+    was one.  contents: what else stands in the file.  doubts: sentences about what only no real
+    robot has, or what makes the mass matrix singular at single shapes.
     """
 
     model: pin.Model
@@ -80,6 +83,10 @@ class System:
     contents: Contents = field(default=Contents(), repr=False)
     group: Group = field(init=False)
     shape_names: tuple[str, ...] = field(init=False)
+    doubts: tuple[str, ...] = field(init=False, repr=False)
+    # Where the entries of q and v of the given model stand in those of `model`, if elsewhere.
+    _given_q: Indices | None = field(init=False, repr=False)
+    _given_v: Indices | None = field(init=False, repr=False)
     # Where the coordinates (pose, x) stand in Pinocchio's q: as they are, or as (cos, sin).
     _plain: Indices = field(init=False, repr=False)
     _plain_q: Indices = field(init=False, repr=False)
@@ -89,9 +96,16 @@ class System:
     def __post_init__(self) -> None:
         if self.model.njoints < 2:
             raise ModelError(f"model '{self.model.name}' has no joint; load it with a group")
-        group = admit(self.model)
-        derived: dict[str, Any] = {
+        order = depth_first(list(self.model.parents))
+        derived: dict[str, Any] = {"_given_q": None, "_given_v": None}
+        if order != sorted(order):
+            derived = _sorted(self.model, order)
+            object.__setattr__(self, "model", derived["model"])
+        admitted = admit(self.model)
+        group = admitted.group
+        derived |= {
             "group": group,
+            "doubts": admitted.doubts,
             "shape_names": tuple(self.model.names[i] for i in range(2, self.model.njoints)),
         }
         derived |= _coordinate_maps(self.model, group)
@@ -177,36 +191,24 @@ class System:
     def q(self, pose: ArrayLike, x: ArrayLike) -> Array:
         """Return Pinocchio's configuration (..., nq) of pose (..., size) and shape (..., m).
 
+        For the model that was given, whose joints may stand in another order than `model`'s.
         Raises ShapeError if a length is wrong.
         """
-        pose = self._last(pose, self.group.size, "pose")
-        x = self._last(x, self.m, "x")
-        lead = _leading(pose, x, "pose", "x")
-        y = np.empty((*lead, self.group.size + self.m))
-        y[..., : self.group.size], y[..., self.group.size :] = pose, x
-        q = np.empty((*lead, self.model.nq))
-        q[..., self._plain_q] = y[..., self._plain]
-        q[..., self._angle_q] = np.cos(y[..., self._angle])
-        q[..., self._angle_q + 1] = np.sin(y[..., self._angle])
-        return q
+        return self.given_q(self.model_q(pose, x))
 
     def v(self, xi: ArrayLike, xdot: ArrayLike) -> Array:
         """Return Pinocchio's velocity (..., n) of body twist (..., r) and shape rate (..., m).
 
-        Raises ShapeError if a length is wrong.
+        For the model that was given, as q is.  Raises ShapeError if a length is wrong.
         """
-        xi, xdot = self._last(xi, self.r, "xi"), self._last(xdot, self.m, "xdot")
-        lead = _leading(xi, xdot, "xi", "xdot")
-        v = np.empty((*lead, self.n))
-        v[..., : self.r], v[..., self.r :] = xi, xdot
-        return v
+        return self.given_v(self.model_v(xi, xdot))
 
     def configuration(self, q: ArrayLike) -> Configuration:
         """Return pose and shape of Pinocchio's q (..., nq); angles from (cos, sin) in (−π, π].
 
         Raises ShapeError if the length is wrong.
         """
-        q = self._last(q, self.model.nq, "q")
+        q = self.sorted_q(self._last(q, self.model.nq, "q"))
         y = np.empty((*q.shape[:-1], self.group.size + self.m))
         y[..., self._plain] = q[..., self._plain_q]
         # −0.0 + 0.0 is 0.0, with which half a turn is π, not −π.
@@ -218,8 +220,45 @@ class System:
 
         Raises ShapeError if the length is wrong.
         """
-        v = self._last(v, self.n, "v").copy()
+        v = self.sorted_v(self._last(v, self.n, "v").copy())
         return Velocity(xi=v[..., : self.r], xdot=v[..., self.r :])
+
+    def model_q(self, pose: ArrayLike, x: ArrayLike) -> Array:
+        """Return q (..., nq) as `model` takes it; errors as of `q`."""
+        pose = self._last(pose, self.group.size, "pose")
+        x = self._last(x, self.m, "x")
+        lead = _leading(pose, x, "pose", "x")
+        y = np.empty((*lead, self.group.size + self.m))
+        y[..., : self.group.size], y[..., self.group.size :] = pose, x
+        q = np.empty((*lead, self.model.nq))
+        q[..., self._plain_q] = y[..., self._plain]
+        q[..., self._angle_q] = np.cos(y[..., self._angle])
+        q[..., self._angle_q + 1] = np.sin(y[..., self._angle])
+        return q
+
+    def model_v(self, xi: ArrayLike, xdot: ArrayLike) -> Array:
+        """Return v (..., n) as `model` takes it; errors as of `v`."""
+        xi, xdot = self._last(xi, self.r, "xi"), self._last(xdot, self.m, "xdot")
+        lead = _leading(xi, xdot, "xi", "xdot")
+        v = np.empty((*lead, self.n))
+        v[..., : self.r], v[..., self.r :] = xi, xdot
+        return v
+
+    def given_q(self, q: Array) -> Array:
+        """Return q (..., nq) of `model` in the order of the model that was given."""
+        return q if self._given_q is None else np.ascontiguousarray(q[..., self._given_q])
+
+    def given_v(self, v: Array) -> Array:
+        """Return v (..., n) of `model` in the order of the model that was given."""
+        return v if self._given_v is None else np.ascontiguousarray(v[..., self._given_v])
+
+    def sorted_q(self, q: Array) -> Array:
+        """Return q (..., nq) of the model that was given as `model` takes it."""
+        return q if self._given_q is None else _scattered(q, self._given_q)
+
+    def sorted_v(self, v: Array) -> Array:
+        """Return v (..., n) of the model that was given as `model` takes it."""
+        return v if self._given_v is None else _scattered(v, self._given_v)
 
     def workspace(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return the value that `make` gives, made once for this system, thread and key.
@@ -251,6 +290,25 @@ def _leading(a: Array, b: Array, what: str, other: str) -> tuple[int, ...]:
         raise ShapeError(
             f"the leading axes of {what} {a.shape} and {other} {b.shape} do not match"
         ) from None
+
+
+def _sorted(model: pin.Model, order: list[int]) -> dict[str, Any]:
+    """Return the model with its joints in an order, and where the entries of q and v go."""
+    sorted_model = rebuild(model, {}, order=order)
+    place = {i: k for k, i in enumerate(order, start=1)}
+    q: list[int] = []
+    v: list[int] = []
+    for i in range(1, model.njoints):
+        joint = sorted_model.joints[place[i]]
+        q += range(joint.idx_q, joint.idx_q + joint.nq)
+        v += range(joint.idx_v, joint.idx_v + joint.nv)
+    return {"model": sorted_model, "_given_q": np.array(q), "_given_v": np.array(v)}
+
+
+def _scattered(values: Array, to: Indices) -> Array:
+    out = np.empty_like(values)
+    out[..., to] = values
+    return out
 
 
 def _coordinate_maps(model: pin.Model, group: Group) -> dict[str, Indices]:

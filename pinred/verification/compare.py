@@ -186,7 +186,7 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
     done(0.5)
     second = full.run(y0, times, *tight, method="dopri5")
     done(0.9)
-    error = full.distance(truth, FullMotion(x=states.x, q=states.q))
+    error = full.distance(truth, FullMotion(x=states.x, q=traj.system.sorted_q(states.q)))
     audit = audited(traj, states)
     size = full.size(truth)
     done(1.0)

@@ -103,6 +103,7 @@ class FullState:
         system = scene.system
         self._scene, self._forces = scene, scene.force_model
         self._stops = stops_of(scene)
+        self._sorted_q, self._sorted_v = system.sorted_q, system.sorted_v
         self._numbers = np.empty(0) if self._forces is None else self._forces.numbers.copy()
         self._model, self._data = system.model, system.model.createData()
         self._r, self._m = system.r, system.m
@@ -294,7 +295,8 @@ class FullState:
         energy, total, internal, conserved = [], [], [], []
         body, spatial = np.empty_like(state.xi), np.empty_like(state.xi)
         rest = np.zeros(model.nv)
-        for k, (t, q, v) in enumerate(zip(state.t, state.q, state.v, strict=True)):
+        qs, vs = self._sorted_q(state.q), self._sorted_v(state.v)
+        for k, (t, q, v) in enumerate(zip(state.t, qs, vs, strict=True)):
             kinetic = self.kinetic_energy(q, v)
             height = self.potential_energy(q)
             if self._forces is not None:
@@ -309,7 +311,7 @@ class FullState:
         # A body that only falls has no internal motion to measure its changes by.
         most = max(internal) if max(internal) > 1e-9 * max(total) else max(total)
         scale = np.full(r, np.sqrt(2.0 * data.Ig.mass * most))
-        scale[self._linear :] *= self.radius(state.q[0])
+        scale[self._linear :] *= self.radius(qs[0])
         energies = np.array(energy)
         gained = energies - energies[0] - (work - work[0])
         if impulse is not None:
@@ -320,8 +322,8 @@ class FullState:
             [self.q(np.concatenate(row)) for row in zip(state.pose, state.x, strict=True)]
         )
         mismatch = [
-            _difference(found, state.q, 1.0),
-            _difference(np.hstack([state.xi, state.xdot]), state.v, 0.0),
+            _difference(found, qs, 1.0),
+            _difference(np.hstack([state.xi, state.xdot]), vs, 0.0),
             _difference(state.body_momentum, body, float(scale.max())),
             _difference(state.spatial_momentum, spatial, float(scale.max())),
             _difference(state.energy, energies, most),

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import python, refused, run
+from robot_texts import FLOATING, write
 
 import pinred
 from pinred.cli.main import COMMANDS
@@ -200,7 +201,7 @@ URDF = """<robot name="r"><link name="base"><inertial><mass value="{mass}"/>
         (("compare", "text.urdf"), "not XML"),
         (("compare", "massless.urdf"), "mass"),
         (("compare", "negative.urdf"), "negative mass -1"),
-        (("compare", "flat.urdf"), "triangle inequality"),
+        (("compare", "flat.urdf", "--strict"), "triangle inequality"),
         (("compare", "good.urdf", "--group", "SO4"), "unknown group 'SO4'; the groups are R, SO2"),
         (
             ("compare", "good.urdf", "--group", "SO2", "--gravity", "9,0,0"),
@@ -264,6 +265,24 @@ def test_bad_input_is_one_line_and_exit_two(
     Path("text.urdf").write_text("hello")
     assert words in refused(capsys, *arguments)
     assert not list(tmp_path.glob("*.npz"))
+
+
+def test_a_doubtful_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A warning is one line on standard error; with --strict, and in a strict scene, a refusal."""
+    robot = write(tmp_path, FLOATING.replace('izz="2.5"', 'izz="4"'))
+    code, out, err = run(capsys, "inspect", str(robot))
+    assert code == 0
+    assert "SE3" in out
+    assert err.startswith("pinred: warning: 'arm': ")
+    assert err.count("\n") == 1
+    code, out, err = run(capsys, "inspect", str(robot), "--strict")
+    assert (code, out) == (2, "")
+    assert "triangle inequality" in err
+    scene = tmp_path / "scene.toml"
+    scene.write_text("robot = 'arm.urdf'\n[load]\nstrict = true\n")
+    code, out, err = run(capsys, "run", str(scene))
+    assert code == 2
+    assert "triangle inequality" in err
 
 
 def test_import_and_help_are_light() -> None:

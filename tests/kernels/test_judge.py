@@ -215,3 +215,105 @@ def test_a_wrong_force_is_found(make: Any) -> None:
     first, last = places(kernel)["pi"]
     with pytest.raises(pinred.KernelMismatch, match="acceleration"):
         judge(Faulty(kernel, "rate", first, last, 3.0 * LEAST))  # type: ignore[arg-type]
+
+
+def single(group: str, moments: list[float], lever: float = 0.0) -> Kernel:
+    """Return the kernel of one body of 1 kg with turned principal axes."""
+    model = pin.Model()
+    kind = pin.JointModelSpherical() if group == "SO3" else pin.JointModelFreeFlyer()
+    at = model.addJoint(0, kind, pin.SE3.Identity(), "root")
+    turn = pin.exp3(np.array([0.3, 0.2, 0.1]))
+    body = pin.Inertia(1.0, np.array([lever, 0.0, lever]), turn @ np.diag(moments) @ turn.T)
+    model.appendBodyToJoint(at, body, pin.SE3.Identity())
+    model.gravity.setZero()
+    scene = pinred.Scene(system=pinred.load(model), seed=0)
+    return kernel_of(plan_of(scene), zero_momentum=False)
+
+
+NEARLY = [[1.0] * 3, [0.4, 0.4, 0.4 + 1e-9], [1.0, 1.0, 1.0001], [1e-6] * 3, [1e-6, 1.1e-6, 1.2e-6]]
+
+
+@pytest.mark.parametrize("group", ["SO3", "SE3"])
+@pytest.mark.parametrize("moments", [*NEARLY, [1e6] * 3])
+@pytest.mark.parametrize("lever", [0.0, 0.3])
+def test_bodies_with_nearly_equal_moments(group: str, moments: list[float], lever: float) -> None:
+    """Their rates are what is left of terms that cancel; faults in what is left are found."""
+    kernel = single(group, moments, lever)
+    judge(kernel)
+    # A small moment beside a long lever is what is left of a large one.
+    fault = 1e-9 if lever == 0.0 or moments[0] > 0.1 else 1e-6
+    first, last = places(kernel)["attitude"]
+    with pytest.raises(pinred.KernelMismatch, match="attitude rate"):
+        judge(Faulty(kernel, "rate", first, last, fault))  # type: ignore[arg-type]
+    where = kernel.where.xi
+    with pytest.raises(pinred.KernelMismatch, match="velocity"):
+        judge(Faulty(kernel, "out", where.start, where.stop, fault))  # type: ignore[arg-type]
+
+
+def spheres(seed: int) -> pin.Model:
+    """A tree of spheres on a free base, joined at their centres or beside them."""
+    rng = np.random.default_rng(seed)
+    model = random_model("SE3", 3, seed, armature=False)
+    for i in range(1, model.njoints):
+        mass, radius = rng.uniform(0.5, 2.0), rng.choice([1e-3, 0.1, 1.0])
+        lever = rng.choice([0.0, 0.2], 3)
+        model.inertias[i] = pin.Inertia(float(mass), lever, 0.4 * mass * radius**2 * np.eye(3))
+    return model
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_spheres_on_joints(seed: int) -> None:
+    """Nothing is refused for its symmetry, and the motion is that of ABA."""
+    system = pinred.load(spheres(seed))
+    traj = pinred.simulate(system, seed=seed, duration=0.2)
+    assert pinred.compare(traj).passed
+
+
+def small_tree(length: float, mass: float) -> Kernel:
+    """Return the kernel of a tree whose lengths and masses are smaller by factors."""
+    model = random_model("SE3", 3, 1, armature=False)
+    for i in range(1, model.njoints):
+        at, body = model.jointPlacements[i], model.inertias[i]
+        model.jointPlacements[i] = pin.SE3(at.rotation, length * at.translation)
+        moments = mass * length**2 * body.inertia
+        model.inertias[i] = pin.Inertia(mass * body.mass, length * body.lever, moments)
+    scene = pinred.Scene(system=pinred.load(model), seed=0)
+    return kernel_of(plan_of(scene), zero_momentum=False)
+
+
+@pytest.mark.parametrize("name", ["com", "mu"])
+def test_a_small_robot_is_judged_by_its_own_size(name: str) -> None:
+    """Momenta of 1e-12 N·m·s are not taken for none."""
+    kernel = small_tree(1e-3, 1e-6)
+    judge(kernel)
+    where = getattr(kernel.where, name)
+
+    class Wrong(Faulty):
+        def _spoiled(self, where: str, values: Array) -> Array:
+            values = values.copy()
+            if where == "out":
+                of_kind = values[self._numbers]
+                of_kind[-1] += self._fault * float(np.abs(of_kind).max())
+            return values
+
+    with pytest.raises(pinred.KernelMismatch):
+        judge(Wrong(kernel, "out", where.start, where.stop, 1e-9))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("ratio", [1e-6, 1e-12, 1e-14])
+def test_a_light_tip_is_neither_refused_nor_passed_over(ratio: float, seed: int) -> None:
+    """Its joint is not cyclic though the robot hardly feels it, and its rate is judged."""
+    model = random_model("SE3", 3, seed, armature=False)
+    tip = model.inertias[model.njoints - 1]
+    model.inertias[model.njoints - 1] = pin.Inertia(
+        ratio * tip.mass, tip.lever, ratio * tip.inertia
+    )
+    system = pinred.load(model)
+    kernel = kernel_of(plan_of(pinred.Scene(system=system, seed=0)), zero_momentum=False)
+    assert kernel.layout.cyclic == ()
+    judge(kernel)
+    first, last = places(kernel)["shape"]
+    with pytest.raises(pinred.KernelMismatch, match="shape rate"):
+        judge(Faulty(kernel, "rate", first, last, 1e-9))  # type: ignore[arg-type]
+    assert pinred.compare(pinred.simulate(system, seed=seed, duration=0.5)).passed

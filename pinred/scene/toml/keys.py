@@ -12,6 +12,7 @@ from .force_kinds import FORCE
 from .schema import (
     ByName,
     Either,
+    Flag,
     Key,
     ListOf,
     Node,
@@ -49,6 +50,7 @@ LOAD = Table(
             "of an MJCF file, the body of the world that carries the robot, where several move",
             default="the only one",
         ),
+        "strict": Key(Flag(), "refuse what is otherwise a warning", default="false"),
     },
     "the options of pinred.load",
 )

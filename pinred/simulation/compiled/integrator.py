@@ -20,6 +20,7 @@ from ...integrators.integrate import integrate_checked
 from ...integrators.integrate_many import STATUS
 from ...integrators.integrate_many import integrate_many as _integrate_many
 from ...integrators.methods import Method
+from ...reduction.lost_inertia import lost_inertia
 from ...scene.scene import Scene
 from ..pieces import Integrate, Piece
 from ..plan import Plan
@@ -148,7 +149,7 @@ def _explained(
         x = flow.shape(time, stop.state)
         return NonFiniteState(
             f"{flow.entry_name(stop.entry)} of '{name}' is not finite after t = {time:g} s, "
-            f"at shape x = {x}",
+            f"at shape x = {x}{lost_inertia(scene.system, x)}",
             time,
             stop.state,
             stop.entry,
@@ -158,7 +159,7 @@ def _explained(
         x = flow.shape(time, stop.state)
         return type(stop)(
             f"'{name}' cannot be followed beyond t = {time:g} s of {scene.end:g} s at "
-            f"rtol = {scene.rtol:g}, shape x = {x}: {stop}",
+            f"rtol = {scene.rtol:g}, shape x = {x}{lost_inertia(scene.system, x)}: {stop}",
             time,
             stop.state,
         )

@@ -121,15 +121,21 @@ class ReducedFlow:
 
     def _motion(self, t: float, y: Array, numbers: Array) -> tuple[Array, Array]:
         """Return the shape (m,) and v = (ξ, ẋ) as seen from the centre of mass."""
-        m, free = self._system.m, self._free
-        x, pi = np.empty(m), np.zeros(m)
-        x[free], pi[free] = y[: len(free)], y[len(free) : 2 * len(free)]
+        free, x, pi = self._free, self.shape(t, y, numbers), np.zeros(self._system.m)
+        pi[free] = y[len(free) : 2 * len(free)]
         momentum = np.concatenate([self.base.momentum(y[2 * len(free) :]), pi])
         if self._forces is None or not self._driven:
             return x, self._form.velocity(x, momentum)
         given = self._forces.prescribed(t, numbers)
-        x[self._driven] = given.x
         return x, self._form.driven_velocity(x, momentum, self._driven, given.xdot)
+
+    def shape(self, t: float, y: Array, numbers: Array) -> Array:
+        """Return the shape (m,) in a reduced state."""
+        x = np.empty(self._system.m)
+        x[self._free] = y[: len(self._free)]
+        if self._forces is not None and self._driven:
+            x[self._driven] = self._forces.prescribed(t, numbers).x
+        return x
 
     def entry_name(self, entry: int) -> str:
         """Return what an entry of the reduced state is, for messages."""

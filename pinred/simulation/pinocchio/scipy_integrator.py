@@ -10,6 +10,7 @@ from scipy.integrate import DOP853, DenseOutput, OdeSolution
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...integrators.methods import DOP853_LEAST
+from ...reduction.lost_inertia import lost_inertia
 from ..pieces import Integrate, Piece
 from ..plan import Plan
 from .readable_flow import ReducedFlow
@@ -35,12 +36,17 @@ def integrator(
             return Piece(empty, lambda t: np.empty((len(t), 0)), flow.numbers.copy(), 0, 0)
         solver = DOP853(flow.rate, start, y0, end, rtol=rtol, atol=atol)
         knots: list[float] = [start]
+
+        def lost() -> str:
+            y = solver.y if np.isfinite(solver.y).all() else solver.y_old
+            return lost_inertia(scene.system, flow.shape(solver.t, y, flow.numbers))
+
         pieces: list[DenseOutput] = []
         while solver.status == "running":
             if len(pieces) >= MOST_STEPS:
                 raise IntegrationError(
                     f"'{scene.system.name}' took {MOST_STEPS} steps to t = {solver.t:g} s of "
-                    f"{scene.end:g} s; shorten the scene or loosen the tolerance"
+                    f"{scene.end:g} s; shorten the scene or loosen the tolerance{lost()}"
                 )
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is caught below
                 message = solver.step()
@@ -49,12 +55,12 @@ def integrator(
                 entry = int(np.argmin(np.isfinite(solver.y)))
                 raise IntegrationError(
                     f"{flow.entry_name(entry)} of '{scene.system.name}' is not finite after "
-                    f"t = {knots[-1]:g} s"
+                    f"t = {knots[-1]:g} s{lost()}"
                 )
             if solver.status == "failed":
                 raise IntegrationError(
                     f"'{scene.system.name}' cannot be followed beyond t = {solver.t:g} s of "
-                    f"{scene.end:g} s at rtol = {scene.rtol:g}: {message}"
+                    f"{scene.end:g} s at rtol = {scene.rtol:g}: {message}{lost()}"
                 )
             knots.append(solver.t)
             pieces.append(piece)

@@ -75,7 +75,7 @@ def playback(source: MotionSource, view: View) -> Playback:
     """
     states = _frames(source, view)
     ghost = None
-    placements = _placements(source.system, states.q)
+    placements = _placements(source.system, source.system.sorted_q(states.q))
     if view.ghost:
         if not isinstance(source, Trajectory):
             raise InputError(
@@ -140,7 +140,7 @@ def _ghost(scene: Scene, t: Array, placements: Array) -> Ghost:
 
 
 def _drawn(system: System, states: State, placements: Array, ghost: Ghost | None) -> Playback:
-    q, v = states.q, states.v
+    q, v = system.sorted_q(states.q), system.sorted_v(states.v)
     model, data = system.model, system.model.createData()
     com, ellipsoid = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
     for k in range(len(q)):

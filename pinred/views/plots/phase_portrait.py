@@ -133,11 +133,12 @@ def _lack(motion: MotionSource, system: System | None) -> str:
 def _is_all_energy(states: State, system: System) -> bool:
     """Return whether the energy is that of Pinocchio's model alone, forces aside."""
     model, data = system.model, system.model.createData()
+    q, v = system.sorted_q(states.q), system.sorted_v(states.v)
     off, size = [], 0.0
     for k in np.linspace(0, len(states.t) - 1, _TRIED).astype(int):
-        H = symmetric(pin.crba(model, data, states.q[k]))
-        kinetic = 0.5 * float(states.v[k] @ H @ states.v[k])
-        potential = float(pin.computePotentialEnergy(model, data, states.q[k]))
+        H = symmetric(pin.crba(model, data, q[k]))
+        kinetic = 0.5 * float(v[k] @ H @ v[k])
+        potential = float(pin.computePotentialEnergy(model, data, q[k]))
         off.append(abs(states.energy[k] - kinetic - potential))
         size = max(size, kinetic + abs(potential))
     return bool(max(off) <= _CLOSE * size)

@@ -1,0 +1,189 @@
+"""Motions that move no mass: where the mass matrix of a tree is singular.
+
+Let the bodies have positive semidefinite inertias Y.  The twists of body i that what hangs
+behind it can undo, so that none of its subtree's mass moves, are
+
+    N_i(x) = ker Y_i ∩ ⋂_c X_c Ad(exp(x_c S_c)) P_c,    P_c = N_c ⊕ span S_c,
+
+over the children c of i with placements X and axes S; a joint with armature cannot move for
+nothing, so that P_c = N_c.  (N_i is the kernel of Featherstone's articulated inertia.)  The mass
+matrix is singular at x exactly if S_i ∈ N_i(x) for a joint i without armature, or if the root's
+motion meets N of the root.  With positive mass and positive moments everywhere all N are zero.
+
+Angles count in radians and lengths in units of the tree's largest step, so that directions of
+twists compare.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ..common.arrays import Array
+from ..lie.groups import SE3
+from .joints import axes_of
+
+EXACT = 1e-9  # sine of an angle between directions, below which it is round-off
+NEARLY = 1e-6  # the same for the decimals of a file
+_ZERO = 1e-14  # moment of inertia, over those that it is added to, below which it is round-off
+
+
+@dataclass(frozen=True)
+class Tree:
+    """What decides which motions move no mass; index 0 is the root body, k the joint k of a model.
+
+    names: of the joints that move the bodies.  parents: of the bodies, −1 for the root.
+    axes: (6, nv) unit twists of the joints in their bodies' frames.  placements: (6, 6) from
+    body frames at joint value zero to the parents'.  still: (6, k) orthonormal twists at which
+    the body alone has no energy.  stiff: whether the joint has armature.  unit: of length [m].
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    axes: tuple[Array, ...]
+    placements: tuple[Array, ...]
+    still: tuple[Array, ...]
+    stiff: tuple[bool, ...]
+    unit: float
+
+    @property
+    def suspects(self) -> bool:
+        """Whether any body lacks mass or a moment of inertia."""
+        return any(basis.shape[1] for basis in self.still)
+
+    def moved(self, i: int, value: float) -> Array:
+        """Return the (6, 6) matrix from twists in body i's frame to its parent's.
+
+        value: of the joint [rad | units of length].
+        """
+        turn = pin.exp6(pin.Motion(self.axes[i][:, 0] * value)).action
+        return np.asarray(self.placements[i] @ turn)
+
+
+def tree_of(model: pin.Model) -> Tree:
+    """Return the tree of a model whose joint 1 is the root and whose inertias are finite."""
+    count, unit, axes = range(1, model.njoints), largest_step(model), []
+    for i in count:
+        S = axes_of(model.joints[i])
+        axes.append(S / np.linalg.norm(S, axis=0))
+    placements = []
+    for i in count:
+        at = model.jointPlacements[i]
+        placements.append(pin.SE3(at.rotation, at.translation / unit).action)
+    stiff = [bool(model.armature[model.joints[i].idx_v] > 0.0) for i in count]
+    return Tree(
+        names=tuple(model.names[i] for i in count),
+        parents=tuple(model.parents[i] - 1 for i in count),
+        axes=tuple(axes),
+        placements=tuple(placements),
+        still=tuple(_still(model.inertias[i], unit) for i in count),
+        stiff=tuple(stiff),
+        unit=unit,
+    )
+
+
+def largest_step(model: pin.Model) -> float:
+    """Return the largest distance from a joint to the next, or to its mass [m]; 1 if none."""
+    count = range(1, model.njoints)
+    steps = [model.jointPlacements[i].translation for i in count if i > 1]
+    levers = [model.inertias[i].lever for i in count if model.inertias[i].mass > 0.0]
+    return max((float(np.linalg.norm(p)) for p in (*steps, *levers)), default=0.0) or 1.0
+
+
+def no_moment(inertia: pin.Inertia, unit: float) -> float:
+    """Return the moment [kg m²] below which one of a body is round-off.
+
+    unit: the largest step of the robot; its frames were multiplied together from such steps.
+    """
+    reach = max(float(np.linalg.norm(inertia.lever)), 0.01 * unit) if inertia.mass > 0.0 else 0.0
+    return _ZERO * max(float(np.abs(inertia.inertia).max()), float(inertia.mass) * reach**2)
+
+
+def _still(inertia: pin.Inertia, unit: float) -> Array:
+    """Return an orthonormal basis (6, k) of the twists at which one body has no energy."""
+    moments, directions = np.linalg.eigh(inertia.inertia)
+    lever = inertia.lever if inertia.mass > 0.0 else np.zeros(3)
+    free = directions[:, moments <= no_moment(inertia, unit)]
+    if inertia.mass > 0.0 and not free.size:
+        return np.zeros((6, 0))
+    about_mass = np.vstack([np.cross(lever / unit, free, axisb=0, axisc=0), free])
+    if inertia.mass > 0.0:
+        return _orthonormal(about_mass)
+    return _orthonormal(np.hstack([np.eye(6, 3), about_mass]))
+
+
+def undone(tree: Tree, x: Sequence[float], tolerance: float) -> list[Array]:
+    """Return orthonormal bases (6, k) of N of every body at a shape.
+
+    x: value of every joint [rad | units of length]; that of the root does not matter.
+    """
+    N = list(tree.still)
+    for i in range(len(N) - 1, 0, -1):
+        parent = tree.parents[i]
+        if N[parent].shape[1]:
+            P = free_to_move(tree, i, N[i])
+            N[parent] = meet(N[parent], tree.moved(i, x[i]) @ P, tolerance)
+    return N
+
+
+def hulls(tree: Tree, tolerance: float) -> list[Array]:
+    """Return subspaces, as orthonormal bases (6, k), that contain N of every body at every shape.
+
+    What a joint carries through its angles is replaced by the least subspace that contains it
+    and that the joint's axis does not leave.
+    """
+    N = list(tree.still)
+    for i in range(len(N) - 1, 0, -1):
+        parent = tree.parents[i]
+        if N[parent].shape[1]:
+            K = _closed(free_to_move(tree, i, N[i]), tree.axes[i][:, 0])
+            N[parent] = meet(N[parent], tree.placements[i] @ K, tolerance)
+    return N
+
+
+def free_to_move(tree: Tree, i: int, N: Array) -> Array:
+    """Return P of a body, N and the axis of its joint, as an orthonormal basis (6, k)."""
+    return N if tree.stiff[i] else _join(N, tree.axes[i])
+
+
+def lost(tree: Tree, i: int, N: Array, tolerance: float) -> bool:
+    """Return whether joint i, or a motion of the root, moves no mass, for N of its body."""
+    return not tree.stiff[i] and meet(N, tree.axes[i], tolerance).shape[1] > 0
+
+
+def meet(A: Array, B: Array, tolerance: float) -> Array:
+    """Return an orthonormal basis of what the columns of both span; those of A are orthonormal.
+
+    tolerance: sine of the angle between directions that are taken for one.
+    """
+    if not (A.shape[1] and B.shape[1]):
+        return A[:, :0]
+    Q = _orthonormal(B)
+    _, sines, directions = np.linalg.svd(A - Q @ (Q.T @ A), full_matrices=False)
+    return np.asarray(A @ directions[sines <= tolerance].T)
+
+
+def _closed(P: Array, axis: Array) -> Array:
+    """Return a basis of the least subspace that contains P and that [axis, ·] maps into itself."""
+    bracket, K = SE3.ad(axis), P
+    while True:
+        more = _join(K, bracket @ K)
+        if more.shape == K.shape:
+            return K
+        K = more
+
+
+def _join(A: Array, B: Array) -> Array:
+    """Return an orthonormal basis of the span of both; the columns of A are orthonormal."""
+    rest = _orthonormal(B - A @ (A.T @ B))
+    # What was small is now of length one, and so is its round-off along A: take that off again.
+    return np.hstack([A, _orthonormal(rest - A @ (A.T @ rest))])
+
+
+def _orthonormal(A: Array) -> Array:
+    """Return an orthonormal basis of the columns, of length about one, of a matrix (6, k)."""
+    U, sizes, _ = np.linalg.svd(A, full_matrices=False)
+    return np.asarray(U[:, sizes > EXACT])
