@@ -40,6 +40,12 @@ def is_prismatic(joint: pin.JointModel) -> bool:
 
 def axes_of(joint: pin.JointModel) -> Array:
     """Return the twists, (6, nv), by which a joint moves its body, in the body's frame."""
+    if joint.shortname() == "JointModelComposite":  # knows its axes when it has been moved
+        alone = pin.Model()
+        alone.addJoint(0, joint, pin.SE3.Identity(), "alone")
+        data = alone.createData()
+        pin.computeJointJacobians(alone, data, pin.neutral(alone))
+        return np.array(data.joints[1].S).reshape(6, joint.nv)
     return np.array(joint.createData().S).reshape(6, joint.nv)
 
 
