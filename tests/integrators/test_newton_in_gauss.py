@@ -159,6 +159,30 @@ def test_bits(method: Gauss) -> None:
     assert np.array_equal(many.y[2], whole.y)
 
 
+@pytest.mark.parametrize("order", [4, 16])
+def test_members_that_want_the_derivative(order: int) -> None:
+    """Each gets it when it wants it, as it would alone: those before and behind do without."""
+    address, tangent = OSCILLATORS[Gauss(0.04, order).lanes]
+    squares = np.array([1.0, 1e6, 4.0, 1e5, 1.0, 9.0] * 4)
+    asked: list[int] = []
+
+    def counted() -> int:
+        asked.append(tangent())
+        return asked[-1]
+
+    method = Gauss(0.04, order)
+    many = integrate_many(
+        method, address, squares[:, None], [Y0] * 24, 4.0, TIMES, threads=1, tangent=counted
+    )
+    assert many.ok.all()
+    assert len(asked) == 8
+    for k in range(6):
+        alone = integrate(method, address, squares[k : k + 1], Y0, 4.0, TIMES, tangent=tangent)
+        for member in range(k, 24, 6):
+            assert np.array_equal(many.y[member], alone.y)
+            assert many.evaluations[member] == alone.evaluations
+
+
 def test_what_cannot_be_solved() -> None:
     """Without a derivative the fixed point is all there is; what is no number is named."""
     address, tangent = OSCILLATORS[4]

@@ -44,15 +44,16 @@ _DENSE = (
 
 @dataclass(frozen=True)
 class Tsit5(Explicit):
-    """Tsitouras's Runge–Kutta method of order 5(4), for loose tolerances.
+    """Tsitouras's Runge–Kutta method of order 5(4).
 
+    Its states between steps cost nothing.  It is seldom faster than DOP853, at errors of 1e-4.
     rtol, atol, max_steps, max_step: as for DOP853.
     """
 
     rtol: float = 1e-6
     atol: float = 1e-8
 
-    about: ClassVar[str] = "Tsitouras's method of order 5, for loose tolerances"
+    about: ClassVar[str] = "Tsitouras's method of order 5"
     order: ClassVar[int] = 5
     dense_order: ClassVar[int] = 4
 

@@ -23,6 +23,7 @@ from scipy.integrate import solve_ivp
 from ...common.arrays import Array
 from ...common.errors import InputError, IntegrationError
 from ...common.progress import Progress, quiet, shown
+from ...integrators.methods import METHODS, AdaptiveGauss, Explicit
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...simulation.state import with_base
@@ -90,11 +91,9 @@ def bench_evaluations(
 
 
 def _measured(problem: Problem) -> Evaluations:
-    from ...integrators.methods import METHODS, AdaptiveGauss, Explicit
-
     truth = problem.full.run(problem.full_start(), problem.times, *FINEST)
     runs: dict[str, Callable[[float], tuple[float, float]]] = {
-        name: lambda tol, kind=kind: _own(problem, truth, kind(*_own_norm(tol)), 1)  # type: ignore[misc]
+        name: partial(_explicit, problem, truth, kind)
         for name, kind in METHODS.items()
         if issubclass(kind, Explicit)
     }
@@ -133,7 +132,13 @@ def _own(problem: Problem, truth: FullMotion, method: Any, stages: int) -> tuple
     return problem.apart(truth, end), traj.run.evaluations / stages
 
 
-def _own_norm(tol: float) -> Tolerances:
+def _explicit(
+    problem: Problem, truth: FullMotion, kind: type[Explicit], tol: float
+) -> tuple[float, float]:
+    return _own(problem, truth, kind(*_own_norm(tol)), 1)
+
+
+def _own_norm(tol: float) -> tuple[float, float]:
     return max(tol, 1e-13), ATOL * tol
 
 

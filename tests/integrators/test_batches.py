@@ -1,0 +1,49 @@
+"""Members of a batch that take turns on the same rows are single runs, bit for bit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.integrators.integrate import integrate
+from pinred.integrators.integrate_many import integrate_many
+from pinred.integrators.methods import METHODS, Gauss, Method
+from pinred.simulation.compiled.compiled_flow import CompiledFlow
+from pinred.simulation.plan import plan_of
+
+CASES: tuple[Method, ...] = (
+    *(
+        kind(1e-7, 1e-9) if kind.adaptive else kind(0.02)  # type: ignore[call-arg]
+        for kind in METHODS.values()
+    ),
+    *(Gauss(0.02, order) for order in (2, 16)),
+    Gauss(0.02, 4, "Newton"),
+)
+TIMES = [0.0, 0.17, 0.3]
+MEMBERS, BROKEN = 24, (3, 4, 12)  # with one thread three of them one after another
+
+
+@pytest.mark.parametrize("method", CASES, ids=str)
+@pytest.mark.parametrize("robot", ["coupled_spatial", "planar_chain5"])
+def test_nothing_of_a_member_is_left_for_the_next(robot: str, method: Method) -> None:
+    """Neither states, nor sums, nor what is not finite."""
+    system = pinred.load(robot)
+    flow = CompiledFlow(plan_of(pinred.Scene(system=system, seed=1, method=method)))
+    layout, rng = flow.kernel.layout, np.random.default_rng(2)
+    y0: Array = flow.y0 * (1.0 + 0.2 * rng.normal(size=(MEMBERS, len(flow.y0))))
+    params = np.tile(flow.parameters, (MEMBERS, 1))
+    y0[list(BROKEN)] *= 1e200  # the squares of such momenta are beyond all numbers
+    given = (method, flow.address(method))
+    more: dict[str, Any] = {"tangent": flow.tangent, "canonical": layout.canonical}
+    found = integrate_many(*given, params, y0, 0.3, TIMES, layout.quaternion, 1, **more)
+    assert np.flatnonzero(~found.ok).tolist() == [*BROKEN]
+    for k in set(range(MEMBERS)) - set(BROKEN):
+        one = integrate(*given, params[k], y0[k], 0.3, TIMES, layout.quaternion, **more)
+        assert np.array_equal(found.y[k], one.y)
+        assert (found.steps[k], found.rejected[k]) == (one.steps, one.rejected)
+        assert found.evaluations[k] == one.evaluations
+        assert found.end[k] == 0.3
