@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..common.arrays import Array
-from ..common.names import quoted
+from ..common.plain_names import quoted
 from ..system.system import System
 from .inertia_split import mass_matrix, usual_inertias, usual_mass_matrices
 

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.errors import ModelError
-from ..common.names import listed, quoted
+from ..common.plain_names import listed, quoted
 from ..lie.groups import SO2, Group
 from .inertias import check_inertias
 from .joints import axes_of, is_shape_joint, motion_group

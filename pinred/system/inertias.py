@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.errors import ModelError
-from ..common.names import listed, quoted
+from ..common.plain_names import listed, quoted
 from .joints import is_prismatic
 from .massless_motions import largest_step, no_moment
 from .singular_shapes import SingularShape, singular_shapes

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, vector
 from ..common.errors import InputError, LoadError, ModelError, ModelWarning
-from ..common.names import listed, quoted
+from ..common.plain_names import listed, quoted
 from ..lie.groups import GROUPS, SE3, Group, group_named
 from . import catalogue
 from .admission import refuse_mimicking
