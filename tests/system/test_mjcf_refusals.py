@@ -242,6 +242,21 @@ def test_what_is_included_is_looked_at_too(tmp_path: Path, tag: str) -> None:
         pinred.load(write(tmp_path, content))
 
 
+def test_a_file_of_the_same_name_elsewhere(tmp_path: Path) -> None:
+    """It is another file; but where paths are stripped, the one beside is meant."""
+    (tmp_path / "parts").mkdir()
+    part = f"<mujoco><worldbody>{base()}</worldbody></mujoco>"
+    (tmp_path / "parts/robot.xml").write_text(part)
+    (tmp_path / "parts/bomb.xml").write_text(part)
+    path = write(tmp_path, '<mujoco><include file="parts/robot.xml"/></mujoco>')
+    with pytest.warns(pinred.LeftOutWarning, match="contact"):
+        assert pinred.load(path).m == 0
+    (tmp_path / "bomb.xml").write_text(deep(5_000))
+    strip = '<mujoco><compiler strippath="true"/><include file="parts/bomb.xml"/></mujoco>'
+    with pytest.raises(LoadError, match="within one another"):
+        pinred.load(write(tmp_path, strip))
+
+
 def test_many_files_in_one_another(tmp_path: Path) -> None:
     """Each includes the next."""
     for k in range(200):

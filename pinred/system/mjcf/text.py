@@ -116,9 +116,15 @@ def _measure_named(
 ) -> None:
     """Measure a file that is included, or attached as a model, in any place it may stand in."""
     before = found.count
-    names = attributes["file"], Path(attributes["file"]).name  # the latter with strippath="true"
-    folders = found.top, path.parent
-    for file in dict.fromkeys(folder / name for folder in folders for name in names):
+    name, last = attributes["file"], Path(attributes["file"]).name
+    folders = dict.fromkeys((found.top, path.parent))
+    files = [folder / name for folder in folders]
+    # With strippath="true" only the last part of a name counts; it may be that of a file which
+    # is being read, and which MuJoCo does not include again.
+    stripped = [folder / last for folder in folders if name != last]
+    if tag == "include":
+        stripped = [file for file in stripped if file.resolve() not in found.reading]
+    for file in dict.fromkeys([*files, *stripped]):
         if is_file(file):
             _measure(file, read_text(file), found, depth)
     if tag == "model":  # it counts where it is attached
