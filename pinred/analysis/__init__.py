@@ -1,1 +1,1 @@
-"""What one asks of a robot beside its motions.  Imports `simulation` and what lies below it."""
+"""Questions about a robot beside its motions.  Imports `simulation` and what lies below it."""

@@ -71,7 +71,7 @@ class Solutions:
 
     @property
     def ok(self) -> NDArray[np.bool_]:
-        """Which runs came to their end, (N,)."""
+        """Flags of the runs that came to their end, (N,)."""
         return np.asarray(self.status == DONE)
 
 

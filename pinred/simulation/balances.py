@@ -27,7 +27,7 @@ _DRIVES = "prescribed joints"
 
 @dataclass(frozen=True)
 class EnergyBalance:
-    """Where the energy went; arrays are read-only.
+    """The balance of energy and work; arrays are read-only.
 
     t: (T,) [s].  energy: (T,) [J].  work: (T, K) done since the start by each of `labels`.
     """
@@ -59,7 +59,7 @@ class EnergyBalance:
 
 @dataclass(frozen=True)
 class MomentumBalance:
-    """Where the momentum came from; arrays are read-only.
+    """The balance of momentum and impulse; arrays are read-only.
 
     t: (T,) [s].  momentum, impulse: (T, r) J and what wrenches and gravity have given since
     the start, in the root joint's fixed frame about its origin.

@@ -1,4 +1,4 @@
-"""Which integrator a scene gets where it asks for none, and why.
+"""The choice of an integrator for a scene that asks for none, with its reason.
 
 A sweep of AdaptiveGauss evaluates eight stages at once, in lanes.  Where limbs of one build are
 lanes already, that costs more of DOP853's evaluations; at tight tolerances it is worth more of

@@ -1,4 +1,4 @@
-"""What a scene lets the simulation skip, in words."""
+"""The savings of a scene, in words: terms and numbers that its simulation skips."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from .stops import begin_stretch
 
 
 class Flow(Protocol):
-    """What a route knows of a scene: see ReducedFlow and CompiledFlow."""
+    """The flow of a scene on one of the routes: see ReducedFlow and CompiledFlow."""
 
     y0: Array
     numbers: Array

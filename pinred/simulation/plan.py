@@ -39,7 +39,7 @@ class Kind:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What a scene comes to; arrays are read-only.
+    """All that follows from a scene before it is integrated; arrays are read-only.
 
     weight: (3,) m g in the root joint's fixed frame where it turns a pivoted base, else zero
     [N].  gravity: (3,) what of it acts on the shape or turns the base, in that frame [m/s²], or

@@ -56,7 +56,7 @@ class Recording(OverTime):
 
     @property
     def outputs(self) -> State | ShapeState:
-        """What the file holds, time first."""
+        """Contents of the file, time first."""
         return self.content
 
     @property

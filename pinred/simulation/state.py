@@ -12,7 +12,7 @@ from ..system.system import System
 
 @dataclass(frozen=True)
 class Sample:
-    """What forces see at one time, as seen from the centre of mass.
+    """The state that forces see at one time, in the frame of the centre of mass.
 
     x, xdot: (m,).  xi, mu: (r,) body twist and body momentum; the linear part of μ is zero.
     weight: (3,) m g in the body's frame, where it turns a pivoted base, else zero [N].
@@ -97,7 +97,7 @@ class OverTime(ABC):
     @property
     @abstractmethod
     def _name(self) -> str:
-        """What a message calls it."""
+        """Name in messages."""
 
     @property
     def states(self) -> State:

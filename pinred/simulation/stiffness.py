@@ -1,4 +1,4 @@
-"""How stiff the forces of a scene are: the rates at which it comes to rest, and oscillates.
+"""Stiffness of the forces of a scene: the rates at which it comes to rest, and oscillates.
 
 Near rest, with no momentum, M ẍ = τ(x, ẋ) has the derivatives K = −∂τ/∂x and D = −∂τ/∂ẋ, and the
 eigenvalues of [[0, 1], [−M⁻¹K, −M⁻¹D]] are its rates.

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Run:
-    """What an integration cost.
+    """The cost of an integration.
 
     engine: "compiled" or "pinocchio".  method: name of the integrator.  steps: accepted.
     evaluations: of the vector field.  wall: seconds.
@@ -54,12 +54,12 @@ class Trajectory(OverTime):
 
     @property
     def plan(self) -> Plan:
-        """What the scene came to: see Plan."""
+        """The plan of the scene: see Plan."""
         return plan_of(self.scene)
 
     @cached_property
     def outputs(self) -> State | ShapeState:
-        """What the scene asks for, at the report times, time first; made when first looked at."""
+        """States that the scene asks for at the report times; made when first looked at."""
         return self.motion.states(self.scene.report_times)
 
     @property

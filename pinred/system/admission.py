@@ -23,7 +23,7 @@ _UNIT = 1e-9  # by how much an axis may miss length one
 
 @dataclass(frozen=True)
 class Admission:
-    """What is found when a model is let in.
+    """The findings when a model is let in.
 
     group: the symmetry.  doubts: sentences about what only no real robot has, or what makes the
     mass matrix singular at single shapes.

@@ -1,4 +1,4 @@
-"""What a robot's file holds beside bodies and joints: keyframes, couplings, springs and more."""
+"""Contents of a robot's file beside bodies and joints: keyframes, couplings, springs and more."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Coupling:
 
 @dataclass(frozen=True)
 class PassiveJoint:
-    """What the file says acts at a joint by itself; nothing of it is simulated.
+    """Springs, dampers and friction at a joint in a file; nothing of it is simulated.
 
     Of a joint at y from its rest and with rate v, the force is −(k₁ y + k₂ y² + k₃ y³)
     − sign(v) (d₁ |v| + d₂ v² + d₃ |v|³), and dry friction of at most `friction`.
@@ -74,7 +74,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Contents:
-    """What a file holds beside bodies and joints.
+    """Contents of a file beside bodies and joints.
 
     left_out: what acts in it and is not simulated.  passive: springs, dampers and friction at
     joints, which are part of that.  keyframes: states by name.  couplings: joints that follow

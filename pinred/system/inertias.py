@@ -1,4 +1,4 @@
-"""What the inertias of a model must fulfil, and the words for what they do not.
+"""Conditions on the inertias of a model, and the words for those that are not met.
 
 Refused is what has no meaning (numbers that are not finite, negative masses and moments) and
 what makes the mass matrix singular at every shape.  What only no real body can have, or makes

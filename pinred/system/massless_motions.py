@@ -33,7 +33,9 @@ _ZERO = 1e-14  # moment of inertia, over those that it is added to, below which 
 
 @dataclass(frozen=True)
 class Tree:
-    """What decides which motions move no mass; index 0 is the root body, k the joint k of a model.
+    """A tree as far as it decides which motions move no mass.
+
+    Index 0 is the root body, k the joint k of a model.
 
     names: of the joints that move the bodies.  parents: of the bodies, −1 for the root.
     axes: (6, nv) unit twists of the joints in their bodies' frames.  placements: (6, 6) from

@@ -45,7 +45,7 @@ class SingularShape:
 
 @dataclass(frozen=True)
 class SingularShapes:
-    """Where a mass matrix is singular.
+    """Shapes at which a mass matrix is singular.
 
     everywhere: names of joints that move no mass at any shape; locking them leaves a matrix
     that is regular at most shapes.  nearly: the same, but for the decimals of a file.

@@ -160,7 +160,7 @@ class System:
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """What acts in the file and is not simulated, kind by kind."""
+        """Actions in the file that are not simulated, kind by kind."""
         return self.contents.left_out
 
     @property

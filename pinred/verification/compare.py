@@ -38,7 +38,7 @@ _RESOLVED = 1e-13  # relative; what the reference and its energies can tell from
 
 @dataclass(frozen=True)
 class Report:
-    """How far a reduced trajectory is from the full simulation, and whether that may be.
+    """The distance of a reduced trajectory from the full simulation, and its bounds.
 
     t: (T,) the times judged [s].  shape_errors: (T,) largest |Δx| [rad | m].
     rotation_errors [rad] and position_errors [m]: (T,) norms of the parts of log(g⁻¹ĝ).
@@ -96,7 +96,7 @@ class Report:
 
     @property
     def checks(self) -> dict[str, tuple[float, float]]:
-        """What is judged: name to (value, largest value that passes)."""
+        """Judged numbers: name to (value, largest value that passes)."""
         return {
             "shape error [rad | m]": (self.shape_error, self.shape_bound),
             "rotation error [rad]": (self.rotation_error, self.rotation_bound),

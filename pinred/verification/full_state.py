@@ -36,7 +36,7 @@ class FullMotion:
 
 @dataclass(frozen=True)
 class Size:
-    """What errors of a motion are measured by.
+    """The units in which errors of a motion are measured.
 
     shape: the largest |x|, at least 1 [rad | m].  position: the largest coordinate of the
     base, at least the radius of gyration [m].
@@ -48,7 +48,7 @@ class Size:
 
 @dataclass(frozen=True)
 class Distance:
-    """How far two motions are apart, each (T,).
+    """Distances of two motions, each (T,).
 
     shape: largest |Δx| [rad | m].  rotation [rad] and position [m]: norms of the parts of
     log(g⁻¹ĝ) of the base.
@@ -67,7 +67,7 @@ class Distance:
 
 @dataclass(frozen=True)
 class Audit:
-    """What Pinocchio's own functions say of the states of a trajectory, all relative.
+    """The verdict of Pinocchio's own functions on the states of a trajectory, all relative.
 
     energies: (T,) change over the largest kinetic energy T about the centre of mass.
     momenta: (T, r) change of each conserved component, angular about the centre of mass if

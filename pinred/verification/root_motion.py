@@ -12,7 +12,7 @@ from ..common.arrays import Array
 
 @dataclass(frozen=True)
 class RootMotion:
-    """How the root joint of a model moves.
+    """The motion of the root joint of a model.
 
     axes: (6, r) of its motion in its fixed frame, slides first.  linear, turns: how many
     slides, how many rotations.  plane: which two slides a single hinge turns into each other,
@@ -27,7 +27,7 @@ class RootMotion:
 
     @property
     def size(self) -> int:
-        """How many coordinates it has: positions; angle or quaternion."""
+        """Number of coordinates: positions; angle or quaternion."""
         return self.linear + (4 if self.turns == 3 else self.turns)
 
     @property

@@ -50,5 +50,5 @@ class Tableau:
 
     @property
     def stages(self) -> int:
-        """How many there are without the end."""
+        """Number of stages without the end."""
         return int(self.errors.shape[1]) - 1

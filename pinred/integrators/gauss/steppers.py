@@ -1,4 +1,4 @@
-"""What runs Gauss's methods of a number of stages: their loops, and their rows."""
+"""Steppers of Gauss's methods by their number of stages: their loops, and their rows."""
 
 from __future__ import annotations
 

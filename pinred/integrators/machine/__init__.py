@@ -1,1 +1,1 @@
-"""What compiled steppers are made of: calls of kernels, sums of rows, lanes, Newton's method."""
+"""Parts of compiled steppers: calls of kernels, sums of rows, lanes, Newton's method."""

@@ -1,4 +1,4 @@
-"""How functions become machine code, and what keeps it on disk from being taken for another's."""
+"""Functions made machine code, and stamps that keep it on disk from being taken for another's."""
 
 from __future__ import annotations
 

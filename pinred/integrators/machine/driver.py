@@ -86,7 +86,7 @@ def equal_steps(run: Run) -> float:
 
 @dataclass(frozen=True)
 class Hooks:
-    """What a method gives to the loop: compiled functions that do as those above."""
+    """The part of a method in the loop: compiled functions that do as those above."""
 
     begin: Callable[..., int]
     until: Callable[..., float]

@@ -1,4 +1,4 @@
-"""What all steppers do to the rows that hold states."""
+"""Operations of all steppers on the rows that hold states."""
 
 from __future__ import annotations
 

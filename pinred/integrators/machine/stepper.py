@@ -1,4 +1,4 @@
-"""What runs a method: its compiled loops, and the rows that they work on."""
+"""The stepper of a method: its compiled loops, and the rows that they work on."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .driver import Loops
 
 @dataclass(frozen=True)
 class Stepper:
-    """What runs a method.
+    """The compiled loops of a method.
 
     rows: of (n, tangent) the rows for n numbers in the state, with room for what Newton's
     method takes besides where `tangent` is true.  kept: numbers at a knot for one in the state.

@@ -66,7 +66,7 @@ class Gauss(EqualSteps):
 
     @property
     def lanes(self) -> int:
-        """How many states the kernel evaluates at once."""
+        """Number of states that the kernel evaluates at once."""
         return lanes_of(self.stages)
 
     def stepper(self) -> Stepper:

@@ -1,4 +1,4 @@
-"""What an integrator is as a value: its options are its fields, what it claims its attributes."""
+"""An integrator as a value: its options are its fields, its claims its attributes."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ class Method(ABC):
 
     @property
     def name(self) -> str:
-        """Its name, that of its class and perhaps more."""
+        """Name, that of its class and perhaps more."""
         return type(self).__name__
 
     @property
     def lanes(self) -> int:
-        """How many states the kernel evaluates at once."""
+        """Number of states that the kernel evaluates at once."""
         return 1
 
     @property

@@ -1,4 +1,4 @@
-"""What a step of Radau IIA leaves: its knots, and the states between its ends.
+"""The record of a step of Radau IIA: its knots, and the states between its ends.
 
 A knot holds the state that a step has left, its quaternion not yet back at length one, and
 after it the stages of the step, so that the states in it follow to the last bit.

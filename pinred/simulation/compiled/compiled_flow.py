@@ -25,7 +25,7 @@ _AT_ONCE = 512  # members that are set up together
 
 
 class CompiledFlow:
-    """What the compiled integrators need of a scene.
+    """The flow of a scene for the compiled integrators.
 
     kernel: machine code and layout.  y0: (k,) reduced state at the start.  parameters:
     (p,) what the kernel reads besides.  numbers: those of them that are in the forces; the

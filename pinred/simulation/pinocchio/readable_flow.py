@@ -20,7 +20,7 @@ from .base_motion import Base
 
 
 class ReducedFlow:
-    """What an integrator needs of a scene, by Pinocchio's numbers.  Not thread-safe.
+    """The flow of a scene by Pinocchio's numbers.  Not thread-safe.
 
     y0: (k,) reduced state at the start.  numbers: (p,) those in the forces; the torques
     that controllers hold are set in it as time goes on.

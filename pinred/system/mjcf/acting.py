@@ -1,4 +1,4 @@
-"""What acts on a robot in a MuJoCo model and is not part of the reduction."""
+"""Actions on a robot in a MuJoCo model that are not part of the reduction."""
 
 from __future__ import annotations
 

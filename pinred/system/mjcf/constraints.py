@@ -17,7 +17,7 @@ from .tree import Tree
 
 @dataclass(frozen=True)
 class Constraints:
-    """What the active equality constraints of a robot come to.
+    """The result of the active equality constraints of a robot.
 
     couplings: joints that follow others in proportion.  outside: names of constraints that tie
     the robot to what is not part of it, or act on tendons or flexible bodies.

@@ -42,7 +42,7 @@ class Joint:
 
     @property
     def nv(self) -> int:
-        """Its degrees of freedom."""
+        """Number of degrees of freedom."""
         return len(self.armature)
 
     def motion(self, value: float) -> pin.SE3:

@@ -27,7 +27,7 @@ _SOMEWHERE = (0.7, -0.4, 1.1, 0.2)  # rad | m, from where the file has the joint
 
 @dataclass(frozen=True, eq=False)
 class RootMotion:
-    """How the carrying body moves in the world.
+    """The motion of the carrying body in the world.
 
     joints: those that make the motion.  model: Pinocchio's joint.  before: its frame, on the
     body's as the file has it drawn.  behind: the body's frame, on the joint's moving one.
@@ -167,7 +167,7 @@ def _planar(joints: Sequence[Joint], plane: _Plane, gravity: Array) -> RootMotio
 
 @dataclass(frozen=True)
 class _Plane:
-    """What joints move a body in a plane, and perhaps across it.
+    """Joints that move a body in a plane, and perhaps across it.
 
     group: SE(2) or ℝ × SE(2).  hinges: across the plane.  slides: in it.
     """

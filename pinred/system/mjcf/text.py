@@ -33,7 +33,7 @@ class _Open:
 
 @dataclass
 class _Measure:
-    """What has been read so far: of a file, and of all that it includes.
+    """The amount read so far: of a file, and of all that it includes.
 
     top: the folder of the file.  count: elements, unrolled.  letters: of all texts.  named: how
     many elements a body or frame of a name has.  models: the same of files that are attached.

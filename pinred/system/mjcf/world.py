@@ -1,4 +1,4 @@
-"""Which of the bodies in a compiled MuJoCo model are the robot, and what they are called."""
+"""The robot among the bodies of a compiled MuJoCo model, and the names of its bodies."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ YARDSTICK = "pinred"  # measured in every run, so that each has ratios of its ow
 
 @dataclass(frozen=True)
 class Effort:
-    """How much time a measurement may take.
+    """The time that a measurement may take.
 
     rounds: of which the median counts.  patience: s; once a run of a method takes longer, it
     is not refined any more.  budget: s of timing for one point.  every: of the tolerances,

@@ -1,4 +1,4 @@
-"""How far energy and momentum are from where they were: by Pinocchio, for every method alike."""
+"""Drift of energy and momentum: by Pinocchio, for every method alike."""
 
 from __future__ import annotations
 

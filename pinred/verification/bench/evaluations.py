@@ -1,4 +1,4 @@
-"""How many evaluations one after another an error costs, by published methods of many kinds.
+"""Evaluations one after another that an error costs, by published methods of many kinds.
 
 SciPy's and, if it is installed, extensisq's methods run over the compiled vector field, called
 from Python; what counts is how often, not how long.  AdaptiveGauss evaluates eight stages at
@@ -57,7 +57,7 @@ _EXTENSISQ = {
 
 @dataclass(frozen=True)
 class Evaluations:
-    """What errors cost on one problem.  counts: method → evaluations for each of ERRORS."""
+    """The cost of errors on one problem.  counts: method → evaluations for each of ERRORS."""
 
     problem: str
     counts: Mapping[str, tuple[float, ...]]

@@ -1,4 +1,4 @@
-"""What one evaluation of a compiled kernel costs, against `pin.aba` called from Python."""
+"""The cost of an evaluation of a compiled kernel, against `pin.aba` called from Python."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EXAMPLES = ("ur5", "solo12", "talos")
 
 @dataclass(frozen=True)
 class KernelTiming:
-    """What a kernel costs.  kernel, aba: µs an evaluation.  build: s from model to address."""
+    """The cost of a kernel.  kernel, aba: µs an evaluation.  build: s from model to address."""
 
     robot: str
     joints: int
@@ -35,7 +35,7 @@ class KernelTiming:
 
     @property
     def ratio(self) -> float:
-        """How many times faster the kernel is than `pin.aba` called from Python."""
+        """Ratio of times: `pin.aba` called from Python over the kernel."""
         return self.aba / self.kernel
 
     @staticmethod

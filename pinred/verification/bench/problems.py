@@ -1,4 +1,4 @@
-"""What accuracy is measured on: a system, where it starts, and for how long."""
+"""Problems on which accuracy is measured: a system, its start, and for how long."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a problem truly ends, and how well that is known.
+"""The true end of a problem, and how well it is known.
 
 With heyoka: Taylor's method in quadruple precision on pinred's reduced equations, at two
 tolerances, and once more from a state that differs by round-off.  Without it: Hairer's DOP853.

@@ -1,4 +1,4 @@
-"""How the cost of an evaluation, and of making the kernel, grows with the number of joints."""
+"""Growth of the cost of an evaluation, and of making the kernel, with the number of joints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a method is: a way to solve a problem, with what it costs and where it ends."""
+"""A solver: a way to solve a problem, with its cost and where it ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What threads gain in simulate_many(), and what memory it needs besides its results."""
+"""The gain of threads in simulate_many(), and the memory it needs besides its results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What accuracy costs on one problem: points of run time and error, and ratios at equal error."""
+"""The cost of accuracy on one problem: points of run time and error, and ratios at equal error."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Point:
 
 @dataclass(frozen=True)
 class WorkPrecision:
-    """What accuracy costs on one problem, measured in one run.
+    """The cost of accuracy on one problem, measured in one run.
 
     problem, description: its name, and what it is.  reference_error: how far the reference may be
     from the truth [rad | m]; smaller errors of a point say nothing.  reference: how it was

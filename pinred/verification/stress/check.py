@@ -1,4 +1,4 @@
-"""What a check is, what it is given, and what comes of it."""
+"""A check of the stress suite, its trial, and its outcome."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Effort: TypeAlias = Literal["short", "usual", "full"]
 
 @dataclass(frozen=True)
 class Trial:
-    """What a check is given: how much to do, and what is under trial.
+    """The task of a check: how much to do, and what is under trial.
 
     simulate, simulate_many: take what those of pinred take.  fixed: from a step [s] to
     methods of fixed step.  adaptive: give methods for tight tolerances, beside DOP853.
@@ -82,7 +82,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a check.  wall: s.  stopped: why it could not be done, if so."""
+    """The result of a check.  wall: s.  stopped: why it could not be done, if so."""
 
     name: str
     what: str

@@ -26,7 +26,7 @@ _POSES = {"falling_cat": None, "cartpole": None, "planar_chain5": [0.0, 0.0, 0.5
 
 @dataclass(frozen=True)
 class Units:
-    """How many new units make up 1 kg, 1 m and 1 s."""
+    """Numbers of new units in 1 kg, 1 m and 1 s."""
 
     mass: float
     length: float

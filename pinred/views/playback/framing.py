@@ -22,7 +22,7 @@ _FAR = 10.0  # how far the grid goes on around what is followed, in radii
 
 @dataclass(frozen=True)
 class Framing:
-    """How a film is framed; vectors are (3,) in the world frame, lengths in m.
+    """The framing of a film; vectors are (3,) in the world frame, lengths in m.
 
     radius: of the ball about the centre of mass that the robot stays in.  reach: of what is
     drawn around it, but for a ghost.  middle: of the path of the centre of mass.  span: of

@@ -43,7 +43,7 @@ class Ghost:
 
 @dataclass(frozen=True)
 class Playback:
-    """What is drawn at F times; arrays are read-only, in the world frame.
+    """The scene drawn at F times; arrays are read-only, in the world frame.
 
     t: (F,) [s].  x, xdot: (F, m).  placements: (F, joints, 7) of Pinocchio's joints (the
     first is the world), position [m] and quaternion with the real part last.  com: (F, 3) [m].

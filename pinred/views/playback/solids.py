@@ -1,4 +1,4 @@
-"""What is drawn of a robot: shapes on its joints, and the meshes that they use."""
+"""Drawn parts of a robot: shapes on its joints, and the meshes that they use."""
 
 from __future__ import annotations
 

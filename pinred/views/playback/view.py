@@ -15,7 +15,7 @@ FILM_FPS = 30.0  # and of a film
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """What is drawn besides the robot, and how fast.
+    """Things drawn besides the robot, and the speed.
 
     ghost: also draw the full simulation (ABA on the full state) beside the reduced one.
     speed: seconds of the motion in a second of playback, to begin with.  fps: frames in a

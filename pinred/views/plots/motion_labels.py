@@ -1,4 +1,4 @@
-"""What the numbers of a motion are called: robot, group, joints, units, and who stands together."""
+"""Names of the numbers of a motion: robot, group, joints, units, and which stand together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How every figure looks: colours, dashes, sizes, legends, units.
+"""The looks of every figure: colours, dashes, sizes, legends, units.
 
 Nothing here touches pyplot, a GUI, or the settings of the user: a figure carries its own style
 and puts it on while it is built, drawn and saved.  Colours are those of Okabe and Ito ("Color
