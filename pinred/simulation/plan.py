@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, read_only
 from ..common.memo import once
 from ..forces.force_model import ForceModel, touched_by
 from ..integrators.methods import Method
@@ -25,16 +25,24 @@ from ..system.system import System
 from .choose_method import Choice, choose
 from .stops import stops_of
 
+_NONE = read_only(np.empty(0))
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Kind:
     """The terms of a plan with angular momentum of the base, or without any.
 
-    structure: which terms there are.  layout: what is integrated, and where it stands.
+    structure: which terms there are.
     """
 
+    system: System
+    forces: ForceModel | None
     structure: Structure
-    layout: Layout
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Numbers that are integrated, and where they stand; made when first looked at."""
+        return layout_of(self.system, self.structure, self.forces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +66,6 @@ class Plan:
     free: tuple[int, ...]
     stops: Array
     numbers: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
     @property
     def system(self) -> System:
@@ -112,7 +117,7 @@ class Plan:
             base=self.wanted,
             lifted=self.method.symplectic and constant,
         )
-        return Kind(structure, layout_of(self.system, structure, self.forces))
+        return Kind(self.system, self.forces, structure)
 
 
 def plan_of(scene: Scene) -> Plan:
@@ -139,6 +144,6 @@ def _plan(scene: Scene) -> Plan:
         cyclic=cyclic_of(system, touched_by(forces)),
         driven=driven,
         free=tuple(k for k in range(system.m) if k not in driven),
-        stops=stops_of(scene),
-        numbers=np.empty(0) if forces is None else forces.numbers_from(0.0, scene.end),
+        stops=read_only(stops_of(scene)),
+        numbers=_NONE if forces is None else read_only(forces.numbers_from(0.0, scene.end)),
     )
