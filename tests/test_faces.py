@@ -40,6 +40,7 @@ def test_a_function_is_not_hidden_by_its_module() -> None:
     assert python(code) == "True\n"
 
 
+@pytest.mark.slow
 def test_aliases_of_folders() -> None:
     """The short paths of what stands deeper: as modules, and to import from."""
     code = (
@@ -52,6 +53,7 @@ def test_aliases_of_folders() -> None:
     assert python(code) == "True True\n"
 
 
+@pytest.mark.slow
 def test_all_at_once() -> None:
     """No name needs another to be imported first: with EAGER_IMPORT, all are, in any order."""
     for seed in "01":

@@ -147,6 +147,7 @@ traj(t="now", at=1)  # call-arg
 """
 
 
+@pytest.mark.slow
 def test_a_type_checker_refuses_what_is_no_option(tmp_path: Path) -> None:
     """Mypy names the lines with misspelt options and wrong types, and no other line."""
     path = tmp_path / "snippet.py"

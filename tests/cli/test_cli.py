@@ -27,6 +27,7 @@ def test_compare_passes(capsys: pytest.CaptureFixture[str]) -> None:
     assert "verdict: PASSED" in out
 
 
+@pytest.mark.slow
 def test_compare_with_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
     """Joints by name, a formula and a method with options, judged by ABA."""
     code, out, err = run(
@@ -173,6 +174,7 @@ def test_cache(
     assert run(capsys, "cache")[1].startswith("0 kernels")
 
 
+@pytest.mark.slow
 def test_bench_kernels(capsys: pytest.CaptureFixture[str]) -> None:
     """The table has a row a robot, with a kernel far faster than ABA from Python."""
     ratios: dict[str, float] = {}

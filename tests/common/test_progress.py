@@ -134,6 +134,7 @@ def test_a_notebook_gets_a_bar(outputs: dict[str, list[Any]]) -> None:
     assert "falling &lt;b&gt;" in html
 
 
+@pytest.mark.slow
 def test_a_notebook_keeps_nothing_of_it(outputs: dict[str, list[Any]]) -> None:
     """The bar's output becomes empty, and the cell's others stay."""
     before, bar, after = outputs["first after 1"]

@@ -143,6 +143,7 @@ def evaluate(tree: Tree, t: complex) -> tuple[complex, float]:
     return value, 2 * error + ROUND * abs(value)
 
 
+@pytest.mark.slow
 @given(tree=st.recursive(leaf(), grow_rough, max_leaves=12), t=st.floats(-3, 3))
 @settings(max_examples=150)
 def test_value_of_any_expression(tree: Tree, t: float) -> None:
@@ -154,6 +155,7 @@ def test_value_of_any_expression(tree: Tree, t: float) -> None:
         assert abs(got - value.real) <= 4 * error + 1e-300, tree.text
 
 
+@pytest.mark.slow
 @given(tree=st.recursive(leaf(), grow, max_leaves=8), t=st.floats(-2, 2))
 @settings(max_examples=150)
 def test_derivative_of_any_smooth_expression(tree: Tree, t: float) -> None:

@@ -102,6 +102,7 @@ def thrust(r: int) -> tuple[Wrench, Any]:
     return Wrench(lambda t, x, *_: wrench(ca.sin, t, x)), lambda t, x: wrench(np.sin, t, x)
 
 
+@pytest.mark.slow
 @settings(max_examples=5)
 @given(groups, seeds)
 def test_wrench_on_random_trees(group: str, seed: int) -> None:

@@ -107,6 +107,7 @@ def full_motion(scene: pinred.Scene, driven: list[int]) -> Array:
     return aba.integrate(model, q0, v0, TIMES, tau)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("momentum", [False, True])
 def test_fully_prescribed_is_reconstruction(momentum: bool, engine: Engine) -> None:
@@ -204,6 +205,7 @@ def test_a_torque_on_a_prescribed_joint_spares_its_drive() -> None:
     np.testing.assert_allclose(pushed.energy_balance.residual, 0.0, atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 def test_splines_with_many_knots(engine: Engine) -> None:
     """Each knot ends a piece, and the reported states at the knots belong to the motion."""
@@ -241,6 +243,7 @@ def test_splines_with_many_knots(engine: Engine) -> None:
     np.testing.assert_allclose(traj.driving_torques[1:50:7], expected, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not has_example_robots(), reason="needs example-robot-data")
 def test_solo12_falls_with_moving_legs() -> None:
     """The CoM is on its parabola, the whole is ABA's, and the torques are pin.rnea's."""

@@ -159,6 +159,7 @@ def test_far_times_and_large_neighbours_do_not_spoil_small_values(kind: type[Sig
         np.testing.assert_allclose(route(at)[0], expected, rtol=1e-10, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_large_table_costs_little() -> None:
     """A thousand entries compile to a few instructions each, derivatives included."""
     rng = np.random.default_rng(3)

@@ -43,6 +43,7 @@ print(sum(event.is_start for _, event in record.buffer))
 """
 
 
+@pytest.mark.slow
 def test_processes_after_the_first_compile_nothing() -> None:
     """All loops come from disk, and each is its own method's: another would be far off."""
     counts = []
@@ -99,6 +100,7 @@ print(compiling.compiled(chosen)(3.0))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("named", [True, False])
 def test_a_copy_without_a_name_would_run_another(named: bool, tmp_path: Path) -> None:
     """Two processes, two copies of one function: with names each runs its own."""

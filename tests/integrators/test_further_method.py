@@ -50,6 +50,7 @@ run = { duration = 0.2, method = { name = "BS3", rtol = 1e-5 } }
 """
 
 
+@pytest.mark.slow
 def test_a_further_explicit_method_is_one_file(tmp_path: Path) -> None:
     """It has its order on a robot; command line, scene files, schema and bench know its name."""
     (code,) = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)

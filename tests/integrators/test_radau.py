@@ -250,6 +250,7 @@ def test_hard_springs() -> None:
         pinred.simulate(replace(scene, method=explicit))
 
 
+@pytest.mark.slow
 def test_van_der_pol() -> None:
     """The book's stiff oscillator over its jump, by SciPy."""
     end, mu = 1.5, 1e3  # in the book's scaling, ε = 1e-6, it jumps at 0.8 mu

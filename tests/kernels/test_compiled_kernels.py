@@ -58,6 +58,7 @@ def test_kernels_of_random_trees(case: Case) -> None:
         np.testing.assert_allclose(rate, expected[rows], rtol=0, atol=1e-10 * scale)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(cases(1, 5))
 def test_kernels_obey_hamilton_poincare(case: Case) -> None:

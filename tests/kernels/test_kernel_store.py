@@ -299,6 +299,7 @@ def contend(folder: Path, seed: int) -> int:
     return found
 
 
+@pytest.mark.slow
 def test_processes_at_once(folder: Path) -> None:
     """Processes that put, get and clear the same keys never see a part, nor a warning."""
     with multiprocessing.get_context("spawn").Pool(4) as pool:

@@ -319,6 +319,7 @@ def ladder(rungs: int) -> ca.Function:
     return ca.Function("f", [x], [ca.vertcat(*outputs[-40:])], {"cse": True})
 
 
+@pytest.mark.slow
 def test_compile_time_grows_with_size() -> None:
     """Four times the instructions take about four times as long, not sixteen."""
     seconds, sizes = [], []

@@ -94,6 +94,7 @@ def system(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> p
     return found
 
 
+@pytest.mark.slow
 def test_it_is_simulated_and_judged(system: pinred.System) -> None:
     """Free, pushed and with a plan, by both engines, against Pinocchio's ABA on the full state."""
     pose0 = system.group.exp(np.linspace(0.3, -0.9, system.r))

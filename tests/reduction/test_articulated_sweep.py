@@ -27,6 +27,7 @@ def evaluate(function: ca.Function, *arguments: Array) -> Array:
     return np.array(function(*arguments)).ravel()
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(cases(0))
 def test_sweep_solves_for_velocities_and_forces(case: Case) -> None:

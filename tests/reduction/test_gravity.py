@@ -181,6 +181,7 @@ def test_pendulum_on_a_cart_swings_as_the_reduced_metric_says() -> None:
     np.testing.assert_allclose(traj.x[:, 0], 1e-6 * np.cos(w * traj.t), atol=1e-15)
 
 
+@pytest.mark.slow
 @settings(max_examples=6)
 @given(seeds, st.integers(1, 3))
 def test_pinned_chains(seed: int, joints: int) -> None:

@@ -58,6 +58,7 @@ def test_mass_matrix_against_crba(case: Case) -> None:
         close(field.reduced_metric[k], H[r:, r:] - H[r:, :r] @ A)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(cases(0, 6))
 def test_curvature_against_rnea_derivatives(case: Case) -> None:

@@ -100,6 +100,7 @@ def test_joints_by_name_go_where_pinocchio_has_them() -> None:
     np.testing.assert_array_equal(still.q[0], configured({}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @settings(max_examples=15)
 @given(case=cases(1, 5))

@@ -433,6 +433,7 @@ VALUES = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=500)
 @given(st.sampled_from(EXAMPLES), st.data())
 def test_reader_and_schema_agree(path: Path, data: st.DataObject) -> None:

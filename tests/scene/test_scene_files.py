@@ -362,6 +362,7 @@ def test_the_top_precesses_steadily() -> None:
     np.testing.assert_allclose(turned - turned[0], 2.0 * traj.t, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The command prints the table, writes the file, judges and returns 0."""
     path, out = str(EXAMPLES / "thruster.toml"), tmp_path / "traj.npz"
@@ -400,6 +401,7 @@ def test_run_engine_and_shape(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "(compiled)" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_same_scene_same_bits(tmp_path: Path) -> None:
     """Two processes write the same bytes."""
     files = [tmp_path / "a.csv", tmp_path / "b.csv"]

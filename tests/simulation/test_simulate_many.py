@@ -72,6 +72,7 @@ def test_bad_members() -> None:
         pinred.simulate_many(system, seeds=[1], seed=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["DOP853", "AdaptiveGauss"])
 def test_progress_counts_members(method: str) -> None:
     """The part that is done grows, whatever takes the steps; what it raises ends the call."""

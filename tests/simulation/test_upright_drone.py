@@ -41,6 +41,7 @@ def test_split_in_closed_form(swivel: float, lift: float) -> None:
     np.testing.assert_allclose(at.local_connection[0], climb, atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_loop_of_the_boom_yaws_the_drone(engine: Engine) -> None:
     """Without momentum the yaw is −∮ A dα, and height and drift come back but for the fall."""

@@ -61,6 +61,7 @@ def test_q_and_v_are_those_of_the_given_model(group: str, joints: int, seed: int
     assert np.array_equal(rate.xdot, xdot)
 
 
+@pytest.mark.slow
 def test_a_motion_in_the_given_order() -> None:
     """A trajectory of such a model passes the judge; its q and v move the given model's energy.
 

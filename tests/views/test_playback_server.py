@@ -116,6 +116,7 @@ def test_play_in_a_session_and_in_a_script(capsys: pytest.CaptureFixture[str]) -
         assert b"elroys_beanie" in body
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_the_command(tmp_path: Path) -> None:
     """`pinred play` serves until Ctrl-C, and then ends at once with exit code 0."""
     path = tmp_path / "traj.npz"

@@ -218,6 +218,7 @@ def test_work_against_precision() -> None:
         plots.work_precision([])
 
 
+@pytest.mark.slow
 def test_names_are_not_formulas(tmp_path: Path) -> None:
     """Names with $, and names that begin with _, are drawn and stand in legends as they are."""
     text = '<robot name="$a_$"><link name="base">{}</link>{}</robot>'
@@ -257,6 +258,7 @@ def test_refusals(cat: pinred.Trajectory) -> None:
         plots.shape(3)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_nothing_is_shown_and_no_setting_is_changed() -> None:
     """Neither pyplot nor a GUI is imported; the user's settings stay, and do not show."""
     code = (
@@ -274,6 +276,7 @@ def test_nothing_is_shown_and_no_setting_is_changed() -> None:
     assert python(code) == "False True True ['matplotlib.backends.backend_agg']\n"
 
 
+@pytest.mark.slow
 def test_without_matplotlib() -> None:
     """The error says how to get it; the rest of pinred does without."""
     code = (

@@ -89,9 +89,9 @@ def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa:
     else:
         guess(work, n, lanes, GUESS, OLD, L)
     if newton:
-        turns = solve_by_newton(run, params, work, L, MAIN, abs(h - run.factored) > 0.0, h)
+        turns = find_stages_by_newton(run, params, work, L, MAIN, abs(h - run.factored) > 0.0, h)
     else:
-        turns = solve(run.address, params, work, n, lanes, L, h)
+        turns = find_stages(run.address, params, work, n, lanes, L, h)
     if turns == NO_SOLUTION and auto and not newton:
         run.evaluations += stages
         run.remaining = _STAY
@@ -147,15 +147,17 @@ def not_finite_in(run: Run, work: Array, row: int) -> bool:
 
 
 @compiled
-def solve(address: int, params: Array, work: Array, n: int, lanes: int, row: int, h: float) -> int:
-    """Solve a step to round-off by fixed-point iteration; return the turns, or NO_SOLUTION."""
+def find_stages(
+    address: int, params: Array, work: Array, n: int, lanes: int, row: int, h: float
+) -> int:
+    """Find a step's stages to round-off by fixed points; return the turns, or NO_SOLUTION."""
     _measure(work, n, lanes, row)
     work[INFO, 0] = _SLACK
     return iterate(address, params, work, n, lanes, row, h, ROUND_OFF)
 
 
 @compiled
-def solve_by_newton(
+def find_stages_by_newton(
     run: Run, params: Array, work: Array, row: int, which: int, fresh: bool, h: float
 ) -> int:
     """Solve a step to round-off by Newton's method; return the turns, or NO_SOLUTION.
@@ -218,10 +220,10 @@ def between(run: Run, params: Array, work: Array, time: float, t_new: float, out
             start_evenly(run.address, params, work, n, lanes, SUB, h)
         turns = NO_SOLUTION
         if run.solver != NEWTON:
-            turns = solve(run.address, params, work, n, lanes, SUB, h)
+            turns = find_stages(run.address, params, work, n, lanes, SUB, h)
         if turns == NO_SOLUTION and run.solver != FIXED_POINT and run.tangent != 0:
             start_evenly(run.address, params, work, n, lanes, SUB, h)
-            turns = solve_by_newton(run, params, work, SUB, OTHER, True, h)
+            turns = find_stages_by_newton(run, params, work, SUB, OTHER, True, h)
         if turns == NO_SOLUTION:
             turns = _in_pieces(run, params, work, h, out)
         else:
@@ -246,7 +248,7 @@ def _in_pieces(run: Run, params: Array, work: Array, h: float, out: Array) -> in
     while turns == NO_SOLUTION and pieces <= _PIECES:
         for _ in range(pieces):
             start_evenly(address, params, work, n, lanes, SUB, h / pieces)
-            turns = solve(address, params, work, n, lanes, SUB, h / pieces)
+            turns = find_stages(address, params, work, n, lanes, SUB, h / pieces)
             if turns == NO_SOLUTION:
                 break
             total += turns + 1

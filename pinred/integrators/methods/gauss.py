@@ -15,7 +15,7 @@ from .method import EqualSteps, option
 if TYPE_CHECKING:
     from ..machine.stepper import Stepper
 
-SOLVERS = {"auto": AUTO, "fixed point": FIXED_POINT, "Newton": NEWTON}
+STAGES_FOUND_BY = {"auto": AUTO, "fixed point": FIXED_POINT, "Newton": NEWTON}
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Gauss(EqualSteps):
         default=6, metadata=option("order, an even number", least=2, most=2 * MOST_STAGES)
     )
     solver: str = field(
-        default="auto", metadata=option("how stages are found", among=tuple(SOLVERS))
+        default="auto", metadata=option("how stages are found", among=tuple(STAGES_FOUND_BY))
     )
 
     about: ClassVar[str] = "Gauss–Legendre collocation with fixed steps, symplectic"
@@ -46,8 +46,10 @@ class Gauss(EqualSteps):
             raise InputError(
                 f"order must be one of {', '.join(map(str, orders))}, got {self.order!r}"
             )
-        if self.solver not in [*SOLVERS]:
-            raise InputError(f"solver must be one of {', '.join(SOLVERS)}, got {self.solver!r}")
+        if self.solver not in [*STAGES_FOUND_BY]:
+            raise InputError(
+                f"solver must be one of {', '.join(STAGES_FOUND_BY)}, got {self.solver!r}"
+            )
 
     @property
     def name(self) -> str:
@@ -75,7 +77,11 @@ class Gauss(EqualSteps):
 
     def registers(self, t_end: float) -> dict[str, float]:
         """Return length and number of the steps, and how the stages are evaluated and found."""
-        solved = {"stages": self.stages, "lanes": self.lanes, "solver": SOLVERS[self.solver]}
+        solved = {
+            "stages": self.stages,
+            "lanes": self.lanes,
+            "solver": STAGES_FOUND_BY[self.solver],
+        }
         return super().registers(t_end) | solved
 
 

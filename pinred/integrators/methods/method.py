@@ -31,11 +31,13 @@ class Method(ABC):
 
     about: it in a few words.  adaptive: whether an estimated error decides how long steps are.
     symplectic: whether its map is, on the canonical form.
+    steady_momentum: whether it needs an angular momentum that is constant in space.
     """
 
     about: ClassVar[str]
     adaptive: ClassVar[bool]
     symplectic: ClassVar[bool] = False
+    steady_momentum: ClassVar[bool] = False
 
     @property
     def name(self) -> str:

@@ -29,6 +29,7 @@ class Variational(EqualSteps):
     order: ClassVar[int] = 2
     dense_order: ClassVar[int] = 2
     symplectic: ClassVar[bool] = True
+    steady_momentum: ClassVar[bool] = True
 
     def stepper(self) -> Stepper:
         """Return what runs it."""

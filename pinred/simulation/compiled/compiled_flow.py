@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ...integrators.methods import Method, Variational
+from ...integrators.methods import Method
 from ...kernels.evaluate import evaluate
 from ...kernels.kernel import Kernel
 from ...kernels.start_kernel import Starts, start_kernel
@@ -152,10 +152,10 @@ class CompiledFlows:
         self.kernel = kernel_of(plan, zero_momentum=zero)
         layout = self.kernel.layout
         parts = layout.base
-        if isinstance(plan.method, Variational) and parts.momentum:
+        if plan.method.steady_momentum and parts.momentum:
             raise InputError(
-                "Variational needs a constant angular momentum, and here gravity or a wrench "
-                "changes it; Gauss and the others take that"
+                f"{plan.method.name} needs a constant angular momentum, and here gravity or a "
+                "wrench changes it; Gauss and the others take that"
             )
         active, cyclic = list(layout.active), list(layout.cyclic)
         attitude = given.pose[:, plan.system.group.linear :]
