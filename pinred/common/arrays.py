@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields
+from math import isfinite
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -17,9 +18,10 @@ Array: TypeAlias = NDArray[np.float64]
 def as_floats(value: ArrayLike, what: str) -> Array:
     """Return `value` as an array of floats.  Raises ShapeError naming `what`."""
     try:
-        if np.iscomplexobj(value):
+        array = np.asarray(value)
+        if array.dtype.kind == "c":
             raise TypeError
-        return np.asarray(value, dtype=float)
+        return np.asarray(array, dtype=float)
     except (TypeError, ValueError):
         raise ShapeError(f"{what} must be numbers, got {value!r}") from None
 
@@ -65,7 +67,7 @@ def positive(value: float, what: str) -> float:
         number = float(value)
     except (TypeError, ValueError):
         raise InputError(f"{what} must be a number, got {value!r}") from None
-    if not (np.isfinite(number) and number > 0):
+    if not (isfinite(number) and number > 0):
         raise InputError(f"{what} must be finite and above zero, got {number:g}")
     return number
 

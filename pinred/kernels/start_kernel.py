@@ -63,8 +63,14 @@ class StartKernel:
         m, r, k = self.system.m, self.system.r, self.system.group.linear
         rows = np.concatenate([pose, x, xdot, motion], axis=1)
         out = evaluate(self.code.address, np.zeros(1), rows, m + 2 * r)
-        ends = np.cumsum([m, r - k, r - k, k, k]).tolist()
-        return Starts(*(out[:, a:b] for a, b in zip([0, *ends], ends, strict=False)))
+        about, fixed, c0, v0 = m, m + r - k, m + 2 * (r - k), m + 2 * (r - k) + k
+        return Starts(
+            pi=out[:, :about],
+            about=out[:, about:fixed],
+            fixed=out[:, fixed:c0],
+            c0=out[:, c0:v0],
+            v0=out[:, v0:],
+        )
 
 
 def start_kernel(system: System, given: TwistOrMomentum) -> StartKernel:

@@ -16,10 +16,10 @@ from ..common.errors import InputError, ShapeError
 from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method
-from ..system.joints import is_prismatic
-from ..system.system import InitialState, System, checked_system
+from ..system.system import System, checked_system
 from . import forms
 from .initial_state import GivenStates, Start, start_of
+from .random_state import DURATION, random_state
 from .tolerances import check_tolerances, with_tolerances
 
 if TYPE_CHECKING:
@@ -30,12 +30,12 @@ WantedOutputs: TypeAlias = Literal["all", "shape"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 OUTPUTS: tuple[WantedOutputs, ...] = get_args(WantedOutputs)
 EVEN_TIMES = 201  # report times, where the scene does not say
-DURATION = 2.0  # s, where neither scene nor robot says
 TIGHTEST = 1e-14  # relative tolerance; below it round-off decides the step
 # Momenta are integrated, and rates are wanted: where a light joint sits beside heavy ones, a
 # small part of a large momentum is a ten times larger part of the light joint's rate.
 MOMENTUM_MARGIN = 10.0
 MOST_CALLS = 1_000_000  # of one controller; each ends a run of the integrator
+_COUNTS = np.arange(float(EVEN_TIMES))
 _STATE = ("x0", "xdot0", "xi0", "momentum", "q0", "v0")
 _STAND_FOR = {  # an option: what it is, and those that it stands for
     "seed": ("a whole random state", _STATE),
@@ -243,7 +243,7 @@ class Scene:
         if self.times is None:
             own = self.system.initial.duration if self.system.initial else DURATION
             last = own if self.duration is None else float(self.duration)
-            return np.linspace(0.0, last, EVEN_TIMES)
+            return _even_times(last)
         times = np.atleast_1d(as_floats(self.times, "times")).copy()
         end = np.inf if self.duration is None else float(self.duration)
         if times.ndim != 1 or times.size == 0 or not np.isfinite(times).all():
@@ -313,27 +313,10 @@ def checked_seed(seed: Any) -> int:
     return int(seed)
 
 
-def random_state(system: System, seed: int) -> InitialState:
-    """Return a generic state: moderate, within the joints' limits, with no symmetry in it."""
-    rng = np.random.default_rng(seed)
-    joints = [system.model.joints[i] for i in range(2, system.model.njoints)]
-    reach = np.array([0.1 if is_prismatic(joint) else 0.6 for joint in joints])
-    low, high = -reach, reach.copy()
-    for k, joint in enumerate(joints):
-        least, most = (
-            limit[joint.idx_q]
-            for limit in (system.model.lowerPositionLimit, system.model.upperPositionLimit)
-        )
-        if joint.nq == 1 and least < most:
-            middle = max(least, min(0.0, most))
-            low[k], high[k] = max(least, middle - reach[k]), min(most, middle + reach[k])
-    scale = np.where(np.arange(system.r) < system.group.linear, 0.1, 0.6)
-    return InitialState(
-        x=rng.uniform(low, high),
-        xdot=rng.normal(size=system.m) * reach,
-        xi=rng.normal(size=system.r) * scale,
-        duration=DURATION,
-    )
+def _even_times(last: float) -> Array:
+    times: Array = _COUNTS * (last / _COUNTS[-1])
+    times[-1] = last
+    return times
 
 
 def _or_zero(value: Any, size: int, what: str, labels: Any = ()) -> Array:

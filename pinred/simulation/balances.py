@@ -125,7 +125,7 @@ def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalan
             arm = pin.centerOfMass(model, data, q) - placement.translation
             parts = np.append(weight, np.cross(arm, weight)).reshape(2, 3)
             out[k] = axes.T @ (parts @ placement.rotation).ravel()
-        if forces is not None and plan.wrench:
+        if forces is not None and plan.acting.wrench:
             body = [
                 forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers).wrench
                 for time, (s, numbers) in zip(t, motion.samples(t), strict=True)
@@ -134,7 +134,7 @@ def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalan
         return out
 
     impulse = np.zeros((len(states.t), system.r))
-    if plan.wrench or weight.any():
+    if plan.acting.wrench or weight.any():
         impulse = _integral(motion, states.t, impulses)
     return MomentumBalance(states.t, states.spatial_momentum, impulse)
 

@@ -27,12 +27,12 @@ def driving_torques(plan: Plan, t: Array, seen: list[tuple[Sample, Array]]) -> A
     t: (T,) times.  seen: what forces see then, and the numbers in them.
     """
     system, forces = plan.system, plan.forces
-    if forces is None or not plan.driven:
+    if forces is None or not plan.acting.driven:
         return read_only(np.zeros((len(t), 0)))
     red = system.workspace((Reduction, "weightless"), lambda: Reduction(_weightless(system)))
     form = system.workspace(CanonicalForm, lambda: CanonicalForm(system, shape_gravity(system)))
     gravity = shape_gravity(system)
-    driven, free = np.array(plan.driven), np.array(plan.free, dtype=np.intp)
+    driven, free = np.array(plan.acting.driven), np.array(plan.acting.free, dtype=np.intp)
     out = np.empty((len(t), len(driven)))
     for k, (time, (s, numbers)) in enumerate(zip(t, seen, strict=True)):
         acting = forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers)

@@ -38,7 +38,7 @@ def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:
     if not plan.wanted:
         lines.append("the base: nobody asks for it")
     if group.linear:
-        if plan.wrench and plan.wanted:
+        if plan.acting.wrench and plan.wanted:
             lines.append("translation of the base: it follows the centre of mass")
         else:
             lines.append("translation of the base: the centre of mass moves on a known path")
@@ -49,14 +49,14 @@ def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:
             lines.append("all terms with momentum: it is zero, and the base follows the shape")
         else:
             lines.append("angular momentum: it follows from the attitude, or is constant")
-    if plan.driven:
-        driven = ", ".join(names[k] for k in plan.driven)
+    if plan.acting.driven:
+        driven = ", ".join(names[k] for k in plan.acting.driven)
         lines.append(f"dynamics of the prescribed joints: {driven}")
-    if plan.cyclic:
-        cyclic = ", ".join(names[k] for k in plan.cyclic)
+    if plan.acting.cyclic:
+        cyclic = ", ".join(names[k] for k in plan.acting.cyclic)
         lines.append(f"momenta of the cyclic joints, which are constant: {cyclic}")
     if not system.m:
         lines.append("shape: there is none")
-    elif plan.gravity is None and forces is None:
+    elif plan.acting.gravity is None and forces is None:
         lines.append("potential: nothing acts on the shape")
     return lines

@@ -124,7 +124,7 @@ def follow(plan: Plan, flow: Flow, integrate: Integrate) -> Motion:
         t = stop
         if stop != plan.stops[-1]:
             y = piece.at(np.array([stop]))[0]
-    varies = bool(plan.driven) and len(pieces) > 1
+    varies = bool(plan.acting.driven) and len(pieces) > 1
     return Motion(flow, pieces, varies=varies)
 
 

@@ -46,24 +46,65 @@ class Kind:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
-    """All that follows from a scene before it is integrated; arrays are read-only.
+class Acting:
+    """What a system and the forces on it say of every scene with both; arrays are read-only.
 
+    forces: all that acts besides gravity, and the prescribed joints; None if there is nothing.
     weight: (3,) m g in the root joint's fixed frame where it turns a pivoted base, else zero
     [N].  gravity: (3,) what of it acts on the shape or turns the base, in that frame [m/s²], or
     None.  momentum_changes: whether something acts on the angular momentum of the base.
     cyclic, driven, free: indices of the joints whose momentum is constant, of those that are
-    prescribed, and of all others than these last.  stops: (S,) times at which integration
-    stops, the end last [s].  numbers: (p,) those in the forces at the start.
+    prescribed, and of all others than these last.
     """
 
-    scene: Scene
+    system: System
+    forces: ForceModel | None
     weight: Array
     gravity: tuple[float, float, float] | None
     momentum_changes: bool
     cyclic: tuple[int, ...]
     driven: tuple[int, ...]
     free: tuple[int, ...]
+
+    @property
+    def wrench(self) -> bool:
+        """Whether a force acts on the base itself."""
+        return self.forces is not None and self.forces.has_wrench
+
+    @property
+    def turned(self) -> bool:
+        """Whether gravity turns a pivoted base."""
+        return bool(self.weight.any())
+
+    def kind(self, *, zero_momentum: bool, base: bool, symplectic: bool) -> Kind:
+        """Return the terms there are, made once.
+
+        zero_momentum: whether the angular momentum is exactly zero.  base: whether somebody asks
+        for the base.  symplectic: whether the integrator is.
+        """
+        zero = zero_momentum and not self.momentum_changes
+        # A constant angular momentum that turns in the body is a quaternion to symplectic methods.
+        constant = self.system.group.turns == 3 and not (zero or self.momentum_changes)
+        lifted = symplectic and constant
+        return once(self, (zero, base, lifted), lambda: self._kind(zero, base, lifted))
+
+    def _kind(self, zero: bool, base: bool, lifted: bool) -> Kind:
+        structure = Structure(
+            zero_momentum=zero, cyclic=self.cyclic, gravity=self.gravity, base=base, lifted=lifted
+        )
+        return Kind(self.system, self.forces, structure)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """All that follows from a scene before it is integrated; arrays are read-only.
+
+    acting: what it shares with other scenes.  stops: (S,) times at which integration stops, the
+    end last [s].  numbers: (p,) those in the forces at the start.
+    """
+
+    scene: Scene
+    acting: Acting
     stops: Array
     numbers: Array
 
@@ -75,22 +116,12 @@ class Plan:
     @property
     def forces(self) -> ForceModel | None:
         """All that acts besides gravity, and the prescribed joints; None if there is nothing."""
-        return self.scene.force_model
+        return self.acting.forces
 
     @property
     def wanted(self) -> bool:
         """Whether somebody asks for the base."""
         return self.scene.outputs == "all"
-
-    @property
-    def wrench(self) -> bool:
-        """Whether a force acts on the base itself."""
-        return self.forces is not None and self.forces.has_wrench
-
-    @property
-    def turned(self) -> bool:
-        """Whether gravity turns a pivoted base."""
-        return bool(self.weight.any())
 
     @cached_property
     def choice(self) -> Choice:
@@ -104,20 +135,9 @@ class Plan:
 
     def kind(self, *, zero_momentum: bool) -> Kind:
         """Return the terms there are if the angular momentum is exactly zero, or if it is not."""
-        zero = zero_momentum and not self.momentum_changes
-        return once(self, (Kind, zero), lambda: self._kind(zero))
-
-    def _kind(self, zero: bool) -> Kind:
-        # A constant angular momentum that turns in the body is a quaternion to symplectic methods.
-        constant = self.system.group.turns == 3 and not (zero or self.momentum_changes)
-        structure = Structure(
-            zero_momentum=zero,
-            cyclic=self.cyclic,
-            gravity=self.gravity,
-            base=self.wanted,
-            lifted=self.method.symplectic and constant,
+        return self.acting.kind(
+            zero_momentum=zero_momentum, base=self.wanted, symplectic=self.method.symplectic
         )
-        return Kind(self.system, self.forces, structure)
 
 
 def plan_of(scene: Scene) -> Plan:
@@ -130,20 +150,26 @@ def plan_of(scene: Scene) -> Plan:
 
 def _plan(scene: Scene) -> Plan:
     system, forces = scene.system, scene.force_model
+    # A force model belongs to one system.
+    acting = once(system if forces is None else forces, Acting, lambda: _acting(system, forces))
+    numbers = _NONE if forces is None else read_only(forces.numbers_from(0.0, scene.end))
+    return Plan(scene, acting, read_only(stops_of(scene)), numbers)
+
+
+def _acting(system: System, forces: ForceModel | None) -> Acting:
     weight = pivot_weight(system)
     gravity = shape_gravity(system).direction
     if weight.any():
         x, y, z = (weight / system.mass).tolist()
         gravity = (x, y, z)
     driven = forces.joints if forces is not None else ()
-    return Plan(
-        scene=scene,
+    return Acting(
+        system=system,
+        forces=forces,
         weight=weight,
         gravity=gravity,
         momentum_changes=bool(weight.any()) or (forces is not None and forces.has_wrench),
         cyclic=cyclic_of(system, touched_by(forces)),
         driven=driven,
         free=tuple(k for k in range(system.m) if k not in driven),
-        stops=read_only(stops_of(scene)),
-        numbers=_NONE if forces is None else read_only(forces.numbers_from(0.0, scene.end)),
     )

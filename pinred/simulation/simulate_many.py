@@ -17,7 +17,8 @@ from ..common.signatures import shows_fields
 from ..scene import forms
 from ..scene.initial_state import GivenStates
 from ..scene.options import SceneOptions
-from ..scene.scene import Scene, checked_seed, random_state
+from ..scene.random_state import random_state
+from ..scene.scene import Scene, checked_seed
 from ..system.system import System, checked_system
 from .plan import Plan, plan_of
 from .simulate import as_scene

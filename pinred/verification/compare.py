@@ -223,6 +223,6 @@ def audited(traj: Trajectory, states: State) -> Audit:
     """Return what Pinocchio says of states of a trajectory, work and impulse taken off."""
     work = energy_balance(traj.plan, traj.motion, states).work.sum(axis=1)
     impulse = None
-    if traj.plan.momentum_changes:
+    if traj.plan.acting.momentum_changes:
         impulse = momentum_balance(traj.plan, traj.motion, states).impulse
     return FullState(traj.scene).audit(states, work, impulse)

@@ -87,17 +87,19 @@ def test_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_fields() -> None:
     """What a scene with a plan for a joint, a wheel and a wrench comes to."""
     system = pinred.load("reaction_wheel_satellite")
-    assert plan_of(pinred.Scene(system=system, seed=0)).cyclic == (1, 2, 3)
+    assert plan_of(pinred.Scene(system=system, seed=0)).acting.cyclic == (1, 2, 3)
     prescribed = {"wheel_x": pinred.signals.Fourier(0.0, [0.1], [0.0], 1.0)}
     scene = pinred.Scene(
         system=system, seed=0, prescribed=prescribed, forces=[Wrench([0, 0, 0, 0, 0, 1])]
     )
     found = plan_of(scene)
-    assert (found.driven, found.free) == ((1,), tuple(k for k in range(system.m) if k != 1))
-    assert found.cyclic == (2, 3)
-    assert found.momentum_changes
-    assert found.wrench
-    assert not found.turned
+    acting = found.acting
+    assert acting.driven == (1,)
+    assert acting.free == tuple(k for k in range(system.m) if k != 1)
+    assert acting.cyclic == (2, 3)
+    assert acting.momentum_changes
+    assert acting.wrench
+    assert not acting.turned
     assert found.kind(zero_momentum=True) is found.kind(zero_momentum=False)
     assert not found.stops.flags.writeable
 

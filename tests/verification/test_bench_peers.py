@@ -18,7 +18,7 @@ from pinred.common.errors import IntegrationError, UnsupportedOperationError
 from pinred.kernels.layout import Structure
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.lie import GROUPS
-from pinred.scene.scene import random_state
+from pinred.scene.random_state import random_state
 from pinred.system.system import System
 from pinred.verification.bench import SOLVERS, Problem, reference_of
 from pinred.verification.bench.full_field import full_field

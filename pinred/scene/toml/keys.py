@@ -7,7 +7,8 @@ from math import inf
 from ...common.defaults import Default
 from ...integrators.methods import METHODS, Method, Option, options_of
 from ...lie.groups import GROUPS
-from ..scene import DURATION, ENGINES, EVEN_TIMES, OUTPUTS, Scene
+from ..random_state import DURATION
+from ..scene import ENGINES, EVEN_TIMES, OUTPUTS, Scene
 from .force_kinds import FORCE
 from .schema import (
     ByName,

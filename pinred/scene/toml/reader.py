@@ -22,7 +22,8 @@ from ...system.catalogue import bundled_robots
 from ...system.load import load
 from ...system.system import System
 from .. import forms
-from ..scene import DURATION, Engine, Scene
+from ..random_state import DURATION
+from ..scene import Engine, Scene
 from .csv_columns import read_text
 from .force_kinds import FORCES
 from .keys import SCENE

@@ -161,14 +161,19 @@ class CompiledFlows:
         attitude = given.pose[:, plan.system.group.linear :]
         pieces = [x[:, active], start.pi[:, active], x[:, cyclic], attitude[:, : parts.attitude]]
         if parts.down:
-            pieces.append(into_body(attitude, plan.weight / np.linalg.norm(plan.weight)))
+            weight = plan.acting.weight
+            pieces.append(into_body(attitude, weight / np.linalg.norm(weight)))
         pieces += [start.about[:, : parts.momentum], np.zeros((N, parts.push + layout.clock))]
         self.y0 = np.concatenate(pieces, axis=1)
-        numbers = np.broadcast_to(plan.numbers, (N, len(plan.numbers)))
-        spin = start.fixed[:, : parts.spin]
-        self.parameters = np.concatenate([spin, start.pi[:, cyclic], numbers], axis=1)
-        fall = np.broadcast_to(root_of(plan.system).g, start.c0.shape)
-        self.line = np.concatenate([start.c0, start.v0, fall], axis=1)
+        spin, before = parts.spin, parts.spin + len(cyclic)
+        self.parameters = np.empty((N, before + len(plan.numbers)))
+        self.parameters[:, :spin] = start.fixed[:, :spin]
+        self.parameters[:, spin:before] = start.pi[:, cyclic]
+        self.parameters[:, before:] = plan.numbers
+        k = plan.system.group.linear
+        self.line = np.empty((N, 3 * k))
+        self.line[:, :k], self.line[:, k : 2 * k] = start.c0, start.v0
+        self.line[:, 2 * k :] = root_of(plan.system).g
         finite_start(self.y0, self.parameters, self.line)
 
 
@@ -188,7 +193,7 @@ def flows_of(plan: Plan, given: GivenStates) -> list[tuple[Indices, CompiledFlow
 
 def without_momentum(plan: Plan, given: GivenStates) -> NDArray[np.bool_]:
     """Return which initial states (N, …) have no angular momentum, nor will ever have any."""
-    still = np.full(len(given.x), not plan.momentum_changes)
+    still = np.full(len(given.x), not plan.acting.momentum_changes)
     for k in range(0, len(still) if still.any() else 0, _AT_ONCE):
         some = slice(k, k + _AT_ONCE)
         still[some] = ~_started(plan, given[some]).about.any(axis=1)

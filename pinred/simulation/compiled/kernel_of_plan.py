@@ -5,7 +5,7 @@ from __future__ import annotations
 from ...common.memo import once
 from ...kernels.build import build_kernel
 from ...kernels.kernel import Kernel
-from ..plan import Plan
+from ..plan import Kind, Plan
 
 
 def kernel_of(plan: Plan, *, zero_momentum: bool) -> Kernel:
@@ -13,7 +13,12 @@ def kernel_of(plan: Plan, *, zero_momentum: bool) -> Kernel:
 
     zero_momentum: whether the angular momentum of the base is exactly zero at the start.
     """
-    system, forces = plan.system, plan.forces
-    structure = plan.kind(zero_momentum=zero_momentum).structure
-    kind = (Kernel, structure, None if forces is None else forces.key)
-    return once(system, kind, lambda: build_kernel(system, structure, forces))
+    kind = plan.kind(zero_momentum=zero_momentum)
+    return once(kind, Kernel, lambda: _kernel(kind))
+
+
+def _kernel(kind: Kind) -> Kernel:
+    """Return the kernel of a kind, which others of the same structure and expressions share."""
+    system, structure, forces = kind.system, kind.structure, kind.forces
+    key = (Kernel, structure, None if forces is None else forces.key)
+    return once(system, key, lambda: build_kernel(system, structure, forces))

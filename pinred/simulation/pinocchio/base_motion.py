@@ -23,20 +23,20 @@ class Base:
 
     def __init__(self, plan: Plan, start: Start) -> None:
         """Take over the initial state."""
-        system, weight, wrench = plan.system, plan.weight, plan.wrench
+        system, weight, wrench = plan.system, plan.acting.weight, plan.acting.wrench
         group, root = system.group, root_of(system)
         k = self._k = group.linear
         self._group, self._mass, self.turns = group, system.mass, group.turns
         self.axes, self._g, self._weight = root.axes, root.g, weight
         self._lift = float(root.origin @ root.axes @ root.g)
         self._pivot = float(weight @ root.origin)
-        heavy = plan.turned
+        heavy = plan.acting.turned
         attitude, c, P = start.pose[k:], start.com @ root.axes, start.mu[:k]
         about = group.about(start.com, start.mu)
         self.parts = base_parts(
             group, wanted=plan.wanted, heavy=heavy, wrench=wrench, zero_momentum=not about.any()
         )
-        self.has_momentum = plan.momentum_changes or bool(about.any())
+        self.has_momentum = plan.acting.momentum_changes or bool(about.any())
         self._c0 = start.pose[:k] + group.turned(attitude, c)
         self._v0 = group.turned(attitude, P / system.mass)
         self.spin = self._fixed(attitude, about)[: self.parts.spin]

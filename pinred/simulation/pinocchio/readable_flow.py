@@ -31,9 +31,9 @@ class ReducedFlow:
         system, start = plan.system, plan.scene.start
         self._system, self._wanted = system, plan.wanted
         self._forces = plan.forces
-        self._driven, self._free = list(plan.driven), list(plan.free)
+        self._driven, self._free = list(plan.acting.driven), list(plan.acting.free)
         self._potential = shape_gravity(system)
-        self._weight = plan.weight
+        self._weight = plan.acting.weight
         self._form = CanonicalForm(system, self._potential)
         self.numbers = plan.numbers.copy()
         self.base = base = Base(plan, start)

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from ...common.errors import InputError
-from ...scene.scene import random_state
+from ...scene.random_state import random_state
 from ...system.catalogue import INSTALL_ROBOTS, bundled_robots, has_example_robots
 from ...system.load import load
 from ...system.system import InitialState

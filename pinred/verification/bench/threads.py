@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
-from ...scene.scene import random_state
+from ...scene.random_state import random_state
 from ...simulation.simulate_many import Trajectories, simulate_many
 from ...system.system import System
 from .timing import alternating
