@@ -33,9 +33,9 @@ from .integrators.methods import Radau as Radau
 from .integrators.methods import Tsit5 as Tsit5
 from .integrators.methods import Variational as Variational
 from .kernels.casadi_functions import casadi_functions as casadi_functions
-from .reduction.reduction import ReducedShape as ReducedShape
-from .reduction.reduction import Reduction as Reduction
-from .reduction.shape_field import ShapeField as ShapeField
+from .reduction.at_a_shape import ReducedShape as ReducedShape
+from .reduction.at_a_shape import Reduction as Reduction
+from .reduction.over_shapes import ShapeField as ShapeField
 from .scene.scene import Scene as Scene
 from .scene.toml.keys import scene_schema as scene_schema
 from .scene.toml.reader import load_scene as load_scene

@@ -1,5 +1,5 @@
-"""The reduced equations of motion (see reduction/equations.py)."""
+"""The reduced equations of motion (see reduction/textbook_equations.py)."""
 
-from .reduction.equations import euler_poincare as euler_poincare
-from .reduction.equations import hamilton_poincare as hamilton_poincare
-from .reduction.equations import lagrange_poincare as lagrange_poincare
+from .reduction.textbook_equations import euler_poincare as euler_poincare
+from .reduction.textbook_equations import hamilton_poincare as hamilton_poincare
+from .reduction.textbook_equations import lagrange_poincare as lagrange_poincare

@@ -35,12 +35,12 @@ def test_an_arrow_up_is_seen(
     code: str, needed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However an import is written, it is found; those of the same room and below may be."""
-    path = tmp_path / "reduction.py"
+    path = tmp_path / "at_a_shape.py"
     path.write_text(f"from ..common.arrays import Array\n{code}\n", "utf-8")
     known = rooms.modules()
-    known["pinred.reduction.reduction"] = path
+    known["pinred.reduction.at_a_shape"] = path
     monkeypatch.setattr(rooms, "modules", lambda: known)
-    wrong = [each for each in rooms.upward(rooms.imports()) if each.by.endswith("n.reduction")]
+    wrong = [each for each in rooms.upward(rooms.imports()) if each.by.endswith(".at_a_shape")]
     assert {each.of for each in wrong} == {needed}
 
 

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
+from ..reduction.at_a_shape import ReducedShape, Reduction
 from ..reduction.cyclic_joints import cyclic_joints
 from ..reduction.potential import pivot_weight
-from ..reduction.reduction import ReducedShape, Reduction
 from ..scene.scene import Scene
 from ..simulation.explain import skipped
 from ..simulation.plan import plan_of

@@ -18,7 +18,8 @@ from ..common.errors import (
     StepSizeUnderflow,
     TooManySteps,
 )
-from .machine.run_record import (
+from .methods.method import Method
+from .stepping.run_record import (
     AUTO,
     DIVERGED,
     DONE,
@@ -31,8 +32,7 @@ from .machine.run_record import (
     copied,
     new_run,
 )
-from .machine.state_rows import Y
-from .methods.method import Method
+from .stepping.state_rows import Y
 
 Progress = Callable[[float], None]
 Tangent = Callable[[], int]

@@ -23,8 +23,8 @@ from .integrate import (
     checked_times,
     give_tangent,
 )
-from .machine.driver import OUTCOME, Batch
-from .machine.run_record import (
+from .methods.method import Method
+from .stepping.run_record import (
     DIVERGED,
     DONE,
     NOT_FINITE,
@@ -33,7 +33,7 @@ from .machine.run_record import (
     UNDERFLOW,
     copied,
 )
-from .methods.method import Method
+from .stepping.step_loop import OUTCOME, Batch
 
 STATUS = {
     DONE: "done",

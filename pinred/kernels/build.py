@@ -14,8 +14,8 @@ from .judge import judge
 from .kernel import Kernel, KernelStore
 from .layout import Structure, layout_of
 from .machine.native import compile_object, load_object
+from .object_cache import ObjectCache, cache_key
 from .reduced_graph import ReducedGraph
-from .store import ObjectCache, cache_key
 
 
 def build_kernel(

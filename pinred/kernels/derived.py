@@ -10,8 +10,8 @@ from ..common.memo import once
 from .fingerprint import model_bytes
 from .kernel import Kernel
 from .machine.native import NativeCode, load_object
+from .object_cache import ObjectCache, cache_key
 from .reduced_graph import ReducedGraph
-from .store import ObjectCache, cache_key
 
 
 def derived_code(

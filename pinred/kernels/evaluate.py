@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..common.arrays import Array
-from ..integrators.machine.compiling import compiled
-from ..integrators.machine.kernel_call import call
+from ..integrators.stepping.compiling import compiled
+from ..integrators.stepping.kernel_call import call
 
 
 def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:

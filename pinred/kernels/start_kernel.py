@@ -29,7 +29,7 @@ from .evaluate import evaluate
 from .fingerprint import model_bytes
 from .judge import agree
 from .machine.native import NativeCode, compile_object, load_object
-from .store import ObjectCache, cache_key
+from .object_cache import ObjectCache, cache_key
 
 TwistOrMomentum = Literal["xi", "mu"]
 _NAME = "start"

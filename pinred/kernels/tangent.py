@@ -11,8 +11,8 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..common.errors import InputError
-from ..integrators.machine.kernel_call import SEEDS
-from ..integrators.machine.linear_systems import jacobian
+from ..integrators.stepping.kernel_call import SEEDS
+from ..integrators.stepping.linear_systems import jacobian
 from .derived import derived_code
 from .evaluate import evaluate
 from .judge import ROUND_OFF, agree

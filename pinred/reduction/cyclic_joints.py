@@ -14,8 +14,8 @@ from ..common.arrays import Array
 from ..common.errors import SymmetryError
 from ..system.joints import axes_of
 from ..system.system import System
+from .at_a_shape import Reduction
 from .potential import pivot_weight
-from .reduction import Reduction
 
 _SAMPLES = 3  # random shapes at which a dependence would show
 _NO_DEPENDENCE = 1e-12  # of a joint's own kinetic energy at usual rates

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError
-from ..reduction.reduction import Reduction
+from ..reduction.at_a_shape import Reduction
 from ..system.system import System
 
 

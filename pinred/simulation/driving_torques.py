@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..common.arrays import Array, read_only
+from ..reduction.at_a_shape import Reduction
 from ..reduction.canonical_form import CanonicalForm
-from ..reduction.equations import lagrange_poincare
 from ..reduction.potential import shape_gravity
-from ..reduction.reduction import Reduction
+from ..reduction.textbook_equations import lagrange_poincare
 from ..system.system import System
 from .plan import Plan
 from .state import Sample

@@ -14,7 +14,7 @@ from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
 from ..common.memo import once
 from ..forces.force_model import ForceModel
-from ..reduction.reduction import Reduction
+from ..reduction.at_a_shape import Reduction
 from ..scene.scene import Scene
 from ..system.system import System
 

@@ -14,9 +14,9 @@ import pytest
 from numba.core.errors import TypingError
 
 import pinred
-from pinred.integrators import machine
-from pinred.integrators.machine.compiling import SOURCES, bound, compiled, stamp, woven
+from pinred.integrators import stepping
 from pinred.integrators.methods import METHODS, Method
+from pinred.integrators.stepping.compiling import SOURCES, bound, compiled, stamp, woven
 
 PACKAGE = Path(pinred.__file__).parent
 CASES: dict[str, Method] = {
@@ -87,7 +87,7 @@ CODE = """
 import sys, types
 sys.path.insert(0, {tests!r})
 import test_compiling as test
-from pinred.integrators.machine import compiling
+from pinred.integrators.stepping import compiling
 
 def plain(function, name, **found):  # as `bound` would be without a name of its own
     return types.FunctionType(function.__code__, {{**function.__globals__, **found}})
@@ -130,7 +130,7 @@ def test_machine_code_on_disk_is_as_old_as_all_sources() -> None:
             assert held._cache._cache_file._source_stamp == SOURCES
 
 
-@pytest.mark.parametrize("name", ["gauss/tables.py", "machine/driver.py", "methods/tsit5.py"])
+@pytest.mark.parametrize("name", ["gauss/tables.py", "stepping/step_loop.py", "methods/tsit5.py"])
 def test_an_edit_in_a_folder_below_is_seen(name: str, tmp_path: Path) -> None:
     """The stamp is that of all files of the room, wherever they are in it."""
     assert stamp(PACKAGE / "integrators") == SOURCES
@@ -139,7 +139,7 @@ def test_an_edit_in_a_folder_below_is_seen(name: str, tmp_path: Path) -> None:
     assert stamp(folder) == SOURCES
     (folder / name).write_text((folder / name).read_text(encoding="utf-8") + "#", encoding="utf-8")
     assert stamp(folder) != SOURCES
-    assert Path(machine.__file__).parent.parent == PACKAGE / "integrators"
+    assert Path(stepping.__file__).parent.parent == PACKAGE / "integrators"
 
 
 def makes_an_array(n: int) -> float:

@@ -22,7 +22,7 @@ from pinred.integrators.gauss import fixed_step as gauss
 from pinred.integrators.gauss.tables import tables
 from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import integrate_many
-from pinred.integrators.machine import run_record
+from pinred.integrators.stepping import run_record
 from pinred.kernels import derived
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.machine.native import NativeCode, compile_object, load_object

@@ -31,7 +31,7 @@ def test_no_circle_of_folders() -> None:
     """Machine code knows no method, no method its value, no value who runs it."""
     graph = folders(rooms.imports())
     order = list(TopologicalSorter(graph).static_order())
-    assert order[0] == f"{ROOM}.machine"
+    assert order[0] == f"{ROOM}.stepping"
     assert order[-2:] == [f"{ROOM}.methods", ROOM]
     assert len(order) > 5
 

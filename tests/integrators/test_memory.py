@@ -9,7 +9,6 @@ import pytest
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.integrators.machine.stepper import Stepper
 from pinred.integrators.methods import (
     DOP853,
     RKMK4,
@@ -20,6 +19,7 @@ from pinred.integrators.methods import (
     Tsit5,
     Variational,
 )
+from pinred.integrators.stepping.stepper import Stepper
 
 MARK = 8.25e-77
 METHODS: tuple[Method, ...] = (

@@ -19,7 +19,7 @@ from pinred.integrators.gauss.newton import pairs
 from pinred.integrators.gauss.tables import MOST_STAGES, tables
 from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
-from pinred.integrators.machine import run_record
+from pinred.integrators.stepping import run_record
 
 ORDERS = range(2, 17, 2)
 

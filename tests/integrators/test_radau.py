@@ -30,8 +30,8 @@ from pinred.forces import PD, Damper, Limit, Torque
 from pinred.integrators import integrate as drive
 from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
-from pinred.integrators.machine import run_record
-from pinred.integrators.machine.linear_systems import factor, factor_complex, solve, solve_complex
+from pinred.integrators.stepping import run_record
+from pinred.integrators.stepping.linear_systems import factor, factor_complex, solve, solve_complex
 from pinred.kernels import tangent
 from pinred.kernels.machine import native
 from pinred.kernels.tangent import jacobian_of, tangent_of

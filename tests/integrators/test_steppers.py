@@ -30,9 +30,9 @@ from pinred.common.errors import (
 from pinred.integrators import integrate as drive
 from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
-from pinred.integrators.machine import run_record
 from pinred.integrators.methods import DOP853, RKMK4, Explicit, Method, Tsit5
 from pinred.integrators.methods import METHODS as ALL
+from pinred.integrators.stepping import run_record
 
 Rate = Callable[[Any, Any, Any], None]
 _NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]

@@ -22,7 +22,7 @@ from pinred.forces import Damper, Torque, Wrench
 from pinred.integrators import integrate as drive
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
-from pinred.integrators.machine import run_record
+from pinred.integrators.stepping import run_record
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of

@@ -18,7 +18,7 @@ from pinred.kernels.build import build_kernel
 from pinred.kernels.judge import judge
 from pinred.kernels.layout import Structure
 from pinred.kernels.machine.native import NativeCode
-from pinred.kernels.store import ObjectCache
+from pinred.kernels.object_cache import ObjectCache
 from pinred.lie import GROUPS
 from pinred.reduction.cyclic_joints import cyclic_joints
 from pinred.simulation.compiled.compiled_flow import CompiledFlow

@@ -25,7 +25,7 @@ from pinred.verification.bench.full_field import full_field
 from pinred.verification.bench.peers.aba import ABA
 from pinred.verification.bench.peers.drake import DrakeModel
 from pinred.verification.bench.peers.equality import EQUAL, equality, missing_unless_equal
-from pinred.verification.bench.peers.euler import (
+from pinred.verification.bench.peers.euler_angles import (
     ORDERS,
     angles_of,
     rotation_of,

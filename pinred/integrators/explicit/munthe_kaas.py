@@ -14,11 +14,10 @@ from __future__ import annotations
 from math import cos, sin, sqrt, tan
 
 from ...common.arrays import Array
-from ..machine.compiling import compiled, woven
-from ..machine.driver import Hooks, equal_steps, loops
-from ..machine.kernel_call import call
-from ..machine.run_record import DONE, NOT_FINITE, Run
-from ..machine.state_rows import (
+from ..stepping.compiling import compiled, woven
+from ..stepping.kernel_call import call
+from ..stepping.run_record import DONE, NOT_FINITE, Run
+from ..stepping.state_rows import (
     NEW,
     Y,
     copy_an_end,
@@ -27,7 +26,8 @@ from ..machine.state_rows import (
     padded_rows,
     unit_alone,
 )
-from ..machine.stepper import Stepper
+from ..stepping.step_loop import Hooks, equal_steps, loops
+from ..stepping.stepper import Stepper
 from .row_sums import row_sum
 
 # Rows of `work`: the state of a stage, the weighted mean of the stages' rates, and these; the

@@ -14,9 +14,9 @@ from llvmlite import ir
 from numba.core import cgutils, types
 
 from ...common.arrays import Array
-from ..machine.compiling import make_intrinsic
-from ..machine.kernel_call import check_contiguous, emit_call
-from ..machine.state_rows import WIDTH
+from ..stepping.compiling import make_intrinsic
+from ..stepping.kernel_call import check_contiguous, emit_call
+from ..stepping.state_rows import WIDTH
 
 _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 

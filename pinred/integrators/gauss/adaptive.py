@@ -15,16 +15,16 @@ from math import exp, log, sqrt
 import numpy as np
 
 from ...common.arrays import Array
-from ..machine.compiling import compiled, woven
-from ..machine.driver import Hooks, loops
-from ..machine.run_record import AGAIN, DONE, NOT_FINITE, Run
-from ..machine.state_rows import (
+from ..stepping.compiling import compiled, woven
+from ..stepping.run_record import AGAIN, DONE, NOT_FINITE, Run
+from ..stepping.state_rows import (
     TURN,
     Y,
     in_quaternion,
     keep_state,
     unit_alone,
 )
+from ..stepping.step_loop import Hooks, loops
 from .fixed_step import between, load, not_finite_in, take_the_end
 from .stages import (
     CARRY,

@@ -10,10 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...common.arrays import Array
-from ..machine.compiling import compiled, woven
-from ..machine.driver import Hooks, equal_steps, loops
-from ..machine.kernel_call import SEEDS
-from ..machine.run_record import (
+from ..stepping.compiling import compiled, woven
+from ..stepping.kernel_call import SEEDS
+from ..stepping.run_record import (
     AGAIN,
     AUTO,
     DIVERGED,
@@ -25,7 +24,7 @@ from ..machine.run_record import (
     WANTED,
     Run,
 )
-from ..machine.state_rows import (
+from ..stepping.state_rows import (
     NEW,
     Y,
     copy_an_end,
@@ -33,6 +32,7 @@ from ..machine.state_rows import (
     keep_state,
     unit_alone,
 )
+from ..stepping.step_loop import Hooks, equal_steps, loops
 from .newton import MAIN, prepare, refine
 from .newton import SUB as OTHER
 from .stages import (

@@ -12,7 +12,7 @@ from typing import Any
 from llvmlite import ir
 from numba.core import cgutils, types
 
-from ..machine.compiling import make_intrinsic
+from ..stepping.compiling import make_intrinsic
 
 _DOUBLE = ir.DoubleType()
 _FAST = ("contract",)

@@ -13,10 +13,10 @@ from functools import cache
 import numpy as np
 
 from ...common.arrays import Array, read_only
-from ..machine.compiling import compiled
-from ..machine.kernel_call import SEEDS, call
-from ..machine.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
-from ..machine.state_rows import Y, first_not_finite
+from ..stepping.compiling import compiled
+from ..stepping.kernel_call import SEEDS, call
+from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
+from ..stepping.state_rows import Y, first_not_finite
 from .stages import BEST, MU, NO_SOLUTION, RATE, ROWS, SCALE, STAGE, B, multiply
 from .tables import MOST_STAGES, tables
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...common.arrays import Array
-from ..machine.compiling import compiled
-from ..machine.kernel_call import call
-from ..machine.state_rows import NEW, Y
+from ..stepping.compiling import compiled
+from ..stepping.kernel_call import call
+from ..stepping.state_rows import NEW, Y
 from .lane_sums import product, refreshment
 from .tables import lanes_of, tables
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ...common.arrays import Array
-from ..machine.driver import Loops
-from ..machine.stepper import Stepper
+from ..stepping.step_loop import Loops
+from ..stepping.stepper import Stepper
 from . import adaptive as adaptive_steps
 from . import fixed_step as equal_steps
 from . import newton

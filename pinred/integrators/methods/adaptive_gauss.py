@@ -7,11 +7,11 @@ from functools import cache
 from typing import TYPE_CHECKING, ClassVar
 
 from ..gauss.tables import MOST_STAGES, lanes_of
-from ..machine.run_record import FIXED_POINT
+from ..stepping.run_record import FIXED_POINT
 from .method import ErrorControl
 
 if TYPE_CHECKING:
-    from ..machine.stepper import Stepper
+    from ..stepping.stepper import Stepper
 
 
 @dataclass(frozen=True)

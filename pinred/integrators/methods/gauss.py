@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 from ...common.errors import InputError
 from ..gauss.tables import MOST_STAGES, lanes_of
-from ..machine.run_record import AUTO, FIXED_POINT, NEWTON
+from ..stepping.run_record import AUTO, FIXED_POINT, NEWTON
 from .method import EqualSteps, option
 
 if TYPE_CHECKING:
-    from ..machine.stepper import Stepper
+    from ..stepping.stepper import Stepper
 
 STAGES_FOUND_BY = {"auto": AUTO, "fixed point": FIXED_POINT, "Newton": NEWTON}
 

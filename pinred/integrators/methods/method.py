@@ -14,7 +14,7 @@ from ...common.errors import InputError
 
 if TYPE_CHECKING:
     from ..explicit.tableau import Tableau
-    from ..machine.stepper import Stepper
+    from ..stepping.stepper import Stepper
 
 DOP853_LEAST = 2.3e-14  # relative tolerance, ours and SciPy's: below it round-off decides
 MOST_STEPS = 1e12  # of one length; the clock counts them
@@ -158,6 +158,6 @@ class Explicit(ErrorControl):
 
 @cache
 def _stepper(name: str, order: int, tableau: Tableau) -> Stepper:
-    from ..explicit.steps import make_stepper
+    from ..explicit.runge_kutta import make_stepper
 
     return make_stepper(name, order, tableau)

@@ -1,4 +1,4 @@
-"""Radau, as a value: see radau/steps.py."""
+"""Radau, as a value: see radau/radau_iia.py."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 from .method import ErrorControl
 
 if TYPE_CHECKING:
-    from ..machine.stepper import Stepper
+    from ..stepping.stepper import Stepper
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,6 @@ class Radau(ErrorControl):
 
 @cache
 def _stepper() -> Stepper:
-    from ..radau.steps import STEPPER
+    from ..radau.radau_iia import STEPPER
 
     return STEPPER

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 from .method import EqualSteps
 
 if TYPE_CHECKING:
-    from ..machine.stepper import Stepper
+    from ..stepping.stepper import Stepper
 
 
 @dataclass(frozen=True)

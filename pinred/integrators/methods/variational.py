@@ -1,4 +1,4 @@
-"""Variational, as a value: see variational/steps.py."""
+"""Variational, as a value: see variational/lagrange_poincare.py."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 from .method import EqualSteps
 
 if TYPE_CHECKING:
-    from ..machine.stepper import Stepper
+    from ..stepping.stepper import Stepper
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,6 @@ class Variational(EqualSteps):
 
 @cache
 def _stepper() -> Stepper:
-    from ..variational.steps import STEPPER
+    from ..variational.lagrange_poincare import STEPPER
 
     return STEPPER

@@ -15,11 +15,11 @@ import numpy as np
 from scipy.integrate._ivp import radau as tableau
 
 from ...common.arrays import Array
-from ..machine.compiling import compiled, woven
-from ..machine.kernel_call import SEEDS, call, call_tangent
-from ..machine.linear_systems import factor, jacobian, solve
-from ..machine.run_record import DENSE, DONE, Run
-from ..machine.state_rows import NEW, Y, copy_an_end, unit, unit_alone
+from ..stepping.compiling import compiled, woven
+from ..stepping.kernel_call import SEEDS, call, call_tangent
+from ..stepping.linear_systems import factor, jacobian, solve
+from ..stepping.run_record import DENSE, DONE, Run
+from ..stepping.state_rows import NEW, Y, copy_an_end, unit, unit_alone
 
 # Rows of `work`: the rates at both ends of a step, the stages less the state, what is lacking at
 # the ends, rows to work on, for Newton's method and for the Jacobian.

@@ -12,8 +12,8 @@ import pinocchio as pin
 from ...common.progress import Progress, quiet, shown
 from ...kernels.build import build_kernel
 from ...kernels.layout import Structure
+from ...reduction.at_a_shape import Reduction
 from ...reduction.cyclic_joints import cyclic_joints
-from ...reduction.reduction import Reduction
 from ...system.catalogue import has_example_robots
 from ...system.load import load
 from .timing import NoCache, alternating, evaluations, repeated

@@ -14,8 +14,8 @@ from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
 from ...kernels.build import build_kernel
 from ...kernels.layout import Structure
+from ...reduction.at_a_shape import Reduction
 from ...reduction.cyclic_joints import cyclic_joints
-from ...reduction.reduction import Reduction
 from .chains import FAMILIES, chain
 from .timing import ROUNDS, NoCache, alternating, evaluations
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
-from ...reduction.reduction import Reduction
+from ...reduction.at_a_shape import Reduction
 from ...system.joints import shape_units
 from ...system.system import System
 

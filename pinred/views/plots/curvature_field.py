@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, vector
 from ...common.errors import InputError
-from ...reduction.reduction import Reduction
+from ...reduction.at_a_shape import Reduction
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.system import System, checked_system

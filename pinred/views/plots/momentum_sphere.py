@@ -12,7 +12,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...lie.groups import GROUPS, group_named
-from ...reduction.reduction import Reduction
+from ...reduction.at_a_shape import Reduction
 from ...simulation.state import with_base
 from ...system.system import System
 from ..motion_source import MotionSource

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from ...common.arrays import Array
 from ...common.errors import InputError, SymmetryError
+from ...reduction.at_a_shape import Reduction
 from ...reduction.inertia_split import symmetric
-from ...reduction.reduction import Reduction
 from ...simulation.state import State, with_base
 from ...simulation.trajectory import Trajectory
 from ...system.system import System

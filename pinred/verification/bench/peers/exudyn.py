@@ -18,7 +18,7 @@ from ....system.system import System
 from ..problems import Problem
 from ..solver import ATOL, UNKNOWN, End, Prepared, Solver, decades, halvings, steps_of
 from .equality import missing_unless_equal
-from .euler import ORDERS, Order, angles_of, best_order, rotation_of, spin_matrix, spin_rate
+from .euler_angles import ORDERS, Order, angles_of, best_order, rotation_of, spin_matrix, spin_rate
 from .fixed_axes import carried
 
 

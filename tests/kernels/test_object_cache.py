@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pinred.common.errors import CacheWarning, InputError
-from pinred.kernels.store import ObjectCache, cache_key
+from pinred.kernels.object_cache import ObjectCache, cache_key
 
 KEY, OTHER = cache_key("one"), cache_key("two")
 CODE = bytes(range(256)) * 9

@@ -27,11 +27,10 @@ from math import sqrt
 import numpy as np
 
 from ...common.arrays import Array
-from ..machine.compiling import compiled, woven
-from ..machine.driver import Hooks, equal_steps, loops
-from ..machine.kernel_call import call
-from ..machine.run_record import DIVERGED, DONE, NOT_FINITE, Run
-from ..machine.state_rows import (
+from ..stepping.compiling import compiled, woven
+from ..stepping.kernel_call import call
+from ..stepping.run_record import DIVERGED, DONE, NOT_FINITE, Run
+from ..stepping.state_rows import (
     NEW,
     Y,
     copy_an_end,
@@ -40,7 +39,8 @@ from ..machine.state_rows import (
     padded_rows,
     unit_alone,
 )
-from ..machine.stepper import Stepper
+from ..stepping.step_loop import Hooks, equal_steps, loops
+from ..stepping.stepper import Stepper
 
 # Rows of `work` behind the state: what a step and one for a report work on each, the end of the
 # step, the two stages with p and a quaternion for m, their rates, and u with half of h Ω₁.

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ...common.arrays import Array
-from .driver import Loops
+from .step_loop import Loops
 
 
 @dataclass(frozen=True)

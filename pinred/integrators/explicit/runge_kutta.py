@@ -18,11 +18,10 @@ from typing import Any
 import numpy as np
 
 from ...common.arrays import Array
-from ..machine.compiling import bound, compiled, woven
-from ..machine.driver import Hooks, loops
-from ..machine.kernel_call import call
-from ..machine.run_record import AGAIN, DENSE, DONE, ENDS, NOT_FINITE, STEP, Run
-from ..machine.state_rows import (
+from ..stepping.compiling import bound, compiled, woven
+from ..stepping.kernel_call import call
+from ..stepping.run_record import AGAIN, DENSE, DONE, ENDS, NOT_FINITE, STEP, Run
+from ..stepping.state_rows import (
     NEW,
     TURN,
     Y,
@@ -34,7 +33,8 @@ from ..machine.state_rows import (
     unit,
     unit_alone,
 )
-from ..machine.stepper import Stepper
+from ..stepping.step_loop import Hooks, loops
+from ..stepping.stepper import Stepper
 from .row_sums import Rate, Sum, Terms, row_program
 from .tableau import Tableau
 

@@ -24,7 +24,7 @@ from .inertia_split import InertiaSplit, split_inertia, symmetric
 from .potential import Potential, Springs
 
 if TYPE_CHECKING:
-    from .shape_field import ShapeField
+    from .over_shapes import ShapeField
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ class Reduction:
         Pinocchio.  Raises ShapeError, with the index, for a wrong length or a number that
         is not finite.
         """
-        from .shape_field import ShapeField
+        from .over_shapes import ShapeField
 
         what, names = f"shapes of {self.system.name!r}", self.system.shape_names
         x = vectors(shapes, self.system.m, what, names).copy()

@@ -15,7 +15,7 @@ from trees import random_model
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.reduction import shape_field as grid
+from pinred.reduction import over_shapes as grid
 from pinred.reduction.tree.composite_bodies import CompositeBodies
 from pinred.system.catalogue import bundled_robots
 

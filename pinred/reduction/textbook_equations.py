@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, read_only, vector
-from .reduction import ReducedShape, Reduction
+from .at_a_shape import ReducedShape, Reduction
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,11 @@ import numpy as np
 from scipy.integrate._ivp import radau as tableau
 
 from ...common.arrays import Array
-from ..machine.compiling import compiled, woven
-from ..machine.driver import Hooks, loops
-from ..machine.kernel_call import SEEDS, call
-from ..machine.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
-from ..machine.run_record import AGAIN, DONE, NOT_FINITE, Run
-from ..machine.state_rows import (
+from ..stepping.compiling import compiled, woven
+from ..stepping.kernel_call import SEEDS, call
+from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
+from ..stepping.run_record import AGAIN, DONE, NOT_FINITE, Run
+from ..stepping.state_rows import (
     NEW,
     TURN,
     Y,
@@ -27,7 +26,8 @@ from ..machine.state_rows import (
     in_quaternion,
     unit,
 )
-from ..machine.stepper import Stepper
+from ..stepping.step_loop import Hooks, loops
+from ..stepping.stepper import Stepper
 from .dense import (
     ALONG,
     END_RATE,
