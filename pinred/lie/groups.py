@@ -15,13 +15,17 @@ as in Pinocchio.  Planar angles are not wrapped: a pose that has turned twice sa
 so, and `log` returns the principal value.  Every function takes leading axes:
 poses (..., size) and twists (..., dim).
 
-All that pinred knows of a group stands in its file: another one is a file beside these, and an
-entry in GROUPS.  Source of the closed forms: J. Solà, J. Deray, D. Atchuthan, "A micro Lie
+All that pinred knows of a group stands in its file: another one is a file beside these, found
+by itself.  Source of the closed forms: J. Solà, J. Deray, D. Atchuthan, "A micro Lie
 theory for state estimation in robotics", 2018, appendices; written here so that no formula
 loses digits near the identity or near a half turn.
 """
 
 from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
 
 from ..common.errors import InputError
 from .group import Group
@@ -32,7 +36,20 @@ from .se2 import SE2 as SE2
 from .se3 import SE3 as SE3
 from .so3 import SO3 as SO3
 
-GROUPS: dict[str, Group] = {group.name: group for group in (R, SO2, SE2, SO3, SE3, RxSE2)}
+
+def _groups() -> dict[str, Group]:
+    """Return the groups that the files beside this one define, by name, small ones first."""
+    found: list[Group] = []
+    for module in iter_modules([str(Path(__file__).parent)]):
+        home = f"{__package__}.{module.name}"
+        if home != __name__:
+            found += [
+                each for each in vars(import_module(home)).values() if isinstance(each, Group)
+            ]
+    return {group.name: group for group in sorted(found, key=lambda each: (each.dim, each.name))}
+
+
+GROUPS = _groups()
 
 
 def group_named(name: str) -> Group:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -165,3 +168,18 @@ def test_gravity_across_the_cylinder_is_refused(monkeypatch: pytest.MonkeyPatch)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     with pytest.raises(pinred.SymmetryError, match=r"the C symmetry .* its axis"):
         pinred.simulate(pinred.load(model), seed=0, duration=1.0)
+
+
+def test_a_group_is_one_file(tmp_path: Path) -> None:
+    """A file beside the others is a group that all of pinred knows."""
+    package = Path(pinred.__file__).parent
+    shutil.copytree(package, tmp_path / "pinred", ignore=shutil.ignore_patterns("__pycache__"))
+    text = (package / "lie" / "r_se2.py").read_text(encoding="utf-8")
+    new = text.replace('"RxSE2"', '"SE2xR"')
+    assert new != text
+    (tmp_path / "pinred" / "lie" / "further.py").write_text(new, encoding="utf-8")
+    code = "from pinred.lie import GROUPS; print(*GROUPS)"
+    ran = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert ran.stdout.split() == ["R", "SO2", "SE2", "SO3", "RxSE2", "SE2xR", "SE3"]

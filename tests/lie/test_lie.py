@@ -277,5 +277,5 @@ def test_bad_poses(group: Group, value: object, error: type[Exception], words: s
 
 def test_unknown_group() -> None:
     """The error lists the groups there are."""
-    with pytest.raises(InputError, match="'SE4'; the groups are R, SO2, SE2, SO3, SE3"):
+    with pytest.raises(InputError, match="'SE4'; the groups are R, SO2, SE2, SO3, RxSE2, SE3"):
         group_named("SE4")
