@@ -12,6 +12,7 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..reduction.inertia_split import symmetric
 from ..reduction.potential import falling
+from ..system.inertias import radius_of_gyration
 from ..system.joints import axes_of
 
 if TYPE_CHECKING:
@@ -121,10 +122,7 @@ class JudgedState:
 
 def _size(body: pin.Inertia) -> float:
     """Return the distance of a body's mass from its joint, and its radius of gyration, [m]."""
-    if not body.mass > 0.0:
-        return 0.0
-    gyration = float(np.sqrt(max(0.0, np.trace(body.inertia)) / body.mass))
-    return float(np.linalg.norm(body.lever)) + gyration
+    return float(np.linalg.norm(body.lever)) + radius_of_gyration(body)
 
 
 def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> JudgedState | None:

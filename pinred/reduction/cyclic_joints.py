@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
+from ..system.inertias import radius_of_gyration
 from ..system.joints import axes_of
 from ..system.system import System
 from .at_a_shape import Reduction
@@ -64,20 +65,25 @@ def _nothing(system: System, data: pin.Data, H: Array) -> tuple[Array, Array]:
 
     Usual rates are 1 rad/s, and what covers the robot in a second.  Work is none below a part
     of the joint's own kinetic energy, not of the robot's: a light joint feels little as much
-    as a heavy one feels more.  data: with the places of the joints.
+    as a heavy one feels more.  Round-off is that of the subtree's inertia about the root: near
+    it, what is small and light counts too.  data: with the places of the joints.
     """
     model, r = system.model, system.r
     root = data.oMi[1].translation
-    places = [data.oMi[i].act(model.inertias[i].lever) for i in range(1, model.njoints)]
-    places += [data.oMi[i].translation for i in range(2, model.njoints)]
-    reach = max(float(np.linalg.norm(place - root)) for place in places) or 1.0
+    ends = np.zeros(model.njoints)  # how far from the root the mass of a subtree is
+    for i in range(model.njoints - 1, 0, -1):
+        place = data.oMi[i].act(model.inertias[i].lever)
+        far = float(np.linalg.norm(place - root)) + radius_of_gyration(model.inertias[i])
+        ends[i] = max(ends[i], far, float(np.linalg.norm(data.oMi[i].translation - root)))
+        ends[model.parents[i]] = max(ends[model.parents[i]], ends[i])
+    reach = float(ends[1]) or 1.0
     unit = np.ones(system.n)
     for i in range(1, model.njoints):
         joint = model.joints[i]
         slides = ~axes_of(joint)[3:].any(axis=0)
         unit[joint.idx_v : joint.idx_v + joint.nv][slides] = reach
     own = (np.diag(H) * unit**2)[r:]
-    terms = np.array([data.mass[i] for i in range(2, model.njoints)]) * reach**2
+    terms = np.array([data.mass[i] * ends[i] ** 2 for i in range(2, model.njoints)])
     return unit, np.maximum(_NO_DEPENDENCE * own, _ROUND_OFF * terms)
 
 

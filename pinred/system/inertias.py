@@ -146,3 +146,10 @@ def _some(parts: list[str], most: int = 6) -> str:
 
 def _shown(moments: np.ndarray) -> str:
     return ", ".join(f"{moment:.6g}" for moment in moments)
+
+
+def radius_of_gyration(body: pin.Inertia) -> float:
+    """Return √(tr I / m) of a body about its centre of mass [m]; 0 of one without mass."""
+    if not body.mass > 0.0:
+        return 0.0
+    return float(np.sqrt(max(0.0, np.trace(body.inertia)) / body.mass))

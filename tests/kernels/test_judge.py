@@ -138,6 +138,36 @@ def test_the_momentum_of_a_velocity_is_found() -> None:
         judge(Faulty(kernel, "out", where.start, where.stop, 1e-9))  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("ratio", [1e-9, 1e-12, 1e-15])
+@pytest.mark.parametrize(
+    ("where", "name", "words"),
+    [
+        ("out", "xdot", "momentum of the velocity is"),
+        ("rate", "pi", "force of the acceleration is"),
+    ],
+)
+def test_a_fault_in_a_feather_is_found(where: str, name: str, words: str, ratio: float) -> None:
+    """However light the last body is: its rate and its force are judged by its own size."""
+    kernel = light_tree(ratio)
+    judge(kernel)
+    joint = kernel.system.m - 1
+    if where == "out":
+        first, last = kernel.where.xdot.start + joint, kernel.where.xdot.stop
+    else:
+        last = places(kernel)[name][1]
+        first = last - 1
+
+    class Feather(Faulty):
+        def _spoiled(self, place: str, values: Array) -> Array:
+            values = values.copy()
+            if place == where:
+                values[first:last] *= 1.0 + 1e-6
+            return values
+
+    with pytest.raises(pinred.KernelMismatch, match=words):
+        judge(Feather(kernel, where, first, last, 0.0))  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("c0", "v0", "words"),
     [(1e-9, 0.0, "place of the centre of mass"), (0.0, 1e-9, "its velocity")],

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
+import pinocchio as pin
 import pytest
 from trees import random_model
 
@@ -13,6 +15,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.forces import PD, Damper, PotentialEnergy, Spring, Torque, Wrench
 from pinred.forces.force import Force
+from pinred.reduction.cyclic_joints import cyclic_of
 from pinred.signals import Expression, Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.pinocchio.readable_flow import ReducedFlow
@@ -97,3 +100,25 @@ def test_cyclic_joints_among_forces(force: Force, cyclic: tuple[str, ...]) -> No
     assert tuple(system.shape_names[k] for k in layout.cyclic) == cyclic
     report = pinred.compare(pinred.simulate(scene))
     assert report.passed, str(report)
+
+
+@pytest.mark.parametrize("kind", [pin.JointModelFreeFlyer, pin.JointModelSpherical])
+@pytest.mark.parametrize("size", [1.0, 1e-4, 1e-7, 1e-8])
+def test_small_bodies_about_one_point_are_not_cyclic(kind: Any, size: float) -> None:
+    """Gimbals: their inertias are small beside nothing but the base's, and round-off of none."""
+    rng = np.random.default_rng(3)
+    model = pin.Model()
+
+    def body(size: float) -> pin.Inertia:
+        return pin.Inertia(1.0, np.zeros(3), np.diag(rng.uniform(0.5, 1.0, 3)) * 0.4 * size**2)
+
+    at = model.addJoint(0, kind(), pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(at, body(1.0), pin.SE3.Identity())
+    for k in range(3):
+        axis = rng.normal(size=3)
+        hinge = pin.JointModelRevoluteUnaligned(axis / np.linalg.norm(axis))
+        turned = pin.SE3(pin.exp3(rng.normal(size=3)), np.zeros(3))
+        at = model.addJoint(at, hinge, turned, f"gimbal_{k}")
+        model.appendBodyToJoint(at, body(size), pin.SE3.Identity())
+    model.gravity.setZero()
+    assert cyclic_of(pinred.load(model), frozenset()) == ()
