@@ -142,8 +142,8 @@ def test_the_momentum_of_a_velocity_is_found() -> None:
 @pytest.mark.parametrize(
     ("where", "name", "words"),
     [
-        ("out", "xdot", "momentum of the velocity is"),
-        ("rate", "pi", "force of the acceleration is"),
+        ("out", "xdot", "(momentum of the )?velocity is"),
+        ("rate", "pi", "acceleration is"),
     ],
 )
 def test_a_fault_in_a_feather_is_found(where: str, name: str, words: str, ratio: float) -> None:
