@@ -28,6 +28,9 @@ class Flow(Protocol):
     def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
         """Return the full states at times (T,) of reduced states (T, k)."""
 
+    def rates(self, t: Array, y: Array, numbers: Array) -> Array:
+        """Return dy/dt (T, k) at times (T,) of reduced states (T, k)."""
+
 
 @dataclass(frozen=True)
 class Piece:
@@ -48,6 +51,15 @@ class Piece:
     def end(self) -> float:
         """The time at which it ends [s]."""
         return float(self.knots[-1])
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Reduced states y (T, k) and their rates (T, k), with the pieces (T,) that they are in."""
+
+    which: Indices
+    y: Array
+    rates: Array
 
 
 Integrate = Callable[[float, float, Array], Piece]  # from start, end and state there
@@ -90,6 +102,30 @@ class Motion:
             for k in np.unique(which)
         }
         return _joined([parts[k] for k in sorted(parts)], np.argsort(which, kind="stable"))
+
+    def changes(self, t: Array) -> Changes:
+        """Return reduced states and their rates at times (T,)."""
+        y, which = self._reduced(t), self._which(t)
+        rates = np.empty_like(y)
+        for k in np.unique(which):
+            some = which == k
+            rates[some] = self._flow.rates(t[some], y[some], self._pieces[k].numbers)
+        return Changes(which, y, rates)
+
+    def beside(self, t: Array, changes: Changes, s: Array) -> Array:
+        """Return velocities (T, n), body twist and shape, as if time had gone on by s (T,).
+
+        Where the reduced states would be if they went on at their rates.
+        """
+        y, which = changes.y + s[:, None] * changes.rates, changes.which
+        found: dict[int, Array] = {}
+        for k in np.unique(which):
+            some = which == k
+            state = self._flow.states((t + s)[some], y[some], self._pieces[k].numbers)
+            assert isinstance(state, State)
+            found[int(k)] = np.hstack([state.xi, state.xdot])
+        rows = np.concatenate([found[k] for k in sorted(found)])
+        return rows[np.argsort(np.argsort(which, kind="stable"), kind="stable")]
 
     def samples(self, t: Array) -> list[tuple[Sample, Array]]:
         """Return what forces see at times (T,), and their numbers then."""

@@ -85,6 +85,10 @@ class CompiledFlow:
             energy=energy,
         )
 
+    def rates(self, t: Array, y: Array, numbers: Array) -> Array:  # noqa: ARG002
+        """Return dy/dt (T, k) of reduced states y (T, k), which hold the time where it counts."""
+        return evaluate(self.kernel.rate.address, self._with(numbers), y, y.shape[1])
+
     def address(self, method: Method) -> int:
         """Address of the vector field, in the form in which a method takes it."""
         lanes = method.lanes

@@ -40,18 +40,24 @@ class ReducedFlow:
         pi = start.mass_matrix[system.r :] @ np.concatenate([base.relative_twist0, start.xdot])
         self.y0 = np.concatenate([start.x[self._free], pi[self._free], base.b0])
 
-    def rate(self, t: float, y: Array) -> Array:
-        """Return dy/dt, (k,)."""
+    def rates(self, t: Array, y: Array, numbers: Array) -> Array:
+        """Return dy/dt (T, k) at times t (T,) of reduced states y (T, k)."""
+        rows = zip(t.tolist(), y, strict=True)
+        return np.array([self.rate(time, row, numbers) for time, row in rows]).reshape(y.shape)
+
+    def rate(self, t: float, y: Array, numbers: Array | None = None) -> Array:
+        """Return dy/dt, (k,).  numbers: (p,) in the forces, or those there are now."""
+        numbers = self.numbers if numbers is None else numbers
         system, form, free, r = self._system, self._form, self._free, self._system.r
         k = system.group.linear
         b = y[2 * len(free) :]
-        x, v = self._motion(t, y, self.numbers)
+        x, v = self._motion(t, y, numbers)
         com = form.com()
         pidot, moment, push = form.force(x, v), np.zeros(r - k), np.zeros(k)
         slope = None
         if self._forces is not None:
             mu = self.base.momentum(b)
-            acting = self._forces.acting(t, x, v[r:], v[:r], mu, self.numbers)
+            acting = self._forces.acting(t, x, v[r:], v[:r], mu, numbers)
             pidot = pidot + acting.torque
             if self._forces.has_wrench:
                 push = acting.wrench[:k]
