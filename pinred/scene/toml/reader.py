@@ -226,7 +226,7 @@ class _Builder:
         raise type(error)(place.tell(text)) from None
 
     def _joint(self, name: str, place: Place) -> None:
-        if name not in self.system.shape_names:
+        if name not in (*self.system.shape_names, *self.system.followers):
             place.fail(unknown(name, "joint", self.system.shape_names, "the joints are"))
 
     def _by_joint(
