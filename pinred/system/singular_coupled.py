@@ -60,8 +60,9 @@ class _Least:
         self._data = self._model.createData()
         self._coupled, self._r = coupled, int(model.joints[1].nv)
         self._neutral: Array = np.array(pin.neutral(model))
-        joints = [model.joints[2 + j] for j in coupled.leads]
-        self._names = [str(model.names[2 + j]) for j in coupled.leads]
+        leads = [2 + j for j in coupled.leads.tolist()]
+        joints = [model.joints[i] for i in leads]
+        self._names = [str(model.names[i]) for i in leads]
         self._slides = np.array([is_prismatic(joint) for joint in joints], dtype=bool)
         self._reach = largest_step(model)
         self._size: Array = np.ones(self._r + len(joints))
