@@ -15,13 +15,14 @@ from scipy.optimize import minimize
 
 from ..common.arrays import Array
 from .coupling import Coupled
-from .joints import is_prismatic
+from .joints import axes_of, is_prismatic
 from .massless_motions import largest_step
 from .singular_shapes import SingularShape, SingularShapes
 
 _SHAPES = 4  # random ones; a motion that moves no mass at all of them moves none at any
 _EXACT = 1e-13  # of the matrix, each joint scaled by its own inertia, below which it is round-off
 _NEARLY = 1e-11  # the same for the decimals of a file, and where a descent ends
+_SMALLEST = 1e-12  # of the robot's inertia, that of a joint that counts as one of its own
 _LEADING = 0.1  # of a motion's largest part: the last joint that has as much is named
 _CORNERS = 256
 _DESCENTS = 8  # from shapes whose angles are quarter turns, and from random ones
@@ -79,9 +80,16 @@ class _Least:
         return [np.array(c) for c in itertools.islice(itertools.product(*quarters), _CORNERS)]
 
     def scale_by(self, shapes: list[Array]) -> None:
-        """Take the largest inertia of each coordinate at some shapes for its usual one."""
+        """Take the largest inertia of each coordinate at some shapes for its usual one.
+
+        What is round-off of the robot's mass, at the distance of its largest step, is not scaled.
+        """
         largest = np.max([np.diag(self._matrix(y)) for y in shapes], axis=0)
-        self._size = np.sqrt(np.where(largest > 0.0, largest, 1.0))
+        turns = axes_of(self._model.joints[1])[3:].any(axis=0)
+        turns = np.append(turns, ~self._slides)
+        mass = sum(body.mass for body in list(self._model.inertias)[1:])
+        natural = mass * np.where(turns, self._reach**2, 1.0)
+        self._size = np.sqrt(np.maximum(largest, _SMALLEST * natural))
 
     def at_all(self, shapes: list[Array], tolerance: float) -> tuple[str, ...]:
         """Return the joints to lock so that the matrix is regular at one of the shapes at least."""

@@ -246,3 +246,36 @@ def test_random_cases_have_all_kinds() -> None:
     assert any(each.ratio < 0.0 for each in found)
     systems = [case.system for case in cases]
     assert any({each.leader for each in s.couplings} & {*s.followers} for s in systems)
+
+
+POINT = (
+    '<link name="{}"><inertial><origin xyz="{} 0 0"/><mass value="1"/><inertia ixx="0" iyy="0" '
+    'izz="0" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+
+
+def test_single_shapes_of_coupled_joints(tmp_path: Path) -> None:
+    """A point mass that a geared elbow folds back onto the shoulder's axis, at one angle alone."""
+    plain = '<joint name="{}" type="revolute"><parent link="{}"/><child link="{}"/><origin xyz='
+    plain += '"{} 0 0"/><axis xyz="0 0 1"/><limit effort="1" velocity="1"/>{}</joint>'
+    tree = [
+        link("a"), link("b", 0.0), POINT.format("c", 0.5),
+        plain.format("shoulder", "a", "b", 0, ""),
+    ]  # fmt: skip
+    elbow = plain.format("elbow", "b", "c", 0.5, mimic("shoulder", 'multiplier="1" offset="0.4"'))
+    system = pinred.load(write(tmp_path, robot(*tree, elbow)))
+    # |dp/dy|² = ¼ |1 + 2 exp(i (y + 0.4))|² is never zero: the mass moves at every shape.
+    assert system.doubts == ()
+    assert pinred.Reduction(system).reduced_metric([np.pi - 0.4])[0, 0] > 0.0
+    still = elbow.replace('multiplier="1"', 'multiplier="0"').replace("0.4", "3.141592653589793")
+    with pytest.raises(ModelError, match=r"'shoulder'.*lock=\['shoulder'\]"):
+        pinred.load(write(tmp_path, robot(*tree, still)))
+    # 0.5 + (1 + k) 0.25 exp(i (k y + 0.4)) is zero for k = 1 at π − 0.4.
+    tree[2] = POINT.format("c", 0.25)
+    with pytest.warns(
+        pinred.ModelWarning, match=r"'shoulder' moves no mass at 'shoulder' = 2\.7415"
+    ):
+        system = pinred.load(write(tmp_path, robot(*tree, elbow)))
+    assert np.linalg.eigvalsh(pinred.Reduction(system).mass_matrix([1.0]))[0] > 1e-3
+    with pytest.raises(pinred.SingularInertiaError, match="'shoulder'"):
+        pinred.Reduction(system).mass_matrix([np.pi - 0.4])
