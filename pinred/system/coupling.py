@@ -71,7 +71,8 @@ def coupled(joints: Sequence[str], couplings: Sequence[Coupling], root: str = ""
     """Return what couplings make of joints, or None if there are no couplings.
 
     root: the root joint, whose motion is the symmetry.  Raises ModelError, naming the joints and
-    the way out, for leaders that are not there, circles, and joints that follow two others.
+    the way out, for leaders that are not among the joints, circles, and joints that follow two
+    others.
     """
     if not couplings:
         return None
@@ -95,14 +96,6 @@ def resolved(
     Raises ModelError as `coupled`.
     """
     direct: dict[str, Coupling] = {}
-    lost = [each for each in couplings if each.leader not in joints and each.leader != root]
-    if lost:
-        one = lost[0]
-        raise ModelError(
-            f"joint {quoted(one.follower)} follows {quoted(one.leader)}, which is no joint that "
-            f"can move; name one that is, or lock the joint: "
-            f"lock={[each.follower for each in lost]}"
-        )
     for each in couplings:
         _check(each, joints, root)
         if each.follower in direct:
@@ -117,12 +110,16 @@ def resolved(
 
 def _check(each: Coupling, joints: Sequence[str], root: str) -> None:
     """Refuse a coupling of joints that are not there, or with numbers that are not finite."""
-    names = (each.follower, each.leader)
-    if root in names and root:
+    if each.follower == root:
         raise ModelError(
-            f"joint {quoted(each.follower)} follows {quoted(each.leader)}, but the motion of the "
-            f"root joint {quoted(root)} is the symmetry, which no joint follows or leads; lock the "
-            "other one"
+            f"the root joint {quoted(root)} follows {quoted(each.leader)}, but its motion is the "
+            f"symmetry and follows none; lock {quoted(each.leader)}, and it is locked with it"
+        )
+    if each.leader not in joints:
+        raise ModelError(
+            f"joint {quoted(each.follower)} follows {quoted(each.leader)}, which is not behind the "
+            f"root joint {quoted(root)}, whose motion is the symmetry and leads none; "
+            f"lock {quoted(each.leader)}, and what follows it is locked with it"
         )
     if each.follower not in joints:
         raise ModelError(
@@ -161,10 +158,17 @@ def with_followers(
 
     A follower whose leader is not there is free to be locked.  Raises InputError for another
     follower that is locked without its leader, or elsewhere than where that puts it, and
-    ModelError for circles.
+    ModelError for leaders that are not there, and for circles.
     """
     out = dict(lock)
     known = [each for each in couplings if each.leader in joints or each.follower not in lock]
+    lost = [each for each in known if each.leader not in joints]
+    if lost:
+        raise ModelError(
+            f"joint {quoted(lost[0].follower)} follows {quoted(lost[0].leader)}, which is no joint "
+            "that can move; name one that is, or lock the joint: "
+            f"lock={[each.follower for each in lost]}"
+        )
     if not any(name in lock for each in known for name in (each.follower, each.leader)):
         return out, tuple(known)
     left: list[Coupling] = []

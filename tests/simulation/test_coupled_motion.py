@@ -16,6 +16,7 @@ import pinred
 from pinred import InputError
 from pinred.common.arrays import Array
 from pinred.forces import PD, ComputedTorque, Controller, Damper, Limit, Spring, Torque
+from pinred.kernels.fingerprint import model_bytes
 from pinred.system.contents import Contents, Coupling
 
 Engine = Literal["compiled", "pinocchio"]
@@ -50,7 +51,7 @@ def crank() -> pinred.System:
     return _geared(-2.5)
 
 
-def _geared(ratio: float, armature: float = 0.0) -> pinred.System:
+def _geared(ratio: float, armature: float = 0.0, offset: float = 0.3) -> pinred.System:
     model = pin.Model()
     model.gravity.setZero()
     base = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "base")
@@ -60,7 +61,7 @@ def _geared(ratio: float, armature: float = 0.0) -> pinred.System:
         wheel = model.addJoint(base, pin.JointModelRZ(), place, name)
         model.appendBodyToJoint(wheel, _wheel(moment), pin.SE3.Identity())
     model.armature = np.array([0.0, 0.0, armature])
-    contents = Contents(couplings=(Coupling("second", "first", ratio, 0.3),))
+    contents = Contents(couplings=(Coupling("second", "first", ratio, offset),))
     return pinred.System(model, "geared", contents=contents)
 
 
@@ -244,3 +245,34 @@ def test_many(crank: pinred.System) -> None:
     for k in range(3):
         alone = pinred.simulate(crank, q0=q0[k], duration=0.5, springs=springs)
         np.testing.assert_allclose(many[k].x[-1], alone.x[-1], atol=1e-10)
+
+
+def test_files_of_another_robot(tmp_path: Path) -> None:
+    """A motion in whose q a joint does not follow is not taken for one of the robot."""
+    text = robot(*(link(name) for name in "abc"), joint("a", "b"), "{}")
+    last = joint("b", "c", inside='<axis xyz="1 0 0"/><mimic joint="a-b" multiplier="{}"/>')
+    path = write(tmp_path, text.format(last.format(2)))
+    pinred.simulate(pinred.load(path), seed=1, duration=0.2).save(tmp_path / "motion.npz")
+    write(tmp_path, text.format(last.format(2.001)))
+    with pytest.raises(InputError, match="'q' is not the configuration"):
+        _ = pinred.read_recording(tmp_path / "motion.npz").system
+
+
+def test_kernels_are_kept_apart() -> None:
+    """Robots that differ in a ratio or an offset alone have kernels of their own."""
+    digests = {model_bytes(_geared(ratio, offset=b)) for ratio in (2.0, 3.0) for b in (0.0, 0.3)}
+    assert len(digests) == 4
+
+
+def test_random_states_are_within_the_limits_of_followers(tmp_path: Path) -> None:
+    """A finger that may open by a centimetre, driven three times as far as its leader."""
+    slide = '<axis xyz="0 1 0"/>'
+    follower = joint("a", "c", "prismatic", f'{slide}<mimic joint="a-b" multiplier="-3"/>')
+    text = robot(
+        *(link(name) for name in "abc"), joint("a", "b", "prismatic", slide),
+        follower.replace('lower="-1" upper="1"', 'lower="0" upper="0.01"'),
+    )  # fmt: skip
+    system = pinred.load(write(tmp_path, text))
+    x = np.array([pinred.Scene(system=system, seed=k).start.x for k in range(20)])
+    assert (x <= 0.0).all()
+    assert (x >= -0.01 / 3.0).all()

@@ -108,10 +108,20 @@ def test_what_cannot_be_followed(tmp_path: Path, mimics: tuple[str, ...], words:
 def test_the_root_neither_follows_nor_leads() -> None:
     """Its motion is the symmetry."""
     model = random_model("SO2", 2, 0)
-    for pair in (("joint1", "joint0"), ("joint0", "joint1")):
+    pairs = (("joint1", "joint0"), ("joint0", "joint1"))
+    for pair in pairs:
         contents = Contents(couplings=(Coupling(*pair, 1.0, 0.0),))
-        with pytest.raises(ModelError, match=r"root joint 'joint0' is the symmetry.*lock"):
+        with pytest.raises(ModelError, match=r"root joint 'joint0'.* motion is the symmetry.*lock"):
             pinred.System(model, contents=contents)
+
+
+def test_a_leader_that_becomes_the_root(tmp_path: Path) -> None:
+    """On an anchor without mass the first joint is; locked, it takes its follower along."""
+    parts = [link("a", 0.0), link("b"), link("c"), joint("a", "b")]
+    path = write(tmp_path, robot(*parts, joint("b", "c", inside=AXIS + mimic("a-b"))))
+    with pytest.raises(ModelError, match=r"'b-c' follows 'a-b'.*root joint 'a-b'.*lock 'a-b'"):
+        pinred.load(path)
+    assert pinred.load(path, lock=["a-b"], group="SE3").m == 0
 
 
 def test_two_leaders_and_numbers() -> None:

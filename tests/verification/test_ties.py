@@ -13,6 +13,7 @@ from robot_texts import joint, link, robot, write
 
 import pinred
 from pinred.system.coupling import Coupled
+from pinred.verification.full_state import FullState
 from pinred.verification.ties import Ties
 
 MASSLESS = robot(
@@ -83,6 +84,19 @@ def test_a_wrong_ratio_is_found(monkeypatch: pytest.MonkeyPatch, seed: int) -> N
     report = pinred.compare(pinred.simulate(right, seed=1, duration=0.5))
     assert not report.passed
     assert report.shape_error > 10.0 * report.shape_bound or report.field_error > 1e-8
+
+
+def test_a_kick_leaves_followers_on_their_leaders() -> None:
+    """What measures how errors grow begins where the couplings hold, in place and rate."""
+    case = make_case("SE3", 5, 0)
+    scene = pinred.Scene(system=case.system, seed=0, duration=1.0)
+    full, start = FullState(scene), scene.start
+    y0 = full.state(start.pose, start.x, start.xi, start.xdot)
+    y, M = full.kick(y0, 1.0, 1e-3), len(case.b)
+    x, xdot = y[7 : 7 + M], y[7 + M + 6 :]
+    assert np.abs(y - y0).max() > 1e-4
+    np.testing.assert_allclose(x, case.G @ full.ties.shape(x) + case.b, atol=1e-15)
+    np.testing.assert_allclose(xdot, case.G @ full.ties.shape(xdot), atol=1e-15)
 
 
 @pytest.mark.slow
