@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 from coupled_trees import make_case, multipliers
 from robot_texts import joint, link, robot, write
+from trees import limbed_model
 
 import pinred
 from pinred import InputError
@@ -276,3 +277,20 @@ def test_random_states_are_within_the_limits_of_followers(tmp_path: Path) -> Non
     x = np.array([pinred.Scene(system=system, seed=k).start.x for k in range(20)])
     assert (x <= 0.0).all()
     assert (x >= -0.01 / 3.0).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_limbs_of_one_build(seed: int) -> None:
+    """Limbs with couplings inside, across and on one limb alone, beside limbs without any."""
+    model, rng = limbed_model("SE3", 3, 3, seed), np.random.default_rng(seed)
+    pairs = [
+        [("limb0.1", "limb0.0"), ("limb1.1", "limb1.0"), ("limb2.1", "limb2.0")],
+        [("limb0.2", "limb0.0")],
+        [("limb0.1", "limb1.1"), ("limb0.2", "limb2.2")],
+        [("limb0.0", "trunk"), ("limb1.2", "limb1.0")],
+    ]
+    couplings = tuple(Coupling(*pair, float(rng.normal()), 0.2) for pair in pairs[seed])
+    system = pinred.System(model, "limbs", contents=Contents(couplings=couplings))
+    x0, xdot0 = rng.normal(size=(2, system.m))
+    a, b = (pinred.simulate(system, x0=x0, xdot0=xdot0, duration=0.2, engine=e) for e in ENGINES)
+    np.testing.assert_allclose(a.q, b.q, atol=1e-9)
