@@ -15,7 +15,6 @@ from ..reduction.potential import pivot_weight
 from ..scene.scene import Scene
 from ..simulation.explain import skipped
 from ..simulation.plan import plan_of
-from ..system.joints import is_prismatic
 from ..system.system import System, checked_system
 
 
@@ -41,13 +40,14 @@ class Inspection:
     def __str__(self) -> str:
         system, at = self.system, self.at
         kinds = [
-            f"{name} ({'prismatic' if is_prismatic(system.model.joints[i]) else 'revolute'})"
-            for i, name in enumerate(system.shape_names, start=2)
+            f"{name} ({'prismatic' if unit == 'm' else 'revolute'})"
+            for name, unit in zip(system.shape_names, system.units, strict=True)
         ]
         size = "" if self.reduced_size is None else f" → {self.reduced_size} numbers"
         lines = [
             f"{system.name}: {_group(system)}, shape of {system.m} joints, {system.mass:g} kg",
             *_wrapped("joints", kinds),
+            *(_wrapped("followers", [*map(str, system.couplings)]) if system.couplings else []),
             f"gravity     ({', '.join(f'{g:g}' for g in system.gravity)}) m/s²",
             *_wrapped("symmetries", self.symmetries),
             *_wrapped("skipped", self.skipped),
@@ -71,6 +71,7 @@ class Inspection:
         facts = [
             *(("symmetry", text) for text in self.symmetries),
             *(("skipped", text) for text in self.skipped),
+            *(("follower", str(each)) for each in system.couplings),
             *(("left out", str(left)) for left in system.left_out),
             *(("keyframe", name) for name in system.keyframes),
             ("integrated", f"{self.full_size}{size} numbers"),
@@ -113,7 +114,7 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
         cyclic=cyclic,
         symmetries=tuple(_symmetries(system, cyclic, broken)),
         skipped=(*not_needed, "meshes: not read"),
-        full_size=system.model.nq + system.n,
+        full_size=system.model.nq + system.model.nv,
         reduced_size=size,
     )
 

@@ -7,6 +7,7 @@ controller of Python.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -18,17 +19,29 @@ from ..common.names import joint_index
 
 
 class Column(ca.SX):
-    """A column of CasADi expressions, (m,), with an entry for each joint."""
+    """A column of CasADi expressions, (m,), with an entry for each joint of the shape.
 
-    def __init__(self, entries: ca.SX, joints: tuple[str, ...], what: str) -> None:
-        """Take the entries, the names of the joints, and what an error calls the column."""
+    Joints that follow others have entries too, by name and by the numbers from m on, which are no
+    part of the column itself.
+    """
+
+    def __init__(
+        self, entries: ca.SX, joints: tuple[str, ...], what: str, followers: Sequence[ca.SX] = ()
+    ) -> None:
+        """Take the entries, the names of the joints, and what an error calls the column.
+
+        followers: entries of those that follow others, whose names come after the others'.
+        """
         super().__init__(entries)
-        self._joints, self._what = joints, what
+        self._joints, self._what, self._followers = joints, what, tuple(followers)
 
     def __getitem__(self, key: Any) -> Any:
         """Return entries by name or as CasADi does.  Raises InputError for unknown names."""
         if isinstance(key, str):
             key = joint_index(key, self._joints, self._what)
+        m = len(self._joints) - len(self._followers)
+        if isinstance(key, int) and m <= key < len(self._joints):
+            return self._followers[key - m]
         return super().__getitem__(key)
 
 

@@ -50,9 +50,18 @@ class Symbols:
         """Names of the shape joints."""
         return self.system.shape_names
 
+    @property
+    def every_name(self) -> tuple[str, ...]:
+        """Names of the shape joints, and then of those that follow them."""
+        return (*self.names, *self.system.followers)
+
     def joint(self, name: str, what: str) -> int:
-        """Return the index of a joint.  Raises InputError that lists the joints."""
-        return joint_index(name, self.names, what)
+        """Return the index of a joint; those that follow others come after the shape's.
+
+        What acts on one of these acts through it on the joint that it follows.  Raises InputError
+        that lists the joints.
+        """
+        return joint_index(name, self.every_name, what)
 
     def column(self, values: Any, what: str) -> dict[int, Any]:
         """Return {joint: value} of a mapping by names or of a sequence of m values."""
@@ -64,7 +73,11 @@ class Symbols:
 
 @dataclass
 class Terms:
-    """The action of a force.  torque: by joint.  wrench: r entries on the base.  potential: [J]."""
+    """The action of a force.
+
+    torque: by joint, numbered as `Symbols.joint` does.  wrench: r entries on the base.
+    potential: [J].
+    """
 
     potential: Any = None
     torque: dict[int, Any] = field(default_factory=dict)
@@ -119,7 +132,7 @@ class Limit:
 
         out = dict(torque)
         for k, bound in per_joint(self.most, torque, s, f"the limit of {what}").items():
-            most = positive(bound, f"the limit of {what} at '{s.names[k]}'")
+            most = positive(bound, f"the limit of {what} at '{s.every_name[k]}'")
             if self.smooth:
                 out[k] = most * ca.tanh(torque[k] / most)
             else:
@@ -180,7 +193,7 @@ def per_joint(values: PerJoint, joints: Iterable[int], s: Symbols, what: str) ->
     if not isinstance(values, Mapping):
         return dict.fromkeys(joints, finite(values, what))
     given = {s.joint(name, what): finite(v, f"{what} at '{name}'") for name, v in values.items()}
-    missing = [s.names[k] for k in joints if k not in given]
+    missing = [s.every_name[k] for k in joints if k not in given]
     if missing:
         raise InputError(f"{what} has no value for '{missing[0]}'")
     return {k: given[k] for k in joints}

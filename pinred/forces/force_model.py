@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -16,6 +16,7 @@ from ..common.casadi_calls import Numeric
 from ..common.errors import InputError
 from ..common.memo import once
 from ..reduction.potential import spring_pair
+from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..system.system import System
 from .by_name import Column
 from .force import Force, Symbols, Terms
@@ -76,13 +77,15 @@ class ForceModel:
         s = Symbols(
             system=system,
             t=ca.SX.sym("t"),
-            x=Column(ca.SX.sym("x", m), system.shape_names, "x"),
-            xdot=Column(ca.SX.sym("xdot", m), system.shape_names, "xdot"),
+            x=_column(system, "x", joint_values),
+            xdot=_column(system, "xdot", joint_rates),
             xi=ca.SX.sym("xi", r),
             mu=ca.SX.sym("mu", r),
             within=self._number(0.0) if has_breaks else None,
         )
         self.within = slice(0, int(has_breaks))
+        for name in prescribed:
+            system.refuse_follower(name, "prescribed")
         self.joints = tuple(s.joint(name, "prescribed") for name in prescribed)
         for name, signal in prescribed.items():
             if signal.smoothness < 1:
@@ -114,10 +117,10 @@ class ForceModel:
                 potential = potential + terms.potential
             if terms.torque or terms.wrench is not None:
                 self.labels.append(force.label)
-                torques = ca.horzcat(torques, _torque_column(terms, m))
+                torques = ca.horzcat(torques, _torque_column(terms, system))
                 wrenches = ca.horzcat(wrenches, _wrench_column(terms, r))
                 self.has_wrench |= terms.wrench is not None
-                acted |= terms.torque.keys()
+                acted |= {_through(system, k)[0] for k in terms.torque}
         self.numbers = np.array(self._values)
         p = ca.vertcat(*self._names)
         state = [s.t, s.x, s.xdot, s.xi, s.mu, p]
@@ -256,11 +259,30 @@ def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Functi
     return ca.Function(name, inputs, dense, {"cse": True})
 
 
-def _torque_column(terms: Terms, m: int) -> ca.SX:
-    column = ca.SX(m, 1)
-    for k, value in terms.torque.items():
-        column[k] = value
+def _column(system: System, what: str, on_joints: Callable[..., list[Any]]) -> Column:
+    """Return the symbols of the shape or its rate, with the expressions of what follows it."""
+    symbols = ca.SX.sym(what, system.m)
+    if system.coupled is None:
+        return Column(symbols, system.shape_names, what)
+    every = on_joints(system, ca.vertsplit(symbols))
+    followers = [ca.SX(every[system.joint_number(name)]) for name in system.followers]
+    return Column(symbols, (*system.shape_names, *system.followers), what, followers)
+
+
+def _torque_column(terms: Terms, system: System) -> ca.SX:
+    column = ca.SX(system.m, 1)
+    for k, value in sorted(terms.torque.items()):
+        i, ratio = _through(system, k)
+        column[i] = value if k < system.m else column[i] + ratio * value
     return column
+
+
+def _through(system: System, k: int) -> tuple[int, float]:
+    """Return the shape coordinate on which what acts on a joint acts, and by what factor."""
+    if k < system.m or system.coupled is None:
+        return k, 1.0
+    j = system.joint_number(system.followers[k - system.m])
+    return int(system.coupled.of[j]), float(system.coupled.ratio[j])
 
 
 def _wrench_column(terms: Terms, r: int) -> ca.SX:

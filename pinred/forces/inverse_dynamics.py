@@ -8,6 +8,7 @@ import casadi as ca
 
 from ..common.errors import SymmetryError
 from ..reduction.potential import pivot_weight, shape_gravity
+from ..reduction.tree.all_joints import joint_values
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.momenta import bracket, centre_of_mass, momenta
 from .force import Symbols
@@ -39,7 +40,7 @@ def required_torque(s: Symbols, accelerations: Mapping[int, ca.SX]) -> ca.SX:
     torque = pidot - ca.gradient(0.5 * ca.dot(v, p), s.x)
     g = shape_gravity(system).direction
     if g is not None:
-        com = centre_of_mass(bodies_of(system), ca.vertsplit(s.x))
+        com = centre_of_mass(bodies_of(system), joint_values(system, ca.vertsplit(s.x)))
         fall = sum(system.mass * float(w) * c for w, c in zip(g, com, strict=True))
         torque -= ca.gradient(ca.SX(fall), s.x)
     return torque

@@ -159,7 +159,7 @@ class Torque(Named):
             }
         else:
             found = s.column(self.function(s.t, s.x, s.xdot, s.mu), self.name)
-            torque = {k: scalar(v, f"{self.name} at '{s.names[k]}'") for k, v in found.items()}
+            torque = {k: scalar(v, f"{self.name} at '{s.every_name[k]}'") for k, v in found.items()}
         return Terms(torque=limited(self.limit, s, torque, self.name))
 
 
@@ -225,6 +225,8 @@ class ComputedTorque(_Tracking):
         from .inverse_dynamics import required_torque  # heavy to import
 
         wanted = motions(self.reference, s, number, self.name)
+        for k in wanted:
+            s.system.refuse_follower(s.every_name[k], f"{self.name} has a reference")
         missing = [k for k in range(len(s.names)) if k not in {*wanted, *s.accelerations}]
         if missing:
             raise InputError(f"{self.name} has no reference for joint '{s.names[missing[0]]}'")

@@ -21,4 +21,7 @@ def model_bytes(system: System) -> bytes:
         axes = np.asarray(joint.createData().S)  # what tells slanted joints apart
         digest.update(axes.tobytes())
     digest.update(np.asarray(model.armature).tobytes())
+    if system.coupled is not None:
+        for numbers in (system.coupled.of, system.coupled.ratio, system.coupled.offset):
+            digest.update(numbers.tobytes())
     return digest.digest()

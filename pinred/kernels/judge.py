@@ -79,7 +79,10 @@ def _judge_full_state(kernel: Kernel, at: JudgedState, out: Array) -> None:
     data = model.createData()
     pose, q, v = out[where.pose], out[where.q], out[where.v]
     check("configuration", q, system.model_q(pose, at.x), abs(q))
+    found = system.velocity(system.given_v(v))
+    full, v = v, np.concatenate([found.xi, found.xdot])
     check("full velocity", v[k:], at.v[k:], at.velocity_terms[k:])
+    check("velocity of all joints", full, system.joint_rates(v), abs(full))
     root, (c0, v0, fall) = model.jointPlacements[1], at.line.reshape(3, k)
     parts = [c0, v0 * at.time, 0.5 * fall * at.time**2]
     speeds = [v0, fall * at.time]
@@ -89,7 +92,7 @@ def _judge_full_state(kernel: Kernel, at: JudgedState, out: Array) -> None:
     far = np.abs(parts).sum() + at.reach
     fast = np.abs(speeds).sum() + at.velocity_terms[:k].sum()
     fast += at.reach * at.velocity_terms[k:r].sum() + at.momentum_terms[:k].sum() / system.mass
-    pin.centerOfMass(model, data, q, v)
+    pin.centerOfMass(model, data, q, full)
     along = translations(system).T @ root.rotation.T
     check("place of the centre of mass", along @ (data.com[0] - root.translation), c, far)
     check("its velocity", along @ data.vcom[0], velocity, fast)
@@ -169,14 +172,19 @@ def _judge_acceleration(
     # Far from the world's origin Pinocchio's Coriolis matrix has round-off of the distance.
     near = model.copy()
     near.jointPlacements[1] = pin.SE3.Identity()
-    C = pin.computeCoriolisMatrix(
-        near, near.createData(), system.model_q(system.group.identity(), at.x), v
+    full = system.joint_rates(v)
+    C = system.coupled_matrix(
+        pin.computeCoriolisMatrix(
+            near, near.createData(), system.model_q(system.group.identity(), at.x), full
+        )
     )
     mudot = system.group.coadjoint(v[:r], at.mu) + wrench
     tau = np.concatenate([wrench, torque])
     weight = np.zeros(system.n)
     if at.gravity.any():
-        weight = np.abs(pin.computeGeneralizedGravity(model, model.createData(), q))
+        weight = system.sizes_on_shape(
+            np.abs(pin.computeGeneralizedGravity(model, model.createData(), q))
+        )
     if layout.base.momentum and at.gravity.any():
         mudot = mudot + _moment_of_gravity(kernel, at)
     fixed = r + np.array(at.driven, dtype=int)
@@ -185,7 +193,7 @@ def _judge_acceleration(
     left = np.concatenate([mudot, pidot]) - (C + C.T) @ v
     found = np.linalg.solve(inertia, left[free] - held)
     # Not by ABA: where a base is light its inverse inertia rounds off what is far larger.
-    bias = pin.nonLinearEffects(model, data, q, v)
+    bias = system.on_shape(pin.nonLinearEffects(model, data, q, full))
     true = np.linalg.solve(inertia, (tau - bias)[free] - held)
     terms = at.force_terms + np.abs(tau) + weight
     terms += np.abs(H[:, free]) @ np.abs(true) + np.abs(H[:, fixed]) @ np.abs(at.accelerations)

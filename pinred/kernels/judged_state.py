@@ -10,13 +10,14 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..reduction.inertia_split import symmetric
+from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import falling
 from ..system.inertias import radius_of_gyration
 from ..system.joints import axes_of
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
+    from ..system.system import System
     from .kernel import Kernel
 
 
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 class JudgedState:
     """A state, the kernel's arguments there, and Pinocchio's numbers.
 
-    model: in the gravity that the kernel knows, which is without what makes the system fall.
+    system: the kernel's.  model: in the gravity that the kernel knows, which is without what
+    makes the system fall.
     gravity: (3,) the same in the root joint's fixed frame [m/s²].  pose: (size,).
     q: (nq,).  x: (m,).  v: (n,) body twist and shape rate, whose momentum is of a kind that
     the kernel has terms for.  accelerations: of the prescribed joints.  numbers: (p,) in the
@@ -35,6 +37,7 @@ class JudgedState:
     y, parameters: the kernel's arguments.  driven: the prescribed joints.
     """
 
+    system: System
     model: pin.Model
     gravity: Array
     time: float
@@ -96,15 +99,16 @@ class JudgedState:
         """
         model, data = self.model, self.model.createData()
         pin.crba(model, data, self.q)
-        angular, mass = np.ones(len(self.v), dtype=bool), np.empty(len(self.v))
+        v = np.abs(self.system.joint_rates(self.v))
+        angular, mass = np.ones(len(v), dtype=bool), np.empty(len(v))
         for i in range(1, model.njoints):
             joint = model.joints[i]
             own = slice(joint.idx_v, joint.idx_v + joint.nv)
             angular[own] = np.abs(axes_of(joint)[3:]).sum(axis=0) > 0.0
             mass[own] = data.Ycrb[i].mass
-        turning = float(np.abs(self.v[angular]).sum())
-        speed = float(np.abs(self.v[~angular]).sum()) + self.reach * turning
-        moving = mass * speed * np.where(angular, speed, turning)
+        turning = float(v[angular].sum())
+        speed = float(v[~angular].sum()) + self.reach * turning
+        moving = self.system.sizes_on_shape(mass * speed * np.where(angular, speed, turning))
         return np.asarray(turning * self.momentum_terms + moving)
 
     @cached_property
@@ -147,7 +151,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         if not np.isfinite([given.x, given.xdot, given.xddot]).all():
             return None
     q, data = system.model_q(pose, x), model.createData()
-    H = symmetric(pin.crba(model, data, q))
+    H = mass_matrix_at(system, model, data, pose, x)
     v, mu = _with_known_momentum(kernel, H, v)
     pi = H[r:] @ v
     # A base with heavy arms in a fixed direction of gravity, or with its direction alone.
@@ -163,6 +167,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         if not np.isfinite(np.concatenate([acting.torque, acting.wrench, potential])).all():
             return None
     return JudgedState(
+        system=system,
         model=model,
         gravity=gravity,
         time=time,

@@ -103,7 +103,7 @@ class Outputs:
 def outputs_of(system: System, layout: Layout) -> Outputs:
     """Return where things stand in the outputs of a kernel."""
     m, r, k = system.m, system.r, len(layout.prescribed)
-    full = [system.group.size, system.model.nq, system.n, r, r]
+    full = [system.group.size, system.model.nq, system.model.nv, r, r]
     sizes = [r, m, 3, r, 3 * layout.heavy, k, k, m, *(full if layout.wanted else [0] * len(full))]
     ends = [sum(sizes[:i]) for i in range(len(sizes) + 1)]
     places: list[Any] = [*(slice(a, b) for a, b in pairwise(ends)), ends[-1] + 1]

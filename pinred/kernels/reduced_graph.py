@@ -18,6 +18,7 @@ import casadi as ca
 
 from ..forces.force_model import ForceModel
 from ..reduction.base_parts import root_of
+from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..reduction.tree.articulated_sweep import sweep
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.limbs import Lanes
@@ -64,7 +65,10 @@ class ReducedGraph:
         # Nothing depends on the angle of a cyclic joint, so it may as well be zero.
         angles: list[Scalar] = [0.0 if k in structure.cyclic else self.x[k] for k in range(m)]
         rates = dict(zip(prescribed, given[len(prescribed) :], strict=True))
-        found = sweep(self._bodies, angles, self.pi, mu, group.axes, armature, rates, lanes)
+        found = sweep(
+            self._bodies, joint_values(system, angles), self.pi, mu, group.axes, armature, rates,
+            lanes, system.coupled,
+        )  # fmt: skip
         self.xi: list[Scalar] = [
             [*found.root_linear, *found.root_angular][axis] for axis in group.axes
         ]
@@ -124,7 +128,7 @@ class ReducedGraph:
         line = [ca.SX.sym(f"line{j}") for j in range(3 * k)]
         if self.layout.wanted:
             full = self.base.full(self.xi, self._mu, com, self._t, line)
-            parts += [full.pose, self._q(full.pose), full.xi, self.xdot]
+            parts += [full.pose, self._q(full.pose), full.xi, joint_rates(system, self.xdot)]
             parts += [full.body_momentum, full.spatial_momentum]
             energy = add(energy, full.energy)
         y = self.y if self.layout.clock else ca.vertcat(self.y, self._t)
@@ -146,7 +150,7 @@ class ReducedGraph:
 
     def _q(self, pose: list[Scalar]) -> list[Scalar]:
         """Return Pinocchio's configuration."""
-        y, q = [*pose, *self.x], [0.0] * self._system.model.nq
+        y, q = [*pose, *joint_values(self._system, self.x)], [0.0] * self._system.model.nq
         for i, at in self._system.plain:
             q[at] = y[i]
         for i, at in self._system.angles:
@@ -160,7 +164,7 @@ class ReducedGraph:
 
     def com(self) -> Vec:
         """Return the centre of mass in the root body's own frame, from the joints' placements."""
-        return centre_of_mass(self._bodies, self.x)
+        return centre_of_mass(self._bodies, joint_values(self._system, self.x))
 
     def _given(self) -> list[Scalar]:
         """Return positions and then rates of the prescribed joints."""
@@ -186,7 +190,8 @@ class ReducedGraph:
         centre of mass, in which the shape is pushed the other way.
         """
         m = self._system.m
-        com = centre_of_mass(self._bodies, ca.vertsplit(self._angles) if m else [])
+        angles = joint_values(self._system, ca.vertsplit(self._angles) if m else [])
+        com = centre_of_mass(self._bodies, angles)
         loads: list[tuple[Scalar, Scalar]] = []  # of each coordinate of c: name and value
         energy: Scalar = 0.0
         pairs = list(zip(acting, self.base.along(com), strict=False))  # the linear part

@@ -17,8 +17,9 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.memo import once
 from ..reduction.base_parts import BaseParts
-from ..reduction.inertia_split import symmetric
+from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import translations
+from ..reduction.tree.all_joints import joint_values
 from ..reduction.tree.articulated_sweep import sweep
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.momenta import centre_of_mass, momenta
@@ -99,7 +100,8 @@ def _graph(system: System, given: TwistOrMomentum) -> ca.Function:
     pose, x, xdot = ca.SX.sym("pose", group.size), ca.SX.sym("x", m), ca.SX.sym("xdot", m)
     motion = ca.SX.sym("motion", r)
     base = BaseGraph(system, BaseParts(attitude=group.size - k), None)
-    com = centre_of_mass(bodies_of(system), ca.vertsplit(x) if m else [])
+    joints = joint_values(system, ca.vertsplit(x) if m else [])
+    com = centre_of_mass(bodies_of(system), joints)
     p = momenta(system, x, ca.vertcat(motion, xdot))
     mu = ca.vertsplit(p[:r] if given == "xi" else motion)
     about = base.about(com, mu)
@@ -112,8 +114,8 @@ def _graph(system: System, given: TwistOrMomentum) -> ca.Function:
     else:
         armature = float(system.model.armature[0])
         found = sweep(
-            bodies_of(system), ca.vertsplit(x) if m else [], [0.0] * m, [0.0] * k + about,
-            group.axes, armature, dict(enumerate(ca.vertsplit(xdot))) if m else {},
+            bodies_of(system), joints, [0.0] * m, [0.0] * k + about, group.axes, armature,
+            dict(enumerate(ca.vertsplit(xdot))) if m else {}, coupled=system.coupled,
         )  # fmt: skip
         pi = found.pi
     fixed, moved, velocity = (
@@ -136,7 +138,7 @@ def _judge(kernel: StartKernel, given: TwistOrMomentum) -> None:
     pose, x = group.exp(rng.uniform(-1.0, 1.0, r)), rng.uniform(-2.0, 2.0, system.m)
     xi, xdot = rng.normal(size=r), rng.normal(size=system.m)
     data = system.model.createData()
-    H = symmetric(pin.crba(system.model, data, system.model_q(group.identity(), x)))
+    H = mass_matrix_at(system, system.model, data, group.identity(), x)
     mu = H[:r] @ np.concatenate([xi, xdot])
     motion = xi if given == "xi" else mu
     found = kernel(*(row[None] for row in (pose, x, xdot, motion)))

@@ -20,7 +20,7 @@ from ..common.arrays import Array, vector, vectors
 from ..common.errors import SymmetryError
 from ..lie.group import Group
 from ..system.system import System, checked_system
-from .inertia_split import InertiaSplit, split_inertia, symmetric
+from .inertia_split import InertiaSplit, mass_matrix_at, split_inertia
 from .potential import Potential, Springs
 
 if TYPE_CHECKING:
@@ -164,14 +164,13 @@ class Reduction:
         """Everything at one shape, computed once: 1 + n Pinocchio calls, or 1 without joints."""
         x = self._shape(x).copy()
         split = self._split(x)
-        r, n, m = self.system.r, self.system.n, self.system.m
-        q = self.system.model_q(self._identity, x)
-        zero, dH = np.zeros(n), np.empty((n, n, m))
+        system, r, n, m = self.system, self.system.r, self.system.n, self.system.m
+        q = system.model_q(self._identity, x)
+        zero, units, dH = np.zeros(self._model.nv), np.eye(n), np.empty((n, n, m))
         for k in range(n if m else 0):
-            e_k = zero.copy()
-            e_k[k] = 1.0
+            e_k = system.joint_rates(units[k])
             dtau_dq = pin.computeRNEADerivatives(self._model, self._data, q, zero, e_k)[0]
-            dH[:, k, :] = dtau_dq[:, r:]
+            dH[:, k, :] = system.coupled_matrix(dtau_dq)[:, r:]
         I, A = split.locked_inertia, split.local_connection
         # A = I⁻¹ (IA) and M = M̃ − Aᵀ (IA), differentiated.
         dI, dIA = dH[:r, :r], dH[:r, r:]
@@ -222,5 +221,5 @@ class Reduction:
         return self._split(self._shape(x))
 
     def _split(self, x: Array) -> InertiaSplit:
-        upper = pin.crba(self._model, self._data, self.system.model_q(self._identity, x))
-        return split_inertia(self.system, x, symmetric(upper), np.array(self._data.Ycrb[1].lever))
+        H = mass_matrix_at(self.system, self._model, self._data, self._identity, x)
+        return split_inertia(self.system, x, H, np.array(self._data.Ycrb[1].lever))

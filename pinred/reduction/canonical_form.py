@@ -39,10 +39,11 @@ class CanonicalForm:
         self._gradient = None if potential.is_zero else potential.gradient
 
     def mass_matrix(self, x: Array) -> Array:
-        """Return H(x), upper triangle only, as CRBA fills it; sets the centre of mass."""
-        return np.asarray(
-            pin.crba(self._model, self._data, self._system.model_q(self._identity, x))
-        )
+        """Return the upper triangle of H(x), as CRBA fills it; sets the centre of mass."""
+        upper = pin.crba(self._model, self._data, self._system.model_q(self._identity, x))
+        if self._system.coupled is None:
+            return np.asarray(upper)
+        return self._system.coupled_matrix(symmetric(upper))
 
     def com(self) -> Array:
         """Return the centre of mass in the root body's frame at the last shape, (3,) [m]."""
@@ -51,7 +52,8 @@ class CanonicalForm:
     def com_slope(self, x: Array) -> Array:
         """Return ∂c/∂x of the centre of mass in the root body's frame, (3, m)."""
         q = self._system.model_q(self._identity, x)
-        world = pin.jacobianCenterOfMass(self._model, self._data, q)[:, self._r :]
+        every = self._system.on_shape(pin.jacobianCenterOfMass(self._model, self._data, q))
+        world = every[:, self._r :]
         return np.asarray(self._model.jointPlacements[1].rotation.T @ world)
 
     def velocity(self, x: Array, momentum: Array) -> Array:
@@ -74,8 +76,12 @@ class CanonicalForm:
     def force(self, x: Array, v: Array) -> Array:
         """Return π̇ = ½ vᵀ ∂H v − ∂V, (m,)."""
         q = self._system.model_q(self._identity, x)
+        v = self._system.joint_rates(v)
         C = pin.computeCoriolisMatrix(self._model, self._data, q, v)
-        force = np.asarray(v @ C[:, self._r :])
+        if self._system.coupled is None:
+            force = np.asarray(v @ C[:, self._r :])
+        else:
+            force = self._system.on_shape(v @ C)[self._r :]
         return force if self._gradient is None else force - self._gradient(x)
 
     def _solve(self, H: Array, momentum: Array, x: Array) -> Array:

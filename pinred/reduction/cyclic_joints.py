@@ -40,7 +40,7 @@ def cyclic_joints(red: Reduction, touched: Collection[int] = ()) -> tuple[int, .
     for _ in range(_SAMPLES if m else 0):
         at = red.at(rng.uniform(-3.0, 3.0, m))
         q = system.model_q(system.group.identity(), at.x)
-        slope = pin.jacobianCenterOfMass(system.model, data, q)[:, r:]
+        slope = system.on_shape(pin.jacobianCenterOfMass(system.model, data, q))[:, r:]
         unit, none = _nothing(system, data, at.mass_matrix)
         b, s = unit[:r, None], unit[r:, None]
         dIA = np.einsum("ij,jbc->ibc", at.locked_inertia, at.dA)
@@ -77,13 +77,16 @@ def _nothing(system: System, data: pin.Data, H: Array) -> tuple[Array, Array]:
         ends[i] = max(ends[i], far, float(np.linalg.norm(data.oMi[i].translation - root)))
         ends[model.parents[i]] = max(ends[model.parents[i]], ends[i])
     reach = float(ends[1]) or 1.0
-    unit = np.ones(system.n)
+    unit = np.ones(model.nv)
     for i in range(1, model.njoints):
         joint = model.joints[i]
         slides = ~axes_of(joint)[3:].any(axis=0)
         unit[joint.idx_v : joint.idx_v + joint.nv][slides] = reach
-    own = (np.diag(H) * unit**2)[r:]
     terms = np.array([data.mass[i] * ends[i] ** 2 for i in range(2, model.njoints)])
+    if system.coupled is not None:
+        terms = system.sizes_on_shape(np.append(np.zeros(r), terms))[r:]
+        unit = np.append(unit[:r], unit[r:][system.coupled.leads])
+    own = (np.diag(H) * unit**2)[r:]
     return unit, np.maximum(_NO_DEPENDENCE * own, _ROUND_OFF * terms)
 
 

@@ -135,8 +135,18 @@ def usual_mass_matrices(system: System) -> list[Array]:
 def mass_matrix(system: System, x: Array) -> Array:
     """Return the mass matrix (n, n) at shape x (m,), whatever it is."""
     data = system.workspace(mass_matrix, system.model.createData)
-    q = system.model_q(system.group.identity(), x)
-    return symmetric(pin.crba(system.model, data, q))
+    return mass_matrix_at(system, system.model, data, system.group.identity(), x)
+
+
+def mass_matrix_at(
+    system: System, model: pin.Model, data: pin.Data, pose: Array, x: Array
+) -> Array:
+    """Return the mass matrix (n, n) of base and shape by CRBA, with what that leaves in `data`.
+
+    model: the system's, or one that differs from it in gravity.
+    """
+    upper = pin.crba(model, data, system.model_q(pose, x))
+    return system.coupled_matrix(symmetric(upper))
 
 
 def symmetric(upper: Array) -> Array:

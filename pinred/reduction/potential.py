@@ -114,7 +114,7 @@ class Potential:
         if self._weighs:
             q = self._system.model_q(self._identity, x)
             torque = pin.computeGeneralizedGravity(self._model, self._data, q)
-            out += torque[self._system.r :]
+            out += self._system.on_shape(torque)[self._system.r :]
         out[self._index] += self._stiffness * (x[self._index] - self._rest)
         return out
 
@@ -159,6 +159,7 @@ def spring_pair(name: str, pair: Any) -> Array:
 def _spring_arrays(system: System, springs: Springs) -> tuple[Indices, Array, Array]:
     unknown = [name for name in springs if name not in system.shape_names]
     if unknown:
+        system.refuse_follower(unknown[0], "springs")
         raise InputError(
             f"springs: no shape joint '{unknown[0]}'; "
             f"the joints are {', '.join(system.shape_names)}"

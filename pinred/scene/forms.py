@@ -17,11 +17,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.arrays import as_floats, read_only, vector
+from ..common.arrays import Array, as_floats, read_only, vector
 from ..common.errors import InputError, PinredError, ShapeError
 from ..common.names import joint_index, nearest
 from ..forces.signals import Constant, Expression, Signal
 from ..integrators.methods import METHODS, Method
+from ..system.coupling import following
 from ..system.system import Configuration, System, Velocity
 
 _UNIT = 1e-6  # how far the norm of a cosine and sine may be from 1, as in a pose
@@ -36,6 +37,8 @@ def in_order(value: Any, system: System, what: str) -> Any:
     """
     if not isinstance(value, Mapping):
         return value
+    for name in value:
+        system.refuse_follower(name, what)
     columns = {
         joint_index(name, system.shape_names, what): as_floats(entry, f"{what}['{name}']")
         for name, entry in value.items()
@@ -77,23 +80,49 @@ def configuration(q: ArrayLike, system: System) -> Configuration:
     """
     q = vector(q, system.model.nq, "q0")
     root, *joints = list(system.model.joints)[1:]
+    names = list(system.model.names)[2:]
     try:
         system.group.pose(q[: root.nq])
     except PinredError as error:
         raise type(error)(f"q0: {error}") from None
-    for name, joint in zip(system.shape_names, joints, strict=True):
+    for name, joint in zip(names, joints, strict=True):
         norm = float(np.linalg.norm(q[joint.idx_q : joint.idx_q + joint.nq]))
         if joint.nq == 2 and abs(norm - 1.0) > _UNIT:
             raise InputError(
                 f"q0: cosine and sine of joint '{name}' must have norm 1, got {norm:g}"
             )
     found = system.configuration(q)
+    if system.coupled is not None:
+        _refuse_apart(system, system.sorted_q(q), system.model_q(found.pose, found.x), "q0")
     return Configuration(pose=system.group.normalize(found.pose), x=found.x)
 
 
 def velocity(v: ArrayLike, system: System) -> Velocity:
-    """Return body twist (r,) and shape rate (m,) of Pinocchio's v (n,).  Raises ShapeError."""
-    return system.velocity(vector(v, system.n, "v0"))
+    """Return body twist (r,) and shape rate (m,) of Pinocchio's v (nv,).
+
+    Raises ShapeError for another length or what is not finite, InputError for joints that do not
+    follow as they are coupled.
+    """
+    v = vector(v, system.model.nv, "v0")
+    found = system.velocity(v)
+    if system.coupled is not None:
+        _refuse_apart(system, system.sorted_v(v), system.model_v(found.xi, found.xdot), "v0")
+    return found
+
+
+def _refuse_apart(system: System, given: Array, coupled: Array, what: str) -> None:
+    """Refuse a configuration or velocity of the model in which a follower does not follow."""
+    for name in system.followers:
+        joint = system.model.joints[2 + system.joint_number(name)]
+        at = slice(joint.idx_q, joint.idx_q + joint.nq)
+        if what == "v0":
+            at = slice(joint.idx_v, joint.idx_v + 1)
+        # Against its own size, for a rate of any size is one.
+        most = _UNIT * max(1.0, float(np.abs(coupled[at]).max()))
+        if np.abs(given[at] - coupled[at]).max() > most:
+            shown = ", ".join(f"{value:g}" for value in coupled[at])
+            words = following(name, system.couplings)
+            raise InputError(f"{what}: {words} and must be at {shown} there, got {given[at]}")
 
 
 def method(value: Any) -> Method | Literal["auto"]:

@@ -37,7 +37,7 @@ def random_state(system: System, seed: int) -> InitialState:
 
 
 def _spread(system: System) -> _Spread:
-    joints = [system.model.joints[i] for i in range(2, system.model.njoints)]
+    joints = [system.model.joints[i] for i in system.joints]
     reach = np.array([0.1 if is_prismatic(joint) else 0.6 for joint in joints])
     low, high = -reach, reach.copy()
     limits = system.model.lowerPositionLimit, system.model.upperPositionLimit
@@ -46,5 +46,22 @@ def _spread(system: System) -> _Spread:
         if joint.nq == 1 and least < most:
             middle = max(least, min(0.0, most))
             low[k], high[k] = max(least, middle - reach[k]), min(most, middle + reach[k])
+    _narrow(system, low, high)
     twists = np.where(np.arange(system.r) < system.group.linear, 0.1, 0.6)
     return _Spread(*map(read_only, (low, high, reach, twists)))
+
+
+def _narrow(system: System, low: Array, high: Array) -> None:
+    """Narrow ranges of the shape, (m,) each, to where followers are within their limits too."""
+    coupled, model = system.coupled, system.model
+    if coupled is None:
+        return
+    for j, (k, ratio, b) in enumerate(zip(coupled.of, coupled.ratio, coupled.offset, strict=True)):
+        joint = model.joints[2 + j]
+        if j in coupled.leads or ratio == 0.0 or joint.nq != 1:
+            continue
+        limits = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
+        with np.errstate(over="ignore"):  # of joints without limits
+            least, most = sorted((limit - b) / ratio for limit in limits)
+        if max(low[k], least) < min(high[k], most):
+            low[k], high[k] = max(low[k], least), min(high[k], most)

@@ -13,6 +13,7 @@ from math import log10
 from ..common.arrays import Array
 from ..integrators.methods import DOP853, DOP853_LEAST, AdaptiveGauss, Method, Radau
 from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.coupled_groups import Groups
 from ..reduction.tree.limbs import Lanes, links_of
 from ..scene.scene import Scene
 from ..system.system import System
@@ -69,4 +70,5 @@ def choose(scene: Scene, stops: Array) -> Choice:
 def _limbs(system: System) -> float:
     """Return how many bodies there are for one that is computed on its own."""
     bodies = bodies_of(system)
-    return len(bodies) / len(links_of(bodies, Lanes(), ()))
+    coupled = Groups(bodies, {}, system.coupled).members
+    return len(bodies) / len(links_of(bodies, Lanes(), (), coupled))

@@ -57,4 +57,4 @@ def _weightless(system: System) -> System:
     """Return the system without gravity, which is added as a torque and a wrench."""
     model = system.model.copy()
     model.gravity.linear = np.zeros(3)
-    return System(model, system.name)
+    return System(model, system.name, contents=system.contents)

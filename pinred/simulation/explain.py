@@ -16,7 +16,7 @@ def explain(plan: Plan) -> str:
 
 def integrated(plan: Plan) -> str:
     """Return how many numbers a full simulation and the compiled engine integrate."""
-    full = plan.system.model.nq + plan.system.n
+    full = plan.system.model.nq + plan.system.model.nv
     kind = plan.kind(zero_momentum=_begins_without(plan))
     return f"{full} → {kind.layout.size} numbers"
 

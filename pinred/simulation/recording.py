@@ -138,15 +138,17 @@ def _outputs(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
     if str(content["group"]) not in GROUPS:
         raise LoadError(f"'{path}': unknown group '{content['group']}'")
     group, m = GROUPS[str(content["group"])], np.size(content["joints"])
-    widths = {"x": m, "xdot": m, "v": group.dim + m, "pose": group.size}
+    widths = {"x": m, "xdot": m, "pose": group.size}
     widths |= dict.fromkeys(("xi", "body_momentum", "spatial_momentum"), group.dim)
     kind = State if {field.name for field in fields(State)} <= content.keys() else ShapeState
     count, arrays = np.size(content["t"]), {}
     for name in (field.name for field in fields(kind)):
         array = content[name]
-        width = np.shape(array)[1:] if name == "q" else (widths[name],) if name in widths else ()
+        # Joints that follow others are in q and v besides.
+        is_full = name in ("q", "v")
+        width = np.shape(array)[1:] if is_full else (widths[name],) if name in widths else ()
         shape = (count, *width)
-        if array.shape != shape or (name == "q" and array.ndim != 2):
+        if array.shape != shape or (is_full and array.ndim != 2):
             raise LoadError(f"'{path}': '{name}' has shape {array.shape}, expected {shape}")
         if array.dtype.kind != "f" or not np.isfinite(array).all():
             raise LoadError(f"'{path}': '{name}' has entries that are not finite numbers")
@@ -186,6 +188,11 @@ def _belong(path: Path, states: State, system: System) -> None:
     q, shape = states.q, (len(states.t), system.model.nq)
     if q.shape != shape:
         raise InputError(f"{path}: 'q' has shape {q.shape}, but '{system.name}' has {shape}")
+    if states.v.shape[1] != system.model.nv:
+        raise InputError(
+            f"{path}: 'v' has shape {states.v.shape}, but '{system.name}' has {system.model.nv} "
+            "velocities"
+        )
     wanted = system.q(system.configuration(q).pose, states.x)
     rotations = all(pin.isNormalized(system.model, row, _AGREE) for row in system.sorted_q(q))
     if not rotations or np.abs(wanted - q).max() > _AGREE:

@@ -15,6 +15,7 @@ from ..common.errors import ModelError
 from ..common.plain_names import listed, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS
+from .coupling import Coupled
 from .inertias import check_inertias
 from .joints import axes_of, is_shape_joint, joint_kind, motion_group
 
@@ -33,11 +34,11 @@ class Admission:
     doubts: tuple[str, ...]
 
 
-def admit(model: pin.Model) -> Admission:
+def admit(model: pin.Model, coupled: Coupled | None = None) -> Admission:
     """Return the symmetry group of a model whose joint 1 is the root, and what is doubtful.
 
-    The joints are in depth-first order.  Raises ModelError, naming the joint or link and the
-    way out, if pinred cannot reduce it.
+    The joints are in depth-first order.  coupled: how they follow each other, if some do.  Raises
+    ModelError, naming the joint or link and the way out, if pinred cannot reduce it.
     """
     group = _root_group(model)
     _admit_names(model)
@@ -46,20 +47,16 @@ def admit(model: pin.Model) -> Admission:
     for i in range(1, model.njoints):
         _admit_geometry(model, i)
     _admit_numbers(model, group)
-    return Admission(group, check_inertias(model))
-
-
-def refuse_mimicking(model: pin.Model) -> None:
-    """Raise ModelError if joints of the model follow others."""
-    if len(model.mimicking_joints):
-        names = [model.names[i] for i in model.mimicking_joints]
-        raise ModelError(
-            f"mimic joints are not supported: {listed(names)}; build the model without them"
-        )
+    return Admission(group, check_inertias(model, coupled))
 
 
 def _root_group(model: pin.Model) -> Group:
-    refuse_mimicking(model)
+    if len(model.mimicking_joints):
+        names = [model.names[i] for i in model.mimicking_joints]
+        raise ModelError(
+            f"a System takes no mimic joints of Pinocchio's, such as {listed(names)}; pinred.load "
+            "makes couplings of them"
+        )
     group = motion_group(model.joints[1])
     if group is None:
         *names, last = GROUPS

@@ -39,6 +39,10 @@ class Coupling:
     ratio: float
     offset: float
 
+    def __str__(self) -> str:
+        shift = "" if self.offset == 0.0 else f" {'+-'[self.offset < 0]} {abs(self.offset):g}"
+        return f"{self.follower} = {self.ratio:g}·{self.leader}{shift}"
+
 
 @dataclass(frozen=True)
 class PassiveJoint:

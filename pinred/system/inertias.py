@@ -12,16 +12,19 @@ import pinocchio as pin
 
 from ..common.errors import ModelError
 from ..common.plain_names import listed, quoted
+from .coupling import Coupled
 from .joints import is_prismatic
 from .massless_motions import largest_step, no_moment
-from .singular_shapes import SingularShape, singular_shapes
+from .singular_coupled import coupled_singular_shapes
+from .singular_shapes import SingularShape, SingularShapes, singular_shapes
 
 TRIANGLE_SLACK = 1e-9  # a flat body meets the triangle inequality with equality, up to round-off
 
 
-def check_inertias(model: pin.Model) -> tuple[str, ...]:
+def check_inertias(model: pin.Model, coupled: Coupled | None = None) -> tuple[str, ...]:
     """Return what is doubtful about the inertias of a model, each as a sentence.
 
+    coupled: how its joints follow each other, if some do.
     Raises ModelError, naming links or joints and the way out, for what cannot be simulated.
     """
     unit = largest_step(model)
@@ -30,6 +33,9 @@ def check_inertias(model: pin.Model) -> tuple[str, ...]:
     if not sum(model.inertias[i].mass for i in range(1, model.njoints)) > 0.0:
         raise ModelError(f"{body_of(model, 1)} has no mass, nor has anything that hangs on it")
     singular = singular_shapes(model)
+    if coupled is not None and singular != SingularShapes():
+        # What is regular with all joints free is regular with coupled ones, not the reverse.
+        singular = coupled_singular_shapes(model, coupled)
     if singular.everywhere:
         raise ModelError(_refusal(model, singular.everywhere))
     doubts = (

@@ -49,8 +49,8 @@ def axes_of(joint: pin.JointModel) -> Array:
     return np.array(joint.createData().S).reshape(6, joint.nv)
 
 
-def shape_units(model: pin.Model) -> tuple[str, ...]:
-    """Return the unit of each shape coordinate: m of those that slide, rad of those that turn."""
+def joint_units(model: pin.Model) -> tuple[str, ...]:
+    """Return the unit of each joint behind the root: m if it slides, rad if it turns."""
     return tuple("m" if is_prismatic(model.joints[i]) else "rad" for i in range(2, model.njoints))
 
 

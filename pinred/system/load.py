@@ -19,16 +19,17 @@ from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
 from ..lie.se3 import SE3
 from . import catalogue
-from .admission import refuse_mimicking
-from .contents import Contents
+from .contents import Contents, Coupling
+from .coupling import with_followers
 from .joints import motion_group, root_joint
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
+from .pinocchio_mimics import plain_joints
 from .rerooting import rebuild
 from .robot_files import is_file, is_mjcf, read_description, read_text, read_xml
 from .root_chain import RootChain, root_chain
 from .system import InitialState, Origin, System
-from .urdf import mimic_joints, refuse_mimics
+from .urdf import mimic_couplings
 
 if TYPE_CHECKING:
     from mujoco import MjModel, MjSpec
@@ -56,6 +57,7 @@ def load(
         hangs on it; else SE3: a root link with mass floats on a new root joint.  Joints at
         the root with nothing between them are one joint, if a group moves so.
     lock: joints to freeze at zero, or a mapping from joint to its fixed value [rad | m].
+        Those that follow a locked joint are locked with it.
     gravity: (3,) in the world frame [m/s²]; if None, what the robot comes with
         (Pinocchio's 9.81 along −z for a URDF).
     root: of an MJCF file, the body of the world that carries the robot, where several move.
@@ -84,26 +86,30 @@ def load(
     initial: InitialState | None = None
     name = str(source)
     origin: Origin | None = Origin(name, locked)
+    couplings: tuple[Coupling, ...]
     if isinstance(source, pin.Model):
-        refuse_mimicking(source)
-        raw, name, origin = source.copy(), source.name, None
+        raw, couplings = plain_joints(source)
+        name, origin = source.name, None
     elif (robot := catalogue.bundled_robots().get(name)) is not None:
-        raw = read_description(robot.path, locked)
+        raw, couplings = read_description(robot.path)
         raw.gravity.linear = np.array(robot.gravity)
         wanted = wanted or group_named(robot.group)
         if not locked and wanted.name == robot.group:
             initial = _initial_state(robot.initial)
     elif _is_path(name):
-        raw, name = read_description(Path(source), locked), Path(source).stem
+        raw, couplings = read_description(Path(source))
+        name = Path(source).stem
         origin = Origin(str(Path(source).absolute()), locked)
     else:
-        raw = _example(name, locked)
+        raw, couplings = _example(name)
+    locked, couplings = with_followers(locked, couplings, list(raw.names))
     raw = rebuild(raw, _frozen(raw, locked))
     model = _on_root(raw, wanted, root_chain(raw))
     if weight is not None:
         model.gravity.linear = weight
     model.name = name
-    system = System(model, name=name, initial=initial, origin=origin)
+    contents = Contents(couplings=couplings)
+    system = System(model, name=name, initial=initial, origin=origin, contents=contents)
     for doubt in system.doubts:
         if strict:
             raise ModelError(f"{quoted(name)} is refused, strictly: {doubt}")
@@ -174,8 +180,11 @@ def _is_path(name: str) -> bool:
         return False
 
 
-def _example(name: str, locked: Mapping[str, float]) -> pin.Model:
-    """Return the model of a robot in example-robot-data, armature from its rotors."""
+def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
+    """Return the model of a robot in example-robot-data, armature from its rotors.
+
+    And how its joints follow others.
+    """
     names = catalogue.example_robots()
     if name not in names:
         near = difflib.get_close_matches(name, [*catalogue.bundled_robots(), *names], n=3)
@@ -186,15 +195,16 @@ def _example(name: str, locked: Mapping[str, float]) -> pin.Model:
         )
     robot = catalogue.example_robot(name)
     if robot.build is None:
-        model = read_description(robot.urdf, locked)
+        model, couplings = read_description(robot.urdf)
     else:
-        model = robot.build().robot.model
-        mimics = mimic_joints(read_xml(robot.urdf))
-        refuse_mimics([name for name in mimics if model.existJointName(name)], locked)
+        model, couplings = plain_joints(robot.build().robot.model)
+        if not couplings:
+            found = mimic_couplings(read_xml(robot.urdf))
+            couplings = tuple(each for each in found if model.existJointName(each.follower))
     if robot.rotors is not None:
         pin.loadRotorParameters(model, str(robot.rotors), False)
         model.armature = model.rotorInertia * model.rotorGearRatio**2
-    return model
+    return model, couplings
 
 
 def _locked(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:

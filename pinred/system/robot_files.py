@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from xml.etree import ElementTree
@@ -19,22 +19,23 @@ from xml.parsers import expat
 import pinocchio as pin
 
 from ..common.errors import LoadError, ModelError
-from .urdf import check_urdf, total_mass
+from .contents import Coupling
+from .urdf import check_urdf, mimic_couplings, total_mass
 
 _MOST_BYTES = 256_000_000  # of a file that is read whole
 _FEW = 4096  # letters that are looked at at once
 
 
-def read_description(path: Path, lock: Collection[str]) -> pin.Model:
-    """Return the model in a URDF file, on its own root.
+def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
+    """Return the model in a URDF file, on its own root, and how joints follow others.
 
-    lock: joints that will be locked, which may therefore be mimic joints.
     Raises LoadError if the file cannot be read, ModelError if its robot cannot be reduced.
     """
     root = read_xml(path)
     if root.tag != "robot":
         raise LoadError(f"{path} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>")
-    check_urdf(root, lock)
+    check_urdf(root)
+    couplings = mimic_couplings(root)
     with captured_stderr() as said:
         try:
             model = pin.buildModelFromUrdf(str(path))
@@ -45,7 +46,7 @@ def read_description(path: Path, lock: Collection[str]) -> pin.Model:
         reason = said[0].splitlines()[0] if said[0] else said[-1].splitlines()[-1]
         raise LoadError(f"Pinocchio cannot read {path}: {reason.removeprefix('Error:').strip()}")
     _check_mass(path, model, total_mass(root))
-    return model
+    return model, couplings
 
 
 def _check_mass(path: Path, model: pin.Model, written: float) -> None:

@@ -15,8 +15,11 @@ from ..common.errors import InputError, ModelError, ShapeError
 from ..common.memo import once_a_thread
 from ..lie.group import Group
 from .admission import admit
-from .contents import Contents, Keyframe, LeftOut, PassiveJoint
-from .rerooting import depth_first, rebuild
+from .contents import Contents, Coupling, Keyframe, LeftOut, PassiveJoint
+from .coordinates import coordinate_maps, in_order
+from .coupling import Coupled, coupled, following
+from .joints import joint_units
+from .rerooting import depth_first
 
 T = TypeVar("T")
 Indices: TypeAlias = NDArray[np.intp]
@@ -69,11 +72,15 @@ class Velocity:
 class System:
     """A multibody system with symmetry: the root joint is the group, the others the shape.
 
+    Joints that follow others (`couplings`) are joints of the model, and of q and v, but no
+    coordinates of the shape.
+
     name: the robot's.  model: the pin.Model, root joint first, in depth-first order, which is that
     of the shape; q and v are in the order of the model that was given.  initial: a generic
     initial state, if the robot comes with one.  origin: the name or file that was loaded, if it
-    was one.  contents: what else stands in the file.  doubts: sentences about what only no real
-    robot has, or what makes the mass matrix singular at single shapes.
+    was one.  contents: what else stands in the file.  coupled: how its joints follow those of the
+    shape, if some do.  doubts: sentences about what only no real robot has, or what makes the
+    mass matrix singular at single shapes.
     """
 
     model: pin.Model
@@ -82,6 +89,7 @@ class System:
     origin: Origin | None = None
     contents: Contents = field(default=Contents(), repr=False)
     group: Group = field(init=False)
+    coupled: Coupled | None = field(init=False, repr=False)
     shape_names: tuple[str, ...] = field(init=False)
     doubts: tuple[str, ...] = field(init=False, repr=False)
     # Where the entries of q and v of the given model stand in those of `model`, if elsewhere.
@@ -99,16 +107,19 @@ class System:
         order = depth_first(list(self.model.parents))
         derived: dict[str, Any] = {"_given_q": None, "_given_v": None}
         if order != sorted(order):
-            derived = _sorted(self.model, order)
+            derived = in_order(self.model, order)
             object.__setattr__(self, "model", derived["model"])
-        admitted = admit(self.model)
+        names = tuple(self.model.names[i] for i in range(2, self.model.njoints))
+        followed = coupled(names, self.couplings, self.model.names[1])
+        admitted = admit(self.model, followed)
         group = admitted.group
         derived |= {
             "group": group,
+            "coupled": followed,
             "doubts": admitted.doubts,
-            "shape_names": tuple(self.model.names[i] for i in range(2, self.model.njoints)),
+            "shape_names": names if followed is None else tuple(names[j] for j in followed.leads),
         }
-        derived |= _coordinate_maps(self.model, group)
+        derived |= coordinate_maps(self.model, group)
         for key, value in derived.items():
             object.__setattr__(self, key, value)
 
@@ -117,17 +128,18 @@ class System:
 
     def _repr_html_(self) -> str:
         from ..common.html import card, table
-        from .joints import shape_units
 
         rows = [
             (name, "prismatic" if unit == "m" else "revolute", unit)
-            for name, unit in zip(self.shape_names, shape_units(self.model), strict=True)
+            for name, unit in zip(self.shape_names, self.units, strict=True)
         ]
         about = (
             f"group {self.group.name} (r = {self.r}) on joint '{self.root_name}', shape of "
             f"{self.m} joints, {self.mass:g} kg, gravity "
             f"({', '.join(f'{g:g}' for g in self.gravity)}) m/s²"
         )
+        if self.couplings:
+            about += "; " + ", ".join(map(str, self.couplings))
         return card(self.name, about, table("shape", ["joint", "kind", "unit"], rows))
 
     @property
@@ -137,13 +149,44 @@ class System:
 
     @property
     def m(self) -> int:
-        """Dimension of the shape space: the number of joints."""
+        """Dimension of the shape space: the number of joints that follow no other."""
         return len(self.shape_names)
 
     @property
     def n(self) -> int:
         """Dimension of the configuration manifold, n = r + m."""
         return self.r + self.m
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Indices in the model, (m,), of the joints that are coordinates of the shape."""
+        count = range(2, self.model.njoints)
+        return tuple(count if self.coupled is None else (2 + self.coupled.leads).tolist())
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the shape coordinates: m of those that slide, rad of those that turn."""
+        every = joint_units(self.model)
+        return tuple(every[i - 2] for i in self.joints)
+
+    @property
+    def couplings(self) -> tuple[Coupling, ...]:
+        """The couplings in the file, by which joints follow others."""
+        return self.contents.couplings
+
+    @property
+    def followers(self) -> tuple[str, ...]:
+        """Names of the joints that follow others, in the order of the couplings."""
+        return tuple(each.follower for each in self.couplings)
+
+    def joint_number(self, name: str) -> int:
+        """Return which of all M joints of the model behind its root has a name."""
+        return int(self.model.getJointId(name)) - 2
+
+    def refuse_follower(self, name: str, what: str) -> None:
+        """Raise InputError, naming `what`, if a joint follows another and is no coordinate."""
+        if words := following(name, self.couplings):
+            raise InputError(f"{what}: {words}; take the joint that it follows")
 
     @property
     def root_name(self) -> str:
@@ -197,7 +240,7 @@ class System:
         return self.given_q(self.model_q(pose, x))
 
     def v(self, xi: ArrayLike, xdot: ArrayLike) -> Array:
-        """Return Pinocchio's velocity (..., n) of body twist (..., r) and shape rate (..., m).
+        """Return Pinocchio's velocity (..., nv) of body twist (..., r) and shape rate (..., m).
 
         For the model that was given, as q is.  Raises ShapeError if a length is wrong.
         """
@@ -209,26 +252,56 @@ class System:
         Raises ShapeError if the length is wrong.
         """
         q = self.sorted_q(self._last(q, self.model.nq, "q"))
-        y = np.empty((*q.shape[:-1], self.group.size + self.m))
+        y = np.empty((*q.shape[:-1], self.group.size + self.model.njoints - 2))
         y[..., self._plain] = q[..., self._plain_q]
         # −0.0 + 0.0 is 0.0, with which half a turn is π, not −π.
         y[..., self._angle] = np.arctan2(q[..., self._angle_q + 1] + 0.0, q[..., self._angle_q])
-        return Configuration(pose=y[..., : self.group.size], x=y[..., self.group.size :])
+        x = y[..., self.group.size :]
+        if self.coupled is not None:
+            x = x[..., self.coupled.leads]
+        return Configuration(pose=y[..., : self.group.size], x=x)
 
     def velocity(self, v: ArrayLike) -> Velocity:
-        """Return body twist and shape rate of Pinocchio's v (..., n).
+        """Return body twist and shape rate of Pinocchio's v (..., nv).
 
         Raises ShapeError if the length is wrong.
         """
-        v = self.sorted_v(self._last(v, self.n, "v").copy())
-        return Velocity(xi=v[..., : self.r], xdot=v[..., self.r :])
+        v = self.sorted_v(self._last(v, self.model.nv, "v").copy())
+        xdot = v[..., self.r :]
+        if self.coupled is not None:
+            xdot = xdot[..., self.coupled.leads]
+        return Velocity(xi=v[..., : self.r], xdot=xdot)
+
+    def joint_values(self, x: Array) -> Array:
+        """Return the values (..., M) of all joints of the model behind its root, at shape x."""
+        return x if self.coupled is None else self.coupled.values(x)
+
+    def joint_rates(self, v: Array) -> Array:
+        """Return the velocity (..., nv) of the model for v = (ξ, ẋ), (..., n)."""
+        return v if self.coupled is None else self.coupled.rates(v, self.r)
+
+    def on_shape(self, forces: Array) -> Array:
+        """Return forces (..., n) on base and shape of those on the model's joints, (..., nv)."""
+        return forces if self.coupled is None else self.coupled.forces(forces, self.r)
+
+    def sizes_on_shape(self, sizes: Array) -> Array:
+        """Return the magnitudes (..., n) of what `on_shape` adds up, for those of its argument."""
+        return sizes if self.coupled is None else self.coupled.sizes(sizes, self.r)
+
+    def coupled_matrix(self, matrix: Array) -> Array:
+        """Return the matrix (..., n, n) in (ξ, ẋ) of one in the model's velocities, (..., nv, nv).
+
+        Mass matrices and Coriolis matrices: GᵀHG.
+        """
+        return matrix if self.coupled is None else self.coupled.matrix(matrix, self.r)
 
     def model_q(self, pose: ArrayLike, x: ArrayLike) -> Array:
         """Return q (..., nq) as `model` takes it; errors as of `q`."""
         pose = self._last(pose, self.group.size, "pose")
         x = self._last(x, self.m, "x")
         lead = _leading(pose, x, "pose", "x")
-        y = np.empty((*lead, self.group.size + self.m))
+        x = self.joint_values(x)
+        y = np.empty((*lead, self.group.size + x.shape[-1]))
         y[..., : self.group.size], y[..., self.group.size :] = pose, x
         q = np.empty((*lead, self.model.nq))
         q[..., self._plain_q] = y[..., self._plain]
@@ -237,12 +310,12 @@ class System:
         return q
 
     def model_v(self, xi: ArrayLike, xdot: ArrayLike) -> Array:
-        """Return v (..., n) as `model` takes it; errors as of `v`."""
+        """Return v (..., nv) as `model` takes it; errors as of `v`."""
         xi, xdot = self._last(xi, self.r, "xi"), self._last(xdot, self.m, "xdot")
         lead = _leading(xi, xdot, "xi", "xdot")
         v = np.empty((*lead, self.n))
         v[..., : self.r], v[..., self.r :] = xi, xdot
-        return v
+        return self.joint_rates(v)
 
     def given_q(self, q: Array) -> Array:
         """Return q (..., nq) of `model` in the order of the model that was given."""
@@ -292,39 +365,7 @@ def _leading(a: Array, b: Array, what: str, other: str) -> tuple[int, ...]:
         ) from None
 
 
-def _sorted(model: pin.Model, order: list[int]) -> dict[str, Any]:
-    """Return the model with its joints in an order, and where the entries of q and v go."""
-    sorted_model = rebuild(model, {}, order=order)
-    place = {i: k for k, i in enumerate(order, start=1)}
-    q: list[int] = []
-    v: list[int] = []
-    for i in range(1, model.njoints):
-        joint = sorted_model.joints[place[i]]
-        q += range(joint.idx_q, joint.idx_q + joint.nq)
-        v += range(joint.idx_v, joint.idx_v + joint.nv)
-    return {"model": sorted_model, "_given_q": np.array(q), "_given_v": np.array(v)}
-
-
 def _scattered(values: Array, to: Indices) -> Array:
     out = np.empty_like(values)
     out[..., to] = values
     return out
-
-
-def _coordinate_maps(model: pin.Model, group: Group) -> dict[str, Indices]:
-    """Return where (pose, x) stand in q; a joint whose nq exceeds its nv keeps cos and sin."""
-    plain = [(k, k) for k in range(group.size)]  # (position in (pose, x), position in q)
-    angle: list[tuple[int, int]] = []
-    if model.joints[1].nq > group.size:
-        angle.append(plain.pop())
-    for i in range(2, model.njoints):
-        joint = model.joints[i]
-        (angle if joint.nq == 2 else plain).append((group.size + i - 2, joint.idx_q))
-
-    def column(pairs: list[tuple[int, int]], k: int) -> Indices:
-        return np.array([pair[k] for pair in pairs], dtype=np.intp)
-
-    return {
-        "_plain": column(plain, 0), "_plain_q": column(plain, 1),
-        "_angle": column(angle, 0), "_angle_q": column(angle, 1),
-    }  # fmt: skip

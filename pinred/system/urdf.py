@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from xml.etree.ElementTree import Element
 
 from ..common.errors import ModelError
+from .contents import Coupling
 from .xml_numbers import axis, floats
 
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
-def check_urdf(robot: Element, lock: Collection[str]) -> None:
-    """Refuse a file that cannot be reduced.  lock: joints that will be locked.
-
-    Raises ModelError that names the joint or link.
-    """
-    refuse_mimics(mimic_joints(robot), lock)
+def check_urdf(robot: Element) -> None:
+    """Refuse a file that cannot be reduced.  Raises ModelError that names the joint or link."""
     for joint in moving_joints(robot):
         _check_axis(joint)
     for link in robot.findall("link"):
@@ -36,18 +32,27 @@ def moving_joints(robot: Element) -> list[Element]:
     return [joint for joint in robot.findall("joint") if joint.get("type") != "fixed"]
 
 
-def mimic_joints(robot: Element) -> list[str]:
-    """Return the moving joints that follow another joint."""
-    joints = moving_joints(robot)
-    return [j.get("name", "?") for j in joints if j.find("mimic") is not None]
+def mimic_couplings(robot: Element) -> tuple[Coupling, ...]:
+    """Return how moving joints follow others (<mimic>).  Raises ModelError for what is no number.
 
-
-def refuse_mimics(mimics: Collection[str], lock: Collection[str]) -> None:
-    """Raise ModelError if a mimic joint is not locked."""
-    if free := [name for name in mimics if name not in lock]:
-        raise ModelError(
-            f"mimic joints are not supported; lock the joints that follow others: lock={free}"
+    Of a joint that is fixed, a <mimic> means nothing.
+    """
+    found = []
+    for joint in moving_joints(robot):
+        mimic, name = joint.find("mimic"), joint.get("name", "?")
+        if mimic is None:
+            continue
+        leader = mimic.get("joint")
+        if leader is None:
+            raise ModelError(f"the <mimic> of joint '{name}' names no joint; give it joint=")
+        ratio, offset = (
+            float(floats(mimic, key, f"the <mimic> of joint '{name}'", 1)[0])
+            if key in mimic.attrib
+            else usual
+            for key, usual in (("multiplier", 1.0), ("offset", 0.0))
         )
+        found.append(Coupling(name, leader, ratio, offset))
+    return tuple(found)
 
 
 def _check_axis(joint: Element) -> None:

@@ -20,6 +20,7 @@ from ..scene.scene import Scene
 from ..simulation.state import Sample, State
 from ..simulation.stops import begin_stretch, stops_of
 from .root_motion import root_motion
+from .ties import Ties
 
 FINEST = (2e-14, 1e-16)  # the tightest rtol and atol that Hairer's codes can keep
 KICK = 1e-6  # relative size of the perturbation whose growth is measured
@@ -28,7 +29,7 @@ _MOST_STEPS = 10_000_000
 
 @dataclass(frozen=True)
 class FullMotion:
-    """A motion in Pinocchio's coordinates.  x: (T, m) unwrapped angles.  q: (T, nq)."""
+    """A motion in Pinocchio's coordinates.  x: (T, M) unwrapped, of all joints.  q: (T, nq)."""
 
     x: Array
     q: Array
@@ -93,9 +94,10 @@ class Audit:
 class FullState:
     """Pinocchio's forward dynamics of one scene, as an initial value problem.
 
-    The state is y = (root, x, v): root coordinates (position; angle or quaternion), joint
-    angles unwrapped, Pinocchio's velocity.  What forces see is taken from it by Pinocchio;
-    of prescribed joints, the plan is what counts.
+    The state is y = (root, x, v): root coordinates (position; angle or quaternion), the angles
+    of all M joints unwrapped, Pinocchio's velocity.  What forces see is taken from it by
+    Pinocchio; of prescribed joints, the plan is what counts.  Joints that follow others are held
+    to that by multipliers (see ties.py).
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -106,21 +108,28 @@ class FullState:
         self._sorted_q, self._sorted_v = system.sorted_q, system.sorted_v
         self._numbers = np.empty(0) if self._forces is None else self._forces.numbers.copy()
         self._model, self._data = system.model, system.model.createData()
-        self._r, self._m = system.r, system.m
+        self._r, self._m = system.r, system.model.njoints - 2
+        self.ties = Ties(system)
         # Pinocchio 4.1 leaves the armature of slanted revolute joints out of the kinetic energy.
         self._weightless = system.model.copy()
         self._weightless.gravity.setZero()
         self._bare = system.model.copy()
-        self._bare.armature = np.zeros(system.n)
+        self._bare.armature = np.zeros(system.model.nv)
         self._root = root = root_motion(system.model)
         self._axes, self._linear, self._size = root.axes, root.linear, root.size
         self._driven = [] if self._forces is None else list(self._forces.joints)
-        self._fixed = self._r + np.array(self._driven, dtype=np.intp)
-        self._free = np.setdiff1d(np.arange(system.n), self._fixed)
+        self._driven = self.ties.leads[self._driven].tolist()
 
     def state(self, pose: Array, x: Array, xi: Array, xdot: Array) -> Array:
         """Return y for a pose, shape, body twist and shape rate."""
-        return np.concatenate([pose, x, xi, xdot])
+        return np.concatenate([pose, self.ties.values(x), xi, self.ties.rates(xdot)])
+
+    def _tied(self, y: Array) -> Array:
+        """Return y with followers where their leaders put them."""
+        size, m, shape = self._size, self._m, self.ties.shape
+        where = [size, size + m, size + m + self._r]
+        pose, x, xi, xdot = np.split(y, where)
+        return self.state(pose, shape(x), xi, shape(xdot))
 
     def kick(self, y0: Array, time: float, part: float) -> Array:
         """Return y0 with each entry changed by a small part of itself, up or down at random.
@@ -134,7 +143,7 @@ class FullState:
         least[where:] = 1.0 / time
         least[where : where + self._linear] *= self.radius(self.q(y0))
         sign = np.random.default_rng(0).choice([-1.0, 1.0], len(y0))
-        return np.asarray(y0 + part * sign * np.maximum(np.abs(y0), least))
+        return self._tied(y0 + part * sign * np.maximum(np.abs(y0), least))
 
     def growth(
         self, y0: Array, motion: FullMotion, times: Array, rtol: float, atol: float
@@ -194,14 +203,14 @@ class FullState:
         size, m, r = self._size, self._m, self._r
         x, v = y[size : size + m], y[size + m :]
         xi, mu = self._relative(self.q(y), v)
-        return Sample(x, v[r:], xi, mu, np.zeros(3))
+        return Sample(self.ties.shape(x), self.ties.shape(v[r:]), xi, mu, np.zeros(3))
 
     def rate(self, t: float, y: Array) -> Array:
         """Return dy/dt with Pinocchio's ABA."""
         size, m, r = self._size, self._m, self._r
         if self._forces is None:
             v, q = y[size + m :], self.q(y)
-            a = pin.aba(self._model, self._data, q, v, np.zeros(len(v)))
+            a = self.ties.acceleration(q, v, np.zeros(len(v)))
             return np.concatenate([self._root.rate(y[:size], v[:r]), v[r:], a])
         y = y.copy()
         accelerations = np.empty(0)
@@ -210,27 +219,14 @@ class FullState:
             accelerations = given.xddot
             y[[size + k for k in self._driven]] = given.x
             y[[size + m + r + k for k in self._driven]] = given.xdot
+            y = self._tied(y)
         x, v, q = y[size : size + m], y[size + m :], self.q(y)
         xi, mu = self._relative(q, v)
-        acting = self._forces.acting(t, x, v[r:], xi, mu, self._numbers)
-        tau = np.concatenate([acting.wrench, acting.torque])
-        if self._driven:
-            a = self._driven_acceleration(q, v, tau, accelerations)
-        else:
-            a = pin.aba(self._model, self._data, q, v, tau)
+        shape, shape_rate = self.ties.shape(x), self.ties.shape(v[r:])
+        acting = self._forces.acting(t, shape, shape_rate, xi, mu, self._numbers)
+        tau = np.append(acting.wrench, self.ties.at_leaders(acting.torque))
+        a = self.ties.acceleration(q, v, tau, self._driven, accelerations)
         return np.concatenate([self._root.rate(y[:size], v[:r]), v[r:], a])
-
-    def _driven_acceleration(self, q: Array, v: Array, tau: Array, given: Array) -> Array:
-        """Return the acceleration, (n,), where that of some joints is given."""
-        upper = pin.crba(self._model, self._data, q)
-        H = np.triu(upper) + np.triu(upper, 1).T
-        bias = pin.nonLinearEffects(self._model, self._data, q, v)
-        free, driven = self._free, self._fixed
-        a = np.empty(len(v))
-        a[driven] = given
-        rest = (tau - bias)[free] - H[np.ix_(free, driven)] @ given
-        a[free] = np.linalg.solve(H[np.ix_(free, free)], rest)
-        return a
 
     def _relative(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return body twist and momentum, (r,) each, as seen from the centre of mass."""
@@ -319,11 +315,14 @@ class FullState:
             scale = np.maximum(scale, np.abs(spatial).max())
         scale[scale == 0.0] = 1.0
         found = np.array(
-            [self.q(np.concatenate(row)) for row in zip(state.pose, state.x, strict=True)]
+            [
+                self.q(np.concatenate(row))
+                for row in zip(state.pose, self.ties.values(state.x), strict=True)
+            ]
         )
         mismatch = [
             _difference(found, qs, 1.0),
-            _difference(np.hstack([state.xi, state.xdot]), vs, 0.0),
+            _difference(np.hstack([state.xi, self.ties.rates(state.xdot)]), vs, 0.0),
             _difference(state.body_momentum, body, float(scale.max())),
             _difference(state.spatial_momentum, spatial, float(scale.max())),
             _difference(state.energy, energies, most),

@@ -15,7 +15,7 @@ from mujoco_judge import read_tree
 from test_mjcf_loading import SIDE, arm, base, loaded, text, with_warning, write
 
 import pinred
-from pinred import LoadError, ModelError, PinredError
+from pinred import InputError, LoadError, ModelError, PinredError
 from pinred.system.contents import Coupling
 from pinred.system.mjcf import text as mjcf_text
 from pinred.system.mjcf.constraints import constraints_of
@@ -85,7 +85,7 @@ def coupled(constraints: str) -> str:
 
 
 def test_couplings() -> None:
-    """In coordinates of the shape, for MuJoCo's are counted from the references; locks undo it."""
+    """In coordinates of the shape, for MuJoCo's are counted from the references."""
     content = coupled('<joint name="gear" joint1="left" joint2="right" polycoef=".1 2"/>')
     tree = read_tree(mujoco.MjSpec.from_string(content))
     (coupling,) = constraints_of(tree).couplings
@@ -100,9 +100,11 @@ def test_couplings() -> None:
     mujoco.mj_forward(model, data)
     assert data.nefc == 1
     assert data.efc_pos[0] == pytest.approx(0.0, abs=1e-15)
-    with pytest.raises(ModelError, match=r"coupled joints.*lock=\['left'\]"):
-        loaded(content)
-    assert loaded(content, lock=["left"]).shape_names == ("right",)
+    system = loaded(content)
+    assert system.shape_names == ("right",)
+    assert system.model_q(np.zeros(7), [leader])[-2:] == pytest.approx(
+        [data.qpos[model.joint(name).qposadr].item() for name in ("left", "right")]
+    )
 
 
 @pytest.mark.parametrize(
@@ -112,7 +114,7 @@ def test_couplings() -> None:
         ('<joint joint1="left" polycoef=".5"/>', ["'left'", "lock={'left': 0.8}"]),
         (
             '<joint name="e" joint1="left" joint2="right" polycoef="0 1 1"/>',
-            ["'left'", "'right'", "'e'", "proportion", "lock=['left']"],
+            ["'left'", "'right'", "'e'", "proportion", "lock=['left']", "degree one"],
         ),
     ],
 )
@@ -126,11 +128,22 @@ def test_joints_that_are_held_or_follow_otherwise(constraint: str, words: list[s
 
 
 def test_a_leader_that_is_locked() -> None:
-    """Its follower does not move either, and has to be locked as well."""
-    content = coupled('<joint joint1="left" joint2="right"/>')
-    with pytest.raises(ModelError, match=r"'right', which leads joint 'left'.*lock=\['left'\]"):
-        loaded(content, lock=["right"])
-    assert loaded(content, lock=["left", "right"]).m == 0
+    """Its follower is locked with it, where the leader puts it; it is not locked alone."""
+    content = coupled('<joint joint1="left" joint2="right" polycoef=".1 2"/>')
+    whole, system = loaded(content), loaded(content, lock={"right": 0.7})
+    assert system.m == 0
+    H = pinred.Reduction(whole).locked_inertia([0.7])
+    np.testing.assert_allclose(pinred.Reduction(system).locked_inertia([]), H, atol=1e-14)
+    with pytest.raises(InputError, match=r"'left' follows 'right'.*lock 'right'"):
+        loaded(content, lock=["left"])
+    with pytest.raises(InputError, match=r"'left' follows 'right', which puts it at 1"):
+        loaded(content, lock={"left": 0.5, "right": 0.7})
+    bent = coupled('<joint joint1="left" joint2="right" polycoef="0 1 1"/>')
+    held = loaded(bent, lock={"right": 0.7})
+    put = loaded(bent, lock={"right": 0.7, "left": 0.3 + 0.3 + 0.09})
+    assert held.m == 0
+    assert held.model.inertias[1].isApprox(put.model.inertias[1], 1e-14)
+    assert loaded(bent, lock=["left", "right"]).m == 0
 
 
 @pytest.mark.parametrize(

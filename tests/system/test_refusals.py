@@ -57,7 +57,6 @@ def on_arm(joints: str, inside: str = MASS, head: str = "", more: str = "") -> s
 
 BALL = '<joint name="socket" type="ball"/>'
 BEE, SEA = "'bee'", "'sea'"
-MIMIC = chain("revolute", '<mimic joint="a-b"/>')
 TIED = '<equality><weld name="tie" body1="base" active="true"/></equality>'
 TWO = HINGE + '<joint name="second" axis="1 0 0"/>'
 
@@ -86,7 +85,17 @@ FILES: dict[str, tuple[str, type[PinredError], list[str]]] = {
     "axis zero": (chain("revolute", '<axis xyz="0 0 0"/>'), PinredError, ["b-c", "axis"]),
     "axis zero, sliding": (chain("prismatic", '<axis xyz="0 0 0"/>'), PinredError, ["b-c", "axis"]),
     "axis empty": (chain("continuous", "<axis/>"), PinredError, ["b-c", "axis"]),
-    "mimic": (MIMIC, ModelError, ["mimic", "b-c", "lock"]),
+    "mimic of none": (
+        chain("revolute", '<mimic joint="far"/>'), ModelError, ["'far'", "b-c", "lock=['b-c']"],
+    ),
+    "mimic without a name": (chain("revolute", "<mimic/>"), ModelError, ["<mimic>", "b-c"]),
+    "mimic of itself": (
+        chain("revolute", '<mimic joint="b-c"/>'), ModelError, ["circle", "b-c"],
+    ),
+    "mimic by no number": (
+        chain("revolute", '<mimic joint="a-b" multiplier="two"/>'),
+        ModelError, ["multiplier", "b-c", "two"],
+    ),
     "floating inside": (chain("floating"), ModelError, ["b-c", "6 degrees of freedom"]),
     "planar inside": (chain("planar"), ModelError, ["b-c", "3 degrees of freedom"]),
     "planar, another normal": (
@@ -305,9 +314,9 @@ def test_two_hinges_in_a_body(tmp_path: Path) -> None:
         (chain("planar"), "b-c"),
         (chain("floating"), "b-c"),
         (on_arm(BALL), "socket"),
-        (MIMIC, "b-c"),
+        (chain("revolute", '<mimic joint="far"/>'), "b-c"),
     ],
-    ids=["planar", "floating", "ball", "mimic"],
+    ids=["planar", "floating", "ball", "mimic of none"],
 )
 def test_locking_is_a_way_out_where_the_message_says_so(
     tmp_path: Path, text: str, name: str
@@ -430,8 +439,9 @@ RX, E = pin.JointModelRX(), np.eye(3)
 MODELS: dict[str, tuple[Callable[[], pin.Model], list[str]]] = {
     "no joint, no mass": (pin.Model, ["no mass"]),
     "names twice": (lambda: add(grown(RX), RX, "odd", 3), ["'odd'", "name"]),
-    "mimic": (
-        lambda: pin.transformJointIntoMimic(grown(RX, parent=2), 2, 3, 1.0, 0.0), ["mimic", "odd"],
+    "mimic that has lost its axis": (
+        lambda: pin.transformJointIntoMimic(grown(RX, parent=2), 2, 3, 0.0, 0.0),
+        ["mimic", "odd", "scaling 0"],
     ),
     "beside the root": (lambda: grown(RX, parent=0), ["odd", "fixed world"]),
     "spherical": (lambda: grown(pin.JointModelSpherical()), ["odd", "Spherical"]),
@@ -457,10 +467,10 @@ def test_model(row: tuple[Callable[[], pin.Model], list[str]]) -> None:
     refused(lambda: pinred.load(build()), ModelError, words)
 
 
-def test_a_joint_that_another_follows_cannot_be_locked_alone() -> None:
-    """Locking the leader leaves a mimic joint without one."""
+def test_a_bare_system_takes_no_mimic_joints() -> None:
+    """They are made couplings of by load."""
     model = pin.transformJointIntoMimic(grown(RX, parent=2), 2, 3, 1.0, 0.0)
-    refused(lambda: pinred.load(model, lock=["joint1"]), PinredError, ["odd"])
+    refused(lambda: pinred.System(model), ModelError, ["mimic", "odd", "pinred.load"])
 
 
 def test_system_needs_a_root() -> None:

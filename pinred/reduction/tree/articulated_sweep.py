@@ -7,8 +7,9 @@ a subtree is its articulated inertia times the twist it is carried with, so that
 
     π̇_j = (v_j × S_j) · h_j
 
-needs no second inward sweep, and only two or four entries of h_j.  Source: R.
-Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 7.
+needs no second inward sweep, and only two or four entries of h_j.  Joints that move together
+are eliminated together (see coupled_groups.py).  Source: R. Featherstone, "Rigid Body Dynamics
+Algorithms", 2008, ch. 7.
 """
 
 from __future__ import annotations
@@ -18,77 +19,21 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from .body_frames import Body, cosine, sine
-from .limbs import Lanes, Link, links_of
-from .scalars import (
-    INDEX,
-    Mat,
-    Scalar,
-    Sym,
-    Turn,
-    Vec,
-    add,
-    cross,
-    dot,
-    mul,
-    plus,
-    solve_ldl,
-    sub,
-    total,
+from ...system.coupling import Coupled
+from .articulated_body import (
+    Articulated,
+    Step,
+    along_joint,
+    angular_row,
+    carried,
+    linear_row,
+    momentum_of_rate,
+    rigid,
 )
-
-
-@dataclass
-class Articulated:
-    """Momentum of a subtree from the twist (v, ω) of its root body.
-
-    It is (M v + Bᵀ ω + lin, B v + I ω + ang).  M: linear from linear.  B: angular from
-    linear.  I: angular from angular.
-    """
-
-    M: Sym
-    B: Mat
-    I: Sym
-    lin: Vec
-    ang: Vec
-
-
-@dataclass
-class Step:
-    """The way from a parent's frame to a body's, at a joint value."""
-
-    turns: list[Turn]  # from the parent's axes to the body's: β, α, θ
-    shift: Vec  # r in the parent's axes
-    slide: Scalar  # along the body's z, of a prismatic joint
-
-    @property
-    def fixed(self) -> Step:
-        """The part that the joint does not move; the moving part comes after it."""
-        return Step(self.turns[:2], self.shift, 0.0)
-
-    @property
-    def moving(self) -> Step:
-        """The part about or along the joint's axis."""
-        return Step(self.turns[2:], [0.0, 0.0, 0.0], self.slide)
-
-    def inward(self, lin: Vec, ang: Vec) -> tuple[Vec, Vec]:
-        """Return a momentum at the body's origin, taken at the parent's, in its axes."""
-        if not isinstance(self.slide, float):
-            ang = plus(ang, cross([0.0, 0.0, self.slide], lin))
-        for turn in reversed(self.turns):
-            if not turn.is_none:
-                lin, ang = turn.vector(lin), turn.vector(ang)
-        return lin, plus(ang, cross(self.shift, lin))
-
-    def outward(self, v: Vec, w: Vec) -> tuple[Vec, Vec]:
-        """Return the parent's twist at the body's origin, in the body's axes."""
-        v = plus(v, cross(w, self.shift))
-        for turn in self.turns:
-            if not turn.is_none:
-                v, w = turn.back(v), turn.back(w)
-        if not isinstance(self.slide, float):
-            v = plus(v, cross(w, [0.0, 0.0, self.slide]))
-        return v, w
+from .body_frames import Body, cosine, sine
+from .coupled_groups import Groups
+from .limbs import Lanes, Link, links_of
+from .scalars import INDEX, Scalar, Turn, Vec, add, dot, mul, solve_ldl, sub
 
 
 @dataclass
@@ -116,19 +61,6 @@ class Swept:
     pidot: list[Scalar]
 
 
-def rigid(body: Body) -> Articulated:
-    """Return the inertia of one body, with no momentum of its own."""
-    x, y, z = body.moment
-    m = body.mass
-    return Articulated(
-        M=[m, 0.0, 0.0, m, 0.0, m],
-        B=[[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]],
-        I=list(body.inertia),
-        lin=[0.0, 0.0, 0.0],
-        ang=[0.0, 0.0, 0.0],
-    )
-
-
 def sweep(
     bodies: list[Body],
     x: list[Scalar],
@@ -138,78 +70,95 @@ def sweep(
     root_armature: float,
     rates: Mapping[int, Scalar],
     lanes: Lanes | None = None,
+    coupled: Coupled | None = None,
 ) -> Swept:
     """Solve H v = p and return velocities and π̇ (without forces).
 
-    x, pi: per shape joint.  mu: (r,).  axes: of the group (see Group).  root_armature: added
-    to the diagonal of SO(2)'s locked inertia.  rates: ẋ of the joints that are prescribed,
-    whose π is not read.  lanes: if given, limbs of one build are computed at once, and marked
-    there.
+    x: per joint of the tree.  pi: per shape coordinate.  mu: (r,).  axes: of the group (see
+    Group).  root_armature: added to the diagonal of SO(2)'s locked inertia.  rates: ẋ of the
+    coordinates that are prescribed, whose π is not read.  lanes: if given, limbs of one build are
+    computed at once, and marked there.  coupled: how joints follow others, if some do.
     """
-    links = links_of(bodies, lanes, {k + 1 for k in rates})
+    groups = Groups(bodies, rates, coupled)
+    links = links_of(bodies, lanes, groups.driven, groups.members)
     lanes = lanes or Lanes()  # that nothing is marked in
+    groups.meet(links)
     inertia = [rigid(link.body) for link in links]
     joints: list[Eliminated | None] = [None] * len(links)
     for i in range(len(links) - 1, 0, -1):
-        link = links[i]
+        link, k = links[i], links[i].lanes[0]
+        groups.close(i, inertia[i], pi)
         step = _packed_step(link, bodies, x, lanes)
         # The step about or along the joint's own axis comes first: the division by D need not
         # wait for it, and outward nothing waits for the rate that it does not move.
-        inner = _carried(inertia[i], step.moving)
-        if link.lanes[0] - 1 in rates:
-            joint = _drive(link.body, inner, lanes.pack([rates[k - 1] for k in link.lanes]), step)
+        inner = carried(inertia[i], step.moving)
+        groups.carry(i, step.moving)
+        if k in groups.driven:
+            rate = lanes.pack([groups.driven[j] for j in link.lanes])
+            joint = _drive(link.body, inner, rate, step)
+            groups.drive(i, link.body, rate)
+        elif k in groups.members:
+            none: Vec = [0.0, 0.0, 0.0]
+            joint = Eliminated(inner, none, none, 0.0, step)
+            groups.join(i, link.body, inner)
         else:
-            momentum = lanes.pack([pi[k - 1] for k in link.lanes])
+            momentum = lanes.pack([pi[groups.of[j]] for j in link.lanes])
             joint = _eliminate(link.body, inner, momentum, step)
+            groups.eliminate(i, link.body, inner, joint.drive)
         joints[i] = joint
         width = len(link.lanes) if len(links[link.parent].lanes) == 1 else 1
-        _add(inertia[link.parent], _carried(joint.inner, step.fixed), lanes, width)
+        _add(inertia[link.parent], carried(joint.inner, step.fixed), lanes, width)
+        groups.hand_on(i, link.parent, step.fixed)
+    groups.close(0, inertia[0], pi)
     linear, angular = _solve_root(inertia[0], mu, [divmod(k, 3) for k in axes], root_armature)
     v, w = [linear], [angular]
-    xdot: list[Scalar] = [0.0] * len(x)
-    momenta = list(pi)
-    pidot: list[Scalar] = [0.0] * len(x)
+    groups.find_rates(0, linear, angular)
+    xdot: list[Scalar] = [0.0] * len(pi)
+    momenta = [0.0 if k in rates else momentum for k, momentum in enumerate(pi)]
+    pidot: list[Scalar] = [0.0] * len(pi)
     for i in range(1, len(links)):
         link, body, known = links[i], links[i].body, joints[i]
         assert known is not None
         vi, wi = known.step.fixed.outward(v[link.parent], w[link.parent])
         rate = sub(known.drive, add(dot(known.gain, vi), dot(known.gain_angular, wi)))
+        rate = groups.rate(i, rate)
         h = known.inner
         along: Scalar = 0.0
-        if link.lanes[0] - 1 in rates:
-            own = _linear_row(h, 2, vi, wi) if body.prismatic else _angular_row(h, 2, vi, wi)
+        if link.lanes[0] in groups.driven:
+            own = linear_row(h, 2, vi, wi) if body.prismatic else angular_row(h, 2, vi, wi)
+            own = add(own, groups.momentum(i, 2, angular=not body.prismatic))
             along = add(own, mul(body.armature, rate))
-        hx, hy = (_linear_row(h, k, vi, wi) for k in (0, 1))
+        hx, hy = (add(linear_row(h, k, vi, wi), groups.momentum(i, k)) for k in (0, 1))
         if body.prismatic:
             # v × S = (ω × e_z, 0)
             force = sub(mul(wi[1], hx), mul(wi[0], hy))
             vi = [vi[0], vi[1], add(vi[2], rate)]
         else:
             # v × S = (v × e_z, ω × e_z)
-            ax, ay = (_angular_row(h, k, vi, wi) for k in (0, 1))
+            ax, ay = (
+                add(angular_row(h, k, vi, wi), groups.momentum(i, k, angular=True)) for k in (0, 1)
+            )
             force = add(sub(mul(vi[1], hx), mul(vi[0], hy)), sub(mul(wi[1], ax), mul(wi[0], ay)))
             wi = [wi[0], wi[1], add(wi[2], rate)]
         vi, wi = known.step.moving.outward(vi, wi)
+        groups.find_rates(i, vi, wi)
         v.append(vi)
         w.append(wi)
-        for lane, k in enumerate(link.lanes):
-            xdot[k - 1] = lanes.lane(rate, lane, len(link.lanes))
-            pidot[k - 1] = lanes.lane(force, lane, len(link.lanes))
-            if k - 1 in rates:
-                momenta[k - 1] = lanes.lane(along, lane, len(link.lanes))
+        for lane, j in enumerate(link.lanes):
+            k, ratio = groups.of[j], groups.ratio[j]
+            if groups.leads(j):
+                xdot[k] = lanes.lane(rate, lane, len(link.lanes))
+            pidot[k] = add(pidot[k], mul(ratio, lanes.lane(force, lane, len(link.lanes))))
+            if k in rates:
+                momenta[k] = add(momenta[k], mul(ratio, lanes.lane(along, lane, len(link.lanes))))
     return Swept(linear, angular, xdot, momenta, pidot)
 
 
 def _eliminate(body: Body, a: Articulated, pi: Scalar, step: Step) -> Eliminated:
     """Solve the joint's own momentum equation for its velocity and put that into the rest."""
-    if body.prismatic:
-        U = [a.M[INDEX[k][2]] for k in range(3)]
-        Ua = [a.B[k][2] for k in range(3)]
-        D, u = add(a.M[5], body.armature), sub(pi, a.lin[2])
-    else:
-        U = [a.B[2][k] for k in range(3)]
-        Ua = [a.I[INDEX[k][2]] for k in range(3)]
-        D, u = add(a.I[5], body.armature), sub(pi, a.ang[2])
+    U, Ua = momentum_of_rate(body, a)
+    D = add(along_joint(body, U, Ua), body.armature)
+    u = sub(pi, along_joint(body, a.lin, a.ang))
     inverse = 1.0 / D
     gain, gain_angular = [mul(c, inverse) for c in U], [mul(c, inverse) for c in Ua]
     drive = mul(u, inverse)
@@ -236,10 +185,7 @@ def _eliminate(body: Body, a: Articulated, pi: Scalar, step: Step) -> Eliminated
 
 def _drive(body: Body, a: Articulated, rate: Scalar, step: Step) -> Eliminated:
     """Carry a joint at a prescribed rate: its subtree is rigid, with the momentum of the rate."""
-    if body.prismatic:
-        U, Ua = [a.M[INDEX[k][2]] for k in range(3)], [a.B[k][2] for k in range(3)]
-    else:
-        U, Ua = [a.B[2][k] for k in range(3)], [a.I[INDEX[k][2]] for k in range(3)]
+    U, Ua = momentum_of_rate(body, a)
     lin = [add(a.lin[k], mul(U[k], rate)) for k in range(3)]
     ang = [add(a.ang[k], mul(Ua[k], rate)) for k in range(3)]
     none: Vec = [0.0, 0.0, 0.0]
@@ -275,18 +221,6 @@ def _step(body: Body, turned: tuple[Scalar, Scalar], slide: Scalar) -> Step:
     )
 
 
-def _carried(a: Articulated, step: Step) -> Articulated:
-    """Return a subtree turned into the axes before a step and shifted to the origin there."""
-    M, B, I = a.M, a.B, a.I
-    if not isinstance(step.slide, float):
-        B, I = _shifted(M, B, I, [0.0, 0.0, step.slide])
-    for turn in reversed(step.turns):
-        if not turn.is_none:
-            M, B, I = turn.symmetric(M), turn.matrix(B), turn.symmetric(I)
-    B, I = _shifted(M, B, I, step.shift)
-    return Articulated(M, B, I, *step.inward(a.lin, a.ang))
-
-
 def _add(parent: Articulated, a: Articulated, lanes: Lanes, width: int) -> None:
     """Add a subtree to its parent, or those in all lanes."""
 
@@ -296,31 +230,6 @@ def _add(parent: Articulated, a: Articulated, lanes: Lanes, width: int) -> None:
     parent.M, parent.I = both(parent.M, a.M), both(parent.I, a.I)
     parent.B = [both(p, q) for p, q in zip(parent.B, a.B, strict=True)]
     parent.lin, parent.ang = both(parent.lin, a.lin), both(parent.ang, a.ang)
-
-
-def _shifted(M: Sym, B: Mat, I: Sym, r: Vec) -> tuple[Mat, Sym]:
-    """Return B′ = B + r̂M and I − B r̂ + r̂ B′ᵀ: taken about a point at −r."""
-    if all(isinstance(c, float) and c == 0.0 for c in r):
-        return B, I
-    columns = [cross(r, [M[INDEX[k][j]] for k in range(3)]) for j in range(3)]
-    moved = [[add(B[i][j], columns[j][i]) for j in range(3)] for i in range(3)]
-    left = [cross(r, B[i]) for i in range(3)]  # row i of −B r̂
-    right = [cross(r, moved[j]) for j in range(3)]  # column j of r̂ B′ᵀ
-    shifted = list(I)
-    for i in range(3):
-        for j in range(i, 3):
-            shifted[INDEX[i][j]] = add(I[INDEX[i][j]], add(left[i][j], right[j][i]))
-    return moved, shifted
-
-
-def _linear_row(a: Articulated, k: int, v: Vec, w: Vec) -> Scalar:
-    row = [mul(a.M[INDEX[k][j]], v[j]) for j in range(3)] + [mul(a.B[j][k], w[j]) for j in range(3)]
-    return add(a.lin[k], total(row))
-
-
-def _angular_row(a: Articulated, k: int, v: Vec, w: Vec) -> Scalar:
-    row = [mul(a.B[k][j], v[j]) for j in range(3)] + [mul(a.I[INDEX[k][j]], w[j]) for j in range(3)]
-    return add(a.ang[k], total(row))
 
 
 def _solve_root(

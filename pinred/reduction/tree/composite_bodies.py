@@ -46,16 +46,28 @@ class Composite:
 
 
 class CompositeBodies:
-    """The composite bodies of one system; every method takes shapes x, (N, m)."""
+    """The composite bodies of one system; every method takes shapes x, (N, m).
+
+    Where joints follow others, all joints are differentiated by, and what comes out is put
+    together afterwards.
+    """
 
     def __init__(self, system: System) -> None:
         """Prepare the frames of the bodies."""
-        self._bodies = bodies_of(system)
+        self._system, self._bodies = system, bodies_of(system)
         self._armature = np.array(system.model.armature)
         self._rows = system.group.axes
 
     def mass_matrix(self, x: Array, H: Array) -> None:
         """Write H into zeros (N, n, n); entries of joints on different branches stay zero."""
+        if self._system.coupled is None:
+            self._write_mass_matrix(x, H)
+            return
+        every = np.zeros((len(x), len(self._armature), len(self._armature)))
+        self._write_mass_matrix(x, every)
+        H[:] = self._system.coupled_matrix(every)
+
+    def _write_mass_matrix(self, x: Array, H: Array) -> None:
         r = len(self._rows)
         bodies = self._composites(x)
         H[:, :r, :r] = self._inertia(len(x), bodies[0].mass, bodies[0].moment, bodies[0].inertia)
@@ -73,6 +85,15 @@ class CompositeBodies:
 
     def derivatives(self, x: Array, dIA: Array) -> Array:
         """Return dI, (N, m, r, r), and write d(IA) into zeros (N, r, m, m); ∂ is the first m."""
+        coupled, r, count = self._system.coupled, len(self._rows), len(self._bodies) - 1
+        if coupled is None:
+            return self._write_derivatives(x, dIA)
+        every = np.zeros((len(x), r, count, count))
+        dI = self._write_derivatives(x, every)
+        dIA[:] = coupled.matrix(every, 0)
+        return np.moveaxis(coupled.forces(np.moveaxis(dI, 1, -1), 0), -1, 1)
+
+    def _write_derivatives(self, x: Array, dIA: Array) -> Array:
         r, m = len(self._rows), len(self._bodies) - 1
         bodies = self._composites(x)
         dI = np.empty((len(x), m, r, r))
@@ -107,7 +128,7 @@ class CompositeBodies:
 
     def _composites(self, x: Array) -> list[Composite]:
         """Return the composite bodies, the root first."""
-        columns = np.ascontiguousarray(x.T)
+        columns = np.ascontiguousarray(self._system.joint_values(x).T)
         rows = [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]]
         out: list[Composite] = []
         for i, body in enumerate(self._bodies):

@@ -104,17 +104,23 @@ class Lanes:
         return self._symbols[-1]
 
 
-def links_of(bodies: list[Body], lanes: Lanes | None, driven: Collection[int]) -> list[Link]:
+def links_of(
+    bodies: list[Body],
+    lanes: Lanes | None,
+    driven: Collection[int],
+    coupled: Collection[int] = (),
+) -> list[Link]:
     """Return the bodies as links, parents first; without lanes, every body is one.
 
-    driven: the bodies whose joints move at a prescribed rate.
+    driven: the bodies whose joints move at a prescribed rate.  coupled: those whose joints move
+    together with others; limbs that carry one are computed alone.
     """
     if lanes is None:
         return [Link((i,), body.parent, body) for i, body in enumerate(bodies)]
     children: list[list[int]] = [[] for _ in bodies]
     for i in range(1, len(bodies)):
         children[bodies[i].parent].append(i)
-    build = _builds(bodies, children, driven)
+    build = _builds(bodies, children, driven, coupled)
     links: list[Link] = []
     waiting: list[tuple[tuple[int, ...], int]] = [((0,), -1)]
     while waiting:
@@ -127,13 +133,19 @@ def links_of(bodies: list[Body], lanes: Lanes | None, driven: Collection[int]) -
     return links
 
 
-def _builds(bodies: list[Body], children: list[list[int]], driven: Collection[int]) -> list[int]:
+def _builds(
+    bodies: list[Body],
+    children: list[list[int]],
+    driven: Collection[int],
+    coupled: Collection[int],
+) -> list[int]:
     """Return for each body a number that stands for the joints behind it and how they branch."""
     numbers: dict[tuple[object, ...], int] = {}
     build = [0] * len(bodies)
     for i in range(len(bodies) - 1, -1, -1):
         behind = tuple(sorted(build[child] for child in children[i]))
-        kind = (bodies[i].prismatic, i in driven, behind)
+        alone = i if i in coupled else 0
+        kind = (bodies[i].prismatic, i in driven, alone, behind)
         build[i] = numbers.setdefault(kind, len(numbers))
     return build
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 import casadi as ca
 
 from ...system.system import System
+from .all_joints import joint_rates, joint_values, on_shape
 from .articulated_sweep import step_of
 from .body_frames import Body, bodies_of
 from .scalars import Scalar, Vec, add, cross, mul, plus, sub, times, total
 
 
 def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
-    """Return the centre of mass in Pinocchio's root body frame, (3,)."""
+    """Return the centre of mass in Pinocchio's root body frame, (3,).
+
+    x: of all joints of the tree.
+    """
     mass: list[float] = [body.mass for body in bodies]
     moment: list[Vec] = [[float(c) for c in body.moment] for body in bodies]
     for i in range(len(bodies) - 1, 0, -1):
@@ -29,29 +33,31 @@ def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
 
 def momenta(system: System, x: ca.SX, v: ca.SX) -> ca.SX:
     """Return the momenta H(x) v, (n,), of velocities v = (ξ, ẋ), in one sweep."""
-    bodies = bodies_of(system)
-    steps = [None, *(step_of(bodies[i], x[i - 1]) for i in range(1, len(bodies)))]
+    bodies, r = bodies_of(system), system.r
+    joints = joint_values(system, [x[k] for k in range(system.m)])
+    rates = joint_rates(system, [v[r + k] for k in range(system.m)])
+    steps = [None, *(step_of(bodies[i], joints[i - 1]) for i in range(1, len(bodies)))]
     twists = [_in_space(system, v)]
     for i in range(1, len(bodies)):
         step = steps[i]
         assert step is not None
         vi, wi = step.outward(*twists[bodies[i].parent])
         part = vi if bodies[i].prismatic else wi
-        part[2] = part[2] + v[system.r + i - 1]
+        part[2] = part[2] + rates[i - 1]
         twists.append((vi, wi))
     carried = [_momentum(body, *twist) for body, twist in zip(bodies, twists, strict=True)]
-    pi: list[Scalar] = [0.0] * system.m
+    pi: list[Scalar] = [0.0] * len(rates)
     for i in range(len(bodies) - 1, 0, -1):
         body, (lin, ang), step = bodies[i], carried[i], steps[i]
         assert step is not None
-        pi[i - 1] = (lin if body.prismatic else ang)[2] + body.armature * v[system.r + i - 1]
+        pi[i - 1] = (lin if body.prismatic else ang)[2] + body.armature * rates[i - 1]
         up, about = step.inward(lin, ang)
         lin0, ang0 = carried[body.parent]
         carried[body.parent] = plus(lin0, up), plus(ang0, about)
     lin, ang = carried[0]
     mu = [[*lin, *ang][axis] for axis in system.group.axes]
     mu[0] = add(mu[0], mul(float(system.model.armature[0]), v[0]))  # only about one axis
-    column: ca.SX = ca.vertcat(*mu, *pi)
+    column: ca.SX = ca.vertcat(*mu, *on_shape(system, pi))
     return column
 
 

@@ -18,6 +18,7 @@ from ...forces.force_model import remembered_model
 from ...forces.signals import Signal
 from ...forces.signals.expressions import parse
 from ...integrators.methods import METHODS, Method
+from ...reduction.tree.all_joints import joint_rates, joint_values
 from ...system.catalogue import bundled_robots
 from ...system.load import load
 from ...system.system import System
@@ -199,10 +200,19 @@ class _Builder:
     def _names(self, t: Any, x: Any, xdot: Any, mu: Any) -> dict[str, Any]:
         """Return the names that formulas may use."""
         momenta = [mu[k] for k in range(self.system.r)]
-        return {"t": t, "x": self._shape(x), "xdot": self._shape(xdot), "mu": momenta}
+        rates = self._shape(xdot, joint_rates)
+        return {"t": t, "x": self._shape(x), "xdot": rates, "mu": momenta}
 
-    def _shape(self, x: Any) -> dict[str, Any]:
-        return {name: x[k] for k, name in enumerate(self.system.shape_names)}
+    def _shape(
+        self, x: Any, on_joints: Callable[[System, list[Any]], list[Any]] = joint_values
+    ) -> dict[str, Any]:
+        """Return the entries of the shape or its rate by joint, those of followers included."""
+        system = self.system
+        own = {name: x[k] for k, name in enumerate(system.shape_names)}
+        if system.coupled is None:
+            return own
+        every = on_joints(system, list(own.values()))
+        return own | {name: ca.SX(every[system.joint_number(name)]) for name in system.followers}
 
     def _explain(
         self, error: PinredError, forces: list[Force], prescribed: Mapping[str, Signal]
@@ -226,7 +236,7 @@ class _Builder:
         raise type(error)(place.tell(text)) from None
 
     def _joint(self, name: str, place: Place) -> None:
-        if name not in self.system.shape_names:
+        if name not in (*self.system.shape_names, *self.system.followers):
             place.fail(unknown(name, "joint", self.system.shape_names, "the joints are"))
 
     def _by_joint(

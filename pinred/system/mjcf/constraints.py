@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,9 +10,11 @@ import numpy as np
 
 from ...common.errors import ModelError
 from ..contents import Coupling
+from ..coupling import with_followers
 from .joints import Joint, joint_of
 from .package import mujoco_package
 from .tree import Tree
+from .world import World
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,10 @@ def _coupling(tree: Tree, number: int, name: str) -> Sequence[Coupling]:
         return ()
     follower = joint_of(world, first)
     c0, c1, *higher = (float(c) for c in model.eq_data[number, :5])
-    way_out = f"lock it (lock=['{follower.name}']), or remove the constraint"
+    way_out = (
+        f"lock it (lock=['{follower.name}']), write a polynomial of degree one, or remove the "
+        "constraint"
+    )
     who = f"joint '{follower.name}' by equality '{name}'"
     if second < 0:
         raise ModelError(
@@ -117,7 +122,10 @@ def _coupling(tree: Tree, number: int, name: str) -> Sequence[Coupling]:
             f"{who}; {way_out}"
         )
     if second not in own:
-        raise ModelError(f"'{leader.name}', which leads {who}, cannot move; {way_out}")
+        raise ModelError(
+            f"'{leader.name}', which leads {who}, cannot move; lock the follower as well "
+            f"(lock=['{follower.name}']), or remove the constraint"
+        )
     return (_in_proportion(follower, leader, c0, c1),)
 
 
@@ -126,13 +134,32 @@ def _in_proportion(follower: Joint, leader: Joint, c0: float, c1: float) -> Coup
     return Coupling(follower.name, leader.name, ratio=c1, offset=offset)
 
 
-def refuse_couplings(couplings: Sequence[Coupling]) -> None:
-    """Raise ModelError, with the joints to lock, if joints follow others."""
-    if couplings:
-        raise ModelError(
-            "coupled joints are not supported; lock the joints that follow others: "
-            f"lock={[coupling.follower for coupling in couplings]}"
-        )
+def locked_with_followers(world: World, lock: Mapping[str, float]) -> dict[str, float]:
+    """Return locks with those of the joints that follow locked ones, by whatever polynomial.
+
+    Raises InputError for followers in proportion that are locked alone.
+    """
+    own = {joint for body in world.bodies for joint in world.joints(body)}
+    straight, bent = [], []
+    for number in [] if world.disabled("EQUALITY") else np.flatnonzero(world.model.eq_active0):
+        ends = int(world.model.eq_obj1id[number]), int(world.model.eq_obj2id[number])
+        is_joint = int(world.model.eq_type[number]) == int(mujoco_package().mjtEq.mjEQ_JOINT)
+        if not is_joint or not set(ends) <= own:
+            continue
+        follower, leader = (joint_of(world, end) for end in ends)
+        factors = [float(c) for c in world.model.eq_data[number, :5]]
+        if any(factors[2:]):
+            bent.append((follower, leader, factors))
+        else:
+            straight.append(_in_proportion(follower, leader, factors[0], factors[1]))
+    names = [world.joint_names[joint] for joint in own]
+    out, _ = with_followers(lock, straight, names)
+    for follower, leader, factors in bent:
+        if leader.name in out and follower.name not in out:
+            by = out[leader.name] - leader.q0
+            out[follower.name] = follower.q0 + float(np.polynomial.Polynomial(factors)(by))
+            out, _ = with_followers(out, straight, names)
+    return out
 
 
 def refuse_heavy_tendons(tree: Tree, tendons: Sequence[int]) -> None:

@@ -15,7 +15,7 @@ from ...lie.group import Group
 from ..contents import Contents
 from .acting import acting_on, passive_joints, tendons_on
 from .compile import compiled
-from .constraints import constraints_of, refuse_couplings, refuse_heavy_tendons
+from .constraints import constraints_of, locked_with_followers, refuse_heavy_tendons
 from .keyframes import keyframes_of
 from .tree import tree_of
 from .world import World, robot_in
@@ -47,9 +47,9 @@ def read_mujoco(
     what = str(source) if isinstance(source, (str, Path)) else "the model"
     world = robot_in(compiled(source), root, what)
     weight = gravity_of(world)
+    lock = locked_with_followers(world, lock)
     tree = tree_of(world, lock, weight.felt if gravity is None else gravity)
     constraints = constraints_of(tree)
-    refuse_couplings(constraints.couplings)
     refuse_heavy_tendons(tree, tendons_on(tree))
     still = [world.body_names[body] for body in tree.still]
 
@@ -57,7 +57,7 @@ def read_mujoco(
         return Contents(
             left_out=tuple(acting_on(tree, constraints.outside, gravcomp=weight.partly)),
             passive=passive_joints(tree),
-            keyframes=keyframes_of(tree, group),
+            keyframes=keyframes_of(tree, group, constraints.couplings),
             couplings=constraints.couplings,
             freed=still[0] if still and tree.root is None else "",
         )

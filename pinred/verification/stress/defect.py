@@ -78,7 +78,7 @@ def _sizes(traj: Trajectory, full: FullState, y: Array) -> Array:
 
     Angles and quaternions count as 1 at least, lengths as the radius of gyration.
     """
-    group, m = traj.system.group, traj.system.m
+    group, m = traj.system.group, traj.system.model.njoints - 2
     linear, size = group.linear, group.size
     radius = full.radius(traj.q[0])
     out = np.empty(y.shape[1])

@@ -9,7 +9,6 @@ import numpy as np
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ...reduction.at_a_shape import Reduction
-from ...system.joints import shape_units
 from ...system.system import System
 
 _FINE = 61  # shapes along each axis of the field
@@ -48,7 +47,7 @@ def shape_panel(
     pair: the joints on the axes; if None the two that move the most, but do not spin if possible.
     Raises InputError for joints that there are not.
     """
-    names, units = system.shape_names, shape_units(system.model)
+    names, units = system.shape_names, system.units
     for name in pair or ():
         if name not in names:
             raise InputError(f"pair: no joint '{name}'; the joints are {', '.join(names)}")

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from ...common.errors import InputError, LoadError
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
-from ...system.joints import shape_units
 from ...system.system import System
 from ..motion_source import MotionSource
 
@@ -102,18 +101,26 @@ def robot_of(motion: MotionSource) -> System | None:
 
 def labels_of(system: System) -> Labels:
     """Return the labels of a system."""
-    units = shape_units(system.model)
-    return Labels(system.name, system.group.name, system.shape_names, units, _limbs(system))
+    limbs = _limbs(system)
+    return Labels(system.name, system.group.name, system.shape_names, system.units, limbs)
 
 
 def _limbs(system: System) -> tuple[tuple[int, ...], ...]:
     """Return the joints in unbranched rows."""
-    parents = [int(system.model.parents[i]) for i in range(2, system.model.njoints)]
+    parents = [_before(system, i) for i in system.joints]
     rows: list[list[int]] = []
     for k, parent in enumerate(parents):
-        follows = k > 0 and parent == k + 1 and parents.count(parent) == 1
+        follows = k > 0 and parent == k - 1 and parents.count(parent) == 1
         if follows:
             rows[-1].append(k)
         else:
             rows.append([k])
     return tuple(map(tuple, rows))
+
+
+def _before(system: System, joint: int) -> int:
+    """Return the shape coordinate that moves what a joint hangs on; −1 for the root."""
+    at = int(system.model.parents[joint])
+    while at > 1 and at not in system.joints:
+        at = int(system.model.parents[at])
+    return system.joints.index(at) if at > 1 else -1

@@ -71,7 +71,7 @@ def reach(system: System, joints: Sequence[int]) -> list[tuple[float, float]]:
     """Return limits that show all a joint can do: a turn, half a metre, its own limits."""
     limits = []
     for k in joints:
-        joint = system.model.joints[k + 2]
+        joint = system.model.joints[system.joints[k]]
         low, high = (-_SLIDE, _SLIDE) if is_prismatic(joint) else (-np.pi, np.pi)
         least = float(system.model.lowerPositionLimit[joint.idx_q])
         most = float(system.model.upperPositionLimit[joint.idx_q])

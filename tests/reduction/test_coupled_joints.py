@@ -1,0 +1,140 @@
+"""Joints that follow others: GᵀHG in every route, against CRBA and ABA with multipliers."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+import pytest
+from coupled_trees import CoupledCase, coupled_cases, make_case
+from hypothesis import given, settings
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.reduction.canonical_form import CanonicalForm
+from pinred.reduction.potential import shape_gravity
+from pinred.reduction.tree.all_joints import joint_values
+from pinred.reduction.tree.articulated_sweep import sweep
+from pinred.reduction.tree.body_frames import bodies_of
+from pinred.reduction.tree.momenta import momenta
+
+
+@settings(max_examples=60)
+@given(coupled_cases())
+def test_mass_matrix_and_its_derivatives(case: CoupledCase) -> None:
+    """At one shape by Pinocchio, at many by composite bodies: GᵀHG, and its slope."""
+    system, red = case.system, pinred.Reduction(case.system)
+    x = case.rng.uniform(-2.0, 2.0, system.m)
+    at, H = red.at(x), case.mass_matrix(x)
+    size = np.abs(H).max()
+    np.testing.assert_allclose(at.mass_matrix, H, rtol=0, atol=1e-13 * size)
+    field = red.grid(x[None])
+    np.testing.assert_allclose(field.mass_matrix[0], H, rtol=0, atol=1e-13 * size)
+    B = np.abs(at.curvature).max(initial=1.0)
+    np.testing.assert_allclose(field.curvature[0], at.curvature, rtol=0, atol=1e-10 * B)
+    r, step = system.r, 1e-5
+    for k in range(system.m):
+        e = np.eye(system.m)[k] * step
+        slope = (case.mass_matrix(x + e) - case.mass_matrix(x - e))[:r, :r] / (2.0 * step)
+        np.testing.assert_allclose(at.dI[:, :, k], slope, rtol=0, atol=1e-8 * size)
+
+
+@settings(max_examples=150)
+@given(coupled_cases())
+def test_sweep_solves_for_velocities_and_forces(case: CoupledCase) -> None:
+    """H v = (μ, π) for any momentum, and π̇ against the derivative of the Lagrangian by y."""
+    system, r, m = case.system, case.system.r, case.system.m
+    y, v = case.rng.uniform(-2.0, 2.0, m), case.rng.normal(size=system.n)
+    H = case.mass_matrix(y)
+    p = H @ v
+    found, force = swept(system, y, p)
+    condition = np.linalg.cond(H) * np.finfo(float).eps * 20
+    np.testing.assert_allclose(found, v, rtol=0, atol=max(1e-12, condition) * np.abs(v).max())
+    # ½ vᵀ ∂H v by Pinocchio's Coriolis matrix, of all joints, and then to y by the chain rule.
+    model, full = system.model, case.whole @ v
+    q = system.model_q(system.group.identity(), y)
+    C = pin.computeCoriolisMatrix(model, model.createData(), q, full)
+    expected = case.G.T @ (full @ C)[r:]
+    size = max(1.0, float(np.abs(expected).max()))
+    np.testing.assert_allclose(force, expected, rtol=0, atol=max(1e-12, condition) * size)
+    form = CanonicalForm(system, shape_gravity(system))
+    np.testing.assert_allclose(form.velocity(y, p), found, rtol=0, atol=1e-10 + condition)
+    np.testing.assert_allclose(form.force(y, v), expected, rtol=0, atol=1e-12 * size)
+
+
+def swept(system: pinred.System, y: Array, p: Array) -> tuple[Array, Array]:
+    """Velocity (n,) and π̇ (m,) by the sweep, from a shape and momenta."""
+    r, m, group = system.r, system.m, system.group
+    x, pi, mu = (
+        [ca.SX.sym(f"{s}{k}") for k in range(n)] for s, n in zip("xpm", (m, m, r), strict=True)
+    )
+    joints = joint_values(system, x)
+    found = sweep(bodies_of(system), joints, pi, mu, group.axes, 0.0, {}, None, system.coupled)
+    xi = [[*found.root_linear, *found.root_angular][axis] for axis in group.axes]
+    function = ca.Function(
+        "f",
+        [ca.vertcat(*x), ca.vertcat(*pi), ca.vertcat(*mu)],
+        [ca.vertcat(*xi, *found.xdot), ca.vertcat(*found.pidot)],
+    )
+    v, force = (np.array(out).ravel() for out in function(y, p[r:], p[:r]))
+    return v, force
+
+
+@settings(max_examples=30)
+@given(coupled_cases())
+def test_prescribed_rates(case: CoupledCase) -> None:
+    """Where the rate of a coordinate is given, the sweep finds its momentum, of all its joints."""
+    system, r, m = case.system, case.system.r, case.system.m
+    y, v = case.rng.uniform(-2.0, 2.0, m), case.rng.normal(size=system.n)
+    p = case.mass_matrix(y) @ v
+    driven = [k for k in range(m) if case.rng.random() < 0.5]
+    symbols = ca.SX.sym("s", m)
+    found = sweep(
+        bodies_of(system), joint_values(system, ca.vertsplit(symbols)), p[r:].tolist(),
+        p[:r].tolist(), system.group.axes, 0.0, {k: float(v[r + k]) for k in driven}, None,
+        system.coupled,
+    )  # fmt: skip
+    function = ca.Function("f", [symbols], [ca.vertcat(*found.xdot), ca.vertcat(*found.pi)])
+    rates, pi = (np.array(out).ravel() for out in function(y))
+    size = np.linalg.cond(case.mass_matrix(y)) * 1e-14 + 1e-12
+    np.testing.assert_allclose(rates, v[r:], rtol=0, atol=size * np.abs(v).max())
+    np.testing.assert_allclose(pi, p[r:], rtol=0, atol=size * np.abs(p).max())
+
+
+@settings(max_examples=30)
+@given(coupled_cases())
+def test_momenta_as_expressions(case: CoupledCase) -> None:
+    """H v of CasADi's Functions, as users take it."""
+    system = case.system
+    y, v = case.rng.uniform(-2.0, 2.0, system.m), case.rng.normal(size=system.n)
+    x, w = ca.SX.sym("x", system.m), ca.SX.sym("v", system.n)
+    p = np.array(ca.Function("f", [x, w], [momenta(system, x, w)])(y, v)).ravel()
+    expected = case.mass_matrix(y) @ v
+    np.testing.assert_allclose(p, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_several_groups_are_open_at_once() -> None:
+    """The cases above have groups that cross on one chain, with free joints between them."""
+    crossing = 0
+    for seed in range(40):
+        case = make_case("SE3", 8, seed)
+        coupled = case.system.coupled
+        assert coupled is not None
+        sizes = np.bincount(coupled.of[coupled.ratio != 0.0], minlength=case.system.m)
+        crossing += int((sizes > 1).sum() > 1)
+    assert crossing > 10
+
+
+def test_a_fault_in_the_columns_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without its share of the groups that are open, an ordinary joint is wrong."""
+    from pinred.reduction.tree.coupled_groups import Groups
+
+    monkeypatch.setattr(Groups, "momentum", lambda *_, **__: 0.0)
+    off = 0.0
+    for seed in range(5):
+        case = make_case("SE3", 6, seed)
+        y, v = case.rng.uniform(-2.0, 2.0, case.system.m), case.rng.normal(size=case.system.n)
+        _, force = swept(case.system, y, case.mass_matrix(y) @ v)
+        form = CanonicalForm(case.system, shape_gravity(case.system))
+        off = max(off, float(np.abs(force - form.force(y, v)).max()))
+    assert off > 1e-3
