@@ -12,11 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..common.arrays import Array
-from .pieces import Motion
+from ..common.errors import InputError
 from .state import State
+from .trajectory import Trajectory
 
 _WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)  # of v(t + k h) − v(t − k h), over h
-_STEP = 0.02  # of the time in which the fastest number changes by 1, or by its own size
+_STEP = 0.01  # rad, or part of the robot's size, that the fastest joint or the base moves by
+_OF_A_STEP = 1 / 64  # of the integrator, which follows plans that depend on time
 
 
 @dataclass(frozen=True)
@@ -24,23 +26,37 @@ class Accelerations:
     """States at times and their accelerations.
 
     states: at (T,) times.  v, a: (T, n) velocity and acceleration, body twist and shape.
+    pace: (T,) how fast shape and attitude change, slides in parts of the robot's size [1/s].
     """
 
     states: State
     v: Array
     a: Array
+    pace: Array
 
 
-def accelerations(motion: Motion, t: Array) -> Accelerations:
-    """Return states and accelerations at times t (T,); the base must be among the outputs."""
+def accelerations(traj: Trajectory, t: Array, size: float) -> Accelerations:
+    """Return states and accelerations at times t (T,).
+
+    size: of the robot [m].  Raises InputError if the base is not among the outputs.
+    """
+    motion, system = traj.motion, traj.system
     states = motion.states(t)
     if not isinstance(states, State):
-        raise TypeError("accelerations need the base, which this motion does not report")
-    v, changes = np.hstack([states.xi, states.xdot]), motion.changes(t)
-    change = np.abs(changes.rates) / np.maximum(1.0, np.abs(changes.y))
-    fast = np.maximum(change.max(axis=1, initial=0.0), np.abs(v).max(axis=1, initial=0.0))
-    h, a = _STEP / (1.0 + fast), np.zeros_like(v)
+        raise InputError("accelerations need the base, which outputs='shape' leaves out")
+    v = np.hstack([states.xi, states.xdot])
+    # Velocities are linear in momenta: what bends them is the shape and the attitude alone.
+    units = np.ones(system.n)
+    units[: system.group.linear] = 0.0
+    units[system.r :][[unit == "m" for unit in system.units]] = 1.0 / size
+    pace = np.abs(v) @ units
+    h = np.divide(_STEP, pace, out=np.ones(len(t)), where=pace > 0.0)
+    if traj.plan.acting.driven:
+        knots = motion.knots
+        last = np.clip(np.searchsorted(knots, t), 1, len(knots) - 1)
+        h = np.minimum(h, _OF_A_STEP * (knots[last] - knots[last - 1]))
+    changes, a = motion.changes(t), np.zeros_like(v)
     for k, weight in enumerate(_WEIGHTS, start=1):
         later, before = (motion.beside(t, changes, sign * k * h) for sign in (1.0, -1.0))
         a += (weight / h)[:, None] * (later - before)
-    return Accelerations(states, v, a)
+    return Accelerations(states, v, a, pace)

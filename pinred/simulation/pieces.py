@@ -103,6 +103,10 @@ class Motion:
         }
         return _joined([parts[k] for k in sorted(parts)], np.argsort(which, kind="stable"))
 
+    def numbers(self, t: Array) -> list[Array]:
+        """Return the numbers (p,) in the forces at each of times (T,)."""
+        return [self._pieces[k].numbers for k in self._which(t)]
+
     def changes(self, t: Array) -> Changes:
         """Return reduced states and their rates at times (T,)."""
         y, which = self._reduced(t), self._which(t)

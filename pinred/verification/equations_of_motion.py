@@ -1,9 +1,9 @@
-"""Do a route's accelerations agree with Pinocchio's?  A line of the judge that needs no bound on
-how motions part, and no tolerance: both sides are taken at the same states.
+"""The equations of motion, judged where the trajectory is: a route's accelerations against ABA.
 
-What is judged is the force that the difference of accelerations stands for, H Δa, joint by
-joint and in parts of what that joint's equation is a sum of.  So a light joint counts by its own
-size, and a bad condition of H stretches nothing.
+Both sides are taken at the same states, so that neither how motions part nor the tolerance plays
+a part.  What counts is the force that a difference of accelerations stands for, H Δa, row by row
+and in parts of what that row's equation is a sum of.  So a light joint counts by its own size, and
+a bad condition of H stretches nothing.
 """
 
 from __future__ import annotations
@@ -12,19 +12,36 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
+from ..reduction.inertia_split import symmetric
 from ..simulation.accelerations import accelerations
 from ..simulation.trajectory import Trajectory
+from ..system.system import System
 from .full_state import FullState
 
 
 def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     """Return the relative errors (T, n) of the equations of motion at times (T,).
 
-    full: the system whose motion it is meant to be.  Rows of joints that follow a plan are zero.
+    full: the scene of the system whose motion it is meant to be.
     """
-    found = accelerations(traj.motion, times)
-    states, out = found.states, np.zeros_like(found.v)
+    size = full.radius(traj.system.sorted_q(traj.q[0]))
+    found, numbers = accelerations(traj, times, size), traj.motion.numbers(times)
+    states, r, leads = found.states, full.system.r, full.ties.leads
+    out = np.zeros_like(found.v)
     for k, t in enumerate(times.tolist()):
+        full.hold(numbers[k])
         y = full.state(states.pose[k], states.x[k], states.xi[k], states.xdot[k])
-        out[k] = full.force_error(t, y, found.a[k])
+        rate = full.rate(t, y)[len(y) - full.system.model.nv :]
+        a = np.concatenate([rate[:r], rate[r:][leads]])
+        H, weight = _weights(full.system, full.q(y))
+        terms = np.abs(H) @ (np.abs(a) + found.pace[k] * np.abs(found.v[k])) + weight
+        off = np.abs(H @ (found.a[k] - a))
+        out[k] = np.divide(off, terms, out=np.where(off > 0.0, np.inf, 0.0), where=terms > 0.0)
     return out
+
+
+def _weights(system: System, q: Array) -> tuple[Array, Array]:
+    """Return the mass matrix (n, n) and the size of what gravity does (n,), by Pinocchio."""
+    model, data = system.model, system.model.createData()
+    H = system.coupled_matrix(symmetric(pin.crba(model, data, q)))
+    return H, system.sizes_on_shape(np.abs(pin.computeGeneralizedGravity(model, data, q)))

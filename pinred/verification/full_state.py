@@ -19,6 +19,7 @@ from ..common.errors import IntegrationError
 from ..scene.scene import Scene
 from ..simulation.state import Sample, State
 from ..simulation.stops import begin_stretch, stops_of
+from ..system.system import System
 from .root_motion import root_motion
 from .ties import Ties
 
@@ -119,6 +120,15 @@ class FullState:
         self._axes, self._linear, self._size = root.axes, root.linear, root.size
         self._driven = [] if self._forces is None else list(self._forces.joints)
         self._driven = self.ties.leads[self._driven].tolist()
+
+    @property
+    def system(self) -> System:
+        """The system of the scene."""
+        return self._scene.system
+
+    def hold(self, numbers: Array) -> None:
+        """Take these numbers (p,) in the forces, among them what controllers hold."""
+        self._numbers = numbers
 
     def state(self, pose: Array, x: Array, xi: Array, xdot: Array) -> Array:
         """Return y for a pose, shape, body twist and shape rate."""
