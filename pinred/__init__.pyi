@@ -55,8 +55,8 @@ from .system.system import Configuration as Configuration
 from .system.system import InitialState as InitialState
 from .system.system import System as System
 from .system.system import Velocity as Velocity
-from .verification.compare import Report as Report
 from .verification.compare import compare as compare
+from .verification.report import Report as Report
 from .views.motions import play as play
 from .views.motions import plot as plot
 from .views.motions import save_film as save_film

@@ -18,16 +18,17 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Simulate and judge.  Returns 0, or 1 if the comparison does not pass."""
+    """Simulate and judge.  Returns 0 for PASSED, 1 for FAILED, 3 for CANNOT TELL."""
     from ..simulation.simulate import simulate
 
     return judged(simulate(scene_of(options), engine=options.engine, progress=True))
 
 
 def judged(traj: Trajectory) -> int:
-    """Print the comparison of a motion with full ABA.  Returns 0, or 1 if it does not pass."""
+    """Print the comparison of a motion with full ABA.  Returns 0, 1 or 3, as `run` does."""
     from ..verification.compare import compare
+    from ..verification.report import EXIT_CODES
 
     report = compare(traj, progress=True)
     print(report)
-    return 0 if report.passed else 1
+    return EXIT_CODES[report.verdict]

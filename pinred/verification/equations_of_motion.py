@@ -18,6 +18,8 @@ from ..simulation.trajectory import Trajectory
 from ..system.system import System
 from .full_state import FullState
 
+_LEAST = 1e-290  # forces that round-off of the smallest numbers would be a part of
+
 
 def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     """Return the relative errors (T, n) of the equations of motion at times (T,).
@@ -36,7 +38,7 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
         H, weight = _weights(full.system, full.q(y))
         terms = np.abs(H) @ (np.abs(a) + found.pace[k] * np.abs(found.v[k])) + weight
         off = np.abs(H @ (found.a[k] - a))
-        out[k] = np.divide(off, terms, out=np.where(off > 0.0, np.inf, 0.0), where=terms > 0.0)
+        out[k] = off / np.maximum(terms, _LEAST)
     return out
 
 

@@ -19,13 +19,16 @@ from ..common.errors import IntegrationError
 from ..scene.scene import Scene
 from ..simulation.state import Sample, State
 from ..simulation.stops import begin_stretch, stops_of
+from ..system.joints import joint_units
 from ..system.system import System
 from .root_motion import root_motion
 from .ties import Ties
 
 FINEST = (2e-14, 1e-16)  # the tightest rtol and atol that Hairer's codes can keep
+OFFSET = 1e-5  # part of a distance from the origin that lengths are told in beside round-off
 KICK = 1e-6  # relative size of the perturbation whose growth is measured
 _MOST_STEPS = 10_000_000
+_LEAST = 1e-290  # J; energies below are counted in steps of the smallest numbers
 
 
 @dataclass(frozen=True)
@@ -40,31 +43,40 @@ class FullMotion:
 class Size:
     """The units in which errors of a motion are measured.
 
-    shape: the largest |x|, at least 1 [rad | m].  position: the largest coordinate of the
-    base, at least the radius of gyration [m].
+    joints: (M,) the largest |x| of each joint, at least 1 rad, or the radius of gyration of what
+    slides [rad | m].  position: the distance travelled by the base, at least the radius of
+    gyration and what round-off leaves of its distance from the origin [m].
     """
 
-    shape: float
+    joints: Array
     position: float
 
 
 @dataclass(frozen=True)
 class Distance:
-    """Distances of two motions, each (T,).
+    """Distances of two motions.
 
-    shape: largest |Δx| [rad | m].  rotation [rad] and position [m]: norms of the parts of
-    log(g⁻¹ĝ) of the base.
+    joints: (T, M) |Δx| of each joint [rad | m].  rotation [rad] and position [m]: (T,) norms of
+    the parts of log(g⁻¹ĝ) of the base.
     """
 
-    shape: Array
+    joints: Array
     rotation: Array
     position: Array
 
+    @property
+    def shape(self) -> Array:
+        """Largest |Δx| over time, (T,) [rad | m]."""
+        return np.asarray(self.joints.max(axis=1, initial=0.0))
+
+    def relative(self, size: Size) -> Array:
+        """Return the largest of all over time, (T,), in units of the motion's size; NaN stays."""
+        shape = (self.joints / size.joints).max(axis=1, initial=0.0)
+        return np.asarray(np.max([shape, self.rotation, self.position / size.position], axis=0))
+
     def worst(self, size: Size) -> float:
         """Return the largest of all, in units of the motion's size; NaN if there is one."""
-        return float(
-            np.max([self.shape / size.shape, self.rotation, self.position / size.position])
-        )
+        return float(self.relative(size).max())
 
 
 @dataclass(frozen=True)
@@ -157,13 +169,14 @@ class FullState:
 
     def growth(
         self, y0: Array, motion: FullMotion, times: Array, rtol: float, atol: float
-    ) -> float:
-        """Return the factor, at least 1, by which a small kick of y0 has grown in its motion.
+    ) -> Array:
+        """Return the factors (T,), at least 1, by which a small kick of y0 has grown until then.
 
         times: those of the motion, (T,).  rtol, atol: of the kicked one.
         """
         kicked = self.run(self.kick(y0, self._scene.end, KICK), times, rtol, atol)
-        return max(1.0, self.distance(motion, kicked).worst(self.size(motion)) / KICK)
+        apart = self.distance(motion, kicked).relative(self.size(motion))
+        return np.maximum.accumulate(np.maximum(1.0, apart / KICK))
 
     def run(
         self, y0: Array, times: Array, rtol: float, atol: float, *, method: str = "dop853"
@@ -273,17 +286,20 @@ class FullState:
             (c, s), (cb, sb) = a.q[:, k : k + 2].T, b.q[:, k : k + 2].T
             log[:, -1] = np.arctan2(c * sb - s * cb, c * cb + s * sb)
         return Distance(
-            shape=np.abs(b.x - a.x).max(axis=1, initial=0.0),
+            joints=np.abs(b.x - a.x),
             rotation=np.linalg.norm(log[:, self._linear :], axis=1),
             position=np.linalg.norm(log[:, : self._linear], axis=1),
         )
 
     def size(self, motion: FullMotion) -> Size:
         """Return the units in which errors of a motion are judged."""
-        travelled = float(np.abs(motion.q[:, : self._linear]).max(initial=0.0))
+        place, radius = motion.q[:, : self._linear], self.radius(motion.q[0])
+        travelled = float(np.abs(place - place[0]).max(initial=0.0))
+        offset = OFFSET * float(np.abs(place).max(initial=0.0))
+        least = np.where([unit == "m" for unit in joint_units(self._model)], radius, 1.0)
         return Size(
-            shape=float(np.abs(motion.x).max(initial=1.0)),
-            position=max(travelled, self.radius(motion.q[0])),
+            joints=np.maximum(np.abs(motion.x).max(axis=0), least),
+            position=max(travelled, radius, offset),
         )
 
     def radius(self, q: Array) -> float:
@@ -338,7 +354,7 @@ class FullState:
             _difference(state.energy, energies, most),
         ]
         return Audit(
-            energies=gained / most if most > 0.0 else gained,
+            energies=gained / most if most > _LEAST else gained,
             momenta=(np.array(conserved) - conserved[0]) / scale,
             fields=float(np.max(mismatch)),
         )

@@ -111,9 +111,10 @@ def report() -> pinred.Report:
     scalars = dict.fromkeys(pinred.Report.__dataclass_fields__, 1.0)
     names: dict[str, Any] = {"robot": "made_up", "engine": "none", "group": "SE2", "joints": 1}
     errors = {
-        "t": t, "shape_errors": 1e-11 * t**2, "rotation_errors": 3e-12 * t,
-        "position_errors": 1e-12 * t**3, "shape_bound": 1e-8, "rotation_bound": 3e-8,
-        "position_bound": 1e-7,
+        "t": t, "shape_errors": 1e-11 * t[:, None]**2, "rotation_errors": 3e-12 * t,
+        "position_errors": 1e-12 * t**3, "shape_bounds": 1e-8 * t[:, None],
+        "rotation_bounds": 3e-8 * t, "position_bounds": 1e-7 * t, "growth": t, "told": 80,
+        "reasons": (),
     }  # fmt: skip
     return pinred.Report(**{**scalars, **names, **errors})
 

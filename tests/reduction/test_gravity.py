@@ -197,7 +197,7 @@ def test_pinned_chains(seed: int, joints: int) -> None:
     report = pinred.compare(traj)
     assert report.passed, str(report)
     other = pinred.simulate(scene, engine="pinocchio")
-    allowed = max(1e-8, 10 * report.shape_bound)
+    allowed = max(1e-8, 10 * float(report.shape_bounds.max()))
     q, _ = aba.integrate(model, other.q[0], other.v[0], traj.t)
     assert aba.apart(model, q, other.q) < allowed
     assert other.momentum_balance.residual == pytest.approx(0.0, abs=1e-7)

@@ -334,7 +334,8 @@ def test_examples(
     assert report.passed
     # The other route is as near.
     readable = pinred.simulate(traj.scene, method="auto", engine="pinocchio")
-    worst = max(report.shape_bound, report.rotation_bound, report.position_bound)
+    bounds = (report.shape_bounds, report.rotation_bounds, report.position_bounds)
+    worst = max(float(each.max(initial=0.0)) for each in bounds)
     scale = max(1.0, float(np.abs(traj.q).max()))
     np.testing.assert_allclose(readable.q, traj.q, rtol=0, atol=2 * worst * scale)
 

@@ -83,7 +83,7 @@ def test_a_wrong_ratio_is_found(monkeypatch: pytest.MonkeyPatch, seed: int) -> N
     monkeypatch.setitem(right.__dict__, "coupled", wrong)
     report = pinred.compare(pinred.simulate(right, seed=1, duration=0.5))
     assert not report.passed
-    assert report.shape_error > 10.0 * report.shape_bound or report.field_error > 1e-8
+    assert report.equations > 10.0 * report.equations_bound or report.field_error > 1e-8
 
 
 def test_a_kick_leaves_followers_on_their_leaders() -> None:

@@ -172,11 +172,11 @@ def test_report() -> None:
         for name, (value, bound) in report.checks.items()
     }
     assert seen.text.endswith("verdict: PASSED")
-    bad = page(replace(report, energy_drift=float("nan"), growth=1e9))
+    bad = page(replace(report, energy_drift=float("nan"), defect=1.0))
     words = {row[0]: row[-1] for row in bad.tables[0][1:]}
     assert [name for name, word in words.items() if word == "FAILED"] == [
+        "defect of a step [relative]",
         "energy drift [relative]",
-        "growth of perturbations",
     ]
     assert bad.text.endswith("verdict: FAILED")
 

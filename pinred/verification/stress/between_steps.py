@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from ...system.catalogue import bundled_robots
 from ...system.load import load
+from ..defect import defect
 from .check import Case, Cases, Check, Trial, tolerance
-from .defect import defect
 
 _BOUND = 50.0  # the interpolant is of an order below the method, and no error control sees it
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...system.load import load
+from ..defect import defect
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
-from .defect import defect
 
 _ROUNDING = 2e3  # of eps: what a rate has of the momenta's
 # Fast enough, and for long enough, that what is known of the start is lost.

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...common.arrays import Array
+from ..defect import defect
 from .check import DEFECT, PER_RADIAN, Case, Cases, Check, Trial, tolerance
 from .closed_forms import euler_top
-from .defect import defect
 from .made_robots import TUMBLING, body, single, tumbling_arm
 
 _RTOL = 1e-10

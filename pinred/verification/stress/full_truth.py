@@ -32,7 +32,7 @@ def truth_of(scene: Scene, times: Array) -> Truth:
     full, start = FullState(scene), scene.start
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     motion = full.run(y0, times, *FINEST)
-    growth = full.growth(y0, motion, times, 1e-10, 1e-12)
+    growth = float(full.growth(y0, motion, times, 1e-10, 1e-12)[-1])
     return Truth(full, motion, full.size(motion), growth)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..bench.chains import chain
+from ..defect import defect
 from .check import DEFECT, Case, Cases, Check, Trial, tolerance
-from .defect import defect
 
 _RTOL = 1e-10
 

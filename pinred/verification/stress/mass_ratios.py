@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..defect import defect
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
-from .defect import defect
 from .made_robots import TUMBLING, body, tumbling_arm
 from .sprung_discs import SprungDiscs
 

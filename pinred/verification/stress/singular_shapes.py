@@ -7,8 +7,8 @@ import pinocchio as pin
 
 from ...system.system import System
 from ..bench.chains import chain
+from ..defect import defect
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
-from .defect import defect
 from .made_robots import body, serial
 
 _RTOL = 1e-10

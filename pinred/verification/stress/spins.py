@@ -6,9 +6,9 @@ import numpy as np
 import pinocchio as pin
 
 from ...system.load import load
+from ..defect import defect
 from .check import DEFECT, PER_RADIAN, Case, Cases, Check, Trial, tolerance
 from .closed_forms import euler_top, symmetric_top
-from .defect import defect
 from .made_robots import single
 
 _RTOL = 1e-10

@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio as pin
 
 from ...system.system import System
+from ..defect import defect
 from .check import DEFECT, PER_RADIAN, Case, Cases, Check, Trial, tolerance
-from .defect import defect
 from .made_robots import body, serial
 from .sprung_discs import SprungDiscs
 

@@ -8,8 +8,8 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...reduction.inertia_split import symmetric
 from ...system.system import System
+from ..defect import defect
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
-from .defect import defect
 from .made_robots import body, serial
 
 _RTOL = 1e-10

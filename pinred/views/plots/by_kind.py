@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from ...simulation.trajectory import Trajectory
     from ...verification.bench.work_precision import WorkPrecision
-    from ...verification.compare import Report
+    from ...verification.report import Report
     from ..motion_source import MotionSource
     from .curvature_field import Source
     from .shape_plane import Limits

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from ...common.arrays import Array
 from ...lie.groups import group_named
 from ...simulation.trajectory import Trajectory
-from ...verification.compare import ALLOWANCE, audited
+from ...verification.compare import DRIFT, audited
 from ..motion_source import MotionSource
 from .motion_labels import labels
 from .style import legend, line, on_log, over_time, steady, styled
@@ -86,7 +86,7 @@ def _largest(values: Array, linear: int) -> dict[str, Array]:
 
 def _drift_panel(axes: Axes, traj: Trajectory, drift: dict[str, Array]) -> None:
     _log_lines(axes, traj.t, drift)
-    allowed = ALLOWANCE * (traj.scene.rtol + traj.scene.atol)
+    allowed = DRIFT * (traj.scene.rtol + traj.scene.atol)
     axes.axhline(allowed, color="#888888", linewidth=1.0, label="allowed")
     axes.set_ylabel("drift [relative]")
     legend(axes)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 from matplotlib.figure import Figure
 
+from ...common.arrays import Array
 from ...common.errors import InputError
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
-from ...verification.compare import Report, compare
+from ...verification.compare import compare
+from ...verification.report import Report
 from .style import legend, line, on_log, over_time, styled
 
 
@@ -32,18 +35,26 @@ def error(compared: Report | Trajectory) -> Figure:
         )
     figure, (axes,) = over_time(f"{compared.robot}: reduced equations against full ABA", 1)
     series = [
-        ("shape [rad | m]", compared.shape_errors, compared.shape_bound),
-        ("rotation [rad]", compared.rotation_errors, compared.rotation_bound),
-        ("position [m]", compared.position_errors, compared.position_bound),
+        ("shape [rad | m]", *_largest(compared.shape_errors, compared.shape_bounds)),
+        ("rotation [rad]", compared.rotation_errors, compared.rotation_bounds),
+        ("position [m]", compared.position_errors, compared.position_bounds),
     ]
-    for k, (name, values, bound) in enumerate(series):
+    for k, (name, values, bounds) in enumerate(series):
         if values.any():
+            thin = {**line(k), "linewidth": 0.7}
             axes.plot(compared.t, on_log(values), label=name, **line(k))
-            axes.axhline(
-                bound, **{**line(k), "linewidth": 0.7}, label=f"allowed, {name.split()[0]}"
-            )
+            axes.plot(compared.t, on_log(bounds), label=f"allowed, {name.split()[0]}", **thin)
     axes.set_yscale("log")
     axes.set_ylabel("error [rad | m]")
     legend(axes)
     figure.set_figheight(3.2)
     return figure
+
+
+def _largest(errors: Array, bounds: Array) -> tuple[Array, Array]:
+    """Return the error (T,) of the joint that comes closest to its bound at each time, and that."""
+    if not errors.shape[1]:
+        return np.zeros(len(errors)), np.zeros(len(errors))
+    k = np.argmax(errors / bounds, axis=1)
+    rows = np.arange(len(errors))
+    return errors[rows, k], bounds[rows, k]

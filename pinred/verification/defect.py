@@ -8,15 +8,15 @@ that is what an integrator can promise where nearby motions part, and it needs n
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from ...common.arrays import Array
-from ...simulation.trajectory import Trajectory
-from ...system.system import Indices, System
-from ..full_state import FullState
+from ..common.arrays import Array
+from ..simulation.trajectory import Trajectory
+from ..system.system import Indices, System
+from .full_state import OFFSET, FullState
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _MOST_STEPS = 200  # beyond these a random choice is judged
@@ -32,17 +32,38 @@ def defect(
     root's coordinates, joint coordinates, and the velocities of both.
     """
     full = FullState(replace(traj.scene, system=system))
+    found = defects(traj, full, steps=steps)
+    return float((found.inside if inside else found.steps).max(initial=0.0))
+
+
+@dataclass(frozen=True)
+class Defects:
+    """Defects of the steps that are judged, (S,), and of parts of them, (P,), relative.
+
+    Those of parts show what is reported between the ends of steps.
+    """
+
+    steps: Array
+    inside: Array
+
+
+def defects(traj: Trajectory, full: FullState, *, steps: int = _MOST_STEPS) -> Defects:
+    """Return the defects of a trajectory by ABA; see `defect`."""
     a, b, first = _stretches(traj, steps)
     middle, half = 0.5 * (a + b), 0.5 * (b - a)
     nodes = (middle[:, None] + half[:, None] * _NODES).ravel()
     y = full_states(traj, full, np.concatenate([a, b, nodes]))
     start, end, between = np.split(y, [len(a), 2 * len(a)])
-    rates = np.array([full.rate(float(t), row) for t, row in zip(nodes, between, strict=True)])
+    numbers = traj.motion.numbers(nodes)
+    rates = np.empty_like(between)
+    for k, t in enumerate(nodes.tolist()):
+        full.hold(numbers[k])
+        rates[k] = full.rate(t, between[k])
     moved = np.einsum("k,skn->sn", _WEIGHTS, rates.reshape(len(a), len(_NODES), -1))
     missed = end - start - half[:, None] * moved
-    if not inside:  # ends of parts within a step cancel
-        missed = np.add.reduceat(missed, first)
-    return float(np.max(np.abs(missed) / _sizes(traj, full, y)))
+    sizes = _sizes(traj, full, y)
+    whole = np.add.reduceat(missed, first)  # ends of parts within a step cancel
+    return Defects(*((np.abs(each) / sizes).max(axis=1) for each in (whole, missed)))
 
 
 def _stretches(traj: Trajectory, most: int) -> tuple[Array, Array, Indices]:
@@ -76,7 +97,8 @@ def full_states(traj: Trajectory, full: FullState, times: Array) -> Array:
 def _sizes(traj: Trajectory, full: FullState, y: Array) -> Array:
     """Return the largest number of each kind, in every place, (n,).
 
-    Angles and quaternions count as 1 at least, lengths as the radius of gyration.
+    Angles and quaternions count as 1 at least, lengths as the radius of gyration.  Of places, the
+    distance travelled counts, and that from the origin where its round-off does.
     """
     group, m = traj.system.group, traj.system.model.njoints - 2
     linear, size = group.linear, group.size
@@ -87,5 +109,9 @@ def _sizes(traj: Trajectory, full: FullState, y: Array) -> Array:
     edges = [0, linear, size, size + m, size + m + linear, size + m + group.dim, len(out)]
     for first, last in pairwise(edges):
         if last > first:
-            out[first:last] = max(np.abs(y[:, first:last]).max(), least[first])
+            kind = y[:, first:last]
+            if first == 0 and linear:
+                offset = OFFSET * np.abs(kind).max()
+                kind = np.append(np.abs(kind - kind[0]).ravel(), offset)
+            out[first:last] = max(np.abs(kind).max(), least[first])
     return np.where(out > 0.0, out, 1.0)
