@@ -180,6 +180,15 @@ def test_mjcf_against_mujoco() -> None:
     mujoco.mj_forward(model, data)
     assert data.nefc == 2
     np.testing.assert_allclose(data.efc_pos, 0.0, atol=1e-15)
+    # Velocities are where its Jacobian says, and its mass matrix is ours there.
+    names = list(system.model.names)[2:]
+    at = [model.jnt_dofadr[model.joint(name).id] for name in names]
+    rates = system.v(np.zeros(6), [1.0])[6:]
+    np.testing.assert_allclose(data.efc_J.reshape(2, -1)[:, at] @ rates, 0.0, atol=1e-15)
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    own = pinred.Reduction(system).mass_matrix(x)[6:, 6:]
+    assert own[0, 0] == pytest.approx(rates @ M[np.ix_(at, at)] @ rates, rel=1e-13)
     assert [each.follower for each in system.couplings] == ["left", "tip"]
     assert system.keyframes["open"].x == pytest.approx([0.2])
 
