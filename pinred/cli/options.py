@@ -93,6 +93,13 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
         "--spring", metavar="J=K,REST", action="append", default=[], help="a spring at joint J"
     )
     sub.add_argument(
+        "--passive", action="store_true", help="springs and dampers in the robot's file act"
+    )
+    sub.add_argument(
+        "--friction", metavar="WIDTH", type=float,
+        help="dry friction in the file acts: -most*tanh(rate/WIDTH) [rad/s | m/s]",
+    )  # fmt: skip
+    sub.add_argument(
         "--prescribed", metavar="J=PLAN", action="append", default=[],
         help="joint J follows a number or a formula in t, such as '0.4*sin(t)' [rad | m]",
     )  # fmt: skip
@@ -117,6 +124,8 @@ def scene_of(options: argparse.Namespace) -> Scene:
         duration=options.time,
         springs=_springs(options.spring),
         prescribed=_prescribed(options.prescribed),
+        passive=options.passive,
+        friction=options.friction,
         outputs=options.outputs,
         method=_method(options),
         keyframe=options.keyframe,

@@ -24,6 +24,7 @@ from .contents import Contents
 from .joints import motion_group, root_joint
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
+from .model_passive import passive_contents
 from .rerooting import rebuild
 from .robot_files import is_file, is_mjcf, read_description, read_text, read_xml
 from .root_chain import RootChain, root_chain
@@ -62,7 +63,7 @@ def load(
     strict: whether to refuse what there is otherwise only a ModelWarning about: moments of
         inertia that no distribution of mass has, and mass matrices singular at single shapes.
 
-    Warns with LeftOutWarning of what acts in an MJCF file and is not part of the reduction
+    Warns with LeftOutWarning of what acts in a file and is not part of the reduction
     (System.left_out).  Raises LoadError if there is nothing to read, ModelError if pinred
     cannot reduce the model, InputError for an unknown group, joint or root,
     MissingPackageError for MJCF without mujoco.
@@ -98,12 +99,14 @@ def load(
         origin = Origin(str(Path(source).absolute()), locked)
     else:
         raw = _example(name, locked)
-    raw = rebuild(raw, _frozen(raw, locked))
-    model = _on_root(raw, wanted, root_chain(raw))
+    bare = rebuild(raw, _frozen(raw, locked))
+    model = _on_root(bare, wanted, root_chain(bare))
+    contents = passive_contents(raw, list(model.names)[2:], locked)
     if weight is not None:
         model.gravity.linear = weight
     model.name = name
-    system = System(model, name=name, initial=initial, origin=origin)
+    system = System(model, name=name, initial=initial, origin=origin, contents=contents)
+    _warn_of_left_out(system)
     for doubt in system.doubts:
         if strict:
             raise ModelError(f"{quoted(name)} is refused, strictly: {doubt}")
@@ -143,14 +146,19 @@ def _load_mujoco(
     own = motion_group(model.joints[1])
     contents = Contents() if own is None else robot.contents(own)
     system = System(model, name=name, origin=origin, contents=contents)
+    _warn_of_left_out(system, above=1)
+    return system
+
+
+def _warn_of_left_out(system: System, above: int = 0) -> None:
+    """Warn of what acts in a file and is not simulated.  above: functions below `load`."""
     if system.left_out:
         counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
         warnings.warn(
-            f"{name}: in the file, but not simulated: {counts} (see System.left_out)",
+            f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)",
             LeftOutWarning,
-            stacklevel=3,
+            stacklevel=3 + above,
         )
-    return system
 
 
 def _gravity(given: ArrayLike) -> Array:

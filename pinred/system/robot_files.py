@@ -19,6 +19,7 @@ from xml.parsers import expat
 import pinocchio as pin
 
 from ..common.errors import LoadError, ModelError
+from .model_passive import keep_dynamics
 from .urdf import check_urdf, total_mass
 
 _MOST_BYTES = 256_000_000  # of a file that is read whole
@@ -45,6 +46,7 @@ def read_description(path: Path, lock: Collection[str]) -> pin.Model:
         reason = said[0].splitlines()[0] if said[0] else said[-1].splitlines()[-1]
         raise LoadError(f"Pinocchio cannot read {path}: {reason.removeprefix('Error:').strip()}")
     _check_mass(path, model, total_mass(root))
+    keep_dynamics(root, model)
     return model
 
 

@@ -15,7 +15,8 @@ from ..common.errors import InputError, ModelError, ShapeError
 from ..common.memo import once_a_thread
 from ..lie.group import Group
 from .admission import admit
-from .contents import Contents, Keyframe, LeftOut, PassiveJoint
+from .contents import Contents, Keyframe, LeftOut
+from .force import Force
 from .rerooting import depth_first, rebuild
 
 T = TypeVar("T")
@@ -164,8 +165,12 @@ class System:
         return self.contents.left_out
 
     @property
-    def passive(self) -> tuple[PassiveJoint, ...]:
-        """Springs, dampers and dry friction at joints in the file, which are left out."""
+    def passive(self) -> tuple[Force, ...]:
+        """Springs, dampers and dry friction at joints of the shape in the file.
+
+        They are forces.Spring, Damper and Friction, and act in scenes with passive=True, the
+        friction in those with a width for it.
+        """
         return self.contents.passive
 
     @property

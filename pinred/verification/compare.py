@@ -49,7 +49,8 @@ class Report:
     reference_error: how far two references, of order 8 and 5, are apart [relative to the
     motion's size].  growth: factor by which a small perturbation of the initial state
     grew.  *_bound: what passes.  wall_reduced, wall_full: seconds of integration at the
-    same tolerance.
+    same tolerance.  left_out: a sentence on springs, dampers and friction in the robot's file
+    that neither side has, or nothing.
     """
 
     robot: str
@@ -75,6 +76,7 @@ class Report:
     growth_bound: float
     wall_reduced: float
     wall_full: float
+    left_out: str = ""
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -118,6 +120,7 @@ class Report:
             f"{self.robot}: {self.group} × {self.joints} joints, {self.duration:g} s, "
             f"rtol {self.rtol:g}, atol {self.atol:g}\n"
             f"reduced equations against Pinocchio's ABA on the full state\n"
+            + (f"{self.left_out}\n" if self.left_out else "")
         )
         rows = [
             f"  {name:<27} {value:10.2e}   allowed {bound:8.1e}   "
@@ -144,6 +147,7 @@ class Report:
         return card(
             self.robot,
             about,
+            *([line(self.left_out)] if self.left_out else []),
             table("", ["", "value", "allowed", ""], rows),
             line(
                 f"wall time: {self.wall_reduced:.5f} s reduced ({self.engine}), "
@@ -216,6 +220,7 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
         growth_bound=JUDGEABLE / max(KICK, ALLOWANCE * resolved),
         wall_reduced=traj.run.wall,
         wall_full=wall_full,
+        left_out=scene.left_out,
     )
 
 

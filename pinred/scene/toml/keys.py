@@ -161,6 +161,14 @@ SCENE = Table(
         "springs": Key(
             ByName(ListOf(NUMBER, 2)), "joint = [stiffness, rest], short for forces of kind spring"
         ),
+        "passive": Key(
+            Flag(), "whether springs and dampers in the robot's file act", default="false"
+        ),
+        "friction": Key(
+            POSITIVE,
+            "dry friction in the file acts, with this width of its smooth law [rad/s | m/s]",
+            default="it does not",
+        ),
         "prescribed": Key(ByName(SIGNAL), "joints that follow a plan, each a signal"),
         "forces": Key(ListOf(FORCE), "what acts"),
     },

@@ -115,6 +115,7 @@ class _Builder:
             for k, entry in enumerate(self.document.get("forces", []))
         ]
         options = {**self._start(), **run, "springs": springs, "prescribed": prescribed}
+        options |= {k: self.document[k] for k in ("passive", "friction") if k in self.document}
         try:
             scene = Scene(system=self.system, forces=forces, **options)
             _ = scene.start  # which a Scene works out only when somebody asks
