@@ -7,11 +7,9 @@ the file itself, so that they are honoured or refused, never dropped.
 
 from __future__ import annotations
 
-import os
-import sys
-import tempfile
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager, suppress
+import re
+from collections.abc import Collection
+from contextlib import suppress
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers import expat
@@ -19,9 +17,14 @@ from xml.parsers import expat
 import pinocchio as pin
 
 from ..common.errors import LoadError, ModelError
+from ..common.library_output import library_output
 from .model_passive import keep_dynamics
 from .urdf import check_urdf, total_mass
 
+# Two lines: what is wrong, and where in its own source the parser says so.
+_URDFDOM = re.compile(
+    rb"^(?:Error|Warning|Info|Debug):[^\n]*\n +at line \d+ in [^\n]*\n?", re.MULTILINE
+)
 _MOST_BYTES = 256_000_000  # of a file that is read whole
 _FEW = 4096  # letters that are looked at at once
 
@@ -36,14 +39,14 @@ def read_description(path: Path, lock: Collection[str]) -> pin.Model:
     if root.tag != "robot":
         raise LoadError(f"{path} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>")
     check_urdf(root, lock)
-    with captured_stderr() as said:
+    model, why = None, ""
+    with library_output(_URDFDOM) as said:
         try:
             model = pin.buildModelFromUrdf(str(path))
         except Exception as error:  # Pinocchio raises what its parsers raise, of any type
-            said.append(str(error).strip() or type(error).__name__)
-            model = None
+            why = str(error).strip() or type(error).__name__
     if model is None:
-        reason = said[0].splitlines()[0] if said[0] else said[-1].splitlines()[-1]
+        reason = said[0].splitlines()[0] if said else why.splitlines()[-1]
         raise LoadError(f"Pinocchio cannot read {path}: {reason.removeprefix('Error:').strip()}")
     _check_mass(path, model, total_mass(root))
     keep_dynamics(root, model)
@@ -58,23 +61,6 @@ def _check_mass(path: Path, model: pin.Model, written: float) -> None:
             f"{path} gives its links {written:g} kg in all, but Pinocchio reads {read:g} kg; "
             "check the inertial elements"
         )
-
-
-@contextmanager
-def captured_stderr() -> Iterator[list[str]]:
-    """Collect what a C++ library prints on standard error; it becomes the first entry."""
-    said: list[str] = []
-    sys.stderr.flush()
-    with tempfile.TemporaryFile() as file:
-        kept = os.dup(2)
-        os.dup2(file.fileno(), 2)
-        try:
-            yield said
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-            file.seek(0)
-            said.insert(0, file.read().decode(errors="replace").strip())
 
 
 def is_file(path: Path) -> bool:
