@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 from ..common.arrays import Array, freeze
 from .force import Force
+from .visuals import Visuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +64,7 @@ class Contents:
     at joints of the shape, which act where a scene asks for them.  keyframes: states by name.
     couplings: joints that follow others.  freed: the body that the file fixes to the world and
     that floats here, or "".
+    visuals: shapes to draw that were given along with the model.
     """
 
     left_out: tuple[LeftOut, ...] = ()
@@ -70,6 +72,7 @@ class Contents:
     keyframes: Mapping[str, Keyframe] = field(default_factory=lambda: MappingProxyType({}))
     couplings: tuple[Coupling, ...] = ()
     freed: str = ""
+    visuals: Visuals | None = None
 
 
 def shortened(names: tuple[str, ...], most: int = 6) -> str:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import difflib
 import warnings
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -30,26 +31,31 @@ from .robot_files import is_file, is_mjcf, read_description, read_text, read_xml
 from .root_chain import RootChain, root_chain
 from .system import InitialState, Origin, System
 from .urdf import mimic_joints, refuse_mimics
+from .visuals import mesh_folders, with_visuals
 
 if TYPE_CHECKING:
     from mujoco import MjModel, MjSpec
+
+Pair: TypeAlias = tuple[pin.Model, pin.GeometryModel]
 
 _HUGE = 1e100  # m/s²; the square of what is far above overflows
 
 
 def load(
-    source: str | Path | pin.Model | MjModel | MjSpec,
+    source: str | Path | pin.Model | pin.RobotWrapper | Pair | MjModel | MjSpec,
     *,
     group: str | Group | None = None,
     lock: Iterable[str] | Mapping[str, float] = (),
     gravity: ArrayLike | None = None,
     root: str | None = None,
     strict: bool = False,
+    meshes: str | Path | Iterable[str | Path] = (),
 ) -> System:
     """Load a robot and read it as symmetry group times shape.
 
     source: the name of a bundled robot or of one in example-robot-data, the path of a
-        URDF or MJCF file, a pin.Model (which is copied), or mujoco's MjModel or MjSpec.
+        URDF or MJCF file, a pin.Model (which is copied), a pin.RobotWrapper or a pair (model,
+        visual_model), whose shapes playback then shows, or mujoco's MjModel or MjSpec.
         Meshes are read only where an MJCF file takes mass from them.
     group: the symmetry, "R", "SO2", "SE2", "SO3", "SE3" or "RxSE2".  If None, the file's own
         root: its free, planar or spherical root joint (the link above that is the ground); or
@@ -62,6 +68,8 @@ def load(
     root: of an MJCF file, the body of the world that carries the robot, where several move.
     strict: whether to refuse what there is otherwise only a ModelWarning about: moments of
         inertia that no distribution of mass has, and mass matrices singular at single shapes.
+    meshes: a folder, or several, in which playback looks for the meshes of a URDF file, beside
+        those above the file.
 
     Warns with LeftOutWarning of what acts in a file and is not part of the reduction
     (System.left_out).  Raises LoadError if there is nothing to read, ModelError if pinred
@@ -73,18 +81,26 @@ def load(
         raise InputError(f"group must be one of {', '.join(GROUPS)}, got {group!r}")
     weight = None if gravity is None else _gravity(gravity)
     locked = _locked(lock)
+    folders = mesh_folders(meshes)
     if mujoco := _as_mujoco(source):
+        if folders:
+            raise InputError("meshes= is for URDF; an MJCF file says where its meshes are")
         return _load_mujoco(source, mujoco, wanted, locked, weight, root)
+    visuals = with_visuals(source)
+    if visuals is not None:
+        source = visuals.model
     if not isinstance(source, (str, Path, pin.Model)):
         raise InputError(
-            "load takes a name, a path, a pin.Model, an MjModel or an MjSpec, "
-            f"got {type(source).__name__}"
+            "load takes a name, a path, a pin.Model, a pin.RobotWrapper, (model, visual_model), an "
+            f"MjModel or an MjSpec, got {type(source).__name__}"
         )
+    if folders and isinstance(source, pin.Model):
+        raise InputError("meshes= is for robots from files; a model comes with its shapes, or none")
     if root is not None:
         raise InputError(f"root='{root}' is for MJCF; elsewhere one link carries the robot")
     initial: InitialState | None = None
     name = str(source)
-    origin: Origin | None = Origin(name, locked)
+    origin: Origin | None = Origin(name, locked, meshes=folders)
     if isinstance(source, pin.Model):
         refuse_mimicking(source)
         raw, name, origin = source.copy(), source.name, None
@@ -96,12 +112,12 @@ def load(
             initial = _initial_state(robot.initial)
     elif _is_path(name):
         raw, name = read_description(Path(source), locked), Path(source).stem
-        origin = Origin(str(Path(source).absolute()), locked)
+        origin = Origin(str(Path(source).absolute()), locked, meshes=folders)
     else:
         raw = _example(name, locked)
     bare = rebuild(raw, _frozen(raw, locked))
     model = _on_root(bare, wanted, root_chain(bare))
-    contents = passive_contents(raw, list(model.names)[2:], locked)
+    contents = replace(passive_contents(raw, list(model.names)[2:], locked), visuals=visuals)
     if weight is not None:
         model.gravity.linear = weight
     model.name = name

@@ -22,7 +22,7 @@ from .model_passive import keep_dynamics
 from .urdf import check_urdf, total_mass
 
 # Two lines: what is wrong, and where in its own source the parser says so.
-_URDFDOM = re.compile(
+URDFDOM = re.compile(
     rb"^(?:Error|Warning|Info|Debug):[^\n]*\n +at line \d+ in [^\n]*\n?", re.MULTILINE
 )
 _MOST_BYTES = 256_000_000  # of a file that is read whole
@@ -40,7 +40,7 @@ def read_description(path: Path, lock: Collection[str]) -> pin.Model:
         raise LoadError(f"{path} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>")
     check_urdf(root, lock)
     model, why = None, ""
-    with library_output(_URDFDOM) as said:
+    with library_output(URDFDOM) as said:
         try:
             model = pin.buildModelFromUrdf(str(path))
         except Exception as error:  # Pinocchio raises what its parsers raise, of any type

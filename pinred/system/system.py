@@ -43,11 +43,13 @@ class Origin:
 
     source: the robot's name, or the absolute path of its file.  lock: frozen joints and
     their values [rad | m].  root: the body of an MJCF file that was chosen, if one was.
+    meshes: folders in which meshes are looked for, beside those above the file.
     """
 
     source: str
     lock: Mapping[str, float]
     root: str | None = None
+    meshes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

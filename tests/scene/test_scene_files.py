@@ -312,7 +312,7 @@ def test_keys_are_those_of_python() -> None:
     scene = {entry.name for entry in fields(pinred.Scene)} - {"system"}
     keys = {*START.keys, *RUN.keys, "springs", "forces", "prescribed", "passive", "friction"}
     assert keys == scene | {"samples", "engine"}
-    assert set(LOAD.keys) == {"group", "gravity", "lock", "root", "strict"}
+    assert set(LOAD.keys) == {"group", "gravity", "lock", "root", "strict", "meshes"}
     for kind in FORCES.values():
         table = kind.table
         wanted = {entry.name for entry in fields(kind.make)}  # type: ignore[arg-type]

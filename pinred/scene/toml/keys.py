@@ -52,6 +52,11 @@ LOAD = Table(
             default="the only one",
         ),
         "strict": Key(Flag(), "refuse what is otherwise a warning", default="false"),
+        "meshes": Key(
+            Either((Text((), "a folder"), ListOf(Text((), "a folder")))),
+            "where playback looks for the meshes of a URDF, relative to this file",
+            default="in folders above the robot's file",
+        ),
     },
     "the options of pinred.load",
 )

@@ -124,7 +124,11 @@ class _Builder:
         return SceneFile(scene, engine)
 
     def _load(self) -> System:
-        robot, options = self.document["robot"], self.document.get("load", {})
+        robot, options = self.document["robot"], dict(self.document.get("load", {}))
+        if "meshes" in options:
+            given = options["meshes"]
+            folders = [given] if isinstance(given, str) else given
+            options["meshes"] = [self.folder / folder for folder in folders]
         source: str | Path = robot
         file = self.folder / robot
         is_file = _is_file(file)
