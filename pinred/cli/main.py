@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 from ..common.errors import IntegrationError, LeftOutWarning, ModelWarning, PinredError
 from ..common.version import __version__
 from .options import VECTORS
+from .terminal import showing_all
 
 COMMANDS = {  # name of the command and of its file: what it does
     "inspect": "show group, joints, I, A, M and what will be skipped",
@@ -34,6 +35,11 @@ COMMANDS = {  # name of the command and of its file: what it does
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command.  Returns 0, or 1 if a comparison does not pass, or 2 on bad input."""
+    with showing_all():
+        return _run(arguments)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     words = _joined(sys.argv[1:] if arguments is None else arguments)
     options = _parser(words).parse_args(words)
     try:

@@ -18,6 +18,7 @@ import pinocchio as pin
 
 from ..common.errors import LoadError, ModelError
 from ..common.library_output import library_output
+from ..common.plain_names import plain_path, quoted_path
 from .model_passive import keep_dynamics
 from .urdf import check_urdf, total_mass
 
@@ -37,7 +38,9 @@ def read_description(path: Path, lock: Collection[str]) -> pin.Model:
     """
     root = read_xml(path)
     if root.tag != "robot":
-        raise LoadError(f"{path} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>")
+        raise LoadError(
+            f"{plain_path(path)} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>"
+        )
     check_urdf(root, lock)
     model, why = None, ""
     with library_output(URDFDOM) as said:
@@ -47,7 +50,9 @@ def read_description(path: Path, lock: Collection[str]) -> pin.Model:
             why = str(error).strip() or type(error).__name__
     if model is None:
         reason = said[0].splitlines()[0] if said else why.splitlines()[-1]
-        raise LoadError(f"Pinocchio cannot read {path}: {reason.removeprefix('Error:').strip()}")
+        raise LoadError(
+            f"Pinocchio cannot read {plain_path(path)}: {reason.removeprefix('Error:').strip()}"
+        )
     _check_mass(path, model, total_mass(root))
     keep_dynamics(root, model)
     return model
@@ -58,7 +63,7 @@ def _check_mass(path: Path, model: pin.Model, written: float) -> None:
     read = sum(inertia.mass for inertia in model.inertias)
     if abs(read - written) > 1e-9 * max(read, written):
         raise ModelError(
-            f"{path} gives its links {written:g} kg in all, but Pinocchio reads {read:g} kg; "
+            f"{plain_path(path)} gives its links {written:g} kg in all, but Pinocchio reads {read:g} kg; "
             "check the inertial elements"
         )
 
@@ -75,17 +80,24 @@ def read_text(path: Path) -> str:
     """Return what stands in a file of XML.  Raises LoadError."""
     if not is_file(path):
         what = "is a folder" if path.is_dir() else "no such file"
-        raise LoadError(f"{what}: {path}")
+        raise LoadError(f"{what}: {plain_path(path)}")
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise LoadError(
+            f"the name {quoted_path(path)} has bytes that are not UTF-8, which neither Pinocchio "
+            "nor MuJoCo opens; rename the file or its folder"
+        ) from None
     try:
         if path.stat().st_size > _MOST_BYTES:
-            raise LoadError(f"{path} is larger than {_MOST_BYTES // 10**6} MB")
+            raise LoadError(f"{plain_path(path)} is larger than {_MOST_BYTES // 10**6} MB")
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise LoadError(f"{path} is not XML in UTF-8") from None
+        raise LoadError(f"{plain_path(path)} is not XML in UTF-8") from None
     except OSError as error:
-        raise LoadError(f"{path} cannot be read: {error.strerror}") from None
+        raise LoadError(f"{plain_path(path)} cannot be read: {error.strerror}") from None
     if "<!DOCTYPE" in text:
-        raise LoadError(f"{path} declares a document type; entities are not supported")
+        raise LoadError(f"{plain_path(path)} declares a document type; entities are not supported")
     return text
 
 
@@ -107,4 +119,4 @@ def read_xml(path: Path) -> ElementTree.Element:
     try:
         return ElementTree.fromstring(read_text(path))
     except (ElementTree.ParseError, ValueError) as error:
-        raise LoadError(f"{path} is not XML: {error}") from None
+        raise LoadError(f"{plain_path(path)} is not XML: {error}") from None
