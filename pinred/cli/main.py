@@ -15,10 +15,12 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from ..common.errors import IntegrationError, LeftOutWarning, ModelWarning, PinredError
+from ..common.plain_names import plain
 from ..common.version import __version__
 from .options import VECTORS
 from .terminal import showing_all
 
+_LONGEST = 4000  # characters of a message
 COMMANDS = {  # name of the command and of its file: what it does
     "inspect": "show group, joints, I, A, M and what will be skipped",
     "compare": "simulate the reduced equations and judge them by full ABA",
@@ -70,12 +72,12 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 def _warned(message: Warning | str, *_: Any) -> None:
     """Print a warning as one line on standard error."""
-    print(f"pinred: warning: {' '.join(str(message).split())}", file=sys.stderr)
+    print(f"pinred: warning: {plain(str(message), _LONGEST)}", file=sys.stderr)
 
 
 def _failed(message: str, code: int) -> int:
     """Print a message as one line on standard error and return the exit code."""
-    print(f"pinred: error: {' '.join(message.split())}", file=sys.stderr)
+    print(f"pinred: error: {plain(message, _LONGEST)}", file=sys.stderr)
     return code
 
 
@@ -83,7 +85,7 @@ class _Parser(argparse.ArgumentParser):
     """An argument parser that says what is wrong in one line."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"pinred: error: {message}; see `{self.prog} --help`\n")
+        self.exit(2, f"pinred: error: {plain(message, _LONGEST)}; see `{self.prog} --help`\n")
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, as_floats, positive, read_only, vector
 from ..common.defaults import Default, is_given
 from ..common.errors import InputError, ShapeError
+from ..common.plain_names import listed, quoted
 from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method
@@ -319,9 +320,10 @@ class Scene:
 def checked_keyframe(system: System, name: str) -> str:
     """Return the name of a keyframe if the robot has it.  Raises InputError."""
     if name not in system.keyframes:
-        known = ", ".join(system.keyframes) or "none"
+        known = listed(list(system.keyframes), 60) or "none"
         raise InputError(
-            f"keyframe: '{system.name}' has no keyframe {name!r}; the keyframes are {known}"
+            f"keyframe: '{system.name}' has no keyframe {quoted(str(name))}; the "
+            f"keyframes are {known}"
         )
     return name
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from ..common.arrays import Array, freeze
+from ..common.plain_names import plain
 from .force import Force
 from .visuals import Visuals
 
@@ -77,5 +78,5 @@ class Contents:
 
 def shortened(names: tuple[str, ...], most: int = 6) -> str:
     """Return names in a list, of which the last are left out where there are many."""
-    shown = ", ".join(names[:most])
+    shown = ", ".join(map(plain, names[:most]))
     return shown if len(names) <= most else f"{shown}, … ({len(names)} in all)"

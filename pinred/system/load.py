@@ -97,7 +97,7 @@ def load(
     if folders and isinstance(source, pin.Model):
         raise InputError("meshes= is for robots from files; a model comes with its shapes, or none")
     if root is not None:
-        raise InputError(f"root='{root}' is for MJCF; elsewhere one link carries the robot")
+        raise InputError(f"root={quoted(root)} is for MJCF; elsewhere one link carries the robot")
     initial: InitialState | None = None
     name = str(source)
     origin: Origin | None = Origin(name, locked, meshes=folders)
@@ -202,11 +202,11 @@ def _example(name: str, locked: Mapping[str, float]) -> pin.Model:
     """Return the model of a robot in example-robot-data, armature from its rotors."""
     names = catalogue.example_robots()
     if name not in names:
-        near = difflib.get_close_matches(name, [*catalogue.bundled_robots(), *names], n=3)
+        near = difflib.get_close_matches(name[:200], [*catalogue.bundled_robots(), *names], n=3)
         hint = f"did you mean {' or '.join(near)}? " if near else ""
         more = "" if names else f"; for solo12, talos, ur5 and others: {catalogue.INSTALL_ROBOTS}"
         raise LoadError(
-            f"unknown robot '{name}'; {hint}`pinred robots` lists what can be loaded{more}"
+            f"unknown robot {quoted(name)}; {hint}`pinred robots` lists what can be loaded{more}"
         )
     robot = catalogue.example_robot(name)
     if robot.build is None:
@@ -232,7 +232,9 @@ def _locked(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
     values = dict(lock.items()) if isinstance(lock, Mapping) else dict.fromkeys(lock, 0.0)
     for name, value in values.items():
         if not (isinstance(value, (int, float, np.number)) and np.isfinite(value)):
-            raise InputError(f"lock: the value for joint '{name}' must be finite, got {value!r}")
+            raise InputError(
+                f"lock: the value for joint {quoted(name)} must be finite, got {value!r}"
+            )
     return {str(name): float(value) for name, value in values.items()}
 
 
@@ -242,12 +244,13 @@ def _frozen(raw: pin.Model, locked: Mapping[str, float]) -> dict[int, Array]:
     neutral = pin.neutral(raw)
     for name, value in locked.items():
         if not raw.existJointName(name) or name == "universe":
-            known = ", ".join(list(raw.names)[1:])
-            raise InputError(f"lock: no joint '{name}'; the joints are {known}")
+            known = listed(list(raw.names)[1:], 60)
+            raise InputError(f"lock: no joint {quoted(name)}; the joints are {known}")
         joint = raw.joints[raw.getJointId(name)]
         if joint.nv > 1 and value != 0.0:
             raise InputError(
-                f"lock: joint '{name}' has {joint.nv} degrees of freedom and freezes at zero only"
+                f"lock: joint {quoted(name)} has {joint.nv} degrees of freedom and "
+                "freezes at zero only"
             )
         q = neutral[joint.idx_q : joint.idx_q + joint.nq].copy()
         if joint.nv == 1:

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.errors import ModelError
+from ..common.plain_names import quoted
 from .contents import Contents, LeftOut
 from .force import Force
 from .passive import BASE, Damper, Friction
@@ -50,7 +51,9 @@ def _look_at(raw: pin.Model, joint: int, in_shape: bool, found: _Found) -> None:
     damping, most = raw.damping[at], raw.upperDryFrictionLimit[at]
     least = raw.lowerDryFrictionLimit[at]
     if not np.isfinite([*damping, *most, *least]).all():
-        raise ModelError(f"joint '{name}' has damping or friction that is not a finite number")
+        raise ModelError(
+            f"joint {quoted(name)} has damping or friction that is not a finite number"
+        )
     if not (damping.any() or most.any() or least.any()):
         return
     if not in_shape:

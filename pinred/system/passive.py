@@ -8,6 +8,7 @@ from typing import Any
 
 from ..common.arrays import positive
 from ..common.errors import InputError
+from ..common.plain_names import plain
 from .force import Force, Symbols, Terms, finite, settle
 
 BASE = "springs, damping and friction of the base"  # which are left out
@@ -116,7 +117,7 @@ class Friction(Force):
     @property
     def label(self) -> str:
         """The kind of force and the joint."""
-        return f"friction {self.joint}"
+        return between("friction", self.joint, None)
 
     def smoothed(self, width: float) -> Friction:
         """Return the same friction with a width [rad/s | m/s].  Raises InputError."""
@@ -137,7 +138,8 @@ class Friction(Force):
 
 def between(kind: str, joint: str, to: str | None) -> str:
     """Return the name of a force at a joint, or between two."""
-    return f"{kind} {joint}" if to is None else f"{kind} {joint}–{to}"
+    ends = plain(joint) if to is None else f"{plain(joint)}–{plain(to)}"
+    return f"{kind} {ends}"
 
 
 def _settle_polynomial(force: Any) -> None:

@@ -63,8 +63,8 @@ def _check_mass(path: Path, model: pin.Model, written: float) -> None:
     read = sum(inertia.mass for inertia in model.inertias)
     if abs(read - written) > 1e-9 * max(read, written):
         raise ModelError(
-            f"{plain_path(path)} gives its links {written:g} kg in all, but Pinocchio reads {read:g} kg; "
-            "check the inertial elements"
+            f"{plain_path(path)} gives its links {written:g} kg in all, but Pinocchio reads "
+            f"{read:g} kg; check the inertial elements"
         )
 
 
