@@ -16,7 +16,14 @@ import pinred
 from pinred.common.errors import CacheWarning
 from pinred.kernels import secret as secrets_of
 from pinred.kernels.build import build_kernel
-from pinred.kernels.store import _HEADER, _MAGIC, _SIGNATURE, _VERSION, ObjectCache, cache_key
+from pinred.kernels.object_cache import (
+    _HEADER,
+    _MAGIC,
+    _SIGNATURE,
+    _VERSION,
+    ObjectCache,
+    cache_key,
+)
 from pinred.simulation.plan import plan_of
 
 KEY = cache_key("one")
