@@ -32,10 +32,10 @@ def run(
         ("inspect", "falling_cat"),
         ("compare", "falling_cat", "--time", "0.1"),
         ("run", SCENE, "--check", "--explain"),
-        ("run", SCENE, "--compare"),
+        pytest.param(("run", SCENE, "--compare"), marks=pytest.mark.slow),
         ("robots",),
         ("run", "--schema"),
-        ("stress", "--only", "units"),
+        pytest.param(("stress", "--only", "units"), marks=pytest.mark.slow),
     ],
 )
 def test_commands_on_an_ascii_terminal(words: tuple[str, ...]) -> None:
@@ -73,6 +73,7 @@ def test_units_in_ascii() -> None:
     assert "".join(map(nearest_ascii, "×é\udcff中")) == "xe\\xff\\u4e2d"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
 def test_file_names_that_are_no_text(tmp_path: Path, encoding: str) -> None:
     """Motions and scenes may have them; a robot's file is refused in words."""

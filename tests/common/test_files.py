@@ -26,7 +26,7 @@ def slow(file):
     file.write(b"half")
     file.flush()
     print("writing", flush=True)
-    time.sleep(60)
+    time.sleep(20)
 
 write_atomic(Path(sys.argv[1]), slow)
 """
