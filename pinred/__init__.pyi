@@ -17,6 +17,7 @@ from .common.errors import ModelError as ModelError
 from .common.errors import ModelWarning as ModelWarning
 from .common.errors import NoConvergence as NoConvergence
 from .common.errors import NonFiniteState as NonFiniteState
+from .common.errors import NotCopyable as NotCopyable
 from .common.errors import OutputError as OutputError
 from .common.errors import PinredError as PinredError
 from .common.errors import ShapeError as ShapeError

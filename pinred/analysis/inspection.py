@@ -12,6 +12,7 @@ from ..common.errors import SymmetryError
 from ..reduction.at_a_shape import ReducedShape, Reduction
 from ..reduction.cyclic_joints import cyclic_joints
 from ..reduction.potential import pivot_weight
+from ..scene.passive import passive_left_out
 from ..scene.scene import Scene
 from ..simulation.explain import skipped
 from ..simulation.plan import plan_of
@@ -38,7 +39,7 @@ class Inspection:
     reduced_size: int | None
 
     def __str__(self) -> str:
-        system, at = self.system, self.at
+        system, at, left_out = self.system, self.at, _left_out(self.system)
         kinds = [
             f"{name} ({'prismatic' if unit == 'm' else 'revolute'})"
             for name, unit in zip(system.shape_names, system.units, strict=True)
@@ -51,7 +52,7 @@ class Inspection:
             f"gravity     ({', '.join(f'{g:g}' for g in system.gravity)}) m/s²",
             *_wrapped("symmetries", self.symmetries),
             *_wrapped("skipped", self.skipped),
-            *(_wrapped("left out", [*map(str, system.left_out)]) if system.left_out else []),
+            *(_wrapped("left out", left_out) if left_out else []),
             *(_wrapped("keyframes", [", ".join(system.keyframes)]) if system.keyframes else []),
             f"integrated  {self.full_size}{size}",
             f"at x =      {_numbers(at.x)}",
@@ -72,7 +73,7 @@ class Inspection:
             *(("symmetry", text) for text in self.symmetries),
             *(("skipped", text) for text in self.skipped),
             *(("follower", str(each)) for each in system.couplings),
-            *(("left out", str(left)) for left in system.left_out),
+            *(("left out", text) for text in _left_out(system)),
             *(("keyframe", name) for name in system.keyframes),
             ("integrated", f"{self.full_size}{size} numbers"),
         ]
@@ -117,6 +118,12 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
         full_size=system.model.nq + system.model.nv,
         reduced_size=size,
     )
+
+
+def _left_out(system: System) -> list[str]:
+    """Return what acts in the file and not in a run, a line each."""
+    passive = passive_left_out(system, who="a run")
+    return [*map(str, system.left_out), *([passive] if passive else [])]
 
 
 def _group(system: System) -> str:

@@ -15,9 +15,12 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from ..common.errors import IntegrationError, LeftOutWarning, ModelWarning, PinredError
+from ..common.plain_names import plain
 from ..common.version import __version__
 from .options import VECTORS
+from .terminal import showing_all
 
+_LONGEST = 4000  # characters of a message
 COMMANDS = {  # name of the command and of its file: what it does
     "inspect": "show group, joints, I, A, M and what will be skipped",
     "compare": "simulate the reduced equations and judge them by full ABA",
@@ -34,6 +37,11 @@ COMMANDS = {  # name of the command and of its file: what it does
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command.  Returns 0, or 1 if a comparison does not pass, or 2 on bad input."""
+    with showing_all():
+        return _run(arguments)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     words = _joined(sys.argv[1:] if arguments is None else arguments)
     options = _parser(words).parse_args(words)
     try:
@@ -64,12 +72,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _warned(message: Warning | str, *_: Any) -> None:
     """Print a warning as one line on standard error."""
-    print(f"pinred: warning: {' '.join(str(message).split())}", file=sys.stderr)
+    print(f"pinred: warning: {plain(str(message), _LONGEST)}", file=sys.stderr)
 
 
 def _failed(message: str, code: int) -> int:
     """Print a message as one line on standard error and return the exit code."""
-    print(f"pinred: error: {' '.join(message.split())}", file=sys.stderr)
+    print(f"pinred: error: {plain(message, _LONGEST)}", file=sys.stderr)
     return code
 
 
@@ -77,7 +85,7 @@ class _Parser(argparse.ArgumentParser):
     """An argument parser that says what is wrong in one line."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"pinred: error: {message}; see `{self.prog} --help`\n")
+        self.exit(2, f"pinred: error: {plain(message, _LONGEST)}; see `{self.prog} --help`\n")
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
+from ..common.plain_names import quoted
 
 if TYPE_CHECKING:
     from ..scene.scene import Scene
@@ -93,6 +94,13 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
         "--spring", metavar="J=K,REST", action="append", default=[], help="a spring at joint J"
     )
     sub.add_argument(
+        "--passive", action="store_true", help="springs and dampers in the robot's file act"
+    )
+    sub.add_argument(
+        "--friction", metavar="WIDTH", type=float,
+        help="dry friction in the file acts: -most*tanh(rate/WIDTH) [rad/s | m/s]",
+    )  # fmt: skip
+    sub.add_argument(
         "--prescribed", metavar="J=PLAN", action="append", default=[],
         help="joint J follows a number or a formula in t, such as '0.4*sin(t)' [rad | m]",
     )  # fmt: skip
@@ -117,6 +125,8 @@ def scene_of(options: argparse.Namespace) -> Scene:
         duration=options.time,
         springs=_springs(options.spring),
         prescribed=_prescribed(options.prescribed),
+        passive=options.passive,
+        friction=options.friction,
         outputs=options.outputs,
         method=_method(options),
         keyframe=options.keyframe,
@@ -148,7 +158,9 @@ def numbers_in(text: str | None, option: str) -> list[float] | None:
     try:
         return [float(word) for word in text.split(",")] if text else []
     except ValueError:
-        raise InputError(f"--{option} takes numbers separated by commas, got '{text}'") from None
+        raise InputError(
+            f"--{option} takes numbers separated by commas, got {quoted(text)}"
+        ) from None
 
 
 def by_joint_in(text: str, option: str) -> list[float] | dict[str, float]:
@@ -159,12 +171,12 @@ def by_joint_in(text: str, option: str) -> list[float] | dict[str, float]:
     for entry in text.split(","):
         name, _, value = entry.rpartition("=")
         if name in out:
-            raise InputError(f"--{option} has joint '{name}' twice")
+            raise InputError(f"--{option} has joint {quoted(name)} twice")
         try:
             out[name] = float(value if name else "")
         except ValueError:
             raise InputError(
-                f"--{option} takes numbers, or JOINT=NUMBER for each, got '{entry}'"
+                f"--{option} takes numbers, or JOINT=NUMBER for each, got {quoted(entry)}"
             ) from None
     return out
 
@@ -176,7 +188,7 @@ def _springs(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
         values = numbers_in(text, "spring") or []
         if len(values) not in (1, 2):
             raise InputError(
-                f"--spring takes JOINT=STIFFNESS or JOINT=STIFFNESS,REST, got '{entry}'"
+                f"--spring takes JOINT=STIFFNESS or JOINT=STIFFNESS,REST, got {quoted(entry)}"
             )
         springs[name] = (values[0], values[1] if len(values) == 2 else 0.0)
     return springs
@@ -187,9 +199,11 @@ def _prescribed(entries: Sequence[str]) -> dict[str, float | str]:
     for entry in entries:
         name, _, text = entry.partition("=")
         if not text:
-            raise InputError(f"--prescribed takes JOINT=NUMBER or JOINT=FORMULA, got '{entry}'")
+            raise InputError(
+                f"--prescribed takes JOINT=NUMBER or JOINT=FORMULA, got {quoted(entry)}"
+            )
         if name in plans:
-            raise InputError(f"--prescribed has joint '{name}' twice")
+            raise InputError(f"--prescribed has joint {quoted(name)} twice")
         try:
             plans[name] = float(text)
         except ValueError:

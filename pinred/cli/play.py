@@ -16,6 +16,9 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--ghost", action="store_true", help="beside it, full ABA (scenes only)")
     sub.add_argument("--speed", metavar="S", type=float, default=1.0, help="speed at first (1)")
     sub.add_argument("--pair", metavar="J1,J2", help="joints on the axes of the shape panel")
+    sub.add_argument(
+        "--meshes", metavar="FOLDER", action="append", help="where to look for the meshes of a URDF"
+    )
     sub.add_argument("--no-meshes", action="store_true", help="draw bodies from their inertias")
     sub.add_argument("--port", metavar="P", type=int, help="where to serve; any free port")
     sub.add_argument("--no-open", action="store_true", help="do not open the browser")
@@ -33,9 +36,8 @@ def run(options: argparse.Namespace) -> int:
     fps = options.fps
     if fps is None:
         fps = FPS if out is None or out.suffix == ".html" else FILM_FPS
-    view = View(
-        ghost=options.ghost, speed=options.speed, fps=fps, pair=pair, meshes=not options.no_meshes
-    )
+    meshes = options.meshes or not options.no_meshes
+    view = View(ghost=options.ghost, speed=options.speed, fps=fps, pair=pair, meshes=meshes)
     if out is not None:
         from ..common.files import check_path
         from ..views.playback.film import SUFFIXES
@@ -70,6 +72,8 @@ def _check(options: argparse.Namespace) -> None:
         raise InputError(f"play takes a .npz or a scene file (.toml), got '{options.motion}'")
     if options.out is not None and options.port is not None:
         raise InputError("--port is for playing in a browser, not with --out")
+    if options.meshes and options.no_meshes:
+        raise InputError("--meshes says where to find what --no-meshes leaves out; give one")
     page = options.out is None or Path(options.out).suffix == ".html"
     if options.fps is not None and page and Path(options.motion).suffix == ".npz":
         raise InputError(

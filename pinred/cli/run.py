@@ -71,6 +71,8 @@ def summary(traj: Trajectory) -> str:
         ("steps", f"{run.steps} of {run.method} ({run.engine}), {run.evaluations} evaluations"),
         ("wall time [s]", f"{run.wall:.5f}"),
     ]
+    if scene.left_out:
+        rows.append(("left out", scene.left_out))
     if scene.outputs == "all":
         rows += _balances(traj)
     else:

@@ -36,5 +36,7 @@ def run(options: argparse.Namespace) -> int:
     scene = replace(scene, times=np.linspace(0.0, scene.end, options.samples))
     traj = simulate(scene, engine=options.engine, progress=True)
     traj.save(path)
+    if scene.left_out:
+        print(scene.left_out)
     print(f"{traj}\n{written(path)}")
     return 0

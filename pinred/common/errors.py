@@ -56,6 +56,10 @@ class UnsupportedOperationError(PinredError, NotImplementedError):
     """An expression contains an operation that cannot be compiled."""
 
 
+class NotCopyable(PinredError, TypeError):  # noqa: N818
+    """Something lives in this process alone, and can be neither copied nor pickled."""
+
+
 class KernelMismatch(PinredError, ArithmeticError):  # noqa: N818
     """A compiled kernel disagrees with Pinocchio and must not run."""
 

@@ -1,12 +1,14 @@
-"""Values made once for the object they belong to, and kept for as long as it lives."""
+"""Values made once: for the object they belong to, as long as it lives, or for the process."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from threading import get_ident
-from typing import Any, TypeVar
+from functools import cache, wraps
+from threading import RLock, get_ident
+from typing import Any, ParamSpec, TypeVar
 
 _T = TypeVar("_T")
+_P = ParamSpec("_P")
 
 
 def once(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
@@ -24,3 +26,18 @@ def once(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
 def once_a_thread(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
     """Return the value made for this owner, key and thread: for values that own work space."""
     return once(owner, (get_ident(), key), make)
+
+
+def once_for_all(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Make a function give the same object for the same arguments, to all threads.
+
+    functools.cache lets two threads that come at once both call the function.
+    """
+    kept, lock = cache(function), RLock()
+
+    @wraps(function)
+    def found(*args: _P.args, **options: _P.kwargs) -> _T:
+        with lock:
+            return kept(*args, **options)  # type: ignore[arg-type]
+
+    return found

@@ -6,12 +6,16 @@ import difflib
 from collections.abc import Sequence
 
 from .errors import InputError
+from .plain_names import listed, quoted
+
+_COMPARED = 200  # characters of a name that are compared with others
+_MOST = 60  # names in a list
 
 
 def nearest(name: str, known: Sequence[str]) -> str:
     """Return the question whether the nearest of the known names is meant; "" if none is near."""
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean '{near[0]}'? " if near else ""
+    near = difflib.get_close_matches(name[:_COMPARED], known, n=1)
+    return f"did you mean {quoted(near[0])}? " if near else ""
 
 
 def joint_index(name: str, joints: Sequence[str], what: str) -> int:
@@ -19,6 +23,6 @@ def joint_index(name: str, joints: Sequence[str], what: str) -> int:
     if name in joints:
         return joints.index(name)
     raise InputError(
-        f"{what}: no shape joint '{name}'; {nearest(str(name), joints)}"
-        f"the joints are {', '.join(joints) or 'none'}"
+        f"{what}: no shape joint {quoted(str(name))}; {nearest(str(name), joints)}"
+        f"the joints are {listed(joints, _MOST) or 'none'}"
     )

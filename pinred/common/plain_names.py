@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 
 _LONGEST = 60  # characters of a name
+_LONGEST_PATH = 200  # of the name of a file, with its folders
 _MOST = 8  # names in a list
 
 
@@ -26,6 +27,16 @@ def plain(name: str, longest: int = _LONGEST) -> str:
 def quoted(name: str) -> str:
     """Return a name as `plain` does, in quotes."""
     return f"'{plain(name)}'"
+
+
+def plain_path(path: object) -> str:
+    """Return the name of a file or folder as `plain` does; it may be longer than others."""
+    return plain(str(path), _LONGEST_PATH)
+
+
+def quoted_path(path: object) -> str:
+    """Return the name of a file or folder as `plain_path` does, in quotes."""
+    return f"'{plain_path(path)}'"
 
 
 def listed(names: Collection[str], most: int = _MOST) -> str:

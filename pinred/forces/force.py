@@ -2,110 +2,23 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from ..common.arrays import positive
 from ..common.errors import InputError
-from ..common.names import joint_index
+from ..system.force import Force as Force
+from ..system.force import Symbols as Symbols
+from ..system.force import Terms as Terms
+from ..system.force import entries as entries
+from ..system.force import finite as finite
 from .signals import Signal
-
-if TYPE_CHECKING:
-    import casadi as ca
-
-    from ..system.system import System
 
 PerJoint: TypeAlias = float | Mapping[str, float]
 Reference: TypeAlias = Mapping[str, Signal | float]
-
-
-@dataclass(frozen=True)
-class Symbols:
-    """The variables of which forces are functions.
-
-    t: time [s].  x, xdot: (m,) shape and rate, by number or by joint.  xi, mu: (r,) body twist
-    of the base and body momentum, both as seen from the centre of mass: the linear part of μ is
-    zero, the angular one is about the centre of mass (SO2, SO3: about the axis or pivot).
-    within: a time that says which piece of a table counts.
-    For forces that are `last`: others, (m,) torques of all other forces; accelerations, those
-    of the prescribed joints.
-    """
-
-    system: System
-    t: ca.SX
-    x: ca.SX
-    xdot: ca.SX
-    xi: ca.SX
-    mu: ca.SX
-    within: ca.SX | None = None
-    others: ca.SX | float = 0.0
-    accelerations: Mapping[int, ca.SX] = field(default_factory=dict)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the shape joints."""
-        return self.system.shape_names
-
-    @property
-    def every_name(self) -> tuple[str, ...]:
-        """Names of the shape joints, and then of those that follow them."""
-        return (*self.names, *self.system.followers)
-
-    def joint(self, name: str, what: str) -> int:
-        """Return the index of a joint; those that follow others come after the shape's.
-
-        What acts on one of these acts through it on the joint that it follows.  Raises InputError
-        that lists the joints.
-        """
-        return joint_index(name, self.every_name, what)
-
-    def column(self, values: Any, what: str) -> dict[int, Any]:
-        """Return {joint: value} of a mapping by names or of a sequence of m values."""
-        if isinstance(values, Mapping):
-            return {self.joint(name, what): value for name, value in values.items()}
-        found = entries(values, len(self.names), what)
-        return dict(enumerate(found))
-
-
-@dataclass
-class Terms:
-    """The action of a force.
-
-    torque: by joint, numbered as `Symbols.joint` does.  wrench: r entries on the base.
-    potential: [J].
-    """
-
-    potential: Any = None
-    torque: dict[int, Any] = field(default_factory=dict)
-    wrench: list[Any] | None = None
-
-
-class Force(ABC):
-    """A force: it acts on the system, and does not depend on where its base is."""
-
-    last: ClassVar[bool] = False  # whether it has to know what the others do
-
-    @property
-    @abstractmethod
-    def label(self) -> str:
-        """The force's name in tables and messages."""
-
-    @abstractmethod
-    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
-        """Return the action of the force.
-
-        number: turns a value that may change from scene to scene without another kernel
-        into a symbol.  Raises InputError for joints that are not there.
-        """
-
-    @property
-    def signals(self) -> Iterable[Signal]:
-        """The functions of time in the force."""
-        return ()
 
 
 class Named(Force):
@@ -197,43 +110,6 @@ def per_joint(values: PerJoint, joints: Iterable[int], s: Symbols, what: str) ->
     if missing:
         raise InputError(f"{what} has no value for '{missing[0]}'")
     return {k: given[k] for k in joints}
-
-
-def finite(value: Any, what: str, wanted: str = "a number") -> float:
-    """Return a value as a finite number.  Raises InputError naming `what`."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{what} must be {wanted}, got {value!r}") from None
-    if not np.isfinite(number):
-        raise InputError(f"{what} must be finite, got {number}")
-    return number
-
-
-def settle(force: Any, *names: str) -> None:
-    """Make fields of a force finite floats.  Raises InputError."""
-    for name in names:
-        object.__setattr__(force, name, finite(getattr(force, name), f"{name} of a {force.label}"))
-
-
-def between(kind: str, joint: str, to: str | None) -> str:
-    """Return the name of a force at a joint, or between two."""
-    return f"{kind} {joint}" if to is None else f"{kind} {joint}–{to}"
-
-
-def entries(values: Any, count: int, what: str) -> list[Any]:
-    """Return the entries of a column or sequence of `count`.  Raises InputError."""
-    import casadi as ca
-
-    if isinstance(values, ca.SX):
-        values = ca.vertsplit(ca.densify(values)) if values.shape[1] == 1 else [values]
-    try:
-        found = list(values)
-    except TypeError:
-        found = [values]
-    if len(found) != count:
-        raise InputError(f"{what} must give {count} values, gave {len(found)}")
-    return found
 
 
 def scalar(value: Any, what: str) -> Any:

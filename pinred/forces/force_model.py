@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
@@ -17,10 +17,11 @@ from ..common.errors import InputError
 from ..common.memo import once
 from ..reduction.potential import spring_pair
 from ..reduction.tree.all_joints import joint_rates, joint_values
+from ..system.coupling import following
 from ..system.system import System
 from .by_name import Column
 from .force import Force, Symbols, Terms
-from .kinds import Controller, Damper, Spring
+from .kinds import Controller, Damper, Friction, Spring
 from .signals import Constant, Expression, Signal
 
 _REMEMBERED = 16  # models of one system
@@ -75,7 +76,8 @@ class ForceModel:
         self.references = tuple(signal for force in forces for signal in force.signals)
         has_breaks = any(signal.breaks.size for signal in (*self.signals, *self.references))
         s = Symbols(
-            system=system,
+            names=system.shape_names,
+            followers={name: following(name, system.couplings) for name in system.followers},
             t=ca.SX.sym("t"),
             x=_column(system, "x", joint_values),
             xdot=_column(system, "xdot", joint_rates),
@@ -107,7 +109,8 @@ class ForceModel:
                     raise InputError(f"{force.label}: only one force may know all the others")
                 others = ca.sum2(torques) - ca.gradient(potential, s.x)
                 known = dict(zip(self.joints, ca.vertsplit(xddot), strict=True))
-                s = replace(s, others=others, accelerations=known)
+                required = partial(_required_torque, system, s)
+                s = replace(s, others=others, accelerations=known, required_torque=required)
             first = len(self._values)
             terms = force.terms(s, self._number)
             self._check_symbols(s, terms, force.label)
@@ -219,7 +222,10 @@ def remembered_model(
     # What is equal acts the same; what cannot be compared by value is kept, and so is itself.
     key = (
         repr(dict(springs)),
-        *(force if isinstance(force, (Spring, Damper)) else id(force) for force in forces),
+        *(
+            force if isinstance(force, (Spring, Damper, Friction)) else id(force)
+            for force in forces
+        ),
         *((name, _same(signal)) for name, signal in prescribed.items()),
     )
     models: dict[Hashable, tuple[ForceModel, object]] = once(system, remembered_model, dict)
@@ -252,6 +258,12 @@ def _force_model(
         if not isinstance(signal, Signal):
             raise InputError(f"prescribed['{name}'] must be a Signal, got {signal!r}")
     return ForceModel(system, every, prescribed)
+
+
+def _required_torque(system: System, s: Symbols, accelerations: Mapping[int, ca.SX]) -> ca.SX:
+    from .inverse_dynamics import required_torque  # heavy to import
+
+    return required_torque(system, s, accelerations)
 
 
 def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:

@@ -11,16 +11,16 @@ from ..reduction.potential import pivot_weight, shape_gravity
 from ..reduction.tree.all_joints import joint_values
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.momenta import bracket, centre_of_mass, momenta
+from ..system.system import System
 from .force import Symbols
 
 
-def required_torque(s: Symbols, accelerations: Mapping[int, ca.SX]) -> ca.SX:
+def required_torque(system: System, s: Symbols, accelerations: Mapping[int, ca.SX]) -> ca.SX:
     """Return the torques (m,) that give the joints these accelerations, with a free base.
 
     With p = H v, the base follows from μ̇ = ad*_ξ μ, and then τ = d/dt π − ∂T/∂x + ∂V/∂x.
     accelerations: of every joint.  Raises SymmetryError for a pivoted base that gravity turns.
     """
-    system = s.system
     if pivot_weight(system).any():
         raise SymmetryError(
             f"gravity turns the base of '{system.name}', so that its accelerations do not follow "

@@ -15,6 +15,9 @@ import numpy as np
 
 from ..common.arrays import Array, as_floats, positive
 from ..common.errors import InputError
+from ..system.passive import Damper as Damper
+from ..system.passive import Friction as Friction
+from ..system.passive import Spring as Spring
 from .force import Force as Force
 from .force import Limit as Limit
 from .force import (
@@ -23,7 +26,6 @@ from .force import (
     Reference,
     Symbols,
     Terms,
-    between,
     checked,
     checked_reference,
     entries,
@@ -32,7 +34,6 @@ from .force import (
     of_time,
     per_joint,
     scalar,
-    settle,
     signals_in,
 )
 from .signals import Signal
@@ -44,6 +45,7 @@ __all__ = [
     "Controller",
     "Damper",
     "Force",
+    "Friction",
     "Limit",
     "PotentialEnergy",
     "Spring",
@@ -52,62 +54,6 @@ __all__ = [
 ]
 
 Action: TypeAlias = Callable[[Any, Any, Any, Any], Any]
-
-
-@dataclass(frozen=True)
-class Spring(Force):
-    """A spring: V = ½ k (x − rest)², or of x − x_to between two joints.  k: [N·m/rad | N/m]."""
-
-    joint: str
-    stiffness: float
-    rest: float = 0.0
-    to: str | None = None
-
-    def __post_init__(self) -> None:
-        settle(self, "stiffness", "rest")
-
-    @property
-    def label(self) -> str:
-        """The kind of force and the joint, or both joints."""
-        return between("spring", self.joint, self.to)
-
-    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
-        """Return the potential."""
-        length = s.x[s.joint(self.joint, self.label)]
-        if self.to is not None:
-            if self.to == self.joint:
-                raise InputError(f"{self.label}: both ends are the same joint")
-            length = length - s.x[s.joint(self.to, self.label)]
-        stretch = length - number(self.rest)
-        return Terms(potential=0.5 * number(self.stiffness) * stretch * stretch)
-
-
-@dataclass(frozen=True)
-class Damper(Force):
-    """A damper: τ = −c ẋ, or of ẋ − ẋ_to on two joints.  c: [N·m·s/rad | N·s/m]."""
-
-    joint: str
-    coefficient: float
-    to: str | None = None
-
-    def __post_init__(self) -> None:
-        settle(self, "coefficient")
-
-    @property
-    def label(self) -> str:
-        """The kind of force and the joint, or both joints."""
-        return between("damper", self.joint, self.to)
-
-    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
-        """Return the torques."""
-        k, c = s.joint(self.joint, self.label), number(self.coefficient)
-        if self.to is None:
-            return Terms(torque={k: -c * s.xdot[k]})
-        j = s.joint(self.to, self.label)
-        if j == k:
-            raise InputError(f"{self.label}: both ends are the same joint")
-        torque = c * (s.xdot[k] - s.xdot[j])
-        return Terms(torque={k: -torque, j: torque})
 
 
 @dataclass(frozen=True)
@@ -222,11 +168,9 @@ class ComputedTorque(_Tracking):
 
     def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
         """Return the torques.  Raises InputError if a joint that moves has no reference."""
-        from .inverse_dynamics import required_torque  # heavy to import
-
         wanted = motions(self.reference, s, number, self.name)
         for k in wanted:
-            s.system.refuse_follower(s.every_name[k], f"{self.name} has a reference")
+            s.refuse_follower(k, f"{self.name} has a reference")
         missing = [k for k in range(len(s.names)) if k not in {*wanted, *s.accelerations}]
         if missing:
             raise InputError(f"{self.name} has no reference for joint '{s.names[missing[0]]}'")
@@ -237,7 +181,7 @@ class ComputedTorque(_Tracking):
         accelerations = dict(s.accelerations)
         for k, feedback in self._feedback(s, number, wanted).items():
             accelerations[k] = wanted[k][2] + feedback
-        every = required_torque(s, accelerations) - s.others
+        every = s.required_torque(accelerations) - s.others
         torque = {k: every[k] for k in wanted}
         return Terms(torque=limited(self.limit, s, torque, self.name))
 

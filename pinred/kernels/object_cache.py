@@ -2,18 +2,18 @@
 
 The machine code kept here runs with the rights of whoever loads it.  So nothing is read from
 a folder or a file that anyone else could have written, no link is followed, and an entry
-counts only if its header, its key and its checksum agree.  A fault of the cache leads to a
+counts only if its header and its key agree and the user's own secret has signed all of it: what
+somebody else has put there is compiled anew, never run.  A fault of the cache leads to a
 CacheWarning and a recompilation, never to an error.
 """
 
 from __future__ import annotations
 
+import hmac
 import os
 import re
-import secrets
 import stat
 import struct
-import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -27,17 +27,18 @@ import llvmlite.binding as llvm
 from platformdirs import user_cache_path
 
 from ..common.errors import CacheWarning, InputError
+from ..common.temporary import sweep, temporary
 from ..common.version import __version__
+from .secret import secret
 
 LIMIT = 256 * 2**20  # bytes
 
-_VERSION = 1
+_VERSION = 2
 _MAGIC = b"pinred\x00\n"
-_HEADER = struct.Struct("<8sI64sQ32s")  # magic, version, key, length and sha256 of the payload
+_HEADER = struct.Struct("<8sI64sQ")  # magic, version, key, length of the payload
+_SIGNATURE = 32  # bytes: HMAC-SHA256 of header and payload, between them
 _KEY = re.compile(r"[0-9a-f]{64}")
 _ENTRY = re.compile(r"([0-9a-f]{64})\.o")
-_LEFTOVER = re.compile(r"\.[0-9a-f]{64}\.[0-9a-f]{16}\.tmp")
-_LEFTOVER_AGE = 3600.0  # seconds; then who wrote it has died
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 _said: set[tuple[str, str]] = set()  # folders, and what has been said about them once
@@ -129,13 +130,13 @@ class ObjectCache:
         larger than the limit is not kept.
         """
         name = _file_name(key)
-        header = _HEADER.pack(_MAGIC, _VERSION, key.encode(), len(code), sha256(code).digest())
-        if len(header) + len(code) > self.limit:
+        header = _HEADER.pack(_MAGIC, _VERSION, key.encode(), len(code))
+        if len(header) + _SIGNATURE + len(code) > self.limit:
             return
         try:
             with self._open(make=True) as folder:
                 if folder is not None:
-                    _write(folder, name, key, header + code)
+                    _write(folder, name, header + _signature(header, code) + code)
                     self._trim(folder)
         except OSError as error:
             self._say_once("write", f"compiled code is not kept in '{self.folder}': {error}")
@@ -150,7 +151,7 @@ class ObjectCache:
         with self._open(make=False) as folder:
             if folder is None:
                 return 0
-            _remove_leftovers(folder)
+            sweep(folder)
             return sum(_remove(folder, f"{entry.key}.o") for entry in _entries(folder))
 
     def _trim(self, folder: int) -> None:
@@ -158,7 +159,6 @@ class ObjectCache:
         total = sum(entry.size for entry in entries)
         if total <= self.limit:
             return
-        _remove_leftovers(folder)
         for entry in entries:
             if total <= self.limit:
                 return
@@ -191,6 +191,8 @@ class ObjectCache:
                     f"the cache '{self.folder}' is not used, it {why}; machine code is only "
                     "read where nobody else can write: chmod go-w, or set PINRED_CACHE_DIR",
                 )
+            elif above := _open_above(self.folder):
+                self._say_once("above", f"the cache '{self.folder}' lies in {above}")
             yield None if why else folder
         finally:
             os.close(folder)
@@ -222,6 +224,24 @@ def _distrust(status: os.stat_result) -> str:
     return ""
 
 
+def _open_above(folder: Path) -> str:
+    """Return which folder above could be put in another's place by others, or nothing.
+
+    Where a folder is sticky, as /tmp is, others cannot move what is not theirs.
+    """
+    for above in folder.absolute().parents:
+        with suppress(OSError):
+            status = above.stat()
+            everyone = status.st_mode & stat.S_IWOTH and not status.st_mode & stat.S_ISVTX
+            if everyone:
+                return (
+                    f"'{above}', where everyone can write (mode "
+                    f"{stat.S_IMODE(status.st_mode):04o}): others can put a folder of theirs in "
+                    "its place, whose entries are not used; set PINRED_CACHE_DIR to one of your own"
+                )
+    return ""
+
+
 def _read(folder: int, name: str, key: str) -> bytes:
     """Return the payload of an entry, and note its use.
 
@@ -250,35 +270,33 @@ def _checked(file: BinaryIO, size: int, key: str) -> bytes:
     head = file.read(_HEADER.size)
     if len(head) < _HEADER.size:
         raise _DistrustError("it is cut off")
-    magic, form, stored_key, length, checksum = _HEADER.unpack(head)
+    magic, form, stored_key, length = _HEADER.unpack(head)
     if magic != _MAGIC:
         raise _DistrustError("it was not written by pinred")
     if form != _VERSION:
         raise _DistrustError(f"its format is {form}, not {_VERSION}")
     if stored_key != key.encode():
         raise _DistrustError("it holds the object of another key")
-    if length != size - _HEADER.size:
+    if length != size - _HEADER.size - _SIGNATURE:
         raise _DistrustError("its length is not the one in its header")
-    payload = file.read(length)
-    if sha256(payload).digest() != checksum:
-        raise _DistrustError("its checksum is wrong")
+    signature, payload = file.read(_SIGNATURE), file.read(length)
+    if not hmac.compare_digest(signature, _signature(head, payload)):
+        raise _DistrustError("its signature is not this user's, or it is damaged")
     return payload
 
 
-def _write(folder: int, name: str, key: str, data: bytes) -> None:
+def _signature(header: bytes, payload: bytes) -> bytes:
+    return hmac.digest(secret(), header + payload, "sha256")
+
+
+def _write(folder: int, name: str, data: bytes) -> None:
     """Write an entry under a temporary name, and rename it when it is complete on disk."""
-    temporary = f".{key}.{secrets.token_hex(8)}.tmp"
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-    descriptor = os.open(temporary, flags, 0o600, dir_fd=folder)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
+    with temporary(folder, 0o600) as made:
+        with os.fdopen(made.descriptor, "wb", closefd=False) as file:
             file.write(data)
             file.flush()
-            os.fsync(descriptor)
-        os.replace(temporary, name, src_dir_fd=folder, dst_dir_fd=folder)
-    except BaseException:
-        _remove(folder, temporary)
-        raise
+            os.fsync(made.descriptor)
+        made.become(name)
 
 
 def _remove(folder: int, name: str) -> bool:
@@ -305,10 +323,3 @@ def _entries(folder: int) -> list[CacheEntry]:
         for name, status in _files(folder, _ENTRY)
     ]
     return sorted(entries, key=lambda entry: entry.last_use)
-
-
-def _remove_leftovers(folder: int) -> None:
-    """Remove files that processes began to write and did not finish."""
-    for name, status in _files(folder, _LEFTOVER):
-        if status.st_mtime < time.time() - _LEFTOVER_AGE:
-            _remove(folder, name)

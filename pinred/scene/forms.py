@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, as_floats, read_only, vector
 from ..common.errors import InputError, PinredError, ShapeError
 from ..common.names import joint_index, nearest
+from ..common.plain_names import quoted
 from ..forces.signals import Constant, Expression, Signal
 from ..integrators.methods import METHODS, Method
 from ..system.coupling import following
@@ -146,26 +147,26 @@ def _method_of_text(text: str) -> Method | Literal["auto"]:
     name, given, named = _call(text)
     if name == "auto":
         if given or named:
-            raise InputError(f"method auto has no options, got '{text}'")
+            raise InputError(f"method auto has no options, got {quoted(text)}")
         return "auto"
     if name not in METHODS:
         raise InputError(
-            f"unknown method '{name}'; {nearest(name, list(METHODS))}"
+            f"unknown method {quoted(name)}; {nearest(name, list(METHODS))}"
             f"the methods are {', '.join(METHODS)} and auto"
         )
     kind = METHODS[name]
     options = {entry.name: entry.default for entry in fields(kind)}
     unknown = [key for key in named if key not in options]
     if unknown or len(given) > len(options):
-        told = f"option '{unknown[0]}'" if unknown else f"{len(given)} options"
+        told = f"option {quoted(unknown[0])}" if unknown else f"{len(given)} options"
         raise InputError(f"method {name} has no {told}; its options are {', '.join(options)}")
     twice = [key for key in list(options)[: len(given)] if key in named]
     if twice:
-        raise InputError(f"method '{text}' gives {twice[0]} twice")
+        raise InputError(f"method {quoted(text)} gives {twice[0]} twice")
     named |= dict(zip(options, given, strict=False))
     missing = [key for key, default in options.items() if default is MISSING and key not in named]
     if missing:
-        raise InputError(f"method '{text}' needs a {missing[0]}, as in {name}(0.01)")
+        raise InputError(f"method {quoted(text)} needs a {missing[0]}, as in {name}(0.01)")
     return kind(**named)
 
 
@@ -185,9 +186,8 @@ def _call(text: str) -> tuple[str, list[Any], dict[str, Any]]:
             )
     except (ValueError, SyntaxError, MemoryError, RecursionError):
         pass
-    shown = text if len(text) <= 60 else f"{text[:59]}…"
     raise InputError(
-        f"method '{shown}' must be a name, or a name with options such as RKMK4(0.01); "
+        f"method {quoted(text)} must be a name, or a name with options such as RKMK4(0.01); "
         f"the methods are {', '.join(METHODS)} and auto"
     )
 

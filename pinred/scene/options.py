@@ -32,5 +32,7 @@ class SceneOptions(TypedDict, total=False):
     springs: Mapping[str, tuple[float, float]]
     forces: Sequence[Force] | Force
     prescribed: Mapping[str, Signal | float | str]
+    passive: bool
+    friction: float | None
     outputs: WantedOutputs
     method: Method | str

@@ -13,12 +13,14 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, as_floats, positive, read_only, vector
 from ..common.defaults import Default, is_given
 from ..common.errors import InputError, ShapeError
+from ..common.plain_names import listed, quoted
 from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method
 from ..system.system import System, checked_system
 from . import forms
 from .initial_state import GivenStates, Start, start_of
+from .passive import acting_passive, checked_passive, passive_left_out
 from .random_state import DURATION, random_state
 from .tolerances import check_tolerances, with_tolerances
 
@@ -64,6 +66,9 @@ class Scene:
     forces: what else acts (see pinred.forces).  prescribed: {joint: Signal, number or formula
     in t such as "0.4*sin(t)"}, joints that follow a plan (see pinred.signals); their entries in
     x0 and xdot0 are not read, and torques on them only relieve their drives.
+    passive: whether springs and dampers in the robot's file act (System.passive).  friction: the
+    rate [rad/s | m/s] within which dry friction in the file turns round, τ = −most·tanh(ẋ/width);
+    None leaves it out.
     outputs: "all", or "shape" to leave out the base.
     method: an integrator of pinred.integrators, or as text: "DOP853", "RKMK4(0.01)".  One with
     step control works to rtol and atol, or to its own tolerances if it has them: not both.
@@ -91,6 +96,8 @@ class Scene:
     springs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     forces: Sequence[Force] | Force = ()
     prescribed: Mapping[str, Signal | float | str] = field(default_factory=dict)
+    passive: bool = False
+    friction: float | None = None
     outputs: WantedOutputs = "all"
     method: Method | str = "auto"
 
@@ -143,6 +150,7 @@ class Scene:
         acting = [
             *((f"spring {name}", str(spring)) for name, spring in self.springs.items()),
             *((force.label, repr(force)) for force in forces),
+            *((f"{force.label}, of the file", repr(force)) for force in self.own_forces),
             *((f"prescribed {name}", repr(plan)) for name, plan in self.prescribed.items()),
         ]
         method = self.integrator or self.method
@@ -191,6 +199,16 @@ class Scene:
         return model
 
     @property
+    def own_forces(self) -> tuple[Force, ...]:
+        """What acts of the springs, dampers and friction in the robot's file."""
+        return acting_passive(self.system, passive=self.passive, friction=self.friction)
+
+    @property
+    def left_out(self) -> str:
+        """A sentence on springs, dampers and friction in the file that do not act; or nothing."""
+        return passive_left_out(self.system, passive=self.passive, friction=self.friction)
+
+    @property
     def end(self) -> float:
         """The time at which the simulation ends [s]; it starts at 0."""
         if self.duration is not None:
@@ -212,18 +230,21 @@ class Scene:
         if not isinstance(given, Iterable):
             raise InputError(f"forces must be a list of those of pinred.forces, got {given!r}")
         forces = tuple(given)
+        passive, friction = checked_passive(self.passive, self.friction)
+        self._keep("friction", friction)
+        own = acting_passive(self.system, passive=passive, friction=friction)
         prescribed = {
             name: forms.signal(value, f"prescribed['{name}']")
             for name, value in self.prescribed.items()
         }
         self._keep("forces", forces)
         self._keep("prescribed", prescribed)
-        if not (self.springs or forces or prescribed):
+        if not (self.springs or forces or own or prescribed):
             self._keep("_forces", None)
             return
         from ..forces.force_model import remembered_model  # needs CasADi
 
-        model = remembered_model(self.system, self.springs, forces, prescribed)
+        model = remembered_model(self.system, self.springs, (*forces, *own), prescribed)
         for signal in (*model.signals, *model.references):
             first, last = signal.span
             if not first <= 0.0 <= self.end <= last:
@@ -299,9 +320,10 @@ class Scene:
 def checked_keyframe(system: System, name: str) -> str:
     """Return the name of a keyframe if the robot has it.  Raises InputError."""
     if name not in system.keyframes:
-        known = ", ".join(system.keyframes) or "none"
+        known = listed(list(system.keyframes), 60) or "none"
         raise InputError(
-            f"keyframe: '{system.name}' has no keyframe {name!r}; the keyframes are {known}"
+            f"keyframe: '{system.name}' has no keyframe {quoted(str(name))}; the "
+            f"keyframes are {known}"
         )
     return name
 

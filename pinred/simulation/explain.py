@@ -11,6 +11,8 @@ def explain(plan: Plan) -> str:
     """Return what the compiled engine skips and how many numbers it integrates, as lines."""
     lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=_begins_without(plan))]
     lines.append(f"integrated: {integrated(plan)}")
+    if plan.scene.left_out:
+        lines.append(f"left out: {plan.scene.left_out}")
     return "\n".join([*lines, f"method: {plan.method.name} ({plan.choice.why})"])
 
 

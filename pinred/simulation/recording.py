@@ -21,6 +21,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import InputError, LoadError, PinredError
+from ..common.plain_names import plain_path, quoted_path
 from ..lie.groups import GROUPS
 from .state import OverTime, ShapeState, State
 
@@ -78,7 +79,7 @@ class Recording(OverTime):
         system = _loaded(self.path, self.robot, self.group, self.origin)
         if system.shape_names != self.joints or system.group.name != self.group:
             raise InputError(
-                f"{self.path} was written for group {self.group} and the joints "
+                f"{plain_path(self.path)} was written for group {self.group} and the joints "
                 f"{', '.join(self.joints)}, but '{system.name}' has group {system.group.name} and "
                 f"{', '.join(system.shape_names)}; name the right robot"
             )
@@ -99,7 +100,8 @@ def read_recording(path: str | Path, robot: str | None = None) -> Recording:
     missing = {"robot", "group", "joints", "t", "x", "xdot", "energy"} - content.keys()
     if missing:
         raise LoadError(
-            f"'{path}' is not a motion that pinred wrote: it has no array '{min(missing)}'"
+            f"{quoted_path(path)} is not a motion that pinred wrote: it has no array "
+            f"'{min(missing)}'"
         )
     origin: dict[str, Any] = {
         name: content[name]
@@ -118,17 +120,19 @@ def read_recording(path: str | Path, robot: str | None = None) -> Recording:
 
 def _read(path: Path) -> dict[str, Any]:
     if not path.is_file():
-        raise LoadError(f"no such file: {path}")
+        raise LoadError(f"no such file: {plain_path(path)}")
     if not os.access(path, os.R_OK):
-        raise LoadError(f"'{path}' cannot be read; you have no right to")
+        raise LoadError(f"{quoted_path(path)} cannot be read; you have no right to")
     if not zipfile.is_zipfile(path):
-        raise LoadError(f"'{path}' is no .npz file of plain arrays: it is no archive, or cut off")
+        raise LoadError(
+            f"{quoted_path(path)} is no .npz file of plain arrays: it is no archive, or cut off"
+        )
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except _UNREADABLE:  # its words are about numpy's options
         raise LoadError(
-            f"'{path}' is no .npz file of plain arrays: what is in it is damaged, "
+            f"{quoted_path(path)} is no .npz file of plain arrays: what is in it is damaged, "
             "or made of Python objects, which are not read"
         ) from None
 
@@ -136,7 +140,7 @@ def _read(path: Path) -> dict[str, Any]:
 def _outputs(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
     """Return the states in a file.  Raises LoadError if they are not states over time."""
     if str(content["group"]) not in GROUPS:
-        raise LoadError(f"'{path}': unknown group '{content['group']}'")
+        raise LoadError(f"{quoted_path(path)}: unknown group '{content['group']}'")
     group, m = GROUPS[str(content["group"])], np.size(content["joints"])
     widths = {"x": m, "xdot": m, "pose": group.size}
     widths |= dict.fromkeys(("xi", "body_momentum", "spatial_momentum"), group.dim)
@@ -149,12 +153,16 @@ def _outputs(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
         width = np.shape(array)[1:] if is_full else (widths[name],) if name in widths else ()
         shape = (count, *width)
         if array.shape != shape or (is_full and array.ndim != 2):
-            raise LoadError(f"'{path}': '{name}' has shape {array.shape}, expected {shape}")
+            raise LoadError(
+                f"{quoted_path(path)}: '{name}' has shape {array.shape}, expected {shape}"
+            )
         if array.dtype.kind != "f" or not np.isfinite(array).all():
-            raise LoadError(f"'{path}': '{name}' has entries that are not finite numbers")
+            raise LoadError(
+                f"{quoted_path(path)}: '{name}' has entries that are not finite numbers"
+            )
         arrays[name] = np.array(array, dtype=float)
     if count == 0 or (np.diff(arrays["t"]) <= 0.0).any():
-        raise LoadError(f"'{path}': 't' must hold increasing times")
+        raise LoadError(f"{quoted_path(path)}: 't' must hold increasing times")
     return kind(**arrays)
 
 

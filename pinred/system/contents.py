@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from ..common.arrays import Array, freeze
+from ..common.plain_names import plain
+from .force import Force
+from .visuals import Visuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,24 +48,6 @@ class Coupling:
 
 
 @dataclass(frozen=True)
-class PassiveJoint:
-    """Springs, dampers and friction at a joint in a file; nothing of it is simulated.
-
-    Of a joint at y from its rest and with rate v, the force is −(k₁ y + k₂ y² + k₃ y³)
-    − sign(v) (d₁ |v| + d₂ v² + d₃ |v|³), and dry friction of at most `friction`.
-    stiffness: (k₁, k₂, k₃).  damping: (d₁, d₂, d₃).  rest: [rad | m], or a quaternion (x, y,
-    z, w).  yields: the displacement at which the rest begins to move along; 0 for never.
-    """
-
-    joint: str
-    stiffness: tuple[float, ...]
-    rest: tuple[float, ...]
-    damping: tuple[float, ...]
-    friction: float
-    yields: float
-
-
-@dataclass(frozen=True)
 class LeftOut:
     """Things of one kind that act in the file and are not part of the reduction.
 
@@ -80,19 +65,22 @@ class LeftOut:
 class Contents:
     """Contents of a file beside bodies and joints.
 
-    left_out: what acts in it and is not simulated.  passive: springs, dampers and friction at
-    joints, which are part of that.  keyframes: states by name.  couplings: joints that follow
-    others.  freed: the body that the file fixes to the world and that floats here, or "".
+    left_out: what acts in it and is not simulated.  passive: springs, dampers and dry friction
+    at joints of the shape, which act where a scene asks for them.  keyframes: states by name.
+    couplings: joints that follow others.  freed: the body that the file fixes to the world and
+    that floats here, or "".
+    visuals: shapes to draw that were given along with the model.
     """
 
     left_out: tuple[LeftOut, ...] = ()
-    passive: tuple[PassiveJoint, ...] = ()
+    passive: tuple[Force, ...] = ()
     keyframes: Mapping[str, Keyframe] = field(default_factory=lambda: MappingProxyType({}))
     couplings: tuple[Coupling, ...] = ()
     freed: str = ""
+    visuals: Visuals | None = None
 
 
 def shortened(names: tuple[str, ...], most: int = 6) -> str:
     """Return names in a list, of which the last are left out where there are many."""
-    shown = ", ".join(names[:most])
+    shown = ", ".join(map(plain, names[:most]))
     return shown if len(names) <= most else f"{shown}, … ({len(names)} in all)"

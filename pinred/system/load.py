@@ -5,8 +5,9 @@ from __future__ import annotations
 import difflib
 import warnings
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -24,32 +25,38 @@ from .coupling import with_followers
 from .joints import motion_group, root_joint
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
+from .model_passive import passive_contents
 from .pinocchio_mimics import plain_joints
 from .rerooting import rebuild
 from .robot_files import is_file, is_mjcf, read_description, read_text, read_xml
 from .root_chain import RootChain, root_chain
 from .system import InitialState, Origin, System
 from .urdf import mimic_couplings
+from .visuals import mesh_folders, with_visuals
 
 if TYPE_CHECKING:
     from mujoco import MjModel, MjSpec
+
+Pair: TypeAlias = tuple[pin.Model, pin.GeometryModel]
 
 _HUGE = 1e100  # m/s²; the square of what is far above overflows
 
 
 def load(
-    source: str | Path | pin.Model | MjModel | MjSpec,
+    source: str | Path | pin.Model | pin.RobotWrapper | Pair | MjModel | MjSpec,
     *,
     group: str | Group | None = None,
     lock: Iterable[str] | Mapping[str, float] = (),
     gravity: ArrayLike | None = None,
     root: str | None = None,
     strict: bool = False,
+    meshes: str | Path | Iterable[str | Path] = (),
 ) -> System:
     """Load a robot and read it as symmetry group times shape.
 
     source: the name of a bundled robot or of one in example-robot-data, the path of a
-        URDF or MJCF file, a pin.Model (which is copied), or mujoco's MjModel or MjSpec.
+        URDF or MJCF file, a pin.Model (which is copied), a pin.RobotWrapper or a pair (model,
+        visual_model), whose shapes playback then shows, or mujoco's MjModel or MjSpec.
         Meshes are read only where an MJCF file takes mass from them.
     group: the symmetry, "R", "SO2", "SE2", "SO3", "SE3" or "RxSE2".  If None, the file's own
         root: its free, planar or spherical root joint (the link above that is the ground); or
@@ -63,8 +70,10 @@ def load(
     root: of an MJCF file, the body of the world that carries the robot, where several move.
     strict: whether to refuse what there is otherwise only a ModelWarning about: moments of
         inertia that no distribution of mass has, and mass matrices singular at single shapes.
+    meshes: a folder, or several, in which playback looks for the meshes of a URDF file, beside
+        those above the file.
 
-    Warns with LeftOutWarning of what acts in an MJCF file and is not part of the reduction
+    Warns with LeftOutWarning of what acts in a file and is not part of the reduction
     (System.left_out).  Raises LoadError if there is nothing to read, ModelError if pinred
     cannot reduce the model, InputError for an unknown group, joint or root,
     MissingPackageError for MJCF without mujoco.
@@ -74,18 +83,26 @@ def load(
         raise InputError(f"group must be one of {', '.join(GROUPS)}, got {group!r}")
     weight = None if gravity is None else _gravity(gravity)
     locked = _locked(lock)
+    folders = mesh_folders(meshes)
     if mujoco := _as_mujoco(source):
+        if folders:
+            raise InputError("meshes= is for URDF; an MJCF file says where its meshes are")
         return _load_mujoco(source, mujoco, wanted, locked, weight, root)
+    visuals = with_visuals(source)
+    if visuals is not None:
+        source = visuals.model
     if not isinstance(source, (str, Path, pin.Model)):
         raise InputError(
-            "load takes a name, a path, a pin.Model, an MjModel or an MjSpec, "
-            f"got {type(source).__name__}"
+            "load takes a name, a path, a pin.Model, a pin.RobotWrapper, (model, visual_model), an "
+            f"MjModel or an MjSpec, got {type(source).__name__}"
         )
+    if folders and isinstance(source, pin.Model):
+        raise InputError("meshes= is for robots from files; a model comes with its shapes, or none")
     if root is not None:
-        raise InputError(f"root='{root}' is for MJCF; elsewhere one link carries the robot")
+        raise InputError(f"root={quoted(root)} is for MJCF; elsewhere one link carries the robot")
     initial: InitialState | None = None
     name = str(source)
-    origin: Origin | None = Origin(name, locked)
+    origin: Origin | None = Origin(name, locked, meshes=folders)
     couplings: tuple[Coupling, ...]
     if isinstance(source, pin.Model):
         raw, couplings = plain_joints(source)
@@ -99,17 +116,19 @@ def load(
     elif _is_path(name):
         raw, couplings = read_description(Path(source))
         name = Path(source).stem
-        origin = Origin(str(Path(source).absolute()), locked)
+        origin = Origin(str(Path(source).absolute()), locked, meshes=folders)
     else:
         raw, couplings = _example(name)
     locked, couplings = with_followers(locked, couplings, list(raw.names))
-    raw = rebuild(raw, _frozen(raw, locked))
-    model = _on_root(raw, wanted, root_chain(raw))
+    bare = rebuild(raw, _frozen(raw, locked))
+    model = _on_root(bare, wanted, root_chain(bare))
+    contents = passive_contents(raw, list(model.names)[2:], locked)
+    contents = replace(contents, visuals=visuals, couplings=couplings)
     if weight is not None:
         model.gravity.linear = weight
     model.name = name
-    contents = Contents(couplings=couplings)
     system = System(model, name=name, initial=initial, origin=origin, contents=contents)
+    _warn_of_left_out(system)
     for doubt in system.doubts:
         if strict:
             raise ModelError(f"{quoted(name)} is refused, strictly: {doubt}")
@@ -149,14 +168,19 @@ def _load_mujoco(
     own = motion_group(model.joints[1])
     contents = Contents() if own is None else robot.contents(own)
     system = System(model, name=name, origin=origin, contents=contents)
+    _warn_of_left_out(system, above=1)
+    return system
+
+
+def _warn_of_left_out(system: System, above: int = 0) -> None:
+    """Warn of what acts in a file and is not simulated.  above: functions below `load`."""
     if system.left_out:
         counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
         warnings.warn(
-            f"{name}: in the file, but not simulated: {counts} (see System.left_out)",
+            f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)",
             LeftOutWarning,
-            stacklevel=3,
+            stacklevel=3 + above,
         )
-    return system
 
 
 def _gravity(given: ArrayLike) -> Array:
@@ -187,11 +211,11 @@ def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
     """
     names = catalogue.example_robots()
     if name not in names:
-        near = difflib.get_close_matches(name, [*catalogue.bundled_robots(), *names], n=3)
+        near = difflib.get_close_matches(name[:200], [*catalogue.bundled_robots(), *names], n=3)
         hint = f"did you mean {' or '.join(near)}? " if near else ""
         more = "" if names else f"; for solo12, talos, ur5 and others: {catalogue.INSTALL_ROBOTS}"
         raise LoadError(
-            f"unknown robot '{name}'; {hint}`pinred robots` lists what can be loaded{more}"
+            f"unknown robot {quoted(name)}; {hint}`pinred robots` lists what can be loaded{more}"
         )
     robot = catalogue.example_robot(name)
     if robot.build is None:
@@ -218,7 +242,9 @@ def _locked(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
     values = dict(lock.items()) if isinstance(lock, Mapping) else dict.fromkeys(lock, 0.0)
     for name, value in values.items():
         if not (isinstance(value, (int, float, np.number)) and np.isfinite(value)):
-            raise InputError(f"lock: the value for joint '{name}' must be finite, got {value!r}")
+            raise InputError(
+                f"lock: the value for joint {quoted(name)} must be finite, got {value!r}"
+            )
     return {str(name): float(value) for name, value in values.items()}
 
 
@@ -228,12 +254,13 @@ def _frozen(raw: pin.Model, locked: Mapping[str, float]) -> dict[int, Array]:
     neutral = pin.neutral(raw)
     for name, value in locked.items():
         if not raw.existJointName(name) or name == "universe":
-            known = ", ".join(list(raw.names)[1:])
-            raise InputError(f"lock: no joint '{name}'; the joints are {known}")
+            known = listed(list(raw.names)[1:], 60)
+            raise InputError(f"lock: no joint {quoted(name)}; the joints are {known}")
         joint = raw.joints[raw.getJointId(name)]
         if joint.nv > 1 and value != 0.0:
             raise InputError(
-                f"lock: joint '{name}' has {joint.nv} degrees of freedom and freezes at zero only"
+                f"lock: joint {quoted(name)} has {joint.nv} degrees of freedom and "
+                "freezes at zero only"
             )
         q = neutral[joint.idx_q : joint.idx_q + joint.nq].copy()
         if joint.nv == 1:

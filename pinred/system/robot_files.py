@@ -7,11 +7,8 @@ the file itself, so that they are honoured or refused, never dropped.
 
 from __future__ import annotations
 
-import os
-import sys
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+import re
+from contextlib import suppress
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers import expat
@@ -19,9 +16,16 @@ from xml.parsers import expat
 import pinocchio as pin
 
 from ..common.errors import LoadError, ModelError
+from ..common.library_output import library_output
+from ..common.plain_names import plain_path, quoted_path
 from .contents import Coupling
+from .model_passive import keep_dynamics
 from .urdf import check_urdf, mimic_couplings, total_mass
 
+# Two lines: what is wrong, and where in its own source the parser says so.
+URDFDOM = re.compile(
+    rb"^(?:Error|Warning|Info|Debug):[^\n]*\n +at line \d+ in [^\n]*\n?", re.MULTILINE
+)
 _MOST_BYTES = 256_000_000  # of a file that is read whole
 _FEW = 4096  # letters that are looked at at once
 
@@ -33,19 +37,24 @@ def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
     """
     root = read_xml(path)
     if root.tag != "robot":
-        raise LoadError(f"{path} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>")
+        raise LoadError(
+            f"{plain_path(path)} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>"
+        )
     check_urdf(root)
     couplings = mimic_couplings(root)
-    with captured_stderr() as said:
+    model, why = None, ""
+    with library_output(URDFDOM) as said:
         try:
             model = pin.buildModelFromUrdf(str(path))
         except Exception as error:  # Pinocchio raises what its parsers raise, of any type
-            said.append(str(error).strip() or type(error).__name__)
-            model = None
+            why = str(error).strip() or type(error).__name__
     if model is None:
-        reason = said[0].splitlines()[0] if said[0] else said[-1].splitlines()[-1]
-        raise LoadError(f"Pinocchio cannot read {path}: {reason.removeprefix('Error:').strip()}")
+        reason = said[0].splitlines()[0] if said else why.splitlines()[-1]
+        raise LoadError(
+            f"Pinocchio cannot read {plain_path(path)}: {reason.removeprefix('Error:').strip()}"
+        )
     _check_mass(path, model, total_mass(root))
+    keep_dynamics(root, model)
     return model, couplings
 
 
@@ -54,26 +63,9 @@ def _check_mass(path: Path, model: pin.Model, written: float) -> None:
     read = sum(inertia.mass for inertia in model.inertias)
     if abs(read - written) > 1e-9 * max(read, written):
         raise ModelError(
-            f"{path} gives its links {written:g} kg in all, but Pinocchio reads {read:g} kg; "
-            "check the inertial elements"
+            f"{plain_path(path)} gives its links {written:g} kg in all, but Pinocchio reads "
+            f"{read:g} kg; check the inertial elements"
         )
-
-
-@contextmanager
-def captured_stderr() -> Iterator[list[str]]:
-    """Collect what a C++ library prints on standard error; it becomes the first entry."""
-    said: list[str] = []
-    sys.stderr.flush()
-    with tempfile.TemporaryFile() as file:
-        kept = os.dup(2)
-        os.dup2(file.fileno(), 2)
-        try:
-            yield said
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-            file.seek(0)
-            said.insert(0, file.read().decode(errors="replace").strip())
 
 
 def is_file(path: Path) -> bool:
@@ -88,17 +80,24 @@ def read_text(path: Path) -> str:
     """Return what stands in a file of XML.  Raises LoadError."""
     if not is_file(path):
         what = "is a folder" if path.is_dir() else "no such file"
-        raise LoadError(f"{what}: {path}")
+        raise LoadError(f"{what}: {plain_path(path)}")
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise LoadError(
+            f"the name {quoted_path(path)} has bytes that are not UTF-8, which neither Pinocchio "
+            "nor MuJoCo opens; rename the file or its folder"
+        ) from None
     try:
         if path.stat().st_size > _MOST_BYTES:
-            raise LoadError(f"{path} is larger than {_MOST_BYTES // 10**6} MB")
+            raise LoadError(f"{plain_path(path)} is larger than {_MOST_BYTES // 10**6} MB")
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise LoadError(f"{path} is not XML in UTF-8") from None
+        raise LoadError(f"{plain_path(path)} is not XML in UTF-8") from None
     except OSError as error:
-        raise LoadError(f"{path} cannot be read: {error.strerror}") from None
+        raise LoadError(f"{plain_path(path)} cannot be read: {error.strerror}") from None
     if "<!DOCTYPE" in text:
-        raise LoadError(f"{path} declares a document type; entities are not supported")
+        raise LoadError(f"{plain_path(path)} declares a document type; entities are not supported")
     return text
 
 
@@ -120,4 +119,4 @@ def read_xml(path: Path) -> ElementTree.Element:
     try:
         return ElementTree.fromstring(read_text(path))
     except (ElementTree.ParseError, ValueError) as error:
-        raise LoadError(f"{path} is not XML: {error}") from None
+        raise LoadError(f"{plain_path(path)} is not XML: {error}") from None

@@ -15,9 +15,10 @@ from ..common.errors import InputError, ModelError, ShapeError
 from ..common.memo import once_a_thread
 from ..lie.group import Group
 from .admission import admit
-from .contents import Contents, Coupling, Keyframe, LeftOut, PassiveJoint
+from .contents import Contents, Coupling, Keyframe, LeftOut
 from .coordinates import coordinate_maps, in_order
 from .coupling import Coupled, coupled, following
+from .force import Force
 from .joints import joint_units
 from .rerooting import depth_first
 
@@ -45,11 +46,13 @@ class Origin:
 
     source: the robot's name, or the absolute path of its file.  lock: frozen joints and
     their values [rad | m].  root: the body of an MJCF file that was chosen, if one was.
+    meshes: folders in which meshes are looked for, beside those above the file.
     """
 
     source: str
     lock: Mapping[str, float]
     root: str | None = None
+    meshes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -207,8 +210,12 @@ class System:
         return self.contents.left_out
 
     @property
-    def passive(self) -> tuple[PassiveJoint, ...]:
-        """Springs, dampers and dry friction at joints in the file, which are left out."""
+    def passive(self) -> tuple[Force, ...]:
+        """Springs, dampers and dry friction at joints of the shape in the file.
+
+        They are forces.Spring, Damper and Friction, and act in scenes with passive=True, the
+        friction in those with a width for it.
+        """
         return self.contents.passive
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 from xml.etree.ElementTree import Element
 
 from ..common.errors import ModelError
+from ..common.plain_names import quoted
 from .contents import Coupling
 from .xml_numbers import axis, floats
 
@@ -18,7 +19,7 @@ def check_urdf(robot: Element) -> None:
     for link in robot.findall("link"):
         inertial = link.find("inertial")
         if inertial is not None:
-            _check_inertial(inertial, f"link '{link.get('name')}'")
+            _check_inertial(inertial, f"link {quoted(link.get('name', '?'))}")
     _check_tree(robot)
 
 
@@ -56,7 +57,7 @@ def mimic_couplings(robot: Element) -> tuple[Coupling, ...]:
 
 
 def _check_axis(joint: Element) -> None:
-    name, found = f"joint '{joint.get('name')}'", joint.find("axis")
+    name, found = f"joint {quoted(joint.get('name', '?'))}", joint.find("axis")
     if joint.get("type") == "floating":
         return
     if found is None:
@@ -97,8 +98,8 @@ def _check_tree(robot: Element) -> None:
         name = child.get("link", "?")
         if name in parent_of:
             raise ModelError(
-                f"closed loops are not supported: link '{name}' is the child of two joints, "
-                f"the second '{joint.get('name')}'"
+                f"closed loops are not supported: link {quoted(name)} is the child of two joints, "
+                f"the second {quoted(joint.get('name', '?'))}"
             )
         parent_of[name] = parent.get("link", "?")
     for link in parent_of:
@@ -106,5 +107,5 @@ def _check_tree(robot: Element) -> None:
         while at in parent_of:
             at = parent_of[at]
             if at in seen:
-                raise ModelError(f"link '{link}' hangs on itself through a cycle of joints")
+                raise ModelError(f"link {quoted(link)} hangs on itself through a cycle of joints")
             seen.add(at)

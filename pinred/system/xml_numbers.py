@@ -9,6 +9,7 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..common.errors import ModelError
+from ..common.plain_names import quoted
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -27,7 +28,7 @@ def floats(element: Element, key: str, what: str, *sizes: int, blank: str = " ")
     values = np.array([float(w) for w in words if _NUMBER.fullmatch(w)])
     if len(values) != len(words) or len(values) not in sizes or not np.isfinite(values).all():
         many = " or ".join(map(str, sizes))
-        raise ModelError(f"{what}: '{key}' must be {many} finite number(s), got '{text}'")
+        raise ModelError(f"{what}: '{key}' must be {many} finite number(s), got {quoted(text)}")
     return values
 
 

@@ -132,6 +132,7 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
         reasons=(*ends.reasons, *_at_rest(truth, size)),
         wall_reduced=traj.run.wall,
         wall_full=wall_full,
+        left_out=scene.left_out,
     )
 
 

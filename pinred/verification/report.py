@@ -40,7 +40,8 @@ class Report:
     the initial state has grown.  told: how many of the times, from the first on, have ends of
     which something can be told.  reasons: why nothing can be told of what is left; empty if all
     of the motion is judged.  wall_reduced, wall_full: seconds of integration at the same
-    tolerance.
+    tolerance.  left_out: a sentence on springs, dampers and friction in the robot's file that
+    neither side has, or nothing.
     """
 
     robot: str
@@ -73,6 +74,7 @@ class Report:
     reasons: tuple[str, ...]
     wall_reduced: float
     wall_full: float
+    left_out: str = ""
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -145,6 +147,7 @@ class Report:
             f"{self.robot}: {self.group} × {self.joints} joints, {self.duration:g} s, "
             f"rtol {self.rtol:g}, atol {self.atol:g}\n"
             f"reduced equations against Pinocchio's ABA on the full state\n"
+            + (f"{self.left_out}\n" if self.left_out else "")
         )
         rows = [
             f"  {name:<31} {value:10.2e}   allowed {bound:8.1e}   "
@@ -173,6 +176,7 @@ class Report:
         return card(
             self.robot,
             about,
+            *([line(self.left_out)] if self.left_out else []),
             table("", ["", "value", "allowed", ""], rows),
             line(f"growth of perturbations: {self.growth[-1]:.2e}"),
             line(

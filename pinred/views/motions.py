@@ -30,8 +30,8 @@ def play(
     script; where somebody types on, return at once).  ghost: also draw the full simulation (ABA)
     beside it.  speed: seconds of the motion in one of playback, to begin with.  fps: frames in
     a second of playback.  pair: two joints, the axes of the shape panel (those that move the
-    most without spinning).  meshes: draw what the robot's file says; else bodies made from the
-    inertias.  Raises InputError, OutputError.
+    most without spinning).  meshes: draw what the robot's file says, else bodies made from the
+    inertias; or folders in which meshes are looked for.  Raises InputError, OutputError.
     """
     from .playback.show import play as serve
 

@@ -38,7 +38,9 @@ def test_inspect(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What is left out is listed, and so are the keyframes."""
     code, out, _ = run(capsys, "inspect", str(path), *ROBOT)
     assert code == 0
-    assert "left out    joint damping: elbow\n            contact: geom 0, geom 1\n" in out
+    assert "left out    contact: geom 0, geom 1\n" in out
+    said = "the file has 1 damper; a run leaves it out (passive=True uses it)"
+    assert f"            {said}\n" in out
     assert "            other bodies: ball\n" in out
     assert "keyframes   home\n" in out
 
@@ -48,7 +50,7 @@ def test_the_warning_is_one_line(path: Path) -> None:
     command = [sys.executable, "-m", "pinred", "inspect", str(path), *ROBOT]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
-    start = "pinred: warning: robot: in the file, but not simulated: joint damping (1), "
+    start = "pinred: warning: robot: in the file, but not simulated: contact (2), "
     assert done.stderr.startswith(start)
     assert done.stderr.count("\n") == 1
 

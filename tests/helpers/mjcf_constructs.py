@@ -290,11 +290,9 @@ ACTING = {
         '<tendon><fixed name="line"><joint joint="arm" coef="1"/></fixed></tendon>',
         '<site name="tip"/>', "", ("m", "actuator 1", "actuator 2", "actuator 3"),
     ),
-    "joint springs": (
-        '<default><joint stiffness="2"/></default>', "", "", ("arm",),
+    "plastic springs": (
+        '<default><joint stiffness="2" springyield=".1"/></default>', "", "", ("arm",),
     ),
-    "joint damping": ('<default><joint damping="2"/></default>', "", "", ("arm",)),
-    "dry friction": ('<default><joint frictionloss="2"/></default>', "", "", ("arm",)),
     "joint limits": ('<default><joint range="-1 1"/></default>', "", "", ("arm",)),
     "contact": (
         '<contact><pair geom1="pin" geom2="stone"/></contact>',
@@ -321,7 +319,7 @@ ACTING = {
 }  # fmt: skip
 # The flags that switch it off.
 SWITCHES = {
-    "actuators": "actuation", "joint springs": "spring", "joint damping": "damper",
-    "dry friction": "frictionloss", "joint limits": "limit", "contact": "contact",
+    "actuators": "actuation", "plastic springs": "spring",
+    "joint limits": "limit", "contact": "contact",
     "equality constraints": "equality", "compensated gravity": "gravity",
 }  # fmt: skip

@@ -132,8 +132,8 @@ def test_too_long_foreign_and_of_another_format(filled: tuple[ObjectCache, Path]
     rejected(cache, file, "length")
     file.write_bytes(b"\x7fELF" + bytes(5000))
     rejected(cache, file, "not written by pinred")
-    file.write_bytes(data[:8] + (2).to_bytes(4, "little") + data[12:])
-    rejected(cache, file, "format is 2")
+    file.write_bytes(data[:8] + (3).to_bytes(4, "little") + data[12:])
+    rejected(cache, file, "format is 3")
     cache.put(OTHER, CODE)
     (file.parent / f"{OTHER}.o").rename(file)
     rejected(cache, file, "another key")
@@ -269,17 +269,18 @@ def test_least_recently_used_goes_first(folder: Path) -> None:
 
 
 def test_leftovers_and_strangers(filled: tuple[ObjectCache, Path]) -> None:
-    """What a dead process began is removed; files that are none of ours stay."""
+    """What a dead process began is removed by the next put; files that are none of ours stay."""
     cache, file = filled
-    old, young = (file.parent / f".{KEY}.{digit * 16}.tmp" for digit in "ab")
+    left = file.parent / f".pinred-{'a' * 16}.tmp"
     stranger = file.parent / "notes.txt"
-    for path in (old, young, stranger):
+    for path in (left, stranger):
         path.write_bytes(b"x")
-    os.utime(old, (1000.0, 1000.0))
-    os.utime(stranger, (1000.0, 1000.0))
     assert len(cache.entries()) == 1
-    assert cache.clear() == 1
-    assert {path.name for path in file.parent.iterdir()} == {young.name, stranger.name}
+    cache.put(OTHER, CODE)
+    assert not left.exists()
+    left.write_bytes(b"x")
+    assert cache.clear() == 2
+    assert {path.name for path in file.parent.iterdir()} == {stranger.name}
 
 
 def contend(folder: Path, seed: int) -> int:

@@ -104,7 +104,7 @@ STRUCTURE = [
     ("[prescribed]\nbend = ''", "prescribed.bend: must be a formula in t, got no text"),
     ("[forces]\nkind = 'pd'", "forces: must be a list of entries, each a force {kind = …}, got a table"),
     ("forces = [1]", "forces[0]: must be a force {kind = …}, got 1"),
-    ("[[forces]]\nstiffness = 1", "forces[0]: 'kind' is missing; the kinds are spring, damper, potential, torque, pd,"),
+    ("[[forces]]\nstiffness = 1", "forces[0]: 'kind' is missing; the kinds are spring, damper, friction, potential, torque, pd,"),
     ("[[forces]]\nkind = 'sprig'", "forces[0].kind: unknown kind \"sprig\"; did you mean 'spring'? the kinds are"),
     ("[[forces]]\nkind = 'controller'", "forces[0].kind: a Controller is a Python function, and what stands in a file is never executed"),
     ("[[forces]]\nkind = 1", "forces[0].kind: must be text, got 1; the kinds are"),

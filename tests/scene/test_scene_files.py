@@ -18,7 +18,16 @@ import pytest
 import pinred
 from pinred.cli.main import main
 from pinred.common.defaults import Default
-from pinred.forces import PD, ComputedTorque, Damper, PotentialEnergy, Spring, Torque, Wrench
+from pinred.forces import (
+    PD,
+    ComputedTorque,
+    Damper,
+    Friction,
+    PotentialEnergy,
+    Spring,
+    Torque,
+    Wrench,
+)
 from pinred.forces.force import Force, Limit
 from pinred.forces.signals.tabulated import _ENDS
 from pinred.integrators.methods import (
@@ -104,6 +113,18 @@ FORCE_CASES: dict[str, tuple[str, Callable[[], Force]]] = {
     "damper": (
         "kind = 'damper'\njoint = 'bend'\ncoefficient = 0.2\nto = 'sway'",
         lambda: Damper("bend", 0.2, to="sway"),
+    ),
+    "spring with powers": (
+        "kind = 'spring'\njoint = 'bend'\nstiffness = 2\npolynomial = [0.2, 0.4]",
+        lambda: Spring("bend", 2.0, polynomial=(0.2, 0.4)),
+    ),
+    "damper with powers": (
+        "kind = 'damper'\njoint = 'bend'\ncoefficient = 0.2\npolynomial = [0.1, 0.3]",
+        lambda: Damper("bend", 0.2, polynomial=(0.1, 0.3)),
+    ),
+    "friction": (
+        "kind = 'friction'\njoint = 'bend'\nmost = 0.2\nwidth = 0.1",
+        lambda: Friction("bend", 0.2, 0.1),
     ),
     "potential": (
         "kind = 'potential'\nname = 'well'\nfunction = \"0.5*x['bend']**2*x[2]\"",
@@ -289,9 +310,9 @@ def test_momentum_of_one_number(tmp_path: Path) -> None:
 def test_keys_are_those_of_python() -> None:
     """Every option of the Python API has its key, by the same name, and no other is there."""
     scene = {entry.name for entry in fields(pinred.Scene)} - {"system"}
-    keys = {*START.keys, *RUN.keys, "springs", "forces", "prescribed"}
+    keys = {*START.keys, *RUN.keys, "springs", "forces", "prescribed", "passive", "friction"}
     assert keys == scene | {"samples", "engine"}
-    assert set(LOAD.keys) == {"group", "gravity", "lock", "root", "strict"}
+    assert set(LOAD.keys) == {"group", "gravity", "lock", "root", "strict", "meshes"}
     for kind in FORCES.values():
         table = kind.table
         wanted = {entry.name for entry in fields(kind.make)}  # type: ignore[arg-type]

@@ -18,7 +18,8 @@ from mujoco_judge import Judge, read_tree
 
 import pinred
 from pinred import InputError, LeftOutWarning, LoadError, MissingPackageError, ModelError
-from pinred.system.contents import PassiveJoint
+from pinred.forces import Damper, Friction, Spring
+from pinred.system.passive import BASE
 
 # Shapes that touch nothing, so that nothing is left out of the reduction.
 SILENT = '<default><geom contype="0" conaffinity="0"/></default>'
@@ -270,25 +271,48 @@ def test_constraints_and_passive_forces_switched_off() -> None:
 
 def test_several_kinds_are_told_in_one_line() -> None:
     """With their counts; long lists are cut in the middle of nothing."""
-    head = '<default><joint damping="1" range="-1 1"/></default>'
+    head = '<default><joint stiffness="1" springyield="1" range="-1 1"/></default>'
     system, line = with_warning(text(base("".join(arm(f"j{k}") for k in range(9))), head))
-    assert "joint damping (9), joint limits (9)" in line
-    assert str(system.left_out[0]) == "joint damping: j0, j1, j2, j3, j4, j5, … (9 in all)"
+    assert "plastic springs (9), joint limits (9)" in line
+    assert str(system.left_out[0]) == "plastic springs: j0, j1, j2, j3, j4, j5, … (9 in all)"
 
 
-def test_passive_joints_are_kept_as_data() -> None:
+def test_passive_forces_are_values_of_forces() -> None:
     """Springs, dampers and dry friction, with their polynomials, rests and units."""
     joint = (
         '<joint name="arm" stiffness="2 .3 .1" damping=".5 .2 .1" frictionloss=".7" '
         'springref="30" ref="10"/>'
     )
-    system, _ = with_warning(text(base(arm(joints=joint))))
+    system = loaded(text(base(arm(joints=joint))))
     assert system.passive == (
-        PassiveJoint("arm", (2.0, 0.3, 0.1), (np.deg2rad(30.0),), (0.5, 0.2, 0.1), 0.7, 0.0),
+        Spring("arm", 2.0, np.deg2rad(30.0), polynomial=(0.3, 0.1)),
+        Damper("arm", 0.5, polynomial=(0.2, 0.1)),
+        Friction("arm", 0.7),
     )
-    root = '<joint name="b" type="ball" stiffness="4"/>'
-    system, _ = with_warning(text(base(joints=root)))
-    assert system.passive[0].rest == (0.0, 0.0, 0.0, 1.0)
+    assert system.left_out == ()
+    for flag, gone in (("spring", Spring), ("damper", Damper), ("frictionloss", Friction)):
+        head = f'<option><flag {flag}="disable"/></option>'
+        left = loaded(text(base(arm(joints=joint)), head)).passive
+        assert len(left) == 2
+        assert not any(isinstance(force, gone) for force in left)
+    assert loaded(text(base(arm(joints=joint))), lock=["arm"]).passive == ()
+
+
+@pytest.mark.parametrize(
+    "root",
+    [
+        '<joint name="b" type="ball" stiffness="4"/>',
+        '<joint name="b" type="free" damping="4"/>',
+        '<joint name="b" axis="0 0 1" frictionloss="4"/>',
+    ],
+)
+def test_what_is_passive_at_the_base_is_left_out(root: str) -> None:
+    """It would change the momentum."""
+    inside = arm(joints='<joint name="arm" damping="1"/>')
+    system, line = with_warning(text(base(inside, joints=root)))
+    assert system.passive == (Damper("arm", 1.0),)
+    assert [(left.what, left.names) for left in system.left_out] == [(BASE, ("b",))]
+    assert f"{BASE} (1)" in line
 
 
 def test_gravity_that_is_compensated_alike() -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, ClassVar
 
+from ...common.memo import once_for_all
 from ..gauss.tables import MOST_STAGES, lanes_of
 from ..stepping.run_record import FIXED_POINT
 from .method import ErrorControl
@@ -41,7 +41,7 @@ class AdaptiveGauss(ErrorControl):
         return super().registers(t_end) | solved
 
 
-@cache
+@once_for_all
 def _stepper() -> Stepper:
     from ..gauss.steppers import adaptive
 

@@ -7,11 +7,11 @@ Springer 1993, sections II.5 and II.6, and Hairer's code dop853.f.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import ClassVar
 
 import numpy as np
 
+from ...common.memo import once_for_all
 from ..explicit.tableau import Tableau
 from .method import Explicit
 
@@ -29,7 +29,7 @@ class DOP853(Explicit):
     dense_order: ClassVar[int] = 7
 
     @classmethod
-    @cache
+    @once_for_all
     def tableau(cls) -> Tableau:
         """Return SciPy's copy of the coefficients."""
         from scipy.integrate._ivp import dop853_coefficients as scipy

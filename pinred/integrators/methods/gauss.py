@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cache
 from numbers import Integral
 from typing import TYPE_CHECKING, ClassVar
 
 from ...common.errors import InputError
+from ...common.memo import once_for_all
 from ..gauss.tables import MOST_STAGES, lanes_of
 from ..stepping.run_record import AUTO, FIXED_POINT, NEWTON
 from .method import EqualSteps, option
@@ -85,7 +85,7 @@ class Gauss(EqualSteps):
         return super().registers(t_end) | solved
 
 
-@cache
+@once_for_all
 def _stepper(stages: int, needs_tangent: bool) -> Stepper:
     from ..gauss.steppers import fixed_step
 

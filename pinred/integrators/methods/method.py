@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import Field, dataclass, field
-from functools import cache
 from math import ceil, inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ...common.arrays import positive
 from ...common.defaults import Default
 from ...common.errors import InputError
+from ...common.memo import once_for_all
 
 if TYPE_CHECKING:
     from ..explicit.tableau import Tableau
@@ -156,7 +156,7 @@ class Explicit(ErrorControl):
         return _stepper(type(self).__name__, self.order, self.tableau())
 
 
-@cache
+@once_for_all
 def _stepper(name: str, order: int, tableau: Tableau) -> Stepper:
     from ..explicit.runge_kutta import make_stepper
 

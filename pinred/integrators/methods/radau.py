@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, ClassVar
 
+from ...common.memo import once_for_all
 from .method import ErrorControl
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class Radau(ErrorControl):
         return _stepper()
 
 
-@cache
+@once_for_all
 def _stepper() -> Stepper:
     from ..radau.radau_iia import STEPPER
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, ClassVar
 
+from ...common.memo import once_for_all
 from .method import EqualSteps
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class RKMK4(EqualSteps):
         return _stepper()
 
 
-@cache
+@once_for_all
 def _stepper() -> Stepper:
     from ..explicit.munthe_kaas import STEPPER
 

@@ -8,11 +8,11 @@ that takes no further stage.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import ClassVar
 
 import numpy as np
 
+from ...common.memo import once_for_all
 from ..explicit.tableau import Tableau
 from .method import Explicit
 
@@ -58,7 +58,7 @@ class Tsit5(Explicit):
     dense_order: ClassVar[int] = 4
 
     @classmethod
-    @cache
+    @once_for_all
     def tableau(cls) -> Tableau:
         """Return the paper's coefficients."""
         A = np.zeros((7, 7))

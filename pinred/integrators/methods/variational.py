@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, ClassVar
 
+from ...common.memo import once_for_all
 from .method import EqualSteps
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class Variational(EqualSteps):
         return _stepper()
 
 
-@cache
+@once_for_all
 def _stepper() -> Stepper:
     from ..variational.lagrange_poincare import STEPPER
 

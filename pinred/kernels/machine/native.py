@@ -12,12 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from threading import Lock
-from typing import Any
+from typing import Any, NoReturn
 
 import casadi as ca
 import llvmlite.binding as llvm
 
-from ...common.errors import InputError
+from ...common.errors import InputError, NotCopyable
 from ...reduction.tree.limbs import Mark
 from .lowering import RESERVED, lower
 
@@ -36,6 +36,14 @@ class NativeCode:
     name: str
     address: int
     _engine: Any = field(repr=False)
+
+    def __reduce__(self) -> NoReturn:
+        # llvmlite's objects let themselves be copied in part, and complain when that part dies.
+        raise NotCopyable(
+            f"the machine code '{self.name}' lives in this process and can be neither copied nor "
+            "pickled; what another process needs is made there: load(…), simulate(…), or "
+            "traj.save(…) and read_recording(…)"
+        )
 
 
 def compile_object(

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import InputError, LoadError
+from ...common.plain_names import quoted_path
 from .places import shown, unknown
 
 LARGEST = 1_000_000  # bytes of a file that is read
@@ -21,17 +22,19 @@ def read_text(path: Path, what: str) -> str:
     """Return the text of a file.  Raises LoadError if it is not there, too large or not UTF-8."""
     try:
         if not path.is_file():
-            raise LoadError(f"no such {what}: {str(path)!r}")
+            raise LoadError(f"no such {what}: {quoted_path(path)}")
         with path.open("rb") as file:
             raw = file.read(LARGEST + 1)
         if len(raw) > LARGEST:
-            raise LoadError(f"{what} '{path}' has more than {LARGEST} bytes")
+            raise LoadError(f"{what} {quoted_path(path)} has more than {LARGEST} bytes")
         return raw.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise LoadError(f"{what} '{path}' is not UTF-8 text, at byte {error.start}") from None
+        raise LoadError(
+            f"{what} {quoted_path(path)} is not UTF-8 text, at byte {error.start}"
+        ) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise LoadError(f"cannot read {what} {str(path)!r}: {reason}") from None
+        raise LoadError(f"cannot read {what} {quoted_path(path)}: {reason}") from None
 
 
 def read_columns(path: Path, columns: Sequence[str | int]) -> Array:
@@ -49,15 +52,15 @@ def read_columns(path: Path, columns: Sequence[str | int]) -> Array:
             if any(cell.strip() for cell in row)
         ]
     except csv.Error as error:
-        raise InputError(f"'{path}' is not a csv file: {error}") from None
+        raise InputError(f"{quoted_path(path)} is not a csv file: {error}") from None
     if not lines:
-        raise InputError(f"'{path}' is empty")
+        raise InputError(f"{quoted_path(path)} is empty")
     first = lines[0][1]
     header = first if any(_float(cell) is None for cell in first) else []
     chosen = [_index(column, header, len(first), path) for column in columns]
     rows = lines[1:] if header else lines
     if not rows:
-        raise InputError(f"'{path}' has no numbers below its header")
+        raise InputError(f"{quoted_path(path)} has no numbers below its header")
     return np.array([[_cell(row, k, line, path) for k in chosen] for line, row in rows])
 
 
@@ -65,17 +68,21 @@ def _index(column: str | int, header: list[str], count: int, path: Path) -> int:
     if isinstance(column, str):
         if column not in header:
             said = unknown(column, "column", header, "the columns are")
-            raise InputError(f"'{path}': {said if header else 'there is no header with names'}")
+            raise InputError(
+                f"{quoted_path(path)}: {said if header else 'there is no header with names'}"
+            )
         if header.count(column) > 1:
-            raise InputError(f"'{path}' has two columns {shown(column)}")
+            raise InputError(f"{quoted_path(path)} has two columns {shown(column)}")
         return header.index(column)
     if column >= count:
-        raise InputError(f"'{path}' has {count} columns, so none is number {column} from 0")
+        raise InputError(
+            f"{quoted_path(path)} has {count} columns, so none is number {column} from 0"
+        )
     return column
 
 
 def _cell(row: list[str], k: int, line: int, path: Path) -> float:
-    where = f"'{path}', line {line}, column {k}"
+    where = f"{quoted_path(path)}, line {line}, column {k}"
     if k >= len(row):
         raise InputError(f"{where}: there are only {len(row)} columns")
     value = _float(row[k])

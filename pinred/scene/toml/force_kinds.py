@@ -9,7 +9,7 @@ from typing import Literal
 from ...forces import kinds as acting
 from ...forces.force import Force
 from .schema import ByName, Flag, Key, ListOf, Table, Tagged, Text
-from .signal_keys import ACTION, NUMBER, PER_JOINT, SIGNAL
+from .signal_keys import ACTION, NUMBER, NUMBERS, PER_JOINT, POSITIVE, SIGNAL
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,9 @@ FORCES: dict[str, ForceKind] = {
                 "stiffness": Key(NUMBER, "[N·m/rad | N/m]", required=True),
                 "rest": Key(NUMBER, "where it is relaxed [rad | m]", default="0"),
                 "to": _TO,
+                "polynomial": Key(
+                    NUMBERS, "k₂, k₃, … of −τ = k y + k₂ y² + k₃ y³ + …", default="none"
+                ),
             },
             "a spring at a joint, or between two",
         ),
@@ -59,8 +62,24 @@ FORCES: dict[str, ForceKind] = {
                 "joint": _JOINT,
                 "coefficient": Key(NUMBER, "[N·m·s/rad | N·s/m]", required=True),
                 "to": _TO,
+                "polynomial": Key(
+                    NUMBERS, "c₂, c₃, … of −τ = v (c + c₂ |v| + c₃ |v|² + …)", default="none"
+                ),
             },
             "a damper at a joint, or between two",
+        ),
+    ),
+    "friction": ForceKind(
+        acting.Friction,
+        Table(
+            {
+                "joint": _JOINT,
+                "most": Key(NUMBER, "the torque of dry friction [N·m | N]", required=True),
+                "width": Key(
+                    POSITIVE, "the rate within which it turns round [rad/s | m/s]", required=True
+                ),
+            },
+            "dry friction at a joint, smooth: −most·tanh(v/width)",
         ),
     ),
     "potential": ForceKind(

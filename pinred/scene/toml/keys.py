@@ -52,6 +52,11 @@ LOAD = Table(
             default="the only one",
         ),
         "strict": Key(Flag(), "refuse what is otherwise a warning", default="false"),
+        "meshes": Key(
+            Either((Text((), "a folder"), ListOf(Text((), "a folder")))),
+            "where playback looks for the meshes of a URDF, relative to this file",
+            default="in folders above the robot's file",
+        ),
     },
     "the options of pinred.load",
 )
@@ -160,6 +165,14 @@ SCENE = Table(
         "run": Key(RUN, "for how long and how accurately"),
         "springs": Key(
             ByName(ListOf(NUMBER, 2)), "joint = [stiffness, rest], short for forces of kind spring"
+        ),
+        "passive": Key(
+            Flag(), "whether springs and dampers in the robot's file act", default="false"
+        ),
+        "friction": Key(
+            POSITIVE,
+            "dry friction in the file acts, with this width of its smooth law [rad/s | m/s]",
+            default="it does not",
         ),
         "prescribed": Key(ByName(SIGNAL), "joints that follow a plan, each a signal"),
         "forces": Key(ListOf(FORCE), "what acts"),

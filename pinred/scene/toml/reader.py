@@ -116,6 +116,7 @@ class _Builder:
             for k, entry in enumerate(self.document.get("forces", []))
         ]
         options = {**self._start(), **run, "springs": springs, "prescribed": prescribed}
+        options |= {k: self.document[k] for k in ("passive", "friction") if k in self.document}
         try:
             scene = Scene(system=self.system, forces=forces, **options)
             _ = scene.start  # which a Scene works out only when somebody asks
@@ -124,7 +125,11 @@ class _Builder:
         return SceneFile(scene, engine)
 
     def _load(self) -> System:
-        robot, options = self.document["robot"], self.document.get("load", {})
+        robot, options = self.document["robot"], dict(self.document.get("load", {}))
+        if "meshes" in options:
+            given = options["meshes"]
+            folders = [given] if isinstance(given, str) else given
+            options["meshes"] = [self.folder / folder for folder in folders]
         source: str | Path = robot
         file = self.folder / robot
         is_file = _is_file(file)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
-from ..contents import LeftOut, PassiveJoint
+from ..contents import LeftOut
 from .joints import acts_on_joint
 from .package import mujoco_package
+from .passive import passive_left_out
 from .tree import Tree
 from .world import World
 
@@ -25,9 +24,7 @@ def acting_on(tree: Tree, outside: Sequence[str], *, gravcomp: bool) -> Iterator
     kinds: dict[str, list[str]] = {"actuators": _actuators(tree)}
     kinds["equality constraints"] = [] if world.disabled("EQUALITY") else [*outside]
     kinds["tendons"] = [world.name("TENDON", k) for k in tendons_on(tree) if _pulls(world, k)]
-    kinds["joint springs"] = [p.joint for p in passive_joints(tree) if any(p.stiffness)]
-    kinds["joint damping"] = [p.joint for p in passive_joints(tree) if any(p.damping)]
-    kinds["dry friction"] = [p.joint for p in passive_joints(tree) if p.friction]
+    kinds |= passive_left_out(tree)
     kinds["joint limits"] = [
         world.joint_names[joint]
         for joint in joints
@@ -46,33 +43,6 @@ def acting_on(tree: Tree, outside: Sequence[str], *, gravcomp: bool) -> Iterator
     for what, names in kinds.items():
         if names:
             yield LeftOut(what, tuple(names))
-
-
-def passive_joints(tree: Tree) -> tuple[PassiveJoint, ...]:
-    """Return springs, dampers and dry friction of the joints that move."""
-    world, model = tree.world, tree.world.model
-    springs, dampers, dry = (
-        not world.disabled(word) for word in ("SPRING", "DAMPER", "FRICTIONLOSS")
-    )
-    out = []
-    for joint in tree.free_joints:
-        q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-        rest = model.qpos_spring[q : q + 1]
-        if world.kind(joint) == "ball":
-            rest = np.roll(model.qpos_spring[q : q + 4], -1)
-        stiffness = np.append(model.jnt_stiffness[joint], model.jnt_stiffnesspoly[joint])
-        damping = np.append(model.dof_damping[v], model.dof_dampingpoly[v])
-        entry = PassiveJoint(
-            joint=world.joint_names[joint],
-            stiffness=tuple((springs * stiffness).tolist()),
-            rest=tuple(rest.tolist()),
-            damping=tuple((dampers * damping).tolist()),
-            friction=float(dry * model.dof_frictionloss[v]),
-            yields=float(model.jnt_springyield[joint]),
-        )
-        if any(entry.stiffness) or any(entry.damping) or entry.friction:
-            out.append(entry)
-    return tuple(out)
 
 
 def tendons_on(tree: Tree) -> list[int]:

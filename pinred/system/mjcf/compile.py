@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from ...common.errors import LoadError, ModelError, PinredError
-from ..robot_files import captured_stderr, read_text
+from ...common.library_output import library_output
+from ..robot_files import read_text
 from .package import is_mujoco, mujoco_package, warnings_kept
 from .text import check_text
 
+_OWN_LINES = re.compile(rb"^WARNING: XML contains [^\n]*\n?", re.MULTILINE)
 # What MuJoCo reserves room for, which nothing here needs: sizes as its default spec has them.
 _ROOM = (
     *("memory", "nstack", "njmax", "nconmax", "nkey", "nuserdata"),
@@ -51,8 +54,9 @@ def compiled(source: Any, *, shapes: bool = False) -> Any:
 
 def _checked(what: str, make: Callable[[], Any]) -> Any:
     """Return what `make` makes.  Raises LoadError for all that MuJoCo says against it."""
-    # Its libraries print on their own, too.
-    with captured_stderr(), warnings_kept() as said:
+    # Its reader of XML prints on its own, too; and where it writes warnings is one place for all
+    # threads.
+    with library_output(_OWN_LINES), warnings_kept() as said:
         try:
             model = make()
         except PinredError:

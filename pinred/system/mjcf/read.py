@@ -13,10 +13,11 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...lie.group import Group
 from ..contents import Contents
-from .acting import acting_on, passive_joints, tendons_on
+from .acting import acting_on, tendons_on
 from .compile import compiled
 from .constraints import constraints_of, locked_with_followers, refuse_heavy_tendons
 from .keyframes import keyframes_of
+from .passive import passive_forces
 from .tree import tree_of
 from .world import World, robot_in
 
@@ -56,7 +57,7 @@ def read_mujoco(
     def contents(group: Group) -> Contents:
         return Contents(
             left_out=tuple(acting_on(tree, constraints.outside, gravcomp=weight.partly)),
-            passive=passive_joints(tree),
+            passive=passive_forces(tree),
             keyframes=keyframes_of(tree, group, constraints.couplings),
             couplings=constraints.couplings,
             freed=still[0] if still and tree.root is None else "",

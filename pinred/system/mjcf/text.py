@@ -12,6 +12,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from ...common.errors import LoadError
+from ...common.plain_names import plain_path
 from ..robot_files import is_file, read_text
 
 _DEEPEST = 450  # elements in one another; MuJoCo refuses 500
@@ -59,9 +60,9 @@ def check_text(path: Path, text: str) -> None:
 def _measure(path: Path, text: str, found: _Measure, depth: int) -> None:
     found.letters += len(text)
     if found.letters > _MOST_LETTERS:
-        raise LoadError(f"{path}: more than {_MOST_LETTERS} letters of MJCF in all")
+        raise LoadError(f"{plain_path(path)}: more than {_MOST_LETTERS} letters of MJCF in all")
     if path.resolve() in found.reading or len(found.reading) > _DEEPEST_INCLUDES:
-        raise LoadError(f"{path} includes itself, or too many files include each other")
+        raise LoadError(f"{plain_path(path)} includes itself, or too many files include each other")
     found.reading.append(path.resolve())
     inside: list[_Open] = []
 
@@ -107,7 +108,7 @@ def _measure(path: Path, text: str, found: _Measure, depth: int) -> None:
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:
-        raise LoadError(f"{path} is not XML: {error}") from None
+        raise LoadError(f"{plain_path(path)} is not XML: {error}") from None
     found.reading.pop()
 
 

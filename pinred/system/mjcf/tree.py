@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from ...common.arrays import Array
 from ...common.errors import InputError, ModelError
+from ...common.plain_names import listed, quoted
 from .joints import Joint, frame, joint_of
 from .root import RootMotion, root_motion
 from .world import World
@@ -94,10 +95,11 @@ def _locked(world: World, lock: Mapping[str, float]) -> dict[int, float]:
     out = {}
     for name, value in lock.items():
         if name not in own:
-            raise InputError(f"lock: no joint '{name}'; the joints are {', '.join(own)}")
+            raise InputError(f"lock: no joint {quoted(name)}; the joints are {listed(own, 60)}")
         if world.kind(own[name]) in ("ball", "free") and value != 0.0:
             raise InputError(
-                f"lock: joint '{name}' has several degrees of freedom and freezes at zero only"
+                f"lock: joint {quoted(name)} has several degrees of freedom and freezes "
+                "at zero only"
             )
         out[own[name]] = value
     return out
@@ -157,9 +159,9 @@ def _add_joint(
     found = joint_of(world, joint)
     if found.nv != 1:
         raise ModelError(
-            f"joint '{found.name}' is a {found.kind} joint inside the tree, with {found.nv} "
-            f"degrees of freedom; lock it (lock=['{found.name}']), or write three hinges in its "
-            "place"
+            f"joint {quoted(found.name)} is a {found.kind} joint inside the tree, with {found.nv} "
+            f"degrees of freedom; lock it (lock=[{quoted(found.name)}]), or write three "
+            "hinges in its place"
         )
     # Its coordinate is MuJoCo's, which is q0 where the file has the joint drawn.
     place = at.at * found.at_point * found.turned(-found.q0)

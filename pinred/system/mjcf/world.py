@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...common.errors import InputError, LoadError, ModelError
+from ...common.plain_names import quoted
 from ..contents import shortened
 from .package import mujoco_package
 
@@ -99,7 +100,7 @@ def robot_in(model: Any, root: str | None = None, what: str = "the model") -> Wo
         at_top = {body_names[body]: body for body in children[0]}
         if root not in at_top:
             raise InputError(
-                f"root: no body '{root}' in the world; the bodies are {shortened(names, 20)}"
+                f"root: no body {quoted(root)} in the world; the bodies are {shortened(names, 20)}"
             )
         top = at_top[root]
     others = tuple(body_names[body] for body in moving if body != top)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,12 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.arrays import Array
-from ...common.errors import PinredError
+from ...common.errors import LoadError, PinredError
+from ...common.library_output import library_output
 from ...system.catalogue import bundled_robots, example_robot
-from ...system.robot_files import is_mjcf, read_text
+from ...system.robot_files import URDFDOM, is_mjcf, read_text
 from ...system.system import System
+from ...system.visuals import Visuals, mesh_folders
 from .mjcf_shapes import mjcf_shapes
 from .solids import Bodies, Mesh, Solid
 
@@ -25,18 +28,27 @@ _SLENDER = 0.04  # radius of a limb, in radii of gyration of the robot
 _THIN = 1e-3  # least semi-axis of an ellipsoid, in radii of gyration
 
 
-def drawn_bodies(system: System, *, meshes: bool = True) -> Bodies:
-    """Return the shapes of a system; made from its inertias if its file has none to show."""
-    if not meshes:
+def drawn_bodies(
+    system: System, *, meshes: bool | str | Path | Sequence[str | Path] = True
+) -> Bodies:
+    """Return the shapes of a system; made from its inertias if it has none to show.
+
+    meshes: whether to show those of its file; or folders in which their meshes may be, too.
+    """
+    if meshes is False:
         return Bodies(_from_inertias(system), (), "bodies drawn from their inertias")
-    if system.origin is None:
+    visuals = system.contents.visuals
+    if system.origin is None and visuals is None:
         why = "the model was given without its file"
     else:
         try:
-            bodies = _from_file(system, _file(system.origin.source))
+            folders = () if meshes is True else mesh_folders(meshes)
+            bodies = _of(system, folders)
             if bodies.solids:
                 return bodies
-            why = "its file has no shapes"
+            why = "there are no shapes with the model"
+            if visuals is None:
+                why = "its file has no shapes"
         except (PinredError, ValueError, RuntimeError, OSError) as error:
             why = _reason(error)
     return Bodies(_from_inertias(system), (), f"bodies drawn from their inertias: {why}")
@@ -75,15 +87,37 @@ def _file(source: str) -> Path:
     return Path(source) if Path(source).is_absolute() else example_robot(source).urdf
 
 
-def _from_file(system: System, path: Path) -> Bodies:
-    """Return the visual shapes in a URDF or MJCF file.  Raises what their readers raise."""
+def _of(system: System, folders: Sequence[str]) -> Bodies:
+    """Return the shapes that came with a model, or those in its file."""
+    if system.contents.visuals is not None:
+        return _from_geometry(system, system.contents.visuals)
+    origin = system.origin
+    assert origin is not None
+    path = _file(origin.source)
     if is_mjcf(read_text(path)):
         return mjcf_shapes(system, path)
-    raw = pin.buildModelFromUrdf(str(path))
-    # A package is a folder in one of those above the file.
-    folders = [str(folder) for folder in path.resolve().parents][:-1]
-    visual = pin.GeometryType.VISUAL
-    geometry = pin.buildGeomFromUrdf(raw, str(path), visual, package_dirs=folders)
+    return _from_geometry(system, _from_urdf(path, [*folders, *origin.meshes]))
+
+
+def _from_urdf(path: Path, folders: Sequence[str]) -> Visuals:
+    """Return the visual shapes in a URDF file.  Raises what its reader raises.
+
+    folders: where its meshes, or the packages that hold them, may be, too.
+    """
+    # A package is a folder in one of those above the file; one that is named may be it itself.
+    named = [place for folder in folders for place in (folder, str(Path(folder).parent))]
+    above = [str(folder) for folder in path.resolve().parents][:-1]
+    with library_output(URDFDOM):
+        raw = pin.buildModelFromUrdf(str(path))
+        geometry = pin.buildGeomFromUrdf(
+            raw, str(path), pin.GeometryType.VISUAL, package_dirs=[*named, *above]
+        )
+    return Visuals(raw, geometry)
+
+
+def _from_geometry(system: System, visuals: Visuals) -> Bodies:
+    """Return shapes of Pinocchio on the joints of a system."""
+    raw, geometry = visuals.model, visuals.geometry
     solids: list[Solid] = []
     meshes: list[Mesh] = []
     left_out = 0
@@ -103,7 +137,7 @@ def _from_file(system: System, path: Path) -> Bodies:
         joint, at = _carried_by(system, raw, entry)
         colour = tuple(float(c) for c in entry.meshColor)
         solids.append(Solid(joint, kind, size, np.array(pin.SE3ToXYZQUAT(at)), colour))  # type: ignore[arg-type]
-    note = f"{left_out} shapes of its file cannot be drawn" if left_out else ""
+    note = f"{left_out} of its shapes cannot be drawn" if left_out else ""
     return Bodies(tuple(solids), tuple(meshes), note)
 
 
@@ -113,15 +147,26 @@ def _carried_by(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE
     The link's frame is what the file's model and the system's (whose joints may be frozen,
     or on another root) have in common.
     """
+    if entry.parentFrame >= raw.nframes:  # it was put on a joint, without a frame
+        return _on_joint(system, raw, entry)
     link = raw.frames[entry.parentFrame]
     on_link = link.placement.inverse() * entry.placement
-    kinds = pin.FrameType.BODY
+    kinds = link.type
     if link.name == "universe" or not system.model.existFrame(link.name, kinds):
         # What stands on the ground of the file floats along with a root that was put under it.
         floats = not raw.existJointName(system.root_name)
         return (1 if floats else 0), link.placement * on_link
     frame = system.model.frames[system.model.getFrameId(link.name, kinds)]
     return frame.parentJoint, frame.placement * on_link
+
+
+def _on_joint(system: System, raw: pin.Model, entry: Any) -> tuple[int, pin.SE3]:
+    name = str(raw.names[entry.parentJoint])
+    if entry.parentJoint == 0:
+        return int(not raw.existJointName(system.root_name)), entry.placement
+    if not system.model.existJointName(name):
+        raise LoadError(f"shape '{entry.name}' sits on joint '{name}', which is frozen")
+    return system.model.getJointId(name), entry.placement
 
 
 def _primitive(shape: Any) -> tuple[str, tuple[float, ...]]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any, TypedDict
 
 from ...common.arrays import positive
 from ...common.errors import InputError
+from ...system.visuals import mesh_folders
 
 FPS = 60.0  # frames in a second of playback
 FILM_FPS = 30.0  # and of a film
@@ -21,7 +23,8 @@ class View:
     speed: seconds of the motion in a second of playback, to begin with.  fps: frames in a
     second of playback; the page draws between them, too.  pair: two joints, the axes of the
     shape panel (those that move the most without spinning).  meshes: draw what the robot's
-    file says; else bodies made from the inertias.
+    file says, else bodies made from the inertias; or folders in which the meshes of a URDF are
+    looked for, beside those of `load`.
 
     Raises InputError for values that make no sense.
     """
@@ -30,9 +33,11 @@ class View:
     speed: float = 1.0
     fps: float = FPS
     pair: Sequence[str] | None = None
-    meshes: bool = True
+    meshes: bool | str | Path | Sequence[str | Path] = True
 
     def __post_init__(self) -> None:
+        if not isinstance(self.meshes, bool):
+            object.__setattr__(self, "meshes", mesh_folders(self.meshes))
         for name in ("speed", "fps"):
             object.__setattr__(self, name, positive(getattr(self, name), name))
         if self.pair is not None:
@@ -51,7 +56,7 @@ class ViewOptions(TypedDict, total=False):
     speed: float
     fps: float
     pair: Sequence[str] | None
-    meshes: bool
+    meshes: bool | str | Path | Sequence[str | Path]
 
 
 def as_view(options: Mapping[str, Any], what: str) -> View:

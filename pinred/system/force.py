@@ -1,0 +1,145 @@
+"""The interface of forces: symbols that they are functions of, and terms that they give.
+
+It stands this low because a robot's file has forces of its own (`System.passive`), which are
+values like any other.  Those that somebody adds are in the room `forces`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from ..common.errors import InputError
+from ..common.names import joint_index
+
+if TYPE_CHECKING:
+    import casadi as ca
+
+
+def _unknown_dynamics(_: Mapping[int, ca.SX]) -> ca.SX:
+    raise InputError("only a force that is `last` may ask for the torques of an acceleration")
+
+
+@dataclass(frozen=True)
+class Symbols:
+    """The variables of which forces are functions.
+
+    names: of the shape joints.  followers: of those that follow them, each with words on how.
+    t: time [s].  x, xdot: (m,) shape and rate, by number or by
+    joint.  xi, mu: (r,) body twist of the base and body momentum, both as seen from the centre
+    of mass: the linear part of μ is zero, the angular one is about the centre of mass (SO2, SO3:
+    about the axis or pivot).  within: a time that says which piece of a table counts.
+    For forces that are `last`: others, (m,) torques of all other forces; accelerations, those
+    of the prescribed joints; required_torque, from the accelerations of all joints to the (m,)
+    torques that give them.
+    """
+
+    names: tuple[str, ...]
+    t: ca.SX
+    x: ca.SX
+    xdot: ca.SX
+    xi: ca.SX
+    mu: ca.SX
+    within: ca.SX | None = None
+    others: ca.SX | float = 0.0
+    accelerations: Mapping[int, ca.SX] = field(default_factory=dict)
+    required_torque: Callable[[Mapping[int, ca.SX]], ca.SX] = _unknown_dynamics
+    followers: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def every_name(self) -> tuple[str, ...]:
+        """Names of the shape joints, and then of those that follow them."""
+        return (*self.names, *self.followers)
+
+    def joint(self, name: str, what: str) -> int:
+        """Return the index of a joint; those that follow others come after the shape's.
+
+        What acts on one of these acts through it on the joint that it follows.  Raises InputError
+        that lists the joints.
+        """
+        return joint_index(name, self.every_name, what)
+
+    def refuse_follower(self, joint: int, what: str) -> None:
+        """Raise InputError, naming `what`, if a joint follows another and is no coordinate."""
+        if words := self.followers.get(self.every_name[joint]):
+            raise InputError(f"{what}: {words}; take the joint that it follows")
+
+    def column(self, values: Any, what: str) -> dict[int, Any]:
+        """Return {joint: value} of a mapping by names or of a sequence of m values."""
+        if isinstance(values, Mapping):
+            return {self.joint(name, what): value for name, value in values.items()}
+        found = entries(values, len(self.names), what)
+        return dict(enumerate(found))
+
+
+@dataclass
+class Terms:
+    """The action of a force.
+
+    torque: by joint, numbered as `Symbols.joint` does.  wrench: r entries on the base.
+    potential: [J].
+    """
+
+    potential: Any = None
+    torque: dict[int, Any] = field(default_factory=dict)
+    wrench: list[Any] | None = None
+
+
+class Force(ABC):
+    """A force: it acts on the system, and does not depend on where its base is."""
+
+    last: ClassVar[bool] = False  # whether it has to know what the others do
+
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """The force's name in tables and messages."""
+
+    @abstractmethod
+    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+        """Return the action of the force.
+
+        number: turns a value that may change from scene to scene without another kernel
+        into a symbol.  Raises InputError for joints that are not there.
+        """
+
+    @property
+    def signals(self) -> Iterable[Any]:
+        """The functions of time in the force, as Signals."""
+        return ()
+
+
+def finite(value: Any, what: str, wanted: str = "a number") -> float:
+    """Return a value as a finite number.  Raises InputError naming `what`."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} must be {wanted}, got {value!r}") from None
+    if not np.isfinite(number):
+        raise InputError(f"{what} must be finite, got {number}")
+    return number
+
+
+def settle(force: Any, *names: str) -> None:
+    """Make fields of a force finite floats.  Raises InputError."""
+    for name in names:
+        object.__setattr__(force, name, finite(getattr(force, name), f"{name} of a {force.label}"))
+
+
+def entries(values: Any, count: int, what: str) -> list[Any]:
+    """Return the entries of a column or sequence of `count`.  Raises InputError."""
+    import casadi as ca
+
+    if isinstance(values, ca.SX):
+        values = ca.vertsplit(ca.densify(values)) if values.shape[1] == 1 else [values]
+    try:
+        found = list(values)
+    except TypeError:
+        found = [values]
+    if len(found) != count:
+        raise InputError(f"{what} must give {count} values, gave {len(found)}")
+    return found

@@ -1,0 +1,100 @@
+"""Terminals of ASCII, and file names that are no text: nothing traces back."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pinred.cli.main import COMMANDS
+from pinred.cli.terminal import nearest_ascii
+
+ROOT = Path(__file__).parents[2]
+SCENE = "examples/cat_turns_over.toml"
+
+
+def run(
+    *words: str | bytes, encoding: str = "ascii", cwd: Path = ROOT
+) -> subprocess.CompletedProcess[bytes]:
+    """Run a command on a terminal of some encoding."""
+    env = os.environ | {"PYTHONIOENCODING": encoding, "PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.run(
+        [sys.executable, "-m", "pinred", *words], cwd=cwd, env=env, capture_output=True, check=False
+    )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("inspect", "falling_cat"),
+        ("compare", "falling_cat", "--time", "0.1"),
+        ("run", SCENE, "--check", "--explain"),
+        pytest.param(("run", SCENE, "--compare"), marks=pytest.mark.slow),
+        ("robots",),
+        ("run", "--schema"),
+        pytest.param(("stress", "--only", "units"), marks=pytest.mark.slow),
+    ],
+)
+def test_commands_on_an_ascii_terminal(words: tuple[str, ...]) -> None:
+    """They print ASCII, and end as they do elsewhere."""
+    done = run(*words)
+    assert done.returncode == 0, done.stderr.decode()
+    assert done.stdout.decode("ascii")
+    assert b"Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_help_on_an_ascii_terminal(command: str) -> None:
+    """Each page is the one of a terminal that can do more, but for single letters."""
+    words = [command, "--help"] if command else ["--help"]
+    done = run(*words)
+    assert done.returncode == 0, done.stderr.decode()
+    assert done.stdout.decode("ascii").startswith("usage")
+    wide = run(*words, encoding="utf-8").stdout.decode()
+    assert "".join(c if c.isascii() else nearest_ascii(c) for c in wide) == done.stdout.decode()
+
+
+def test_errors_on_an_ascii_terminal() -> None:
+    """In one line."""
+    done = run("inspect", "kätzchen×²")
+    assert done.returncode == 2
+    assert b"unknown robot 'katzchenx^2'" in done.stderr
+    assert done.stderr.count(b"\n") == 1
+
+
+def test_units_in_ascii() -> None:
+    """What the terminal can is printed as it is; the rest as near as ASCII comes."""
+    assert "m/s^2" in run("inspect", "falling_cat").stdout.decode()
+    assert "m/s²" in run("inspect", "falling_cat", encoding="latin-1").stdout.decode("latin-1")
+    assert "m/s²" in run("inspect", "falling_cat", encoding="utf-8").stdout.decode()
+    assert "".join(map(nearest_ascii, "×é\udcff中")) == "xe\\xff\\u4e2d"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_file_names_that_are_no_text(tmp_path: Path, encoding: str) -> None:
+    """Motions and scenes may have them; a robot's file is refused in words."""
+    folder = Path(os.fsdecode(bytes(tmp_path) + b"/f\xff"))
+    folder.mkdir()
+    scene, out = bytes(folder) + b"/s\xfe.toml", bytes(folder) + b"/m\xfd.npz"
+    Path(os.fsdecode(scene)).write_text("robot = 'falling_cat'\nrun = { duration = 0.1 }\n")
+    done = run("run", scene, "--out", out, encoding=encoding)
+    assert done.returncode == 0, done.stderr.decode()
+    assert b"\\xfd.npz" in done.stdout
+    page = bytes(folder) + b"/p\xfc.html"
+    done = run("play", out, "--out", page, encoding=encoding)
+    assert done.returncode == 0, done.stderr.decode()
+    for name, content in ((b"r\xfb.urdf", "<robot name='r'><link name='a'/></robot>"),
+                          (b"r\xfb.xml", "<mujoco/>")):  # fmt: skip
+        robot = bytes(folder) + b"/" + name
+        Path(os.fsdecode(robot)).write_text(content)
+        done = run("inspect", robot, encoding=encoding)
+        assert done.returncode == 2
+        assert b"bytes that are not UTF-8" in done.stderr
+        assert done.stderr.count(b"\n") == 1
+    done = run("run", bytes(folder) + b"/gone\xfa.toml", encoding=encoding)
+    assert done.returncode == 2
+    assert done.stderr.count(b"\n") == 1

@@ -1,0 +1,131 @@
+"""Files that are written whole: what stands in their way, and what killed processes leave."""
+
+from __future__ import annotations
+
+import os
+import signal
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+from threading import Thread
+
+import pytest
+
+import pinred
+from pinred.common.files import check_path, write_atomic
+from pinred.common.plain_names import quoted_path
+
+WRITE = """
+import sys, time
+from pathlib import Path
+from pinred.common.files import write_atomic
+
+def slow(file):
+    file.write(b"half")
+    file.flush()
+    print("writing", flush=True)
+    time.sleep(20)
+
+write_atomic(Path(sys.argv[1]), slow)
+"""
+
+
+def files_in(folder: Path) -> list[str]:
+    """All names in a folder."""
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_what_a_killed_process_left_is_swept_by_the_next(tmp_path: Path) -> None:
+    """Not while it lives; whatever the next one writes there."""
+    with subprocess.Popen(
+        [sys.executable, "-c", WRITE, str(tmp_path / "a.npz")], stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"writing\n"
+        (left,) = files_in(tmp_path)
+        write_atomic(tmp_path / "b.npz", lambda file: file.write(b"b"))
+        assert files_in(tmp_path) == sorted([left, "b.npz"])
+        process.send_signal(signal.SIGKILL)
+    assert files_in(tmp_path) == sorted([left, "b.npz"])
+    stranger = tmp_path / ".pinred-notes.tmp"
+    stranger.write_text("not ours")
+    write_atomic(tmp_path / "c.npz", lambda file: file.write(b"c"))
+    assert files_in(tmp_path) == sorted([stranger.name, "b.npz", "c.npz"])
+
+
+def test_many_threads_write_in_one_folder(tmp_path: Path) -> None:
+    """None sweeps what another is writing."""
+
+    def work(number: int) -> None:
+        for k in range(40):
+            text = f"{number} {k}".encode()
+            write_atomic(tmp_path / f"{number}.npz", lambda file, text=text: file.write(text))  # type: ignore[misc]
+            check_path(tmp_path / f"{number}.npz")
+
+    threads = [Thread(target=work, args=(n,)) for n in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [(tmp_path / f"{n}.npz").read_bytes() for n in range(6)] == [
+        f"{n} 39".encode() for n in range(6)
+    ]
+    assert len(files_in(tmp_path)) == 6
+
+
+def test_a_failure_leaves_the_old_file(tmp_path: Path) -> None:
+    """And nothing beside it; the new one has the rights that the process gives files."""
+    path = tmp_path / "a.npz"
+    write_atomic(path, lambda file: file.write(b"old"))
+    before = os.umask(0o027)
+    try:
+        write_atomic(path, lambda file: file.write(b"old"))
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+    def fail(_: object) -> None:
+        raise KeyError
+
+    with pytest.raises(KeyError):
+        write_atomic(path, fail)
+    assert path.read_bytes() == b"old"
+    assert files_in(tmp_path) == ["a.npz"]
+
+
+def test_what_would_be_lost_is_refused(tmp_path: Path) -> None:
+    """A read-only file, a FIFO, a folder: as --out, before anything is simulated."""
+    kept, pipe, folder = (tmp_path / f"{name}.npz" for name in ("kept", "pipe", "folder"))
+    kept.write_bytes(b"kept")
+    kept.chmod(0o444)
+    os.mkfifo(pipe)
+    folder.mkdir()
+    for path, said in ((kept, "read-only"), (pipe, "a FIFO"), (folder, "a folder")):
+        began = time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, "-m", "pinred", "simulate", "falling_cat", "--out", str(path)],
+            capture_output=True, text=True, check=False, timeout=60,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        )  # fmt: skip
+        assert time.perf_counter() - began < 30.0
+        assert done.returncode == 2
+        assert said in done.stderr
+        assert done.stderr.count("\n") == 1
+    assert kept.read_bytes() == b"kept"
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    link = tmp_path / "link.npz"
+    link.symlink_to(kept)
+    with pytest.raises(pinred.OutputError, match="read-only"):
+        check_path(link)
+
+
+def test_names_of_files_in_messages(tmp_path: Path) -> None:
+    """In one line, cut in the middle."""
+    with pytest.raises(pinred.InputError) as caught:
+        check_path(tmp_path / f"a\nb{'c' * 500}.txt")
+    assert "\n" not in str(caught.value)
+    assert "a b" in str(caught.value) or "…" in str(caught.value)
+    assert len(str(caught.value)) < 300
+    assert len(quoted_path("x" * 10_000)) == 202
