@@ -137,7 +137,7 @@ def _judge_base(kernel: Kernel, at: JudgedState, rate: Array, v: Array, wrench: 
     terms = np.abs(wrench[k:]) + np.abs(lever).T @ np.abs(wrench[:k])
     if parts.momentum and at.gravity.any():
         moment = moment + _moment_of_gravity(kernel, at)
-        terms = terms + system.mass * np.abs(at.gravity).sum() * at.reach
+        terms = terms + system.mass * at.weight * at.reach
     bent = np.cross(at.mu[k:], omega) if parts.momentum == 3 else np.zeros(parts.momentum)
     _, down, momentum, push = _base_rates(kernel, rate)
     if parts.down:
@@ -174,9 +174,6 @@ def _judge_acceleration(
     )
     mudot = system.group.coadjoint(v[:r], at.mu) + wrench
     tau = np.concatenate([wrench, torque])
-    weight = np.zeros(system.n)
-    if at.gravity.any():
-        weight = np.abs(pin.computeGeneralizedGravity(model, model.createData(), q))
     if layout.base.momentum and at.gravity.any():
         mudot = mudot + _moment_of_gravity(kernel, at)
     fixed = r + np.array(at.driven, dtype=int)
@@ -187,7 +184,7 @@ def _judge_acceleration(
     # Not by ABA: where a base is light its inverse inertia rounds off what is far larger.
     bias = pin.nonLinearEffects(model, data, q, v)
     true = np.linalg.solve(inertia, (tau - bias)[free] - held)
-    terms = at.force_terms + np.abs(tau) + weight
+    terms = at.force_terms + np.abs(tau) + at.weight_terms
     terms += np.abs(H[:, free]) @ np.abs(true) + np.abs(H[:, fixed]) @ np.abs(at.accelerations)
     _checker(kernel)("acceleration", found, true, at.solved_terms(terms)[free])
 

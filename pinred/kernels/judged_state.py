@@ -24,7 +24,8 @@ class JudgedState:
     """A state, the kernel's arguments there, and Pinocchio's numbers.
 
     model: in the gravity that the kernel knows, which is without what makes the system fall.
-    gravity: (3,) the same in the root joint's fixed frame [m/s²].  pose: (size,).
+    gravity: (3,) the same in the root joint's fixed frame [m/s²].  weight: the strength of all
+    of it, of which that is a part, [m/s²].  pose: (size,).
     q: (nq,).  x: (m,).  v: (n,) body twist and shape rate, whose momentum is of a kind that
     the kernel has terms for.  accelerations: of the prescribed joints.  numbers: (p,) in the
     forces.  down: (3,) direction of gravity in the body's frame, or none.  pushed: the
@@ -36,6 +37,7 @@ class JudgedState:
 
     model: pin.Model
     gravity: Array
+    weight: float
     time: float
     pose: Array
     q: Array
@@ -93,6 +95,21 @@ class JudgedState:
         They are sums of products of angular rates with momenta, and of speeds among each other
         times masses.
         """
+        angular, mass = self._moved
+        turning = float(np.abs(self.v[angular]).sum())
+        speed = float(np.abs(self.v[~angular]).sum()) + self.reach * turning
+        moving = mass * speed * np.where(angular, speed, turning)
+        return np.asarray(turning * self.momentum_terms + moving)
+
+    @cached_property
+    def weight_terms(self) -> Array:
+        """Magnitude of the forces of gravity, (n,), before the parts across an axis cancel."""
+        angular, mass = self._moved
+        return np.asarray(mass * self.weight * np.where(angular, self.reach, 1.0))
+
+    @cached_property
+    def _moved(self) -> tuple[Array, Array]:
+        """Which velocities turn, (n,), and the mass that each moves, (n,) [kg]."""
         model, data = self.model, self.model.createData()
         pin.crba(model, data, self.q)
         angular, mass = np.ones(len(self.v), dtype=bool), np.empty(len(self.v))
@@ -101,10 +118,7 @@ class JudgedState:
             own = slice(joint.idx_v, joint.idx_v + joint.nv)
             angular[own] = np.abs(axes_of(joint)[3:]).sum(axis=0) > 0.0
             mass[own] = data.Ycrb[i].mass
-        turning = float(np.abs(self.v[angular]).sum())
-        speed = float(np.abs(self.v[~angular]).sum()) + self.reach * turning
-        moving = mass * speed * np.where(angular, speed, turning)
-        return np.asarray(turning * self.momentum_terms + moving)
+        return angular, mass
 
     @cached_property
     def reach(self) -> float:
@@ -167,6 +181,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
     return JudgedState(
         model=model,
         gravity=gravity,
+        weight=float(np.linalg.norm(system.gravity)),
         time=time,
         pose=pose,
         q=q,

@@ -8,6 +8,7 @@ the file itself, so that they are honoured or refused, never dropped.
 from __future__ import annotations
 
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Collection, Iterator
@@ -16,13 +17,16 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers import expat
 
+import numpy as np
 import pinocchio as pin
 
 from ..common.errors import LoadError, ModelError
 from .urdf import check_urdf, total_mass
+from .urdf_text import UNLIMITED, tidied
 
 _MOST_BYTES = 256_000_000  # of a file that is read whole
 _FEW = 4096  # letters that are looked at at once
+_ELEMENT = re.compile(r"<[^!?]")
 
 
 def read_description(path: Path, lock: Collection[str]) -> pin.Model:
@@ -32,12 +36,13 @@ def read_description(path: Path, lock: Collection[str]) -> pin.Model:
     Raises LoadError if the file cannot be read, ModelError if its robot cannot be reduced.
     """
     root = read_xml(path)
+    refuse_macros(path, root)
     if root.tag != "robot":
         raise LoadError(f"{path} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>")
     check_urdf(root, lock)
     with captured_stderr() as said:
         try:
-            model = pin.buildModelFromUrdf(str(path))
+            model = pin.buildModelFromXML(tidied(root))
         except Exception as error:  # Pinocchio raises what its parsers raise, of any type
             said.append(str(error).strip() or type(error).__name__)
             model = None
@@ -45,6 +50,8 @@ def read_description(path: Path, lock: Collection[str]) -> pin.Model:
         reason = said[0].splitlines()[0] if said[0] else said[-1].splitlines()[-1]
         raise LoadError(f"Pinocchio cannot read {path}: {reason.removeprefix('Error:').strip()}")
     _check_mass(path, model, total_mass(root))
+    for limits in (model.lowerPositionLimit, model.upperPositionLimit):
+        limits[np.abs(limits) >= UNLIMITED] *= np.inf
     return model
 
 
@@ -106,6 +113,7 @@ def is_mjcf(text: str) -> bool:
     found: list[str] = []
     parser = expat.ParserCreate()
     parser.StartElementHandler = lambda tag, _: found.append(tag) if not found else None
+    text = _without_declaration(text)
     with suppress(expat.ExpatError, ValueError):
         for start in range(0, len(text), _FEW):
             parser.Parse(text[start : start + _FEW])
@@ -115,8 +123,37 @@ def is_mjcf(text: str) -> bool:
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """Return the root element of an XML file.  Raises LoadError."""
+    """Return the root element of an XML file.  Raises LoadError.
+
+    Prefixes of names are part of them, whether the file declares them or not.
+    """
+    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
     try:
-        return ElementTree.fromstring(read_text(path))
-    except (ElementTree.ParseError, ValueError) as error:
+        parser.Parse(_without_declaration(read_text(path)), True)
+        return builder.close()
+    except (expat.ExpatError, ValueError) as error:
         raise LoadError(f"{path} is not XML: {error}") from None
+
+
+def refuse_macros(path: Path, root: ElementTree.Element) -> None:
+    """Raise LoadError, saying what to run, for a template that xacro has to expand."""
+    used = next((e.tag for e in root.iter() if e.tag.startswith("xacro:")), "")
+    if used or any(mark in tidied(root) for mark in ("${", "$(")):
+        name = path.name.partition(".")[0] + ("" if path.suffix == ".xacro" else "_expanded")
+        raise LoadError(
+            f"{path} is a template with macros{f' (<{used}>)' if used else ''}; expand it with "
+            f"`xacro {path} > {name}.urdf`, and load what comes out"
+        )
+
+
+def _without_declaration(text: str) -> str:
+    """Return a text that begins with its first element or comment.
+
+    The declaration of XML must stand at the very beginning; here it says nothing new.
+    """
+    head, found, rest = text.partition("<?xml")
+    if found and not _ELEMENT.search(head):
+        text = head + rest.partition("?>")[2]
+    return text.lstrip()

@@ -96,10 +96,12 @@ def _check_tree(robot: Element) -> None:
                 f"the second '{joint.get('name')}'"
             )
         parent_of[name] = parent.get("link", "?")
+    tied: set[str] = set()  # to a root
     for link in parent_of:
-        seen, at = {link}, link
-        while at in parent_of:
+        way, at = {link: None}, link
+        while at in parent_of and at not in tied:
             at = parent_of[at]
-            if at in seen:
+            if at in way:
                 raise ModelError(f"link '{link}' hangs on itself through a cycle of joints")
-            seen.add(at)
+            way[at] = None
+        tied.update(way)

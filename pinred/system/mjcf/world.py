@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from ...common.errors import InputError, LoadError, ModelError
+from ...common.errors import ChoiceError, InputError, LoadError
 from ..contents import shortened
 from .package import mujoco_package
 
@@ -74,7 +74,7 @@ def robot_in(model: Any, root: str | None = None, what: str = "the model") -> Wo
     """Return the robot in a model: what hangs on the one body of the world that can move.
 
     root: the name of that body, where there are several.  what: where the model comes from.
-    Raises LoadError if there is none, ModelError if there are several and root is None,
+    Raises LoadError if there is none, ChoiceError if there are several and root is None,
     InputError for a root that is none of them; both list them.
     """
     children = _children(model)
@@ -90,9 +90,13 @@ def robot_in(model: Any, root: str | None = None, what: str = "the model") -> Wo
         if not candidates:
             raise LoadError(f"no body in {what} has a joint or a mass; there is nothing to move")
         if len(candidates) > 1:
-            raise ModelError(
+            joints = {body: sum(model.body_jntnum[i] for i in trees[body]) for body in candidates}
+            largest = sorted(candidates, key=lambda body: -joints[body])
+            raise ChoiceError(
                 f"several bodies in the world can move: {shortened(names, 20)}; "
-                "choose the one that carries the robot with root="
+                "choose the one that carries the robot with root=",
+                "root",
+                tuple(body_names[body] for body in largest),
             )
         top = candidates[0]
     else:
