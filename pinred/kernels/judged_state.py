@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from ..common.arrays import Array
 from ..reduction.inertia_split import symmetric
@@ -108,7 +109,7 @@ class JudgedState:
         return np.asarray(mass * self.weight * np.where(angular, self.reach, 1.0))
 
     @cached_property
-    def _moved(self) -> tuple[Array, Array]:
+    def _moved(self) -> tuple[NDArray[np.bool_], Array]:
         """Which velocities turn, (n,), and the mass that each moves, (n,) [kg]."""
         model, data = self.model, self.model.createData()
         pin.crba(model, data, self.q)

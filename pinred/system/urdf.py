@@ -20,9 +20,11 @@ def check_urdf(robot: Element, lock: Collection[str]) -> None:
     for joint in moving_joints(robot):
         _check_axis(joint)
     for link in robot.findall("link"):
-        inertial = link.find("inertial")
-        if inertial is not None:
-            _check_inertial(inertial, f"link '{link.get('name')}'")
+        who, found = f"link '{link.get('name')}'", link.findall("inertial")
+        if len(found) > 1:
+            raise ModelError(f"{who} has {len(found)} inertial elements; keep the one that counts")
+        for inertial in found:
+            _check_inertial(inertial, who)
     _check_tree(robot)
 
 

@@ -1,9 +1,9 @@
 """The descriptions that should work, found without pinred's readers.
 
-Of URDF, those that Pinocchio opens, that hold one open tree, and whose mass matrix is positive
-definite at some random shapes; and those that it does not open, but MuJoCo does.  Of MJCF, those that MuJoCo compiles and that hold an open tree
-of hinges and slides, on a free joint, a ball or neither.  Joints that follow others are counted
-with them.
+Of URDF, those that Pinocchio opens (or MuJoCo, if it does not), that hold one open tree, and
+whose mass matrix is positive definite at zero and some random shapes.  Of MJCF, those that
+MuJoCo compiles and that hold an open tree of hinges and slides, on a free joint, a ball or
+neither.  Joints that follow others are counted with them.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def _built(path: Path, root: pin.JointModel | None) -> pin.Model | None:
 
 
 def _regular(model: pin.Model) -> bool:
-    """Return whether the mass matrix is positive definite at some random shapes."""
+    """Return whether the mass matrix is positive definite at zero and some random shapes."""
     data = model.createData()
     if model.nv == 0:
         return False
@@ -85,8 +85,9 @@ def _regular(model: pin.Model) -> bool:
     model.upperPositionLimit = np.full(model.nq, 1.0)
     pin.seed(0)
     least = []
-    for _ in range(_SHAPES):
-        upper = np.triu(pin.crba(model, data, pin.randomConfiguration(model)))
+    shapes = [pin.neutral(model), *(pin.randomConfiguration(model) for _ in range(_SHAPES))]
+    for q in shapes:
+        upper = np.triu(pin.crba(model, data, q))
         H = upper + np.triu(upper, 1).T
         sizes = np.sqrt(np.abs(np.diag(H)))
         if not (np.isfinite(H).all() and sizes.all()):
@@ -120,14 +121,13 @@ def _tops(model: Any) -> list[list[int]]:
 
 def _why_closed(mj: Any, model: Any, joints: list[int]) -> str:
     """Return why joints are no open tree of hinges and slides; empty if they are."""
-    first_body = model.jnt_bodyid[joints[0]]
+    first_body = int(model.jnt_bodyid[joints[0]])
     ball = int(mj.mjtJoint.mjJNT_BALL)
-    inner = [j for j in joints if model.jnt_type[j] == ball and model.jnt_bodyid[j] != first_body]
-    if inner:
+    top = _root_of(model, first_body)
+    if any(model.jnt_type[j] == ball and model.jnt_bodyid[j] != top for j in joints):
         return "ball joints inside the tree"
     if int(model.opt.disableflags) & int(mj.mjtDisableBit.mjDSBL_EQUALITY):
         return ""
-    top = _root_of(model, first_body)
     ties = {int(mj.mjtEq.mjEQ_CONNECT), int(mj.mjtEq.mjEQ_WELD)}
     for k in np.flatnonzero(model.eq_active0).tolist():
         if int(model.eq_type[k]) in ties and _tied(mj, model, k) - {0} == {top}:

@@ -69,10 +69,9 @@ def _tried(what: Description, wanted: Wanted, entry: Entry) -> Entry:
     except PinredError as error:
         # Gravity may be all that is against it, as on rotors without weight.
         try:
-            system = load(what.file, gravity=_WEIGHTLESS)
+            system, options = _loaded(what.file, gravity=_WEIGHTLESS)
         except PinredError:
             return _refused(entry, error)
-        options = {}
         entry = replace(entry, outcome="without gravity", reason=_line(error))
     entry = replace(
         entry, load=time.perf_counter() - began, group=system.group.name, joints=system.m,
@@ -123,16 +122,19 @@ def _worse(entry: Entry, outcome: Any) -> Any:
     return entry.outcome if entry.outcome == "FAILED" else outcome
 
 
-def _loaded(file: str) -> tuple[System, dict[str, Any]]:
-    """Return the system of a file and the option that it took, where it leaves a choice."""
+def _loaded(file: str, **given: Any) -> tuple[System, dict[str, Any]]:
+    """Return the system of a file and the option that it took, where it leaves a choice.
+
+    given: further options of load.
+    """
     try:
-        return load(file), {}
+        return load(file, **given), {}
     except ChoiceError as error:
         first: PinredError = error
         for n, choice in enumerate(error.choices[:_CHOICES]):
             options: dict[str, Any] = {error.option: choice}
             try:
-                return load(file, **options), options
+                return load(file, **given, **options), options
             except ModelError as refusal:
                 first = refusal if n == 0 else first
         raise first from None
