@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 
+from ...common.errors import LoadError
 from ...system.mjcf.package import mujoco_package, warnings_kept
-from ...system.robot_files import captured_stderr
+from ...system.robot_files import captured_stderr, read_xml
 
 _SHAPES = 4
 _REGULAR = 1e-13  # least eigenvalue of the mass matrix, scaled to ones on its diagonal
@@ -30,9 +30,9 @@ def why_not_due(file: str, kind: str) -> str:
 
 def _urdf(path: Path) -> str:
     try:
-        tree = ElementTree.fromstring(path.read_bytes().lstrip())
-    except (ElementTree.ParseError, ValueError) as error:
-        return f"not XML: {error}"
+        tree = read_xml(path)
+    except LoadError as error:
+        return str(error)
     links = [link.get("name") for link in tree.findall("link")]
     children = [child.get("link") for child in tree.findall("joint/child")]
     if len(set(children)) < len(children):

@@ -45,10 +45,13 @@ class Differences:
     forces: float
 
 
-def differences(system: System, file: str, kind: str, root: str | None) -> Differences:
+def differences(
+    system: System, file: str, kind: str, root: str | None, *, weightless: bool = False
+) -> Differences:
     """Return how far a system is from MuJoCo's reading of its file.
 
-    root: the body that carries the robot, if it was chosen.
+    root: the body that carries the robot, if it was chosen.  weightless: whether the system was
+    loaded without the file's gravity.
     Raises LoadError, in one line, if MuJoCo does not read the file, or none of it is the robot.
     """
     with captured_stderr(), warnings_kept():
@@ -59,6 +62,8 @@ def differences(system: System, file: str, kind: str, root: str | None) -> Diffe
         except Exception as error:  # MuJoCo raises ValueError, RuntimeError and its own
             words = str(error).strip().splitlines() or [type(error).__name__]
             raise LoadError(f"MuJoCo: {words[0].removeprefix('Error: ')}") from None
+        if weightless:
+            model.opt.gravity[:] = 0.0
         pair = _Pair(system, model, root)
         rng = np.random.default_rng(0)
         found = [pair.at_random(rng) for _ in range(STATES)]

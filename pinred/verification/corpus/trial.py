@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -65,17 +66,17 @@ def tried(what: Description, wanted: Wanted) -> Entry:
 def _tried(what: Description, wanted: Wanted, entry: Entry) -> Entry:
     began = time.perf_counter()
     try:
-        system, options = _loaded(what.file)
+        system, options = _loaded(what.file, {})
     except PinredError as error:
         # Gravity may be all that is against it, as on rotors without weight.
         try:
-            system, options = _loaded(what.file, gravity=_WEIGHTLESS)
+            system, options = _loaded(what.file, {"gravity": _WEIGHTLESS})
         except PinredError:
             return _refused(entry, error)
         entry = replace(entry, outcome="without gravity", reason=_line(error))
     entry = replace(
         entry, load=time.perf_counter() - began, group=system.group.name, joints=system.m,
-        choice=", ".join(f"{name}={value}" for name, value in options.items()),
+        choice=", ".join(f"{k}={v}" for k, v in options.items() if k != "gravity"),
     )  # fmt: skip
     entry = _read_twice(what, system, options.get("root"), entry)
     began = time.perf_counter()
@@ -83,7 +84,7 @@ def _tried(what: Description, wanted: Wanted, entry: Entry) -> Entry:
         try:
             report, spent = _judged(system, wanted.duration)
         except SymmetryError:
-            system = load(what.file, gravity=_WEIGHTLESS, **options)
+            system = load(what.file, **{**options, "gravity": _WEIGHTLESS})
             began = time.perf_counter()
             report, spent = _judged(system, wanted.duration)
             entry = replace(entry, outcome=_worse(entry, "without gravity"))
@@ -122,19 +123,20 @@ def _worse(entry: Entry, outcome: Any) -> Any:
     return entry.outcome if entry.outcome == "FAILED" else outcome
 
 
-def _loaded(file: str, **given: Any) -> tuple[System, dict[str, Any]]:
-    """Return the system of a file and the option that it took, where it leaves a choice.
+def _loaded(file: str, options: Mapping[str, Any]) -> tuple[System, dict[str, Any]]:
+    """Return the system of a file and the options that it took, where it leaves a choice.
 
-    given: further options of load.
+    options: of load, to begin with.
     """
     try:
-        return load(file, **given), {}
+        return load(file, **options), dict(options)
     except ChoiceError as error:
+        if error.option in options:
+            raise
         first: PinredError = error
         for n, choice in enumerate(error.choices[:_CHOICES]):
-            options: dict[str, Any] = {error.option: choice}
             try:
-                return load(file, **given, **options), options
+                return _loaded(file, {**options, error.option: choice})
             except ModelError as refusal:
                 first = refusal if n == 0 else first
         raise first from None
@@ -146,7 +148,9 @@ def _read_twice(what: Description, system: System, root: str | None, entry: Entr
         return replace(entry, second="a name")
     try:
         mujoco_package()
-        found: Differences = differences(system, what.file, what.kind, root)
+        found: Differences = differences(
+            system, what.file, what.kind, root, weightless=entry.outcome == "without gravity"
+        )
     except (LoadError, MissingPackageError) as error:
         return replace(entry, second=_line(error))
     entry = replace(entry, mass=found.mass, forces=found.forces)
