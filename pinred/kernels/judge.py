@@ -76,7 +76,7 @@ def _judge_full_state(kernel: Kernel, at: JudgedState, out: Array) -> None:
     """Compare the full state: configuration, path of the centre of mass, momenta, energy."""
     system, where, check = kernel.system, kernel.where, _checker(kernel)
     model, r, k = system.model, system.r, system.group.linear
-    data = model.createData()
+    data = system.data
     pose, q, v = out[where.pose], out[where.q], out[where.v]
     check("configuration", q, system.model_q(pose, at.x), abs(q))
     check("full velocity", v[k:], at.v[k:], at.velocity_terms[k:])
@@ -161,7 +161,7 @@ def _judge_acceleration(
     is pushed with it: π̇ in a frame at rest has F·∂c/∂x besides.
     """
     system, layout, model, q, H = kernel.system, kernel.layout, at.model, at.q, at.H
-    r, k, data = system.r, system.group.linear, at.model.createData()
+    r, k, data = system.r, system.group.linear, system.data
     active, a = list(layout.active), len(layout.active)
     pidot = np.zeros(system.m)
     pidot[active] = rate[a : 2 * a]
@@ -169,9 +169,7 @@ def _judge_acceleration(
     # Far from the world's origin Pinocchio's Coriolis matrix has round-off of the distance.
     near = model.copy()
     near.jointPlacements[1] = pin.SE3.Identity()
-    C = pin.computeCoriolisMatrix(
-        near, near.createData(), system.model_q(system.group.identity(), at.x), v
-    )
+    C = pin.computeCoriolisMatrix(near, data, system.model_q(system.group.identity(), at.x), v)
     mudot = system.group.coadjoint(v[:r], at.mu) + wrench
     tau = np.concatenate([wrench, torque])
     if layout.base.momentum and at.gravity.any():
@@ -217,7 +215,7 @@ def _acting(kernel: Kernel, at: JudgedState, v: Array) -> tuple[Array, Array]:
 
 def _moment_of_gravity(kernel: Kernel, at: JudgedState) -> Array:
     """Return the moment of the weight about the pivot, (r,), by Pinocchio."""
-    weight = pin.computeGeneralizedGravity(at.model, at.model.createData(), at.q)
+    weight = pin.computeGeneralizedGravity(at.model, kernel.system.data, at.q)
     return -np.asarray(weight[: kernel.system.r])
 
 

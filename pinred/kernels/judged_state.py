@@ -25,6 +25,7 @@ class JudgedState:
     """A state, the kernel's arguments there, and Pinocchio's numbers.
 
     model: in the gravity that the kernel knows, which is without what makes the system fall.
+    data: Pinocchio's work space for it, which others use, too.
     gravity: (3,) the same in the root joint's fixed frame [m/s²].  weight: the strength of all
     of it, of which that is a part, [m/s²].  pose: (size,).
     q: (nq,).  x: (m,).  v: (n,) body twist and shape rate, whose momentum is of a kind that
@@ -37,6 +38,7 @@ class JudgedState:
     """
 
     model: pin.Model
+    data: pin.Data
     gravity: Array
     weight: float
     time: float
@@ -111,7 +113,7 @@ class JudgedState:
     @cached_property
     def _moved(self) -> tuple[NDArray[np.bool_], Array]:
         """Which velocities turn, (n,), and the mass that each moves, (n,) [kg]."""
-        model, data = self.model, self.model.createData()
+        model, data = self.model, self.data
         pin.crba(model, data, self.q)
         angular, mass = np.ones(len(self.v), dtype=bool), np.empty(len(self.v))
         for i in range(1, model.njoints):
@@ -124,7 +126,7 @@ class JudgedState:
     @cached_property
     def reach(self) -> float:
         """Largest distance of a joint from the root's, with the size of its body, [m]."""
-        model, data = self.model, self.model.createData()
+        model, data = self.model, self.data
         pin.forwardKinematics(model, data, self.q)
         root = data.oMi[1].translation
         bodies = range(1, model.njoints)
@@ -163,7 +165,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         x[driven], v[[r + j for j in driven]], accelerations = given.x, given.xdot, given.xddot
         if not np.isfinite([given.x, given.xdot, given.xddot]).all():
             return None
-    q, data = system.model_q(pose, x), model.createData()
+    q, data = system.model_q(pose, x), system.data
     H = symmetric(pin.crba(model, data, q))
     v, mu = _with_known_momentum(kernel, H, v)
     pi = H[r:] @ v
@@ -181,6 +183,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
             return None
     return JudgedState(
         model=model,
+        data=data,
         gravity=gravity,
         weight=float(np.linalg.norm(system.gravity)),
         time=time,

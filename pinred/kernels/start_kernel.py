@@ -135,7 +135,7 @@ def _judge(kernel: StartKernel, given: TwistOrMomentum) -> None:
     k = group.linear
     pose, x = group.exp(rng.uniform(-1.0, 1.0, r)), rng.uniform(-2.0, 2.0, system.m)
     xi, xdot = rng.normal(size=r), rng.normal(size=system.m)
-    data = system.model.createData()
+    data = system.data
     H = symmetric(pin.crba(system.model, data, system.model_q(group.identity(), x)))
     mu = H[:r] @ np.concatenate([xi, xdot])
     motion = xi if given == "xi" else mu

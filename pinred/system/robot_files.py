@@ -11,7 +11,9 @@ import os
 import re
 import sys
 import tempfile
+import threading
 from collections.abc import Collection, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from xml.etree import ElementTree
@@ -21,10 +23,11 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.errors import LoadError, ModelError
-from .urdf import check_urdf, total_mass
+from .urdf import check_urdf, deepest, total_mass
 from .urdf_text import UNLIMITED, tidied
 
 _MOST_BYTES = 256_000_000  # of a file that is read whole
+_DEEP, _STACK = 500, 65536  # links behind one another, and bytes of stack for each
 _FEW = 4096  # letters that are looked at at once
 _ELEMENT = re.compile(r"<[^!?]")
 
@@ -42,7 +45,7 @@ def read_description(path: Path, lock: Collection[str]) -> pin.Model:
     check_urdf(root, lock)
     with captured_stderr() as said:
         try:
-            model = pin.buildModelFromXML(tidied(root))
+            model = _built(tidied(root), depth=deepest(root))
         except Exception as error:  # Pinocchio raises what its parsers raise, of any type
             said.append(str(error).strip() or type(error).__name__)
             model = None
@@ -53,6 +56,19 @@ def read_description(path: Path, lock: Collection[str]) -> pin.Model:
     for limits in (model.lowerPositionLimit, model.upperPositionLimit):
         limits[np.abs(limits) >= UNLIMITED] *= np.inf
     return model
+
+
+def _built(text: str, *, depth: int) -> pin.Model:
+    """Return Pinocchio's model of a URDF.  depth: of links behind one another."""
+    if depth < _DEEP:
+        return pin.buildModelFromXML(text)
+    # The parser calls itself for every link, and would run out of the usual stack.
+    before = threading.stack_size(_STACK * depth)
+    try:
+        with ThreadPoolExecutor(1) as one:
+            return one.submit(pin.buildModelFromXML, text).result()
+    finally:
+        threading.stack_size(before)
 
 
 def _check_mass(path: Path, model: pin.Model, written: float) -> None:

@@ -29,6 +29,7 @@ STATES = 3
 # Not springs and dampers, without which gravity would not be compensated either.
 _OFF = ("CONSTRAINT", "EQUALITY", "FRICTIONLOSS", "LIMIT", "CONTACT", "ACTUATION")
 _NEWTON = 60
+_CANCELS = 1e-3  # of moments about a far point, for the round-off that they leave
 _ROUND_OFF = 1e-12  # of a place, when Newton's method has found it
 
 
@@ -227,11 +228,13 @@ class _Pair:
         """Return the size of the forces that each coordinate's are sums of, (n,).
 
         Of each body: its mass times what its acceleration is a sum of, and its moments times
-        its angular acceleration and squared rate, along and about all axes ahead of it.
+        its angular acceleration and squared rate, along and about all axes ahead of it.  MuJoCo
+        adds moments up about the robot's centre of mass, where those of a small heavy wheel far
+        out cancel: a part of them counts, too.
         """
         model, data = self._system.model, self._pin
+        out, com = np.zeros(model.nv), pin.centerOfMass(model, data, q).copy()
         pin.forwardKinematics(model, data, q, v, a)
-        out = np.zeros(model.nv)
         weight = np.linalg.norm(model.gravity.linear)
         for i in range(1, model.njoints):
             body, w = model.inertias[i], np.linalg.norm(data.v[i].angular)
@@ -239,7 +242,9 @@ class _Pair:
             lever = np.linalg.norm(body.lever)
             linear = np.linalg.norm(data.a[i].linear) + w * np.linalg.norm(data.v[i].linear)
             force = body.mass * (linear + weight + lever * turned)
+            far = np.linalg.norm(data.oMi[i].act(body.lever) - com)
             moment = np.linalg.norm(body.inertia) * turned + lever * force
+            moment += _CANCELS * far * (force + body.mass * far * turned)
             S = np.abs(pin.computeJointJacobian(model, data, q, i)).reshape(6, model.nv)
             out += S[:3].sum(axis=0) * force + S[3:].sum(axis=0) * moment
         out += model.armature * np.abs(a)
