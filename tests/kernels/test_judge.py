@@ -339,5 +339,4 @@ def test_a_slide_that_is_not_along_gravity(monkeypatch: pytest.MonkeyPatch) -> N
     # Scaled by what is left, that would be refused.
     monkeypatch.setattr(JudgedState, "weight_terms", np.zeros(1))
     with pytest.raises(pinred.KernelMismatch, match="acceleration"):
-        for kernel in kernels:
-            judge(kernel)
+        list(map(judge, kernels))
