@@ -185,8 +185,8 @@ def _refused(entry: Entry, error: PinredError) -> Entry:
 
 
 _KINDS = (  # words in a refusal, and its kind
-    ("mimic", "coupled: pending"),
-    ("follows", "coupled: pending"),
+    ("mimic joints", "coupled: pending"),
+    ("coupled joints", "coupled: pending"),
     ("closes a loop", "closed loop"),
     ("closed loop", "closed loop"),
     ("a loop", "closed loop"),
