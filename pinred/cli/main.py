@@ -31,6 +31,7 @@ COMMANDS = {  # name of the command and of its file: what it does
     "robots": "list the robots that can be loaded by name",
     "cache": "show the compiled kernels kept on disk",
     "stress": "check the numbers where they are hard",
+    "corpus": "try all robot descriptions in some folders, as a table",
     "bench": "measure speed and accuracy",
 }
 

@@ -24,6 +24,22 @@ class ModelError(PinredError, ValueError):
     """A robot was read, but its model is outside what pinred can reduce."""
 
 
+class ChoiceError(ModelError):
+    """A robot's file leaves open what an option of load decides.
+
+    option: its name.  choices: values that it may have, the most likely first.
+    """
+
+    def __init__(self, message: str, option: str, choices: tuple[str, ...]) -> None:
+        """Take the message, the option and its values."""
+        super().__init__(message)
+        self.option = option
+        self.choices = choices
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.option, self.choices)
+
+
 class InputError(PinredError, ValueError):
     """An argument has a value that cannot be used."""
 

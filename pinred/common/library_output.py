@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from threading import RLock
 
+EVERYTHING = re.compile(rb".+", re.DOTALL)  # of what is printed, as one text
 _STDERR = 2
 _LOCK = RLock()
 os.register_at_fork(

@@ -76,7 +76,7 @@ def _judge_full_state(kernel: Kernel, at: JudgedState, out: Array) -> None:
     """Compare the full state: configuration, path of the centre of mass, momenta, energy."""
     system, where, check = kernel.system, kernel.where, _checker(kernel)
     model, r, k = system.model, system.r, system.group.linear
-    data = model.createData()
+    data = system.data
     pose, q, v = out[where.pose], out[where.q], out[where.v]
     check("configuration", q, system.model_q(pose, at.x), abs(q))
     found = system.velocity(system.given_v(v))
@@ -140,7 +140,7 @@ def _judge_base(kernel: Kernel, at: JudgedState, rate: Array, v: Array, wrench: 
     terms = np.abs(wrench[k:]) + np.abs(lever).T @ np.abs(wrench[:k])
     if parts.momentum and at.gravity.any():
         moment = moment + _moment_of_gravity(kernel, at)
-        terms = terms + system.mass * np.abs(at.gravity).sum() * at.reach
+        terms = terms + system.mass * at.weight * at.reach
     bent = np.cross(at.mu[k:], omega) if parts.momentum == 3 else np.zeros(parts.momentum)
     _, down, momentum, push = _base_rates(kernel, rate)
     if parts.down:
@@ -164,7 +164,7 @@ def _judge_acceleration(
     is pushed with it: π̇ in a frame at rest has F·∂c/∂x besides.
     """
     system, layout, model, q, H = kernel.system, kernel.layout, at.model, at.q, at.H
-    r, k, data = system.r, system.group.linear, at.model.createData()
+    r, k, data = system.r, system.group.linear, system.data
     active, a = list(layout.active), len(layout.active)
     pidot = np.zeros(system.m)
     pidot[active] = rate[a : 2 * a]
@@ -174,17 +174,10 @@ def _judge_acceleration(
     near.jointPlacements[1] = pin.SE3.Identity()
     full = system.joint_rates(v)
     C = system.coupled_matrix(
-        pin.computeCoriolisMatrix(
-            near, near.createData(), system.model_q(system.group.identity(), at.x), full
-        )
+        pin.computeCoriolisMatrix(near, data, system.model_q(system.group.identity(), at.x), full)
     )
     mudot = system.group.coadjoint(v[:r], at.mu) + wrench
     tau = np.concatenate([wrench, torque])
-    weight = np.zeros(system.n)
-    if at.gravity.any():
-        weight = system.sizes_on_shape(
-            np.abs(pin.computeGeneralizedGravity(model, model.createData(), q))
-        )
     if layout.base.momentum and at.gravity.any():
         mudot = mudot + _moment_of_gravity(kernel, at)
     fixed = r + np.array(at.driven, dtype=int)
@@ -195,7 +188,7 @@ def _judge_acceleration(
     # Not by ABA: where a base is light its inverse inertia rounds off what is far larger.
     bias = system.on_shape(pin.nonLinearEffects(model, data, q, full))
     true = np.linalg.solve(inertia, (tau - bias)[free] - held)
-    terms = at.force_terms + np.abs(tau) + weight
+    terms = at.force_terms + np.abs(tau) + at.weight_terms
     terms += np.abs(H[:, free]) @ np.abs(true) + np.abs(H[:, fixed]) @ np.abs(at.accelerations)
     _checker(kernel)("acceleration", found, true, at.solved_terms(terms)[free])
 
@@ -228,7 +221,7 @@ def _acting(kernel: Kernel, at: JudgedState, v: Array) -> tuple[Array, Array]:
 
 def _moment_of_gravity(kernel: Kernel, at: JudgedState) -> Array:
     """Return the moment of the weight about the pivot, (r,), by Pinocchio."""
-    weight = pin.computeGeneralizedGravity(at.model, at.model.createData(), at.q)
+    weight = pin.computeGeneralizedGravity(at.model, kernel.system.data, at.q)
     return -np.asarray(weight[: kernel.system.r])
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from ..common.arrays import Array
 from ..reduction.inertia_split import mass_matrix_at
@@ -26,8 +27,9 @@ class JudgedState:
     """A state, the kernel's arguments there, and Pinocchio's numbers.
 
     system: the kernel's.  model: in the gravity that the kernel knows, which is without what
-    makes the system fall.
-    gravity: (3,) the same in the root joint's fixed frame [m/s²].  pose: (size,).
+    makes the system fall.  data: Pinocchio's work space for it, which others use, too.
+    gravity: (3,) the same in the root joint's fixed frame [m/s²].  weight: the strength of all
+    of it, of which that is a part, [m/s²].  pose: (size,).
     q: (nq,).  x: (m,).  v: (n,) body twist and shape rate, whose momentum is of a kind that
     the kernel has terms for.  accelerations: of the prescribed joints.  numbers: (p,) in the
     forces.  down: (3,) direction of gravity in the body's frame, or none.  pushed: the
@@ -39,7 +41,9 @@ class JudgedState:
 
     system: System
     model: pin.Model
+    data: pin.Data
     gravity: Array
+    weight: float
     time: float
     pose: Array
     q: Array
@@ -97,24 +101,37 @@ class JudgedState:
         They are sums of products of angular rates with momenta, and of speeds among each other
         times masses.
         """
-        model, data = self.model, self.model.createData()
-        pin.crba(model, data, self.q)
+        angular, mass = self._moved
         v = np.abs(self.system.joint_rates(self.v))
-        angular, mass = np.ones(len(v), dtype=bool), np.empty(len(v))
-        for i in range(1, model.njoints):
-            joint = model.joints[i]
-            own = slice(joint.idx_v, joint.idx_v + joint.nv)
-            angular[own] = np.abs(axes_of(joint)[3:]).sum(axis=0) > 0.0
-            mass[own] = data.Ycrb[i].mass
         turning = float(v[angular].sum())
         speed = float(v[~angular].sum()) + self.reach * turning
         moving = self.system.sizes_on_shape(mass * speed * np.where(angular, speed, turning))
         return np.asarray(turning * self.momentum_terms + moving)
 
     @cached_property
+    def weight_terms(self) -> Array:
+        """Magnitude of the forces of gravity, (n,), before the parts across an axis cancel."""
+        angular, mass = self._moved
+        weight = mass * self.weight * np.where(angular, self.reach, 1.0)
+        return np.asarray(self.system.sizes_on_shape(weight))
+
+    @cached_property
+    def _moved(self) -> tuple[NDArray[np.bool_], Array]:
+        """Which of the model's velocities turn, (nv,), and the mass that each moves, (nv,) [kg]."""
+        model, data = self.model, self.data
+        pin.crba(model, data, self.q)
+        angular, mass = np.ones(model.nv, dtype=bool), np.empty(model.nv)
+        for i in range(1, model.njoints):
+            joint = model.joints[i]
+            own = slice(joint.idx_v, joint.idx_v + joint.nv)
+            angular[own] = np.abs(axes_of(joint)[3:]).sum(axis=0) > 0.0
+            mass[own] = data.Ycrb[i].mass
+        return angular, mass
+
+    @cached_property
     def reach(self) -> float:
         """Largest distance of a joint from the root's, with the size of its body, [m]."""
-        model, data = self.model, self.model.createData()
+        model, data = self.model, self.data
         pin.forwardKinematics(model, data, self.q)
         root = data.oMi[1].translation
         bodies = range(1, model.njoints)
@@ -150,7 +167,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         x[driven], v[[r + j for j in driven]], accelerations = given.x, given.xdot, given.xddot
         if not np.isfinite([given.x, given.xdot, given.xddot]).all():
             return None
-    q, data = system.model_q(pose, x), model.createData()
+    q, data = system.model_q(pose, x), system.data
     H = mass_matrix_at(system, model, data, pose, x)
     v, mu = _with_known_momentum(kernel, H, v)
     pi = H[r:] @ v
@@ -169,7 +186,9 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
     return JudgedState(
         system=system,
         model=model,
+        data=data,
         gravity=gravity,
+        weight=float(np.linalg.norm(system.gravity)),
         time=time,
         pose=pose,
         q=q,

@@ -137,7 +137,7 @@ def _judge(kernel: StartKernel, given: TwistOrMomentum) -> None:
     k = group.linear
     pose, x = group.exp(rng.uniform(-1.0, 1.0, r)), rng.uniform(-2.0, 2.0, system.m)
     xi, xdot = rng.normal(size=r), rng.normal(size=system.m)
-    data = system.model.createData()
+    data = system.data
     H = mass_matrix_at(system, system.model, data, group.identity(), x)
     mu = H[:r] @ np.concatenate([xi, xdot])
     motion = xi if given == "xi" else mu

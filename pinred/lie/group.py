@@ -12,6 +12,8 @@ from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, ShapeError
 from .rotations import apply, hat, plane_rotation, rotation
 
+_UNIT = 1e-3  # by how much a quaternion may miss length one, as one of few decimals does
+
 
 @dataclass(frozen=True)
 class PoseError:
@@ -211,7 +213,7 @@ class Group(ABC):
         elif array.shape == (self.size + 1,) and self.turns == 1:
             pose = np.append(array[:-2], np.arctan2(array[-1], array[-2]))
             array = np.append(array[:-2], np.hypot(array[-1], array[-2]))
-            if abs(array[-1] - 1.0) > 1e-6:
+            if abs(array[-1] - 1.0) > _UNIT:
                 raise InputError(f"cosine and sine in a pose of {self.name} must have norm 1")
         elif array.shape == self.matrix(self.identity()).shape:
             pose = self.from_matrix(array)
@@ -224,7 +226,7 @@ class Group(ABC):
             )
         with np.errstate(over="ignore"):
             norm = float(np.linalg.norm(pose[-4:]))
-        if self.turns == 3 and abs(norm - 1.0) > 1e-6:
+        if self.turns == 3 and abs(norm - 1.0) > _UNIT:
             raise InputError(
                 f"the quaternion of a pose of {self.name} must have norm 1, got {norm:g}"
             )

@@ -53,8 +53,12 @@ GROUPS = _groups()
 
 
 def group_named(name: str) -> Group:
-    """Return the group called `name`.  Raises InputError listing the valid names."""
-    try:
-        return GROUPS[name]
-    except (KeyError, TypeError):
-        raise InputError(f"unknown group {name!r}; the groups are {', '.join(GROUPS)}") from None
+    """Return the group called `name`, in small or large letters.
+
+    Raises InputError listing the valid names.
+    """
+    if isinstance(name, str):
+        for known, group in GROUPS.items():
+            if known.lower() == name.lower():
+                return group
+    raise InputError(f"unknown group {name!r}; the groups are {', '.join(GROUPS)}")

@@ -87,7 +87,7 @@ class Reduction:
         self.system = checked_system(system, "Reduction")
         self._model = system.model.copy()
         self._model.gravity.setZero()
-        self._data = self._model.createData()
+        self._data = self.system.data
         self._identity = system.group.identity()
         # Gravity that breaks the symmetry leaves I, A, M and B defined; only V is not.
         self._potential: Potential | SymmetryError

@@ -32,7 +32,7 @@ class CanonicalForm:
         """Prepare Pinocchio's work space."""
         self._system = system
         self._model = system.model
-        self._data = system.model.createData()
+        self._data = pin.Data(system.model)  # not shared: `com` reads it later
         self._identity = system.group.identity()
         self._r = system.r
         self._least = np.finfo(float).eps * usual_inertias(system).min() if system.doubts else 0.0

@@ -35,7 +35,7 @@ def cyclic_joints(red: Reduction, touched: Collection[int] = ()) -> tuple[int, .
     rng = np.random.default_rng(0)
     depends = np.zeros(m, dtype=bool)
     depends[list(touched)] = True
-    data = system.model.createData()
+    data = system.data
     heavy = pivot_weight(system).any()
     for _ in range(_SAMPLES if m else 0):
         at = red.at(rng.uniform(-3.0, 3.0, m))

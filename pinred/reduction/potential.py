@@ -16,6 +16,7 @@ import pinocchio as pin
 from ..common.arrays import Array, as_floats, read_only
 from ..common.errors import InputError, SymmetryError
 from ..common.memo import once
+from ..system.joints import axes_of
 from ..system.system import Indices, System
 
 Springs: TypeAlias = Mapping[str, tuple[float, float]]
@@ -33,9 +34,7 @@ def _translations(system: System) -> Array:
     linear = system.group.linear
     if system.r > 1 or not linear:
         return np.eye(3)[:, list(system.group.axes[:linear])]
-    data = system.model.createData()  # one axis alone may be any
-    pin.computeJointJacobians(system.model, data, pin.neutral(system.model))
-    return np.array(data.joints[1].S[:3]).reshape(3, 1)
+    return axes_of(system.model.joints[1])[:3]  # one axis alone may be any
 
 
 def falling(system: System) -> Array:
@@ -67,7 +66,7 @@ class Potential:
         # Pinocchio's potential energy and torques with only g⊥ acting.
         self._model = system.model.copy()
         self._model.gravity.linear = sideways
-        self._data = self._model.createData()
+        self._data = system.data
         self._identity = system.group.identity()
         if sideways.any() and system.group.turns and not system.group.plane:
             _check_invariance(system, self._model, self._data)

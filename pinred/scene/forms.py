@@ -26,7 +26,7 @@ from ..integrators.methods import METHODS, Method
 from ..system.coupling import following
 from ..system.system import Configuration, System, Velocity
 
-_UNIT = 1e-6  # how far the norm of a cosine and sine may be from 1, as in a pose
+_UNIT = 1e-3  # by how much a cosine and sine may miss norm 1, as those of few decimals do
 
 
 def in_order(value: Any, system: System, what: str) -> Any:

@@ -16,6 +16,7 @@ import pinocchio as pin
 from numpy.polynomial import legendre
 
 from ..common.arrays import Array, freeze
+from ..system.joints import axes_of
 from .driving_torques import driving_torques
 from .pieces import Motion
 from .plan import Plan
@@ -113,9 +114,8 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
 def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalance:
     """Return the momentum balance of a motion at the times of some states."""
     system, forces = plan.system, plan.forces
-    model, data = system.model, system.model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    axes = np.array(data.joints[1].S).reshape(6, system.r)
+    model, data = system.model, system.data
+    axes = axes_of(model.joints[1])
     placement, weight = model.jointPlacements[1], system.mass * system.gravity
 
     def impulses(t: Array) -> Array:

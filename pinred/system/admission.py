@@ -20,6 +20,8 @@ from .inertias import check_inertias
 from .joints import axes_of, is_shape_joint, joint_kind, motion_group
 
 _UNIT = 1e-9  # by how much an axis may miss length one
+_MOST = 400  # degrees of freedom
+_CUBE = 33.0  # bytes of Pinocchio's work space, over the cube of the degrees of freedom
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ def admit(model: pin.Model, coupled: Coupled | None = None) -> Admission:
     ModelError, naming the joint or link and the way out, if pinred cannot reduce it.
     """
     group = _root_group(model)
+    _admit_size(model)
     _admit_names(model)
     for i in range(2, model.njoints):
         _admit_shape_joint(model, i)
@@ -65,6 +68,15 @@ def _root_group(model: pin.Model) -> Group:
             f"moves in {', '.join(names)} or {last} ({', '.join(g.root for g in GROUPS.values())})"
         )
     return group
+
+
+def _admit_size(model: pin.Model) -> None:
+    if model.nv > _MOST:
+        raise ModelError(
+            f"the model has {model.nv} degrees of freedom, more than {_MOST}: each work space of "
+            f"Pinocchio for it, of which a run needs several, would take "
+            f"{_CUBE * float(model.nv) ** 3 / 1e9:.3g} GB; lock joints that need not move"
+        )
 
 
 def _admit_names(model: pin.Model) -> None:

@@ -14,7 +14,14 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, vector
-from ..common.errors import InputError, LeftOutWarning, LoadError, ModelError, ModelWarning
+from ..common.errors import (
+    ChoiceError,
+    InputError,
+    LeftOutWarning,
+    LoadError,
+    ModelError,
+    ModelWarning,
+)
 from ..common.plain_names import listed, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
@@ -277,7 +284,7 @@ def _on_root(raw: pin.Model, wanted: Group | None, chain: RootChain | None) -> p
     own = _own_root(raw) if chain is None else chain.group
     if own is None:
         if wanted is None and raw.njoints > 1 and raw.inertias[0].mass == 0.0:
-            raise ModelError(_unclear(raw))
+            raise ChoiceError(_unclear(raw), "group", ("SE3",))
         return rebuild(raw, {}, root_joint(wanted or SE3))
     if wanted in (None, own):
         return raw if chain is None else rebuild(raw, {}, root_joint(own), chain)

@@ -8,11 +8,14 @@ the file itself, so that they are honoured or refused, never dropped.
 from __future__ import annotations
 
 import re
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers import expat
 
+import numpy as np
 import pinocchio as pin
 
 from ..common.errors import LoadError, ModelError
@@ -20,14 +23,17 @@ from ..common.library_output import library_output
 from ..common.plain_names import plain_path, quoted_path
 from .contents import Coupling
 from .model_passive import keep_dynamics
-from .urdf import check_urdf, mimic_couplings, total_mass
+from .urdf import check_urdf, deepest, mimic_couplings, total_mass
+from .urdf_text import UNLIMITED, tidied
 
 # Two lines: what is wrong, and where in its own source the parser says so.
 URDFDOM = re.compile(
     rb"^(?:Error|Warning|Info|Debug):[^\n]*\n +at line \d+ in [^\n]*\n?", re.MULTILINE
 )
 _MOST_BYTES = 256_000_000  # of a file that is read whole
+_DEEP, _STACK = 500, 65536  # links behind one another, and bytes of stack for each
 _FEW = 4096  # letters that are looked at at once
+_ELEMENT = re.compile(r"<[^!?]")
 
 
 def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
@@ -36,6 +42,7 @@ def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
     Raises LoadError if the file cannot be read, ModelError if its robot cannot be reduced.
     """
     root = read_xml(path)
+    refuse_macros(path, root)
     if root.tag != "robot":
         raise LoadError(
             f"{plain_path(path)} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>"
@@ -45,7 +52,7 @@ def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
     model, why = None, ""
     with library_output(URDFDOM) as said:
         try:
-            model = pin.buildModelFromUrdf(str(path))
+            model = _built(tidied(root), depth=deepest(root))
         except Exception as error:  # Pinocchio raises what its parsers raise, of any type
             why = str(error).strip() or type(error).__name__
     if model is None:
@@ -55,7 +62,22 @@ def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
         )
     _check_mass(path, model, total_mass(root))
     keep_dynamics(root, model)
+    for limits in (model.lowerPositionLimit, model.upperPositionLimit):
+        limits[np.abs(limits) >= UNLIMITED] *= np.inf
     return model, couplings
+
+
+def _built(text: str, *, depth: int) -> pin.Model:
+    """Return Pinocchio's model of a URDF.  depth: of links behind one another."""
+    if depth < _DEEP:
+        return pin.buildModelFromXML(text)
+    # The parser calls itself for every link, and would run out of the usual stack.
+    before = threading.stack_size(_STACK * depth)
+    try:
+        with ThreadPoolExecutor(1) as one:
+            return one.submit(pin.buildModelFromXML, text).result()
+    finally:
+        threading.stack_size(before)
 
 
 def _check_mass(path: Path, model: pin.Model, written: float) -> None:
@@ -106,6 +128,7 @@ def is_mjcf(text: str) -> bool:
     found: list[str] = []
     parser = expat.ParserCreate()
     parser.StartElementHandler = lambda tag, _: found.append(tag) if not found else None
+    text = _without_declaration(text)
     with suppress(expat.ExpatError, ValueError):
         for start in range(0, len(text), _FEW):
             parser.Parse(text[start : start + _FEW])
@@ -115,8 +138,38 @@ def is_mjcf(text: str) -> bool:
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """Return the root element of an XML file.  Raises LoadError."""
+    """Return the root element of an XML file.  Raises LoadError.
+
+    Prefixes of names are part of them, whether the file declares them or not.
+    """
+    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
     try:
-        return ElementTree.fromstring(read_text(path))
-    except (ElementTree.ParseError, ValueError) as error:
+        parser.Parse(_without_declaration(read_text(path)), True)
+        return builder.close()
+    except (expat.ExpatError, ValueError) as error:
         raise LoadError(f"{plain_path(path)} is not XML: {error}") from None
+
+
+def refuse_macros(path: Path, root: ElementTree.Element) -> None:
+    """Raise LoadError, saying what to run, for a template that xacro has to expand."""
+    used = next((e.tag for e in root.iter() if e.tag.startswith("xacro:")), "")
+    if used or any(mark in tidied(root) for mark in ("${", "$(")):
+        name = path.name.partition(".")[0] + ("" if path.suffix == ".xacro" else "_expanded")
+        shown = plain_path(path)
+        raise LoadError(
+            f"{shown} is a template with macros{f' (<{used}>)' if used else ''}; expand it with "
+            f"`xacro {shown} > {plain_path(Path(name))}.urdf`, and load what comes out"
+        )
+
+
+def _without_declaration(text: str) -> str:
+    """Return a text that begins with its first element or comment.
+
+    The declaration of XML must stand at the very beginning; here it says nothing new.
+    """
+    head, found, rest = text.partition("<?xml")
+    if found and not _ELEMENT.search(head):
+        text = head + rest.partition("?>")[2]
+    return text.lstrip()

@@ -1,7 +1,8 @@
 """Joints at the root with nothing between them: together they are one joint of a group.
 
-A planar joint and a slide along its normal, or two slides and a hinge across them, each link
-between without mass.  What such a chain does to the last link is all that moves the system.
+A planar joint and a slide along its normal, two slides and a hinge across them, or three slides
+and three hinges, each link between without mass.  What such a chain does to the last link is all
+that moves the system.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..lie.group import Group
-from ..lie.groups import GROUPS
+from ..lie.groups import GROUPS, SE3
 from .joints import motion_group
 
 _ALONG = 1e-9  # by how much an axis may miss one of the group's
+_INDEPENDENT = 1e-6  # singular value of six twists, below which they do not move in all directions
 
 
 @dataclass(frozen=True)
@@ -38,9 +40,11 @@ def root_chain(raw: pin.Model) -> RootChain | None:
     last = _end_of_chain(raw)
     if last < 2 or any(motion_group(raw.joints[i]) is None for i in range(1, last + 1)):
         return None
-    data = raw.createData()
-    pin.computeJointJacobians(raw, data, pin.neutral(raw))
-    rows = raw.joints[last].idx_v + raw.joints[last].nv
+    chain = _alone(raw, last)
+    data, rows = chain.createData(), chain.nv
+    pin.computeJointJacobians(chain, data, pin.neutral(chain))
+    if rows == 6 and np.linalg.matrix_rank(data.J, tol=_INDEPENDENT) == 6:
+        return RootChain(SE3, last, data.oMi[last].copy(), raw.armature[:6].copy())
     for frame in range(last, 0, -1):
         at = data.oMi[frame].copy()
         moved = at.toActionMatrixInverse() @ data.J[:, :rows]
@@ -51,11 +55,22 @@ def root_chain(raw: pin.Model) -> RootChain | None:
     return None
 
 
+def _alone(raw: pin.Model, last: int) -> pin.Model:
+    """Return the first joints of a model without all that hangs on them."""
+    chain = pin.Model()
+    for i in range(1, last + 1):
+        chain.addJoint(i - 1, raw.joints[i], raw.jointPlacements[i], raw.names[i])
+    return chain
+
+
 def _end_of_chain(raw: pin.Model) -> int:
     """Return the last joint of those that hang on an anchor, each alone on a link without mass."""
     last, parents = 0, list(raw.parents)[1:]
-    while raw.inertias[last].mass == 0.0 and parents.count(last) == 1:
-        last = parents.index(last) + 1
+    carried: dict[int, list[int]] = {}
+    for i, parent in enumerate(parents, start=1):
+        carried.setdefault(parent, []).append(i)
+    while raw.inertias[last].mass == 0.0 and len(carried.get(last, ())) == 1:
+        (last,) = carried[last]
     return last
 
 

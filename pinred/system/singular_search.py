@@ -58,7 +58,7 @@ class _Left:
         """Find the joints behind it, and its usual inertia."""
         self._model = model.copy()
         self._model.gravity.setZero()
-        self._data = self._model.createData()
+        self._data = pin.Data(self._model)
         self._neutral: Array = np.array(pin.neutral(model))
         subtree = [int(k) for k in model.subtrees[joint + 1]]
         self.behind = [k for k in subtree if k != joint + 1]

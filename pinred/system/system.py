@@ -340,6 +340,15 @@ class System:
         """Return v (..., n) of the model that was given as `model` takes it."""
         return v if self._given_v is None else _scattered(v, self._given_v)
 
+    @property
+    def data(self) -> pin.Data:
+        """Pinocchio's work space for `model` and its copies in other gravity, one for a thread.
+
+        Every call overwrites it, so that what it holds is read at once; it is not made twice,
+        since it grows with the cube of n.
+        """
+        return self.workspace("data", lambda: pin.Data(self.model))
+
     def workspace(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return the value that `make` gives, made once for this system, thread and key.
 

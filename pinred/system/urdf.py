@@ -17,15 +17,31 @@ def check_urdf(robot: Element) -> None:
     for joint in moving_joints(robot):
         _check_axis(joint)
     for link in robot.findall("link"):
-        inertial = link.find("inertial")
-        if inertial is not None:
-            _check_inertial(inertial, f"link {quoted(link.get('name', '?'))}")
+        who, found = f"link {quoted(link.get('name', '?'))}", link.findall("inertial")
+        if len(found) > 1:
+            raise ModelError(f"{who} has {len(found)} inertial elements; keep the one that counts")
+        for inertial in found:
+            _check_inertial(inertial, who)
     _check_tree(robot)
 
 
 def total_mass(robot: Element) -> float:
     """Return the mass of all links [kg], after `check_urdf`."""
     return sum(float(mass.get("value", "0")) for mass in robot.iterfind("link/inertial/mass"))
+
+
+def deepest(robot: Element) -> int:
+    """Return how many links are behind one another, after `check_urdf`."""
+    depth: dict[str, int] = {}
+    parent_of = _parents(robot)
+    for link in parent_of:
+        way = [link]
+        while way[-1] in parent_of and way[-1] not in depth:
+            way.append(parent_of[way[-1]])
+        first = depth.setdefault(way[-1], 0)
+        for k, passed in enumerate(reversed(way[:-1]), start=1):
+            depth[passed] = first + k
+    return max(depth.values(), default=0)
 
 
 def moving_joints(robot: Element) -> list[Element]:
@@ -90,6 +106,20 @@ def _check_inertial(inertial: Element, who: str) -> None:
 
 def _check_tree(robot: Element) -> None:
     """Refuse links on two joints, and links that no chain of joints ties to the root."""
+    parent_of = _parents(robot)
+    tied: set[str] = set()  # to a root
+    for link in parent_of:
+        way, at = {link: None}, link
+        while at in parent_of and at not in tied:
+            at = parent_of[at]
+            if at in way:
+                raise ModelError(f"link {quoted(link)} hangs on itself through a cycle of joints")
+            way[at] = None
+        tied.update(way)
+
+
+def _parents(robot: Element) -> dict[str, str]:
+    """Return the link that carries each link.  Raises ModelError for a link on two joints."""
     parent_of: dict[str, str] = {}
     for joint in robot.findall("joint"):
         parent, child = joint.find("parent"), joint.find("child")
@@ -102,10 +132,4 @@ def _check_tree(robot: Element) -> None:
                 f"the second {quoted(joint.get('name', '?'))}"
             )
         parent_of[name] = parent.get("link", "?")
-    for link in parent_of:
-        seen, at = {link}, link
-        while at in parent_of:
-            at = parent_of[at]
-            if at in seen:
-                raise ModelError(f"link {quoted(link)} hangs on itself through a cycle of joints")
-            seen.add(at)
+    return parent_of

@@ -14,17 +14,14 @@ from ..common.plain_names import quoted
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
-def floats(element: Element, key: str, what: str, *sizes: int, blank: str = " ") -> Array:
+def floats(element: Element, key: str, what: str, *sizes: int) -> Array:
     """Return the numbers in an attribute.
 
     what: the owner of the attribute, for the message.  sizes: how many numbers there may be.
-    blank: the characters that separate them; a single number has none around it.
     Raises ModelError if they are not that many finite numbers.
     """
     text = element.get(key, "")
-    words = [word for word in re.split(f"[{blank}]+", text) if word]
-    if sizes == (1,):
-        words = [text]
+    words = text.split()
     values = np.array([float(w) for w in words if _NUMBER.fullmatch(w)])
     if len(values) != len(words) or len(values) not in sizes or not np.isfinite(values).all():
         many = " or ".join(map(str, sizes))
@@ -32,7 +29,7 @@ def floats(element: Element, key: str, what: str, *sizes: int, blank: str = " ")
     return values
 
 
-def axis(element: Element, key: str, what: str, blank: str = " ") -> None:
+def axis(element: Element, key: str, what: str) -> None:
     """Check the axis of a joint.  Raises ModelError if it has no direction."""
-    if not floats(element, key, f"the axis of {what}", 3, blank=blank).any():
+    if not floats(element, key, f"the axis of {what}", 3).any():
         raise ModelError(f"the axis of {what} is zero")

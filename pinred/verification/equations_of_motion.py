@@ -44,6 +44,6 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
 
 def _weights(system: System, q: Array) -> tuple[Array, Array]:
     """Return the mass matrix (n, n) and the size of what gravity does (n,), by Pinocchio."""
-    model, data = system.model, system.model.createData()
+    model, data = system.model, system.data
     H = system.coupled_matrix(symmetric(pin.crba(model, data, q)))
     return H, system.sizes_on_shape(np.abs(pin.computeGeneralizedGravity(model, data, q)))

@@ -120,7 +120,7 @@ class FullState:
         self._stops = stops_of(scene)
         self._sorted_q, self._sorted_v = system.sorted_q, system.sorted_v
         self._numbers = np.empty(0) if self._forces is None else self._forces.numbers.copy()
-        self._model, self._data = system.model, system.model.createData()
+        self._model, self._data = system.model, pin.Data(system.model)
         self._r, self._m = system.r, system.model.njoints - 2
         self.ties = Ties(system)
         # Pinocchio 4.1 leaves the armature of slanted revolute joints out of the kinetic energy.

@@ -64,8 +64,10 @@ class RootMotion:
 
 def root_motion(model: pin.Model) -> RootMotion:
     """Return how the root joint of a model moves."""
-    data, joint = model.createData(), model.joints[1]
-    pin.computeJointJacobians(model, data, pin.neutral(model))
+    joint, alone = model.joints[1], pin.Model()
+    alone.addJoint(0, joint, pin.SE3.Identity(), "alone")
+    data = alone.createData()
+    pin.computeJointJacobians(alone, data, pin.neutral(alone))
     axes = np.array(data.joints[1].S).reshape(6, joint.nv)
     linear = int((~axes[3:].any(axis=0)).sum())
     turns = joint.nv - linear

@@ -13,6 +13,7 @@ import pinred
 from pinred import forces
 from pinred.common.arrays import Array
 from pinred.kernels.judge import judge
+from pinred.kernels.judged_state import JudgedState
 from pinred.kernels.kernel import Kernel
 from pinred.simulation.compiled.kernel_of_plan import kernel_of
 from pinred.simulation.plan import plan_of
@@ -347,3 +348,25 @@ def test_a_light_tip_is_neither_refused_nor_passed_over(ratio: float, seed: int)
     with pytest.raises(pinred.KernelMismatch, match="shape rate"):
         judge(Faulty(kernel, "rate", first, last, 1e-9))  # type: ignore[arg-type]
     assert pinred.compare(pinred.simulate(system, seed=seed, duration=0.5)).passed
+
+
+def slide(axis: Array, gravity: float) -> Kernel:
+    """Return the kernel of one body on a slide, on which gravity acts along z."""
+    model = pin.Model()
+    joint = pin.JointModelPrismaticUnaligned(axis / np.linalg.norm(axis))
+    at = model.addJoint(0, joint, pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(at, pin.Inertia.FromSphere(1.0, 0.15), pin.SE3.Identity())
+    model.gravity.linear = np.array([0.0, 0.0, -gravity])
+    return kernel_of(plan_of(pinred.Scene(system=pinred.load(model), seed=0)), zero_momentum=False)
+
+
+def test_a_slide_that_is_not_along_gravity(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of gravity, what does not make it fall acts across; along it, round-off of that is left."""
+    axes = np.random.default_rng(0).normal(size=(12, 3))
+    kernels = [slide(axis, 9.81) for axis in [np.ones(3), *axes]]
+    for kernel in kernels:
+        judge(kernel)
+    # Scaled by what is left, that would be refused.
+    monkeypatch.setattr(JudgedState, "weight_terms", np.zeros(1))
+    with pytest.raises(pinred.KernelMismatch, match="acceleration"):
+        list(map(judge, kernels))

@@ -18,6 +18,7 @@ from mujoco_judge import Judge, read_tree
 
 import pinred
 from pinred import InputError, LeftOutWarning, LoadError, MissingPackageError, ModelError
+from pinred.common.errors import ChoiceError
 from pinred.forces import Damper, Friction, Spring
 from pinred.system.passive import BASE
 
@@ -147,9 +148,22 @@ def test_a_mere_anchor_leaves_the_first_joint_the_root() -> None:
     anchor = f'<body name="anchor" pos="0 0 1"><body name="mark"/>{arm("first")}</body>'
     system = loaded(text(anchor))
     assert (system.group.name, system.root_name, system.contents.freed) == ("SO2", "first", "")
-    two = f'<body name="anchor">{arm("first")}{arm("second")}</body>'
-    with pytest.raises(ModelError, match="no mass"):
-        loaded(text(two))
+
+
+def test_a_mere_frame_is_part_of_the_world() -> None:
+    """Of several bodies that move on a fixed one without mass, root= names one, where it is."""
+    inner = '<body name="in" pos="1 0 0">{}</body>'
+    frame = f'<body name="frame" pos="0 1 0" euler="0 0 30">{inner}</body>'
+    two = arm("first") + arm("second")
+    with pytest.raises(ChoiceError, match="root=") as caught:
+        loaded(text(frame.format(two)))
+    assert (caught.value.option, caught.value.choices) == ("root", ("first", "second"))
+    with pytest.warns(LeftOutWarning, match="other bodies"):
+        system = loaded(text(frame.format(two)), root="second")
+    assert (system.group.name, system.root_name) == ("SO2", "second")
+    alone = loaded(text(frame.format(arm("second"))))
+    apart = system.model.jointPlacements[1].actInv(alone.model.jointPlacements[1])
+    assert apart.isIdentity(1e-14)
 
 
 # ---- names

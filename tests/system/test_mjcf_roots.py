@@ -32,7 +32,7 @@ GROUP_OF = {
     "ball and slide": ("SO3", 1),
     "plane": ("SE2", 0),
     "three slides and a ball": ("SE3", 0),
-    "three slides and three hinges": ("R", 5),
+    "three slides and three hinges": ("SE3", 0),
 }
 
 

@@ -377,7 +377,6 @@ def test_nothing_there(source: str | Path, words: list[str]) -> None:
 
 ARGUMENTS: dict[str, tuple[dict[str, Any], type[PinredError], list[str]]] = {
     "group unknown": ({"group": "SE4"}, InputError, ["SE4", "SE2", "SO3"]),
-    "group in small letters": ({"group": "se3"}, InputError, ["se3", "SE3"]),
     "group of another type": ({"group": 3}, InputError, ["3", "SE3"]),
     "lock unknown": ({"lock": ["elbow"]}, InputError, ["elbow", "a-b"]),
     "lock the world": ({"lock": ["universe"]}, InputError, ["universe", "a-b"]),

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.arrays import Array
-from ...system.joints import is_prismatic
+from ...system.joints import axes_of, is_prismatic
 from ...system.system import System
 from .scalars import Scalar, Sym, Vec
 
@@ -49,12 +49,10 @@ class Body:
 def bodies_of(system: System) -> list[Body]:
     """Return the bodies of a system, root first, shape joints in order."""
     model = system.model
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
     count = model.njoints - 1
     parents = [model.parents[i + 1] - 1 for i in range(count)]
     heavy = _heaviest_children(parents)
-    frames: list[pin.SE3] = [_root_frame(system, np.array(data.joints[1].S))]
+    frames: list[pin.SE3] = [_root_frame(system, axes_of(model.joints[1]))]
     steps: list[tuple[float, float, Array]] = [(0.0, 0.0, np.zeros(3))]
     offsets = [0.0] * count
     order = sorted(range(1, count), key=lambda i: (parents[i], heavy[parents[i]] != i))
@@ -63,7 +61,7 @@ def bodies_of(system: System) -> list[Body]:
     made: dict[int, tuple[float, float, Array]] = {}
     for i in order:
         p = parents[i]
-        S = np.array(data.joints[i + 1].S).ravel()
+        S = axes_of(model.joints[i + 1]).ravel()
         axis = S[:3] if kinds[i] else S[3:]
         turn = p > 0 and heavy[p] == i and not kinds[p]
         if turn:

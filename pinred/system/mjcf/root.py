@@ -1,7 +1,8 @@
 """The joints of the body that carries all others, read as one motion of a symmetry group.
 
 MuJoCo has no planar joint, and moves a body in a plane by three joints in it; these become
-SE(2), with a slide across the plane ℝ × SE(2), and three slides and a ball SE(3).  All else is
+SE(2), with a slide across the plane ℝ × SE(2), and three slides with a ball, or with three
+hinges, SE(3).  All else is
 the first joint alone, with the others as shape behind it.
 """
 
@@ -65,6 +66,8 @@ def root_motion(joints: Sequence[Joint], gravity: Array, turn: Array) -> RootMot
         return _floating(joints, felt)
     if (plane := _plane(joints)) is not None:
         return _planar(joints, plane, felt)
+    if _is_spatial(joints):
+        return _spatial(joints, felt)
     if first.kind == "free":
         return _free(first, gravity)
     return _ball(first) if first.kind == "ball" else _single(first, felt)
@@ -130,6 +133,51 @@ def _floating(joints: Sequence[Joint], gravity: Array) -> RootMotion:
         behind=ball.at_point.inverse(),
         weight=rotors.of_slides(slides, gravity) + rotors.of_ball(ball), armature=np.zeros(6),
         pose=pose, twist=twist,
+    )  # fmt: skip
+
+
+def _is_spatial(joints: Sequence[Joint]) -> bool:
+    """Return whether three slides and three hinges move a body freely from where it is drawn.
+
+    Rotors on them would break the symmetry, but for slides ahead of hinges that turn about one
+    point.
+    """
+    kinds = [joint.kind for joint in joints]
+    if sorted(kinds) != ["hinge"] * 3 + ["slide"] * 3:
+        return False
+    heavy = {joint.kind for joint in joints if joint.armature.any()}
+    points = [joint.point for joint in joints if joint.kind == "hinge"]
+    apart = float(np.ptp(points, axis=0).max()) > _EXACT
+    if "hinge" in heavy or (heavy and (apart or kinds[:3] != ["slide"] * 3)):
+        return False
+    at = [joint.q0 for joint in joints]
+    return _rank([_twist(joints, at, rates).vector for rates in np.eye(6).tolist()]) == 6
+
+
+def _spatial(joints: Sequence[Joint], gravity: Array) -> RootMotion:
+    """Return the motion of three slides and three hinges, in any order.
+
+    The joint's frame is the body's, moved to the first hinge.  With W that frame on the body's,
+    the pose of the group is W⁻¹ P W of MuJoCo's motion P.
+    """
+    W = next(joint.at_point for joint in joints if joint.kind == "hinge")
+    inverse = W.inverse()
+
+    def pose(qpos: Array) -> Array:
+        moved = pin.SE3.Identity()
+        for joint in joints:
+            moved = moved * joint.motion(qpos[joint.q_at])
+        return np.asarray(pin.SE3ToXYZQUAT(inverse * moved * W))
+
+    def twist(qpos: Array, qvel: Array) -> Array:
+        at = [qpos[joint.q_at] for joint in joints]
+        rates = [qvel[joint.v_at] for joint in joints]
+        return np.asarray(inverse.act(_twist(joints, at, rates)).vector)
+
+    return RootMotion(
+        joints=tuple(joints), model=pin.JointModelFreeFlyer(), before=W, behind=inverse,
+        weight=rotors.of_slides([j for j in joints if j.kind == "slide"], gravity),
+        armature=np.zeros(6), pose=pose, twist=twist,
     )  # fmt: skip
 
 

@@ -72,8 +72,8 @@ def tree_of(world: World, lock: Mapping[str, float], gravity: Array) -> Tree:
     armature: list[Array] = []
     limits: list[Array] = []
     for body in world.bodies:
-        parent = tree.carriers.get(int(world.model.body_parentid[body]))
-        under = parent or Carrier(0, pin.SE3.Identity())
+        parent = int(world.model.body_parentid[body])
+        under = tree.carriers.get(parent) or Carrier(0, _fixed_at(world, parent))
         at = under.at * frame(world.model.body_pos[body], world.model.body_quat[body])
         carrier = Carrier(under.joint, at)
         todo = list(world.joints(body))
@@ -87,6 +87,15 @@ def tree_of(world: World, lock: Mapping[str, float], gravity: Array) -> Tree:
     low, high = (np.concatenate([np.empty(0), *(pair[k] for pair in limits)]) for k in (0, 1))
     tree.model.lowerPositionLimit, tree.model.upperPositionLimit = low, high
     return tree
+
+
+def _fixed_at(world: World, body: int) -> pin.SE3:
+    """Return where a body is that is part of the world."""
+    at = pin.SE3.Identity()
+    while body:
+        at = frame(world.model.body_pos[body], world.model.body_quat[body]) * at
+        body = int(world.model.body_parentid[body])
+    return at
 
 
 def _locked(world: World, lock: Mapping[str, float]) -> dict[int, float]:

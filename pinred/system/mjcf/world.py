@@ -1,12 +1,15 @@
-"""The robot among the bodies of a compiled MuJoCo model, and the names of its bodies."""
+"""The robot among the bodies of a compiled MuJoCo model, and the names of its bodies.
+
+A body without mass that is fixed to the world, and carries several that move, is part of it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from ...common.errors import InputError, LoadError, ModelError
+from ...common.errors import ChoiceError, InputError, LoadError
 from ...common.plain_names import quoted
 from ..contents import shortened
 from .package import mujoco_package
@@ -75,14 +78,14 @@ def robot_in(model: Any, root: str | None = None, what: str = "the model") -> Wo
     """Return the robot in a model: what hangs on the one body of the world that can move.
 
     root: the name of that body, where there are several.  what: where the model comes from.
-    Raises LoadError if there is none, ModelError if there are several and root is None,
+    Raises LoadError if there is none, ChoiceError if there are several and root is None,
     InputError for a root that is none of them; both list them.
     """
     children = _children(model)
     body_names = _names(model, "BODY", model.nbody, lambda i: f"body{i}")
     joint_names = _names(model, "JOINT", model.njnt, lambda i: _joint_name(model, body_names, i))
-    trees = {body: tuple(_below(children, body)) for body in children[0]}
-    moving = [body for body, tree in trees.items() if any(model.body_jntnum[i] for i in tree)]
+    trees = {body: tuple(_below(children, body)) for body in _in_the_world(model, children)}
+    moving = [body for body, tree in trees.items() if _moves(model, tree)]
     # Where nothing moves, a body by itself is a rigid one that can be set free.
     heavy = [body for body, tree in trees.items() if sum(model.body_mass[i] for i in tree) > 0]
     candidates = moving or heavy
@@ -91,19 +94,25 @@ def robot_in(model: Any, root: str | None = None, what: str = "the model") -> Wo
         if not candidates:
             raise LoadError(f"no body in {what} has a joint or a mass; there is nothing to move")
         if len(candidates) > 1:
-            raise ModelError(
+            joints = {body: sum(model.body_jntnum[i] for i in trees[body]) for body in candidates}
+            largest = sorted(candidates, key=lambda body: -joints[body])
+            raise ChoiceError(
                 f"several bodies in the world can move: {shortened(names, 20)}; "
-                "choose the one that carries the robot with root="
+                "choose the one that carries the robot with root=",
+                "root",
+                tuple(body_names[body] for body in largest),
             )
         top = candidates[0]
     else:
-        at_top = {body_names[body]: body for body in children[0]}
+        # What is part of the world may be chosen too, and floats with all that hangs on it.
+        trees = {body: tuple(_below(children, body)) for body in children[0]} | trees
+        at_top = {body_names[body]: body for body in trees}
         if root not in at_top:
             raise InputError(
                 f"root: no body {quoted(root)} in the world; the bodies are {shortened(names, 20)}"
             )
         top = at_top[root]
-    others = tuple(body_names[body] for body in moving if body != top)
+    others = tuple(body_names[body] for body in moving if body not in trees[top])
     return World(model, top, trees[top], others, body_names, joint_names)
 
 
@@ -112,6 +121,23 @@ def _children(model: Any) -> list[list[int]]:
     for body in range(1, model.nbody):
         children[model.body_parentid[body]].append(body)
     return children
+
+
+def _in_the_world(model: Any, children: list[list[int]]) -> list[int]:
+    """Return the bodies that hang on the world, or on what is part of it."""
+
+    def under(body: int) -> list[int]:
+        if model.body_jntnum[body] or model.body_mass[body] > 0.0:
+            return [body]
+        inner = [each for child in children[body] for each in under(child)]
+        several = sum(_moves(model, _below(children, each)) for each in inner) > 1
+        return inner if several else [body]
+
+    return [each for body in children[0] for each in under(body)]
+
+
+def _moves(model: Any, bodies: Iterable[int]) -> bool:
+    return any(model.body_jntnum[body] for body in bodies)
 
 
 def _below(children: list[list[int]], body: int) -> Iterator[int]:

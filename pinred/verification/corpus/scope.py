@@ -1,0 +1,152 @@
+"""The descriptions that should work, found without pinred's readers.
+
+Of URDF, those that Pinocchio opens (or MuJoCo, if it does not), that hold one open tree, and
+whose mass matrix is positive definite at zero and some random shapes.  Of MJCF, those that
+MuJoCo compiles and that hold an open tree of hinges and slides, on a free joint, a ball or
+neither.  Joints that follow others are counted with them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ...common.errors import LoadError
+from ...common.library_output import EVERYTHING, library_output
+from ...system.mjcf.package import mujoco_package, warnings_kept
+from ...system.robot_files import read_xml
+
+_SHAPES = 4
+_REGULAR = 1e-13  # least eigenvalue of the mass matrix, scaled to ones on its diagonal
+
+
+def why_not_due(file: str, kind: str) -> str:
+    """Return why a description need not work, in few words; empty if it should."""
+    found = _urdf(Path(file)) if kind == "urdf" else _mjcf(file)
+    return " ".join(found.split())[:200]
+
+
+def _urdf(path: Path) -> str:
+    try:
+        tree = read_xml(path)
+    except LoadError as error:
+        return str(error)
+    links = [link.get("name") for link in tree.findall("link")]
+    children = [child.get("link") for child in tree.findall("joint/child")]
+    if len(set(children)) < len(children):
+        return "closed loop"
+    if len(links) - len(children) != 1:
+        return "not one tree"
+    with library_output(EVERYTHING) as said:
+        fixed = _built(path, None)
+        floating = _built(path, pin.JointModelFreeFlyer())
+    if fixed is None or floating is None:
+        return _by_mujoco(path, said[0].splitlines()[0] if said else "")
+    stands = fixed.inertias[0].mass == 0.0 and list(fixed.parents[1:]).count(0) == 1
+    if not _regular(fixed if stands else floating):
+        return "mass matrix singular"
+    return ""
+
+
+def _by_mujoco(path: Path, said: str) -> str:
+    """Return why a URDF that Pinocchio does not open need not work: MuJoCo does not either.
+
+    said: what Pinocchio says.
+    """
+    try:
+        mj = mujoco_package()
+        with library_output(EVERYTHING), warnings_kept():
+            spec = mj.MjSpec.from_file(str(path))
+            for thing in (*spec.geoms, *spec.meshes):
+                spec.delete(thing)
+            spec.compile()
+    except Exception:  # of any type, by its parsers; or it is not there
+        return f"Pinocchio does not open it: {said}"
+    return ""
+
+
+def _built(path: Path, root: pin.JointModel | None) -> pin.Model | None:
+    try:
+        if root is None:
+            return pin.buildModelFromUrdf(str(path))
+        return pin.buildModelFromUrdf(str(path), root)
+    except Exception:  # of any type, by the parsers below
+        return None
+
+
+def _regular(model: pin.Model) -> bool:
+    """Return whether the mass matrix is positive definite at zero and some random shapes."""
+    data = model.createData()
+    if model.nv == 0:
+        return False
+    model.lowerPositionLimit = np.full(model.nq, -1.0)
+    model.upperPositionLimit = np.full(model.nq, 1.0)
+    pin.seed(0)
+    least = []
+    shapes = [pin.neutral(model), *(pin.randomConfiguration(model) for _ in range(_SHAPES))]
+    for q in shapes:
+        upper = np.triu(pin.crba(model, data, q))
+        H = upper + np.triu(upper, 1).T
+        sizes = np.sqrt(np.abs(np.diag(H)))
+        if not (np.isfinite(H).all() and sizes.all()):
+            return False
+        least.append(np.linalg.eigvalsh(H / np.outer(sizes, sizes))[0])
+    return bool(min(least) > _REGULAR)
+
+
+def _mjcf(file: str) -> str:
+    try:
+        mj = mujoco_package()
+    except ImportError:
+        return "no mujoco"
+    with library_output(EVERYTHING), warnings_kept():
+        try:
+            model = mj.MjModel.from_xml_path(file)
+        except Exception as error:  # of any type, by its parsers
+            return f"MuJoCo does not compile it: {str(error).splitlines()[0]}"
+    tops = _tops(model)
+    if not tops:
+        return "nothing moves"
+    reasons = [_why_closed(mj, model, joints) for joints in tops]
+    return "" if "" in reasons else reasons[0]
+
+
+def _tops(model: Any) -> list[list[int]]:
+    """Return the joints of all that hangs on each body of the world."""
+    of = model.body_rootid[model.jnt_bodyid]
+    return [np.flatnonzero(of == top).tolist() for top in np.unique(of)]
+
+
+def _why_closed(mj: Any, model: Any, joints: list[int]) -> str:
+    """Return why joints are no open tree of hinges and slides; empty if they are."""
+    first_body = int(model.jnt_bodyid[joints[0]])
+    ball = int(mj.mjtJoint.mjJNT_BALL)
+    top = _root_of(model, first_body)
+    if any(model.jnt_type[j] == ball and model.jnt_bodyid[j] != top for j in joints):
+        return "ball joints inside the tree"
+    if int(model.opt.disableflags) & int(mj.mjtDisableBit.mjDSBL_EQUALITY):
+        return ""
+    ties = {int(mj.mjtEq.mjEQ_CONNECT), int(mj.mjtEq.mjEQ_WELD)}
+    for k in np.flatnonzero(model.eq_active0).tolist():
+        if int(model.eq_type[k]) in ties and _tied(mj, model, k) - {0} == {top}:
+            return "closed loop"
+    return ""
+
+
+def _tied(mj: Any, model: Any, k: int) -> set[int]:
+    """Return the bodies of the world that carry the ends of a connect or weld; 0 is the ground."""
+    ends = [int(model.eq_obj1id[k]), int(model.eq_obj2id[k])]
+    if int(model.eq_objtype[k]) == int(mj.mjtObj.mjOBJ_SITE):
+        ends = [int(model.site_bodyid[end]) for end in ends]
+    if any(model.body_mocapid[end] >= 0 for end in ends):
+        return set()
+    still = [int(model.body_weldid[end]) == 0 for end in ends]
+    return {0 if fixed else _root_of(model, end) for fixed, end in zip(still, ends, strict=True)}
+
+
+def _root_of(model: Any, body: int) -> int:
+    """Return the body of the world that carries a body."""
+    return int(model.body_rootid[body])

@@ -1,0 +1,265 @@
+"""MuJoCo as a second reader: what pinred made of a file, against what MuJoCo makes of it.
+
+The file is read by MuJoCo alone, and bodies and joints are matched by their names.  MuJoCo's
+coordinates are random; the pose that they mean for pinred's group follows from the place of a
+body, by Newton's method, the velocities from its Jacobian.  So nothing is taken from pinred's
+reader but the model that is judged.  Where the file fixes a base that pinred lets float, MuJoCo
+gets a free joint there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ...common.arrays import Array
+from ...common.errors import LoadError, PinredError
+from ...common.library_output import EVERYTHING, library_output
+from ...reduction.inertia_split import symmetric
+from ...system.mjcf.compile import compiled
+from ...system.mjcf.package import mujoco_package, warnings_kept
+from ...system.mjcf.read import gravity_of
+from ...system.mjcf.world import World, robot_in
+from ...system.system import System
+
+STATES = 3
+# Not springs and dampers, without which gravity would not be compensated either.
+_OFF = ("CONSTRAINT", "EQUALITY", "FRICTIONLOSS", "LIMIT", "CONTACT", "ACTUATION")
+_NEWTON = 60
+_CANCELS = 1e-3  # of moments about a far point, for the round-off that they leave
+_ROUND_OFF = 1e-12  # of a place, when Newton's method has found it
+
+
+@dataclass(frozen=True)
+class Differences:
+    """The largest differences of two readings over some random states, relative.
+
+    places: of bodies, to the robot's reach.  mass: of the mass matrix, to its largest entry.
+    forces: of bias forces, and of all forces at random accelerations, to what they are sums of.
+    """
+
+    places: float
+    mass: float
+    forces: float
+
+
+def differences(
+    system: System, file: str, kind: str, root: str | None, *, weightless: bool = False
+) -> Differences:
+    """Return how far a system is from MuJoCo's reading of its file.
+
+    root: the body that carries the robot, if it was chosen.  weightless: whether the system was
+    loaded without the file's gravity.
+    Raises LoadError, in one line, if MuJoCo does not read the file, or none of it is the robot.
+    """
+    with library_output(EVERYTHING), warnings_kept():
+        try:
+            model = _read(system, file, kind, root)
+        except PinredError:
+            raise
+        except Exception as error:  # MuJoCo raises ValueError, RuntimeError and its own
+            words = str(error).strip().splitlines() or [type(error).__name__]
+            raise LoadError(f"MuJoCo: {words[0].removeprefix('Error: ')}") from None
+        if weightless:
+            model.opt.gravity[:] = 0.0
+        pair = _Pair(system, model, root)
+        rng = np.random.default_rng(0)
+        found = [pair.at_random(rng) for _ in range(STATES)]
+    return Differences(
+        *(max(getattr(each, name) for each in found) for name in ("places", "mass", "forces"))
+    )
+
+
+def _read(system: System, file: str, kind: str, root: str | None) -> Any:
+    """Return MuJoCo's model of a file, with the base free if it is so in pinred."""
+    mj = mujoco_package()
+    spec = mj.MjSpec.from_file(file)
+    spec.compiler.fusestatic = False
+    if kind == "urdf":
+        spec.compiler.inertiafromgeom = int(mj.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE)
+        for thing in (*spec.geoms, *spec.meshes):
+            spec.delete(thing)
+    # A joint of several degrees of freedom has got other names there.
+    joints = [joint.name for joint in spec.joints]
+    free = kind == "urdf" and not any(
+        name.startswith(own) for name in joints for own in system.root_name.split("+")
+    )
+    if free and system.model.existBodyName("world"):
+        raise LoadError("MuJoCo takes the link 'world' for the world, and its mass for none")
+    if free or system.contents.freed:
+        tops = [spec.body(root)] if root else _of_the_world(spec, system)
+        if len(tops) != 1:
+            raise LoadError("several bodies of MuJoCo's world could be the one that floats")
+        tops[0].add_freejoint()
+    try:
+        return spec.compile()
+    except Exception:
+        if kind == "urdf":
+            raise
+        return compiled(spec)  # without the meshes that are missing and carry no mass
+
+
+def _of_the_world(spec: Any, system: System) -> list[Any]:
+    """Return the bodies of MuJoCo's world that are in a system's model."""
+    out, body = [], spec.worldbody.first_body()
+    while body is not None:
+        if not body.name or system.model.existBodyName(body.name):
+            out.append(body)
+        body = spec.worldbody.next_body(body)
+    return out
+
+
+class _Pair:
+    """A system and MuJoCo's model of the same file."""
+
+    def __init__(self, system: System, model: Any, root: str | None) -> None:
+        """Match them by names.  Raises LoadError if that cannot be done."""
+        self._mj = mj = mujoco_package()
+        self._system, self._model = system, model
+        for word in _OFF:
+            model.opt.disableflags |= int(getattr(mj.mjtDisableBit, f"mjDSBL_{word}"))
+        model.opt.enableflags = 0
+        self._data, self._pin = mj.MjData(model), system.model.createData()
+        world = robot_in(model, root)
+        self._felt = gravity_of(world)
+        ids = {world.joint_names[j]: j for body in world.bodies for j in world.joints(body)}
+        if missing := [name for name in system.shape_names if name not in ids]:
+            raise LoadError(f"MuJoCo has no joint '{missing[0]}'")
+        shape = [ids[name] for name in system.shape_names]
+        self._shape_q = model.jnt_qposadr[shape].astype(int)
+        self._shape_v = model.jnt_dofadr[shape].astype(int)
+        self._dofs = _dofs(world)
+        frames = system.model.frames
+        self._bodies = [
+            (system.model.getFrameId(world.body_names[body], pin.FrameType.BODY), body)
+            for body in world.bodies
+            if system.model.existBodyName(world.body_names[body])
+        ]
+        moving = [pair for pair in self._bodies if frames[pair[0]].parentJoint > 0]
+        if not moving:
+            raise LoadError("MuJoCo has no body of the same name")
+        # The nearest to the root: round-off of its place is the least.
+        self._ref = min(moving, key=lambda pair: frames[pair[0]].parentJoint)
+
+    def at_random(self, rng: np.random.Generator) -> Differences:
+        """Return the differences at a random state."""
+        mj, m, d = self._mj, self._model, self._data
+        model, data = self._system.model, self._pin
+        d.qpos[:] = m.qpos0 + rng.uniform(-1.0, 1.0, m.nq)
+        d.qvel[:] = rng.normal(size=m.nv)
+        mj.mj_normalizeQuat(m, d.qpos)
+        mj.mj_forward(m, d)
+        rates, x = d.qvel[self._dofs], d.qpos[self._shape_q]
+        q = self._configuration(x)
+        T, drift = self._velocities(q)
+        M = np.zeros((m.nv, m.nv))
+        mj.mj_fullM(m, d, M)
+        M = M[np.ix_(self._dofs, self._dofs)]
+        H = symmetric(pin.crba(model, data, q))
+        a, v = rng.normal(size=len(rates)), T @ rates
+        compensation = 0.0 if self._felt.partly else d.qfrc_gravcomp
+        bias = (d.qfrc_bias - compensation)[self._dofs]
+        still = T.T @ pin.rnea(model, data, q, v, drift)
+        moved = T.T @ pin.rnea(model, data, q, v, T @ a + drift)
+        scale = self._terms(T, q, v, T @ a + drift)
+        errors = np.append((still - bias) / scale, (moved - M @ a - bias) / scale)
+        pin.framesForwardKinematics(model, data, q)
+        reach = max(np.linalg.norm(data.oMf[f].translation) for f, _ in self._bodies)
+        apart = [
+            max(
+                np.abs(data.oMf[f].rotation - d.xmat[body].reshape(3, 3)).max(),
+                np.abs(data.oMf[f].translation - d.xpos[body]).max() / max(reach, 1e-3),
+            )
+            for f, body in self._bodies
+        ]
+        return Differences(
+            places=float(np.max(apart)),
+            mass=float(np.abs(T.T @ H @ T - M).max() / np.abs(M).max()),
+            forces=float(np.abs(errors).max()),
+        )
+
+    def _configuration(self, x: Array) -> Array:
+        """Return the q at which the reference body is where MuJoCo has it."""
+        system, model, data = self._system, self._system.model, self._pin
+        group, (frame, body) = system.group, self._ref
+        d = self._data
+        there = pin.SE3(d.xmat[body].reshape(3, 3), d.xpos[body].copy())
+        pose = group.identity()
+        for _ in range(_NEWTON):
+            q = system.model_q(pose, x)
+            J = self._jacobian(q)[:, : system.r]
+            pin.framesForwardKinematics(model, data, q)
+            off = pin.log6(data.oMf[frame].actInv(there)).vector
+            step = np.linalg.lstsq(J, off)[0]
+            pose = group.compose(pose, group.exp(step))
+            if np.linalg.norm(J @ step) < _ROUND_OFF * (1.0 + np.linalg.norm(there.translation)):
+                break
+        return system.model_q(pose, x)
+
+    def _velocities(self, q: Array) -> tuple[Array, Array]:
+        """Return T = ∂v/∂qvel of the robot, and v̇ − T q̈vel."""
+        mj, m, d, model, data = self._mj, self._model, self._data, self._system.model, self._pin
+        frame, body = self._ref
+        r, n = self._system.r, self._system.n
+        jac, dot = np.zeros((6, m.nv)), np.zeros((6, m.nv))
+        mj.mj_jacBody(m, d, jac[:3], jac[3:], body)
+        mj.mj_jacDot(m, d, dot[:3], dot[3:], d.xpos[body], body)
+        turn = np.kron(np.eye(2), d.xmat[body].reshape(3, 3).T)
+        P = np.zeros((n - r, len(self._dofs)))
+        for row, dof in enumerate(self._shape_v):
+            P[row, list(self._dofs).index(dof)] = 1.0
+        J = self._jacobian(q)
+        root = np.linalg.lstsq(J[:, :r], (turn @ jac)[:, self._dofs] - J[:, r:] @ P)[0]
+        T = np.vstack([root, P])
+        pin.forwardKinematics(model, data, q, T @ d.qvel[self._dofs], np.zeros(n))
+        classical = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL).vector
+        rate = np.linalg.lstsq(J[:, :r], turn @ dot @ d.qvel - classical)[0]
+        return T, np.append(rate, np.zeros(n - r))
+
+    def _jacobian(self, q: Array) -> Array:
+        """Return the Jacobian of the reference body in its own frame, (6, n)."""
+        found = pin.computeFrameJacobian(self._system.model, self._pin, q, self._ref[0])
+        return np.asarray(found).reshape(6, self._system.n)  # a single column comes without axis
+
+    def _terms(self, T: Array, q: Array, v: Array, a: Array) -> Array:
+        """Return the size of the forces that each coordinate's are sums of, (n,).
+
+        Of each body: its mass times what its acceleration is a sum of, and its moments times
+        its angular acceleration and squared rate, along and about all axes ahead of it.  MuJoCo
+        adds moments up about the robot's centre of mass, where those of a small heavy wheel far
+        out cancel: a part of them counts, too.
+        """
+        model, data = self._system.model, self._pin
+        out, com = np.zeros(model.nv), pin.centerOfMass(model, data, q).copy()
+        pin.forwardKinematics(model, data, q, v, a)
+        weight = np.linalg.norm(model.gravity.linear)
+        for i in range(1, model.njoints):
+            body, w = model.inertias[i], np.linalg.norm(data.v[i].angular)
+            turned = np.linalg.norm(data.a[i].angular) + w**2
+            lever = np.linalg.norm(body.lever)
+            linear = np.linalg.norm(data.a[i].linear) + w * np.linalg.norm(data.v[i].linear)
+            force = body.mass * (linear + weight + lever * turned)
+            far = np.linalg.norm(data.oMi[i].act(body.lever) - com)
+            moment = np.linalg.norm(body.inertia) * turned + lever * force
+            moment += _CANCELS * far * (force + body.mass * far * turned)
+            S = np.abs(pin.computeJointJacobian(model, data, q, i)).reshape(6, model.nv)
+            out += S[:3].sum(axis=0) * force + S[3:].sum(axis=0) * moment
+        out += model.armature * np.abs(a)
+        return np.asarray(np.abs(T).T @ out + 1e-300)
+
+
+def _dofs(world: World) -> Array:
+    """Return the numbers of a robot's degrees of freedom in MuJoCo."""
+    model, sizes = world.model, (6, 3, 1, 1)  # of mjtJoint
+    return np.array(
+        [
+            int(model.jnt_dofadr[j]) + k
+            for body in world.bodies
+            for j in world.joints(body)
+            for k in range(sizes[model.jnt_type[j]])
+        ],
+        dtype=int,
+    )
