@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, SubElement
 UNLIMITED = 1.7e308  # the parser knows no infinity
 _NEEDS_LIMITS = ("revolute", "prismatic")
 _INERTIAL = ("origin", "mass", "inertia")
-_JOINT = ("origin", "parent", "child", "axis", "mimic")
+_JOINT = ("origin", "parent", "child", "axis", "mimic", "dynamics")
 
 
 def tidied(robot: Element) -> str:

@@ -29,8 +29,9 @@ from ..simulation.balances import energy_balance, momentum_balance
 from ..simulation.state import State
 from ..simulation.trajectory import Trajectory
 from .defect import Defects, defects
+from .distances import Distance, FullMotion, Size
 from .equations_of_motion import equation_errors
-from .full_state import FINEST, KICK, Audit, Distance, FullMotion, FullState, Size
+from .full_state import FINEST, KICK, Audit, FullState
 from .report import JUDGEABLE, Report
 
 TIGHTER = 100.0  # the reference's tolerance is this much below the one asked for
@@ -117,7 +118,7 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
         rotation_bounds=ends.bound.rotation,
         position_bounds=ends.bound.position,
         equations=float(equations.max(initial=0.0)),
-        defect=float(missed.steps.max(initial=0.0)),
+        defect=missed.worst,
         energy_drift=audit.energy,
         momentum_drift=audit.momentum,
         field_error=audit.fields,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..common.arrays import Array
 from ..simulation.trajectory import Trajectory
@@ -20,6 +21,9 @@ from .full_state import OFFSET, FullState
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _MOST_STEPS = 200  # beyond these a random choice is judged
+_CLEAR = 1.0  # tolerances; up to here the usual quadrature will do
+_AGREE = 0.1  # two quadratures of a smooth step
+_FINER, _MOST_UNCLEAR = 32, 20  # parts for one, and steps, where a force may have a kink
 
 
 def defect(
@@ -33,23 +37,50 @@ def defect(
     """
     full = FullState(replace(traj.scene, system=system))
     found = defects(traj, full, steps=steps)
-    return float((found.inside if inside else found.steps).max(initial=0.0))
+    return float(found.inside.max(initial=0.0)) if inside else found.worst
 
 
 @dataclass(frozen=True)
 class Defects:
     """Defects of the steps that are judged, (S,), and of parts of them, (P,), relative.
 
-    Those of parts show what is reported between the ends of steps.
+    Those of parts show what is reported between the ends of steps.  smooth: (S,) where the
+    equations are smooth within the step; a kink of a force is more than a method can follow.
     """
 
     steps: Array
     inside: Array
+    smooth: NDArray[np.bool_]
+
+    @property
+    def worst(self) -> float:
+        """Return the largest of a step that is smooth; NaN if there is one."""
+        return float(self.steps[self.smooth].max(initial=0.0))
 
 
 def defects(traj: Trajectory, full: FullState, *, steps: int = _MOST_STEPS) -> Defects:
     """Return the defects of a trajectory by ABA; see `defect`."""
-    a, b, first = _stretches(traj, steps)
+    count = len(traj.motion.knots) - 1
+    which = np.arange(count)
+    if count > steps:
+        which = np.sort(np.random.default_rng(0).choice(which, steps, replace=False))
+    found = _defects(traj, full, which, 1)
+    limit = _CLEAR * max(traj.scene.rtol, np.finfo(float).eps)
+    # Over a kink of a force in a step the quadrature is as wrong as the method.
+    unclear = np.flatnonzero(found.steps > limit)[:_MOST_UNCLEAR]
+    if not unclear.size:
+        return found
+    finer = [_defects(traj, full, which[k : k + 1], _FINER) for k in unclear]
+    whole, smooth = found.steps.copy(), found.smooth.copy()
+    for k, each in zip(unclear, finer, strict=True):
+        whole[k] = each.steps[0]
+        smooth[k] = not abs(whole[k] - found.steps[k]) > _AGREE * whole[k]
+    return Defects(whole, found.inside, smooth)
+
+
+def _defects(traj: Trajectory, full: FullState, which: Indices, finer: int) -> Defects:
+    """Return the defects of some steps, each in `finer` times as many parts as usually."""
+    a, b, first = _stretches(traj, which, finer)
     middle, half = 0.5 * (a + b), 0.5 * (b - a)
     nodes = (middle[:, None] + half[:, None] * _NODES).ravel()
     y = full_states(traj, full, np.concatenate([a, b, nodes]))
@@ -61,24 +92,22 @@ def defects(traj: Trajectory, full: FullState, *, steps: int = _MOST_STEPS) -> D
         rates[k] = full.rate(t, between[k])
     moved = np.einsum("k,skn->sn", _WEIGHTS, rates.reshape(len(a), len(_NODES), -1))
     missed = end - start - half[:, None] * moved
-    sizes = _sizes(traj, full, y)
+    sizes = _sizes(traj, full)
     whole = np.add.reduceat(missed, first)  # ends of parts within a step cancel
-    return Defects(*((np.abs(each) / sizes).max(axis=1) for each in (whole, missed)))
+    steps, inside = ((np.abs(part) / sizes).max(axis=1) for part in (whole, missed))
+    return Defects(steps, inside, smooth=np.ones(len(which), dtype=bool))
 
 
-def _stretches(traj: Trajectory, most: int) -> tuple[Array, Array, Indices]:
-    """Return starts and ends of parts of steps, (S,), and which are the first of a step.
+def _stretches(traj: Trajectory, which: Indices, finer: int) -> tuple[Array, Array, Indices]:
+    """Return starts and ends of parts of steps, (P,), and which are the first of a step.
 
     Halves of steps, or less where the base turns fast: the quadrature is then exact.
     """
     knots = traj.motion.knots
     linear = traj.system.group.linear
     steps = np.diff(knots)
-    which = np.arange(len(steps))
-    if len(which) > most:
-        which = np.sort(np.random.default_rng(0).choice(which, most, replace=False))
     turn = np.abs(traj(knots).xi[:, linear:]).max(initial=0.0) * steps[which]
-    parts = np.ceil(np.maximum(turn, 2.0)).astype(int)
+    parts = np.ceil(np.maximum(turn, 2.0)).astype(int) * finer
     share = np.concatenate([np.arange(n) for n in parts]) / np.repeat(parts, parts)
     later = np.concatenate([np.arange(1, n + 1) for n in parts]) / np.repeat(parts, parts)
     start, end = np.repeat(knots[which], parts), np.repeat(knots[which + 1], parts)
@@ -94,19 +123,23 @@ def full_states(traj: Trajectory, full: FullState, times: Array) -> Array:
     return np.array([full.state(*row) for row in rows])
 
 
-def _sizes(traj: Trajectory, full: FullState, y: Array) -> Array:
-    """Return the largest number of each kind, in every place, (n,).
+def _sizes(traj: Trajectory, full: FullState) -> Array:
+    """Return the largest number of each kind at the ends of steps, in every place, (n,).
 
-    Angles and quaternions count as 1 at least, lengths as the radius of gyration.  Of places, the
-    distance travelled counts, and that from the origin where its round-off does.
+    Angles and quaternions count as 1 at least, lengths as the radius of gyration, and rates as
+    what the absolute tolerance is to the relative one.  Of places, the distance travelled
+    counts, and that from the origin where its round-off does.
     """
-    group, m = traj.system.group, traj.system.model.njoints - 2
+    y = full_states(traj, full, traj.motion.knots)
+    group, m, r = traj.system.group, full.joints, traj.system.r
     linear, size = group.linear, group.size
-    radius = full.radius(traj.q[0])
-    out = np.empty(y.shape[1])
-    least = np.zeros(y.shape[1])
+    radius = full.radius(full.q(y[0]))
+    out, least = np.empty(y.shape[1]), np.zeros(y.shape[1])
     least[:linear], least[linear : size + m] = radius, 1.0
-    edges = [0, linear, size, size + m, size + m + linear, size + m + group.dim, len(out)]
+    slow = traj.scene.atol / traj.scene.rtol
+    least[size + m :] = slow
+    least[size + m : size + m + linear] = slow * radius
+    edges = [0, linear, size, size + m, size + m + linear, size + m + r, len(out)]
     for first, last in pairwise(edges):
         if last > first:
             kind = y[:, first:last]

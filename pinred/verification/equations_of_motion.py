@@ -18,6 +18,7 @@ from ..simulation.trajectory import Trajectory
 from ..system.system import System
 from .full_state import FullState
 
+_CANCELS = 1e-3  # of the mass times the robot's size squared
 _LEAST = 1e-290  # forces that round-off of the smallest numbers would be a part of
 
 
@@ -29,21 +30,34 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     size = full.radius(traj.system.sorted_q(traj.q[0]))
     found, numbers = accelerations(traj, times, size), traj.motion.numbers(times)
     states, r, leads = found.states, full.system.r, full.ties.leads
+    turns = np.ones(full.system.n, dtype=bool)
+    turns[: full.system.group.linear] = False
+    turns[r:] = [unit == "rad" for unit in full.system.units]
+    per_size = np.where(turns, 1.0, 1.0 / size)
     out = np.zeros_like(found.v)
     for k, t in enumerate(times.tolist()):
         full.hold(numbers[k])
         y = full.state(states.pose[k], states.x[k], states.xi[k], states.xdot[k])
         rate = full.rate(t, y)[len(y) - full.system.model.nv :]
         a = np.concatenate([rate[:r], rate[r:][leads]])
-        H, weight = _weights(full.system, full.q(y))
-        terms = np.abs(H) @ (np.abs(a) + found.pace[k] * np.abs(found.v[k])) + weight
+        H, weight, carried = _weights(full.system, full.q(y))
+        changes = np.abs(a) + found.pace[k] * np.abs(found.v[k])
+        terms = np.abs(H) @ changes + weight
+        # The small moment of a body far out is a difference, in both routes.
+        terms[turns] += _CANCELS * size**2 * carried[turns] * float(changes @ per_size)
         off = np.abs(H @ (found.a[k] - a))
         out[k] = off / np.maximum(terms, _LEAST)
     return out
 
 
-def _weights(system: System, q: Array) -> tuple[Array, Array]:
-    """Return the mass matrix (n, n) and the size of what gravity does (n,), by Pinocchio."""
-    model, data = system.model, system.data
+def _weights(system: System, q: Array) -> tuple[Array, Array, Array]:
+    """Return the mass matrix (n, n), the size of what gravity does (n,), and the masses (n,).
+
+    Masses are those that each velocity carries with it [kg]; all by Pinocchio.
+    """
+    model, data, r = system.model, system.data, system.r
     H = system.coupled_matrix(symmetric(pin.crba(model, data, q)))
-    return H, system.sizes_on_shape(np.abs(pin.computeGeneralizedGravity(model, data, q)))
+    behind = [data.Ycrb[i].mass for i in range(2, model.njoints)]
+    masses = np.append(np.full(r, data.Ycrb[1].mass), behind)
+    weight = np.abs(pin.computeGeneralizedGravity(model, data, q))
+    return H, system.sizes_on_shape(weight), system.sizes_on_shape(masses)

@@ -21,6 +21,7 @@ from ..simulation.state import Sample, State
 from ..simulation.stops import begin_stretch, stops_of
 from ..system.joints import joint_units
 from ..system.system import System
+from .distances import Distance, FullMotion, Size
 from .root_motion import root_motion
 from .ties import Ties
 
@@ -29,54 +30,6 @@ OFFSET = 1e-5  # part of a distance from the origin that lengths are told in bes
 KICK = 1e-6  # relative size of the perturbation whose growth is measured
 _MOST_STEPS = 10_000_000
 _LEAST = 1e-290  # J; energies below are counted in steps of the smallest numbers
-
-
-@dataclass(frozen=True)
-class FullMotion:
-    """A motion in Pinocchio's coordinates.  x: (T, M) unwrapped, of all joints.  q: (T, nq)."""
-
-    x: Array
-    q: Array
-
-
-@dataclass(frozen=True)
-class Size:
-    """The units in which errors of a motion are measured.
-
-    joints: (M,) the largest |x| of each joint, at least 1 rad, or the radius of gyration of what
-    slides [rad | m].  position: the distance travelled by the base, at least the radius of
-    gyration and what round-off leaves of its distance from the origin [m].
-    """
-
-    joints: Array
-    position: float
-
-
-@dataclass(frozen=True)
-class Distance:
-    """Distances of two motions.
-
-    joints: (T, M) |Δx| of each joint [rad | m].  rotation [rad] and position [m]: (T,) norms of
-    the parts of log(g⁻¹ĝ) of the base.
-    """
-
-    joints: Array
-    rotation: Array
-    position: Array
-
-    @property
-    def shape(self) -> Array:
-        """Largest |Δx| over time, (T,) [rad | m]."""
-        return np.asarray(self.joints.max(axis=1, initial=0.0))
-
-    def relative(self, size: Size) -> Array:
-        """Return the largest of all over time, (T,), in units of the motion's size; NaN stays."""
-        shape = (self.joints / size.joints).max(axis=1, initial=0.0)
-        return np.asarray(np.max([shape, self.rotation, self.position / size.position], axis=0))
-
-    def worst(self, size: Size) -> float:
-        """Return the largest of all, in units of the motion's size; NaN if there is one."""
-        return float(self.relative(size).max())
 
 
 @dataclass(frozen=True)
@@ -137,6 +90,11 @@ class FullState:
     def system(self) -> System:
         """The system of the scene."""
         return self._scene.system
+
+    @property
+    def joints(self) -> int:
+        """Number of joints behind the root, with those that follow others."""
+        return int(self._m)
 
     def hold(self, numbers: Array) -> None:
         """Take these numbers (p,) in the forces, among them what controllers hold."""

@@ -38,11 +38,20 @@ def test_compare_with_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
     assert "verdict: PASSED" in out
 
 
-def test_compare_fails_with_one(capsys: pytest.CaptureFixture[str]) -> None:
-    """A scene that cannot be judged does not pass, and exits with 1."""
+def test_compare_that_cannot_tell_ends_with_three(capsys: pytest.CaptureFixture[str]) -> None:
+    """A scene that cannot be judged does not pass, nor does it fail."""
     code, out, _ = run(
         capsys, "compare", "double_spherical_pendulum", "--x0", "2,1,2.5", "--xdot0", "4,-5,6",
         "--xi0", "3", "--time", "15", "--rtol", "1e-6", "--atol", "1e-8",
+    )  # fmt: skip
+    assert code == 3
+    assert "verdict: CANNOT TELL" in out
+
+
+def test_compare_fails_with_one(capsys: pytest.CaptureFixture[str]) -> None:
+    """Steps that are far too long for the tolerance."""
+    code, out, _ = run(
+        capsys, "compare", "falling_cat", "--time", "2", "--method", "RKMK4(0.1)",
     )  # fmt: skip
     assert code == 1
     assert "verdict: FAILED" in out

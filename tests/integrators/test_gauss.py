@@ -30,7 +30,8 @@ from pinred.kernels.tangent import tangent_of
 from pinred.kernels.wide_rate import wide_rate
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
-from pinred.verification.full_state import FullMotion, FullState
+from pinred.verification.distances import FullMotion
+from pinred.verification.full_state import FullState
 
 ORDERS = (2, 4, 6, 8)
 

@@ -38,7 +38,8 @@ from pinred.kernels.tangent import jacobian_of, tangent_of
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
-from pinred.verification.full_state import FullMotion, FullState
+from pinred.verification.distances import FullMotion
+from pinred.verification.full_state import FullState
 
 
 def _pol(y: Any, p: Any, d: Any) -> None:

@@ -27,7 +27,8 @@ from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
 from pinred.system.system import System
-from pinred.verification.full_state import FullMotion, FullState
+from pinred.verification.distances import FullMotion
+from pinred.verification.full_state import FullState
 
 ROOT = Path(__file__).parents[2]
 STIFFNESS, REST = 3.0, 0.2

@@ -16,7 +16,8 @@ from pinred.signals import Hold
 from pinred.simulation.choose_method import Choice
 from pinred.simulation.plan import plan_of
 from pinred.simulation.stiffness import rates_near_rest
-from pinred.verification.full_state import FullMotion, FullState
+from pinred.verification.distances import FullMotion
+from pinred.verification.full_state import FullState
 
 
 def scene(system: pinred.System, **options: Any) -> pinred.Scene:

@@ -43,7 +43,7 @@ from pinred.verification.bench.drift import drift
 from pinred.verification.bench.overview import overview
 from pinred.verification.bench.reference import _quadruple
 from pinred.verification.bench.solvers import solvers_named
-from pinred.verification.full_state import FullMotion
+from pinred.verification.distances import FullMotion
 
 pytestmark = pytest.mark.slow
 

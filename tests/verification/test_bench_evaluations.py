@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from pinred.common.errors import InputError
 from pinred.verification.bench.evaluations import ERRORS, bench_evaluations
 from pinred.verification.bench.scenes import problems_named
-from pinred.verification.full_state import FullMotion
+from pinred.verification.distances import FullMotion
 
 
 @pytest.fixture(scope="module")

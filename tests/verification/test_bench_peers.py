@@ -37,7 +37,8 @@ from pinred.verification.bench.peers.first_principles import full_graph
 from pinred.verification.bench.peers.mujoco import MujocoModel
 from pinred.verification.bench.peers.survived import survived
 from pinred.verification.bench.solver import Solver
-from pinred.verification.full_state import FullMotion, FullState
+from pinred.verification.distances import FullMotion
+from pinred.verification.full_state import FullState
 
 needs_heyoka = pytest.mark.skipif(find_spec("heyoka") is None, reason="heyoka is not installed")
 MODELS = {"mujoco": MujocoModel, "exudyn": ExudynModel, "pydrake": DrakeModel}

@@ -15,7 +15,8 @@ from pinred.lie import GROUPS
 from pinred.simulation.pieces import Motion
 from pinred.simulation.state import with_base
 from pinred.system.catalogue import bundled_robots, has_example_robots
-from pinred.verification.full_state import FullMotion, FullState
+from pinred.verification.distances import FullMotion
+from pinred.verification.full_state import FullState
 
 EXAMPLES = {"solo12": 2.0, "ur5": 3.0, "talos": 0.5}
 

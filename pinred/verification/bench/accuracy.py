@@ -11,7 +11,7 @@ import numpy as np
 
 from ...common.errors import IntegrationError, PinredError
 from ...common.progress import Progress, quiet, shown
-from ..full_state import FullMotion
+from ..distances import FullMotion
 from .drift import drift
 from .problems import Problem
 from .reference import Reference, reference_of

@@ -27,7 +27,8 @@ from ...integrators.methods import METHODS, AdaptiveGauss, Explicit
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...simulation.state import with_base
-from ..full_state import FINEST, FullMotion
+from ..distances import FullMotion
+from ..full_state import FINEST
 from .problems import Problem
 from .scenes import problems_named
 from .solver import ATOL

@@ -11,7 +11,8 @@ import numpy as np
 from ...common.arrays import Array, freeze
 from ...scene.scene import Scene
 from ...system.system import InitialState, System
-from ..full_state import FullMotion, FullState
+from ..distances import FullMotion
+from ..full_state import FullState
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,8 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...simulation.state import with_base
-from ..full_state import FINEST, FullMotion
+from ..distances import FullMotion
+from ..full_state import FINEST
 from .problems import Problem
 from .taylor import has_heyoka, reduced_graph, taylor_expressions
 

@@ -3,7 +3,7 @@
 Of URDF, those that Pinocchio opens (or MuJoCo, if it does not), that hold one open tree, and
 whose mass matrix is positive definite at zero and some random shapes.  Of MJCF, those that
 MuJoCo compiles and that hold an open tree of hinges and slides, on a free joint, a ball or
-neither.  Joints that follow others are counted with them.
+neither.
 """
 
 from __future__ import annotations

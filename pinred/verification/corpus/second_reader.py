@@ -126,9 +126,11 @@ class _Pair:
         world = robot_in(model, root)
         self._felt = gravity_of(world)
         ids = {world.joint_names[j]: j for body in world.bodies for j in world.joints(body)}
-        if missing := [name for name in system.shape_names if name not in ids]:
+        # All joints: those that follow others move for themselves here, in both readings.
+        names = [str(name) for name in system.model.names[2:]]
+        if missing := [name for name in names if name not in ids]:
             raise LoadError(f"MuJoCo has no joint '{missing[0]}'")
-        shape = [ids[name] for name in system.shape_names]
+        shape = [ids[name] for name in names]
         self._shape_q = model.jnt_qposadr[shape].astype(int)
         self._shape_v = model.jnt_dofadr[shape].astype(int)
         self._dofs = _dofs(world)
@@ -189,7 +191,7 @@ class _Pair:
         there = pin.SE3(d.xmat[body].reshape(3, 3), d.xpos[body].copy())
         pose = group.identity()
         for _ in range(_NEWTON):
-            q = system.model_q(pose, x)
+            q = self._place(pose, x)
             J = self._jacobian(q)[:, : system.r]
             pin.framesForwardKinematics(model, data, q)
             off = pin.log6(data.oMf[frame].actInv(there)).vector
@@ -197,13 +199,22 @@ class _Pair:
             pose = group.compose(pose, group.exp(step))
             if np.linalg.norm(J @ step) < _ROUND_OFF * (1.0 + np.linalg.norm(there.translation)):
                 break
-        return system.model_q(pose, x)
+        return self._place(pose, x)
+
+    def _place(self, pose: Array, x: Array) -> Array:
+        """Return the q of a pose and the values of all joints."""
+        system, model = self._system, self._system.model
+        q = system.model_q(pose, np.zeros(system.m))
+        for joint, value in zip(list(model.joints)[2:], x.tolist(), strict=True):
+            entry = [np.cos(value), np.sin(value)] if joint.nq == 2 else [value]
+            q[joint.idx_q : joint.idx_q + joint.nq] = entry
+        return q
 
     def _velocities(self, q: Array) -> tuple[Array, Array]:
         """Return T = ∂v/∂qvel of the robot, and v̇ − T q̈vel."""
         mj, m, d, model, data = self._mj, self._model, self._data, self._system.model, self._pin
         frame, body = self._ref
-        r, n = self._system.r, self._system.n
+        r, n = self._system.r, model.nv
         jac, dot = np.zeros((6, m.nv)), np.zeros((6, m.nv))
         mj.mj_jacBody(m, d, jac[:3], jac[3:], body)
         mj.mj_jacDot(m, d, dot[:3], dot[3:], d.xpos[body], body)
@@ -222,7 +233,9 @@ class _Pair:
     def _jacobian(self, q: Array) -> Array:
         """Return the Jacobian of the reference body in its own frame, (6, n)."""
         found = pin.computeFrameJacobian(self._system.model, self._pin, q, self._ref[0])
-        return np.asarray(found).reshape(6, self._system.n)  # a single column comes without axis
+        return np.asarray(found).reshape(
+            6, self._system.model.nv
+        )  # a single column comes without axis
 
     def _terms(self, T: Array, q: Array, v: Array, a: Array) -> Array:
         """Return the size of the forces that each coordinate's are sums of, (n,).

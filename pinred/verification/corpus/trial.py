@@ -187,8 +187,7 @@ def _refused(entry: Entry, error: PinredError) -> Entry:
 
 
 _KINDS = (  # words in a refusal, and its kind
-    ("mimic joints", "coupled: pending"),
-    ("coupled joints", "coupled: pending"),
+    ("follows", "coupling that cannot be"),
     ("closes a loop", "closed loop"),
     ("closed loop", "closed loop"),
     ("a loop", "closed loop"),

@@ -9,7 +9,8 @@ import numpy as np
 from ...common.arrays import Array
 from ...scene.scene import Scene
 from ...simulation.trajectory import Trajectory
-from ..full_state import FINEST, FullMotion, FullState, Size
+from ..distances import FullMotion, Size
+from ..full_state import FINEST, FullState
 
 
 @dataclass(frozen=True)

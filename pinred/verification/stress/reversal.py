@@ -7,7 +7,7 @@ import numpy as np
 from ...scene.scene import Scene
 from ...system.catalogue import bundled_robots
 from ...system.load import load
-from ..full_state import FullMotion
+from ..distances import FullMotion
 from .check import PER_GROWTH, Case, Cases, Check, Trial, tolerance
 from .full_truth import samples, truth_of
 

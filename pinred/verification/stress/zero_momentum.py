@@ -9,7 +9,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...scene.scene import Scene
 from ...system.load import load
-from ..full_state import FullMotion
+from ..distances import FullMotion
 from .check import Case, Cases, Check, Trial, tolerance
 from .full_truth import truth_of
 
