@@ -18,6 +18,7 @@ from .trajectory import Trajectory
 
 _WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)  # of v(t + k h) − v(t − k h), over h
 _STEP = 0.01  # rad, or part of the robot's size, that the fastest joint or the base moves by
+_SHORTER = 0.7  # of the step, for a second look
 _OF_A_STEP = 1 / 64  # of the integrator, which follows plans that depend on time
 
 
@@ -26,12 +27,15 @@ class Accelerations:
     """States at times and their accelerations.
 
     states: at (T,) times.  v, a: (T, n) velocity and acceleration, body twist and shape.
-    pace: (T,) how fast shape and attitude change, slides in parts of the robot's size [1/s].
+    spread: (T, n) how far accelerations by two lengths of difference are apart, which is what
+    round-off in v makes of them.  pace: (T,) how fast shape and attitude change, slides in parts
+    of the robot's size [1/s].
     """
 
     states: State
     v: Array
     a: Array
+    spread: Array
     pace: Array
 
 
@@ -55,8 +59,14 @@ def accelerations(traj: Trajectory, t: Array, size: float) -> Accelerations:
         knots = motion.knots
         last = np.clip(np.searchsorted(knots, t), 1, len(knots) - 1)
         h = np.minimum(h, _OF_A_STEP * (knots[last] - knots[last - 1]))
-    changes, a = motion.changes(t), np.zeros_like(v)
-    for k, weight in enumerate(_WEIGHTS, start=1):
-        later, before = (motion.beside(t, changes, sign * k * h) for sign in (1.0, -1.0))
-        a += (weight / h)[:, None] * (later - before)
-    return Accelerations(states, v, a, pace)
+    changes = motion.changes(t)
+
+    def derivative(h: Array) -> Array:
+        a = np.zeros_like(v)
+        for k, weight in enumerate(_WEIGHTS, start=1):
+            later, before = (motion.beside(t, changes, sign * k * h) for sign in (1.0, -1.0))
+            a += (weight / h)[:, None] * (later - before)
+        return a
+
+    a = derivative(h)
+    return Accelerations(states, v, a, np.abs(a - derivative(_SHORTER * h)), pace)

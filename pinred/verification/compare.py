@@ -37,7 +37,7 @@ from .report import JUDGEABLE, Report
 TIGHTER = 100.0  # the reference's tolerance is this much below the one asked for
 SAMPLES = 101  # times at which a motion is judged, besides those it reports
 SAFETY = 10.0  # for a growth that is measured by one kick, and the defects of some steps
-EXACT = 3e-12  # relative; what two ways to the same accelerations leave of round-off
+EXACT = 1e-12  # relative; what two ways to the same accelerations leave of round-off
 DEFECT = 3.0  # tolerances; a step's defect, as the stress suite holds it on extreme robots
 BETWEEN = 50.0  # tolerances; the same between the ends of steps, of which no control sees the error
 DRIFT = 100.0  # tolerances; what errors of so many steps may do to energy

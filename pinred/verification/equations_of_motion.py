@@ -3,7 +3,8 @@
 Both sides are taken at the same states, so that neither how motions part nor the tolerance plays
 a part.  What counts is the force that a difference of accelerations stands for, H Δa, row by row
 and in parts of what that row's equation is a sum of.  So a light joint counts by its own size, and
-a bad condition of H stretches nothing.
+a bad condition of H stretches nothing.  Pinocchio's CRBA beside its ABA tells what round-off
+leaves of the judge itself.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from ..system.system import System
 from .full_state import FullState
 
 _CANCELS = 1e-3  # of the mass times the robot's size squared
+_APART = 10.0  # times what two ways to one side leave
 _LEAST = 1e-290  # forces that round-off of the smallest numbers would be a part of
 
 
@@ -38,15 +40,20 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     for k, t in enumerate(times.tolist()):
         full.hold(numbers[k])
         y = full.state(states.pose[k], states.x[k], states.xi[k], states.xdot[k])
-        rate = full.rate(t, y)[len(y) - full.system.model.nv :]
-        a = np.concatenate([rate[:r], rate[r:][leads]])
+        a, other = (
+            full.rate(t, y, dense=dense)[len(y) - full.system.model.nv :] for dense in (False, True)
+        )
+        a, other = (np.append(each[:r], each[r:][leads]) for each in (a, other))
         H, weight, carried = _weights(full.system, full.q(y))
         changes = np.abs(a) + found.pace[k] * np.abs(found.v[k])
         terms = np.abs(H) @ changes + weight
         # The small moment of a body far out is a difference, in both routes.
         terms[turns] += _CANCELS * size**2 * carried[turns] * float(changes @ per_size)
-        off = np.abs(H @ (found.a[k] - a))
-        out[k] = off / np.maximum(terms, _LEAST)
+        # Where ABA and CRBA are apart themselves, or two derivatives of the route's velocity,
+        # nothing finer can be told.
+        known = np.abs(H @ (other - a)) + np.abs(H) @ found.spread[k]
+        off = np.abs(H @ (found.a[k] - a)) - _APART * known
+        out[k] = np.maximum(off, 0.0) / np.maximum(terms, _LEAST)
     return out
 
 
