@@ -21,9 +21,7 @@ from .full_state import OFFSET, FullState
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _MOST_STEPS = 200  # beyond these a random choice is judged
-_CLEAR = 1.0  # tolerances; up to here the usual quadrature will do
-_AGREE = 0.1  # two quadratures of a smooth step
-_FINER, _MOST_UNCLEAR = 32, 20  # parts for one, and steps, where a force may have a kink
+_STANDS_OUT = 10.0  # times the median step: it holds a kink of a force
 
 
 def defect(
@@ -64,23 +62,18 @@ def defects(traj: Trajectory, full: FullState, *, steps: int = _MOST_STEPS) -> D
     which = np.arange(count)
     if count > steps:
         which = np.sort(np.random.default_rng(0).choice(which, steps, replace=False))
-    found = _defects(traj, full, which, 1)
-    limit = _CLEAR * max(traj.scene.rtol, np.finfo(float).eps)
-    # Over a kink of a force in a step the quadrature is as wrong as the method.
-    unclear = np.flatnonzero(found.steps > limit)[:_MOST_UNCLEAR]
-    if not unclear.size:
+    found = _defects(traj, full, which)
+    forces = traj.scene.force_model
+    if forces is None or not forces.has_kinks:
         return found
-    finer = [_defects(traj, full, which[k : k + 1], _FINER) for k in unclear]
-    whole, smooth = found.steps.copy(), found.smooth.copy()
-    for k, each in zip(unclear, finer, strict=True):
-        whole[k] = each.steps[0]
-        smooth[k] = not abs(whole[k] - found.steps[k]) > _AGREE * whole[k]
-    return Defects(whole, found.inside, smooth)
+    # Over a kink of a force a step is far worse than its neighbours, whatever its length.
+    usual = _STANDS_OUT * float(np.median(found.steps))
+    return replace(found, smooth=~(found.steps > usual))
 
 
-def _defects(traj: Trajectory, full: FullState, which: Indices, finer: int) -> Defects:
-    """Return the defects of some steps, each in `finer` times as many parts as usually."""
-    a, b, first = _stretches(traj, which, finer)
+def _defects(traj: Trajectory, full: FullState, which: Indices) -> Defects:
+    """Return the defects of some steps."""
+    a, b, first = _stretches(traj, which)
     middle, half = 0.5 * (a + b), 0.5 * (b - a)
     nodes = (middle[:, None] + half[:, None] * _NODES).ravel()
     y = full_states(traj, full, np.concatenate([a, b, nodes]))
@@ -98,7 +91,7 @@ def _defects(traj: Trajectory, full: FullState, which: Indices, finer: int) -> D
     return Defects(steps, inside, smooth=np.ones(len(which), dtype=bool))
 
 
-def _stretches(traj: Trajectory, which: Indices, finer: int) -> tuple[Array, Array, Indices]:
+def _stretches(traj: Trajectory, which: Indices) -> tuple[Array, Array, Indices]:
     """Return starts and ends of parts of steps, (P,), and which are the first of a step.
 
     Halves of steps, or less where the base turns fast: the quadrature is then exact.
@@ -107,7 +100,7 @@ def _stretches(traj: Trajectory, which: Indices, finer: int) -> tuple[Array, Arr
     linear = traj.system.group.linear
     steps = np.diff(knots)
     turn = np.abs(traj(knots).xi[:, linear:]).max(initial=0.0) * steps[which]
-    parts = np.ceil(np.maximum(turn, 2.0)).astype(int) * finer
+    parts = np.ceil(np.maximum(turn, 2.0)).astype(int)
     share = np.concatenate([np.arange(n) for n in parts]) / np.repeat(parts, parts)
     later = np.concatenate([np.arange(1, n + 1) for n in parts]) / np.repeat(parts, parts)
     start, end = np.repeat(knots[which], parts), np.repeat(knots[which + 1], parts)
