@@ -26,7 +26,8 @@ class Accelerations:
     """States at times and their accelerations.
 
     states: at (T,) times.  v, a: (T, n) velocity and acceleration, body twist and shape.
-    pace: (T,) how fast shape and attitude change, slides in parts of the robot's size [1/s].
+    pace: (T,) how fast shape and attitude change, slides in parts of the robot's size, or plans
+    at times that differ by less [1/s]: round-off of a is that of v, times this.
     """
 
     states: State
@@ -45,18 +46,35 @@ def accelerations(traj: Trajectory, t: Array, size: float) -> Accelerations:
     if not isinstance(states, State):
         raise InputError("accelerations need the base, which outputs='shape' leaves out")
     v = np.hstack([states.xi, states.xdot])
-    # Velocities are linear in momenta: what bends them is the shape and the attitude alone.
+    # Velocities are linear in momenta: what bends them is the shape and the attitude alone, and
+    # not how fast a wheel turns, of whose angle nothing depends.
     units = np.ones(system.n)
     units[: system.group.linear] = 0.0
     units[system.r :][[unit == "m" for unit in system.units]] = 1.0 / size
+    units[system.r :][list(traj.plan.acting.cyclic)] = 0.0
     pace = np.abs(v) @ units
     h = np.divide(_STEP, pace, out=np.ones(len(t)), where=pace > 0.0)
     if traj.plan.acting.driven:
         knots = motion.knots
         last = np.clip(np.searchsorted(knots, t), 1, len(knots) - 1)
         h = np.minimum(h, _OF_A_STEP * (knots[last] - knots[last - 1]))
+        # A plan that turns round is slow there, and bends all the same.
+        h = np.minimum(h, _STEP / max(_pace_of_plans(traj, t), 1e-300))
+        pace = np.maximum(pace, _STEP / h)
     changes, a = motion.changes(t), np.zeros_like(v)
     for k, weight in enumerate(_WEIGHTS, start=1):
         later, before = (motion.beside(t, changes, sign * k * h) for sign in (1.0, -1.0))
         a += (weight / h)[:, None] * (later - before)
     return Accelerations(states, v, a, pace)
+
+
+def _pace_of_plans(traj: Trajectory, t: Array) -> float:
+    """Return how fast the rates of prescribed joints change, |ẍ| / |ẋ| of a motion [1/s]."""
+    forces, numbers = traj.plan.forces, traj.motion.numbers(t)
+    assert forces is not None
+    plans = [forces.prescribed(at, row) for at, row in zip(t.tolist(), numbers, strict=True)]
+    rates, bends = (np.abs([getattr(each, name) for each in plans]) for name in ("xdot", "xddot"))
+    fastest = rates.max(axis=0)
+    return float(
+        np.divide(bends.max(axis=0), fastest, out=0.0 * fastest, where=fastest > 0.0).max()
+    )

@@ -3,7 +3,9 @@
 Both sides are taken at the same states, so that neither how motions part nor the tolerance plays
 a part.  What counts is the force that a difference of accelerations stands for, H Δa, row by row
 and in parts of what that row's equation is a sum of.  So a light joint counts by its own size, and
-a bad condition of H stretches nothing.
+a bad condition of H stretches nothing.  Of a body that is small about its joint, the moment is what
+is left of its weight of inertia, mass times acceleration times the size of the robot: round-off of
+that is no error either.
 """
 
 from __future__ import annotations
@@ -15,9 +17,11 @@ from ..common.arrays import Array
 from ..reduction.inertia_split import symmetric
 from ..simulation.accelerations import accelerations
 from ..simulation.trajectory import Trajectory
+from ..system.inertias import moved_masses
 from ..system.system import System
 from .full_state import FullState
 
+_LEFT = 1e-5  # of that, beside what the row is a sum of: 3e-12 of it is a part of round-off
 _LEAST = 1e-290  # forces that round-off of the smallest numbers would be a part of
 
 
@@ -36,7 +40,9 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
         rate = full.rate(t, y)[len(y) - full.system.model.nv :]
         a = np.concatenate([rate[:r], rate[r:][leads]])
         H, weight = _weights(full.system, full.q(y))
-        terms = np.abs(H) @ (np.abs(a) + found.pace[k] * np.abs(found.v[k])) + weight
+        changes = np.abs(a) + found.pace[k] * np.abs(found.v[k])
+        terms = np.abs(H) @ changes + weight
+        terms += _LEFT * _carried(full.system, full.q(y), changes, size)
         off = np.abs(H @ (found.a[k] - a))
         out[k] = off / np.maximum(terms, _LEAST)
     return out
@@ -47,3 +53,18 @@ def _weights(system: System, q: Array) -> tuple[Array, Array]:
     model, data = system.model, system.data
     H = system.coupled_matrix(symmetric(pin.crba(model, data, q)))
     return H, system.sizes_on_shape(np.abs(pin.computeGeneralizedGravity(model, data, q)))
+
+
+def _carried(system: System, q: Array, changes: Array, size: float) -> Array:
+    """Return the largest that forces on the bodies that each joint moves may be, (n,).
+
+    changes: (n,) accelerations.  size: of the robot [m]; forces are times it where joints turn.
+    """
+    angular, mass = moved_masses(system.model, system.data, q)
+    turns = (
+        angular
+        if system.coupled is None
+        else np.append(angular[: system.r], angular[system.r :][system.coupled.leads])
+    )
+    fastest = size * float(changes[turns].sum()) + float(changes[~turns].sum())
+    return system.sizes_on_shape(mass * np.where(angular, size, 1.0)) * fastest
