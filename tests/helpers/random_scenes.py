@@ -16,7 +16,7 @@ from pinred import forces
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 
-SCENES_OF_A_TREE = 4  # the kernel of a tree is the same for some of them
+SCENES_OF_A_TREE = 12  # the kernel of a tree is the same for some of them
 _MOST_SECONDS = 5.0  # where springs or weight set the pace
 
 
