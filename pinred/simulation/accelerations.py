@@ -17,7 +17,7 @@ from .state import State
 from .trajectory import Trajectory
 
 _WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)  # of v(t + k h) − v(t − k h), over h
-_STEP = 0.01  # rad, or part of the robot's size, that the fastest joint or the base moves by
+_STEP = 0.005  # rad, or part of the robot's size, that the fastest joint or the base moves by
 _OF_A_STEP = 1 / 64  # of the integrator, which follows plans that depend on time
 
 

@@ -45,11 +45,12 @@ class Size:
 
     joints: (M,) the largest |x| of each joint, at least 1 rad, or the radius of gyration of what
     slides [rad | m].  position: the distance travelled by the base, at least the radius of
-    gyration and what round-off leaves of its distance from the origin [m].
+    gyration and what round-off leaves of its distance from the origin [m].  away: that distance.
     """
 
     joints: Array
     position: float
+    away: float
 
 
 @dataclass(frozen=True)
@@ -297,11 +298,12 @@ class FullState:
         """Return the units in which errors of a motion are judged."""
         place, radius = motion.q[:, : self._linear], self.radius(motion.q[0])
         travelled = float(np.abs(place - place[0]).max(initial=0.0))
-        offset = OFFSET * float(np.abs(place).max(initial=0.0))
+        away = float(np.abs(place).max(initial=0.0))
         least = np.where([unit == "m" for unit in joint_units(self._model)], radius, 1.0)
         return Size(
             joints=np.maximum(np.abs(motion.x).max(axis=0), least),
-            position=max(travelled, radius, offset),
+            position=max(travelled, radius, OFFSET * away),
+            away=away,
         )
 
     def radius(self, q: Array) -> float:
