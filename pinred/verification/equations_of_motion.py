@@ -33,6 +33,7 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     size = full.radius(traj.system.sorted_q(traj.q[0]))
     found, numbers = accelerations(traj, times, size), traj.motion.numbers(times)
     states, r, leads = found.states, full.system.r, full.ties.leads
+    driven = [r + k for k in traj.plan.acting.driven]
     out = np.zeros_like(found.v)
     for k, t in enumerate(times.tolist()):
         full.hold(numbers[k])
@@ -44,6 +45,8 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
         terms = np.abs(H) @ changes + weight
         terms += _LEFT * _carried(full.system, full.q(y), changes, size)
         off = np.abs(H @ (found.a[k] - a))
+        # A drive gives whatever force its plan takes: what counts is whether it follows that.
+        off[driven] = np.abs(np.diag(H) * (found.a[k] - a))[driven]
         out[k] = off / np.maximum(terms, _LEAST)
     return out
 
