@@ -4,7 +4,8 @@ Each mutant is one small change of one module, in a copy of the package: compari
 constants ten times as large or small, + for −, * for /, `and` for `or`, a statement or a returned
 value left out, an expression set to zero, a condition denied.  The tests of the module run until
 one fails (killed) or all pass (survived: the tests do not see it, or there is nothing to see).
-Options: --table FILE.csv, --every N (each N-th mutant only), --seconds of a mutant's tests.
+Options: --table FILE.csv, --every N (each N-th mutant only), --first (number of the first),
+--seconds of a mutant's tests, --tests (these instead of all of the module's).
 
 Compiled kernels and integrators are kept in a cache of the run's own; where a mutant may be part
 of what was compiled, in one of its own.
@@ -157,7 +158,7 @@ def tests_of(module: str) -> list[str]:
     return [f"tests/{name}" for name in dict.fromkeys(tests) if (ROOT / "tests" / name).exists()]
 
 
-def outcome(copied: Path, module: str, text: str, seconds: float) -> str:
+def outcome(copied: Path, module: str, text: str, tests: list[str], seconds: float) -> str:
     """Return what the tests say of a module with that text, in a copy of the project."""
     target = copied / "pinred" / module
     own = target.read_text()
@@ -167,7 +168,7 @@ def outcome(copied: Path, module: str, text: str, seconds: float) -> str:
         cache = own_cache if compiled else str(copied.parent / "cache")
         places = dict.fromkeys(("PINRED_CACHE_DIR", "NUMBA_CACHE_DIR"), cache)
         command = [sys.executable, "-B", "-m", "pytest", "-q", "-x", "-m", "not slow", "-p",
-                   "no:cacheprovider", *tests_of(module)]  # fmt: skip
+                   "no:cacheprovider", *tests]  # fmt: skip
         with subprocess.Popen(
             command, cwd=copied, env=os.environ | places | {"PYTHONPATH": str(copied)},
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
@@ -191,6 +192,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--table", type=Path)
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--tests", nargs="+", default=[])
     parser.add_argument("--seconds", type=float, default=180.0)
     options = parser.parse_args(arguments)
     rows, counts = [], Counter[tuple[str, str]]()
@@ -206,12 +208,13 @@ def main(arguments: list[str]) -> int:
                 shutil.copy(source, copied / name)
         for module in options.modules:
             text = (ROOT / "pinred" / module).read_text()
-            plain = outcome(copied, module, text, options.seconds)
+            tests = options.tests or tests_of(module)
+            plain = outcome(copied, module, text, tests, options.seconds)
             if plain != "survived":
                 print(f"{module}: the tests fail without a mutant: {plain}")
                 return 2
             for mutant in list(mutants(text))[options.first :: options.every]:
-                found = outcome(copied, module, mutant.text, options.seconds)
+                found = outcome(copied, module, mutant.text, tests, options.seconds)
                 counts[module, found.split()[0]] += 1
                 rows.append([module, mutant.line, mutant.what, found])
                 if found == "survived":

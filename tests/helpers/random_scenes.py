@@ -17,6 +17,7 @@ from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 
 SCENES_OF_A_TREE = 12  # the kernel of a tree is the same for some of them
+_MOST_STEPS = 20_000  # a wheel of a millimetre on a strong spring takes any number
 _MOST_SECONDS = 5.0  # where springs or weight set the pace
 
 
@@ -59,7 +60,7 @@ def random_scene(seed: int) -> RandomScene:
     method = "auto"
     if engine == "compiled":
         method = str(rng.choice(["auto", "DOP853", "Tsit5", "AdaptiveGauss", "Radau"]))
-        options["method"] = method
+        options["method"] = method if method == "auto" else f"{method}(max_steps={_MOST_STEPS})"
     kinds = [name for name in ("springs", "prescribed", "forces") if options.get(name)]
     about = (
         f"{system.name}, speed {speed:.1e}, rtol {rtol:.1e}, offset {offset:.1e}, {engine}, "
