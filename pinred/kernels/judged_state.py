@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from ..common.arrays import Array
 from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import falling
-from ..system.inertias import radius_of_gyration
-from ..system.joints import axes_of
+from ..system.inertias import moved_masses, radius_of_gyration
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
@@ -118,15 +117,7 @@ class JudgedState:
     @cached_property
     def _moved(self) -> tuple[NDArray[np.bool_], Array]:
         """Which of the model's velocities turn, (nv,), and the mass that each moves, (nv,) [kg]."""
-        model, data = self.model, self.data
-        pin.crba(model, data, self.q)
-        angular, mass = np.ones(model.nv, dtype=bool), np.empty(model.nv)
-        for i in range(1, model.njoints):
-            joint = model.joints[i]
-            own = slice(joint.idx_v, joint.idx_v + joint.nv)
-            angular[own] = np.abs(axes_of(joint)[3:]).sum(axis=0) > 0.0
-            mass[own] = data.Ycrb[i].mass
-        return angular, mass
+        return moved_masses(self.model, self.data, self.q)
 
     @cached_property
     def reach(self) -> float:

@@ -52,7 +52,10 @@ class CanonicalForm:
     def com_slope(self, x: Array) -> Array:
         """Return ∂c/∂x of the centre of mass in the root body's frame, (3, m)."""
         q = self._system.model_q(self._identity, x)
-        every = self._system.on_shape(pin.jacobianCenterOfMass(self._model, self._data, q))
+        slope = pin.jacobianCenterOfMass(self._model, self._data, q).reshape(
+            3, -1
+        )  # of one joint: (3,)
+        every = self._system.on_shape(slope)
         world = every[:, self._r :]
         return np.asarray(self._model.jointPlacements[1].rotation.T @ world)
 

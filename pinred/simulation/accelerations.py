@@ -17,7 +17,7 @@ from .state import State
 from .trajectory import Trajectory
 
 _WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)  # of v(t + k h) − v(t − k h), over h
-_STEP = 0.01  # rad, or part of the robot's size, that the fastest joint or the base moves by
+_STEP = 0.005  # rad, or part of the robot's size, that the fastest joint or the base moves by
 _SHORTER = 0.7  # of the step, for a second look
 _OF_A_STEP = 1 / 64  # of the integrator, which follows plans that depend on time
 
@@ -29,7 +29,8 @@ class Accelerations:
     states: at (T,) times.  v, a: (T, n) velocity and acceleration, body twist and shape.
     spread: (T, n) how far accelerations by two lengths of difference are apart, which is what
     round-off in v makes of them.  pace: (T,) how fast shape and attitude change, slides in parts
-    of the robot's size [1/s].
+    of the robot's size, or plans at times that differ by less [1/s]: round-off of a is that of
+    v, times this.
     """
 
     states: State
@@ -49,16 +50,21 @@ def accelerations(traj: Trajectory, t: Array, size: float) -> Accelerations:
     if not isinstance(states, State):
         raise InputError("accelerations need the base, which outputs='shape' leaves out")
     v = np.hstack([states.xi, states.xdot])
-    # Velocities are linear in momenta: what bends them is the shape and the attitude alone.
+    # Velocities are linear in momenta: what bends them is the shape and the attitude alone, and
+    # not how fast a wheel turns, of whose angle nothing depends.
     units = np.ones(system.n)
     units[: system.group.linear] = 0.0
     units[system.r :][[unit == "m" for unit in system.units]] = 1.0 / size
+    units[system.r :][list(traj.plan.acting.cyclic)] = 0.0
     pace = np.abs(v) @ units
     h = np.divide(_STEP, pace, out=np.ones(len(t)), where=pace > 0.0)
     if traj.plan.acting.driven:
         knots = motion.knots
         last = np.clip(np.searchsorted(knots, t), 1, len(knots) - 1)
         h = np.minimum(h, _OF_A_STEP * (knots[last] - knots[last - 1]))
+        # A plan that turns round is slow there, and bends all the same.
+        h = np.minimum(h, _STEP / max(_pace_of_plans(traj, t), 1e-300))
+        pace = np.maximum(pace, _STEP / h)
     changes = motion.changes(t)
 
     def derivative(h: Array) -> Array:
@@ -70,3 +76,15 @@ def accelerations(traj: Trajectory, t: Array, size: float) -> Accelerations:
 
     a = derivative(h)
     return Accelerations(states, v, a, np.abs(a - derivative(_SHORTER * h)), pace)
+
+
+def _pace_of_plans(traj: Trajectory, t: Array) -> float:
+    """Return how fast the rates of prescribed joints change, |ẍ| / |ẋ| of a motion [1/s]."""
+    forces, numbers = traj.plan.forces, traj.motion.numbers(t)
+    assert forces is not None
+    plans = [forces.prescribed(at, row) for at, row in zip(t.tolist(), numbers, strict=True)]
+    rates, bends = (np.abs([getattr(each, name) for each in plans]) for name in ("xdot", "xddot"))
+    fastest = rates.max(axis=0)
+    return float(
+        np.divide(bends.max(axis=0), fastest, out=0.0 * fastest, where=fastest > 0.0).max()
+    )

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
+from ..common.arrays import Array
 from ..common.errors import ModelError
 from ..common.plain_names import listed, quoted
 from .coupling import Coupled
-from .joints import is_prismatic
+from .joints import axes_of, is_prismatic
 from .massless_motions import largest_step, no_moment
 from .singular_coupled import coupled_singular_shapes
 from .singular_shapes import SingularShape, SingularShapes, singular_shapes
@@ -152,6 +154,18 @@ def _some(parts: list[str], most: int = 6) -> str:
 
 def _shown(moments: np.ndarray) -> str:
     return ", ".join(f"{moment:.6g}" for moment in moments)
+
+
+def moved_masses(model: pin.Model, data: pin.Data, q: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Return which velocities turn, (nv,), and the mass that each moves, (nv,) [kg]."""
+    pin.crba(model, data, q)
+    angular, mass = np.ones(model.nv, dtype=bool), np.empty(model.nv)
+    for i in range(1, model.njoints):
+        joint = model.joints[i]
+        own = slice(joint.idx_v, joint.idx_v + joint.nv)
+        angular[own] = np.abs(axes_of(joint)[3:]).sum(axis=0) > 0.0
+        mass[own] = data.Ycrb[i].mass
+    return angular, mass
 
 
 def radius_of_gyration(body: pin.Inertia) -> float:

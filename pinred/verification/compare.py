@@ -165,7 +165,10 @@ def _ends(
     kicked = growth * KICK > JUDGEABLE
     told = min(told, int(np.argmax(kicked)) if kicked.any() else len(times))
     bound = Distance(
-        joints=allowed[:, None] * size.joints, rotation=allowed, position=allowed * size.position
+        joints=allowed[:, None] * size.joints,
+        rotation=allowed,
+        # A place far away is a number with round-off of its distance, on either side.
+        position=allowed * size.position + SAFETY * _ROUND_OFF * size.away,
     )
     reasons: tuple[str, ...] = ()
     if told < len(times):

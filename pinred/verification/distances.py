@@ -23,11 +23,12 @@ class Size:
 
     joints: (M,) the largest |x| of each joint, at least 1 rad, or the radius of gyration of what
     slides [rad | m].  position: the distance travelled by the base, at least the radius of
-    gyration and what round-off leaves of its distance from the origin [m].
+    gyration and what round-off leaves of its distance from the origin [m].  away: that distance.
     """
 
     joints: Array
     position: float
+    away: float
 
 
 @dataclass(frozen=True)

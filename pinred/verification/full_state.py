@@ -115,15 +115,17 @@ class FullState:
         """Return y0 with each entry changed by a small part of itself, up or down at random.
 
         The least change is that part of a radian, of the radius of gyration, or of the
-        rate that covers these in the time.
+        rate that covers these in the time.  How far away the base is counts as in Size.
         """
         where = self._size + self._m
+        own = np.abs(y0)
+        own[: self._linear] *= OFFSET
         least = np.ones(len(y0))
         least[: self._linear] = self.radius(self.q(y0))
         least[where:] = 1.0 / time
         least[where : where + self._linear] *= self.radius(self.q(y0))
         sign = np.random.default_rng(0).choice([-1.0, 1.0], len(y0))
-        return self._tied(y0 + part * sign * np.maximum(np.abs(y0), least))
+        return self._tied(y0 + part * sign * np.maximum(own, least))
 
     def growth(
         self, y0: Array, motion: FullMotion, times: Array, rtol: float, atol: float
@@ -253,11 +255,12 @@ class FullState:
         """Return the units in which errors of a motion are judged."""
         place, radius = motion.q[:, : self._linear], self.radius(motion.q[0])
         travelled = float(np.abs(place - place[0]).max(initial=0.0))
-        offset = OFFSET * float(np.abs(place).max(initial=0.0))
+        away = float(np.abs(place).max(initial=0.0))
         least = np.where([unit == "m" for unit in joint_units(self._model)], radius, 1.0)
         return Size(
             joints=np.maximum(np.abs(motion.x).max(axis=0), least),
-            position=max(travelled, radius, offset),
+            position=max(travelled, radius, OFFSET * away),
+            away=away,
         )
 
     def radius(self, q: Array) -> float:
@@ -309,7 +312,7 @@ class FullState:
             _difference(np.hstack([state.xi, self.ties.rates(state.xdot)]), vs, 0.0),
             _difference(state.body_momentum, body, float(scale.max())),
             _difference(state.spatial_momentum, spatial, float(scale.max())),
-            _difference(state.energy, energies, most),
+            _difference(state.energy, energies, max(most, _LEAST)),
         ]
         return Audit(
             energies=gained / most if most > _LEAST else gained,
@@ -329,9 +332,18 @@ class FullState:
     def carried_energy(self, q: Array, v: Array) -> float:
         """Return the part of the kinetic energy that the centre of mass has along the group [J]."""
         data, root = self._data, self._model.jointPlacements[1].rotation
-        pin.ccrba(self._model, data, q, v)
+        pin.ccrba(self._model, data, self._near(q), v)
         carried = self._axes[:3].T @ root.T @ data.hg.linear
         return 0.5 * float(carried @ carried) / float(data.Ig.mass)
+
+    def _near(self, q: Array) -> Array:
+        """Return q with the base at the origin.
+
+        Pinocchio adds up momenta in the world's frame, with round-off of the distance squared.
+        """
+        near = q.copy()
+        near[: self._linear] = 0.0
+        return near
 
     def momentum(self, q: Array, v: Array, fall: Array, *, about_pivot: bool) -> Array:
         """Return the momentum along the group's axes, (r,), in the root's fixed frame.
@@ -340,11 +352,12 @@ class FullState:
         about the centre of mass.
         """
         model, data = self._model, self._data
-        pin.ccrba(model, data, q, v)
+        pin.ccrba(model, data, self._near(q), v)
         placement = model.jointPlacements[1]
         linear, angular = data.hg.linear, data.hg.angular
         if about_pivot:
-            angular = angular + np.cross(data.com[0] - placement.translation, linear)
+            away = placement.rotation @ self._axes[:3, : self._linear] @ q[: self._linear]
+            angular = angular + np.cross(data.com[0] - placement.translation + away, linear)
         to_root = placement.rotation.T
         rotor = model.armature[: self._r] * v[: self._r]
         parts = np.append(to_root @ (linear - fall), to_root @ angular)

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from tampering import offset, tampered
 from trees import random_model
 
 import pinred
-from pinred.common.arrays import Array
 from pinred.lie import GROUPS
-from pinred.simulation.pieces import Motion
-from pinred.simulation.state import with_base
 from pinred.system.catalogue import bundled_robots, has_example_robots
 from pinred.verification.distances import FullMotion
 from pinred.verification.full_state import FullState
@@ -68,31 +65,6 @@ def test_error_follows_the_tolerance() -> None:
         errors[rtol] = max(report.shape_error, report.rotation_error)
         assert errors[rtol] < 100 * report.growth[-1] * rtol
     assert errors[1e-5] > 30 * errors[1e-8] > 900 * errors[1e-11]
-
-
-Change = Callable[[pinred.State], pinred.State]
-
-
-def tampered(traj: pinred.Trajectory, change: Change) -> pinred.Trajectory:
-    """The trajectory with its states changed after the fact."""
-
-    class Tampered(Motion):
-        def states(self, t: Array) -> pinred.State:
-            return change(with_base(super().states(t), ""))
-
-    motion = Tampered(traj.motion._flow, traj.motion._pieces)
-    return pinred.Trajectory(traj.scene, motion, traj.run)
-
-
-def offset(name: str, column: int, size: float) -> Change:
-    """A change that moves one column of a field at later times."""
-
-    def change(state: pinred.State) -> pinred.State:
-        values: Array = getattr(state, name).copy()
-        values[len(values) // 2 :, column] += size
-        return replace(state, **{name: values})
-
-    return change
 
 
 @pytest.mark.parametrize(

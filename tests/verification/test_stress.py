@@ -14,7 +14,7 @@ import pinred
 from pinred import RKMK4
 from pinred.cli.main import main
 from pinred.forces import Damper, Wrench
-from pinred.verification.stress.check import Case, Check, Trial
+from pinred.verification.stress.check import Case, Check, Outcome, Trial
 from pinred.verification.stress.suite import CHECKS, chosen, run_check, table
 
 pytestmark = pytest.mark.slow
@@ -22,26 +22,35 @@ pytestmark = pytest.mark.slow
 SHORT = Trial(effort="short")
 
 
-def broken(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return simulate or simulate_many with the masses of all bodies but the base off by 1e-5.
+def broken(function: Callable[..., Any], by: float) -> Callable[..., Any]:
+    """Return simulate or simulate_many with the constants of all bodies off by that part.
 
-    A body's moments of inertia are off with its mass, and the armature stays as it is.
+    The state that a robot comes with, and its time, are those of the right one.
     """
 
     def run(system: pinred.System, **options: Any) -> Any:
-        return function(off(system), **options)
+        own, wrong = system.initial, off(system, by)
+        if own is not None and "x0" not in options:
+            options = {"x0": own.x, "xdot0": own.xdot, "xi0": own.xi, **options}
+            options.setdefault("times", np.linspace(0.0, own.duration, 201))
+        return function(wrong, **options)
 
     return run
 
 
-def off(system: pinred.System, by: float = 1e-5) -> pinred.System:
-    """The robot with one constant of each body wrong: another one for each axis."""
+def off(system: pinred.System, by: float) -> pinred.System:
+    """The robot with each body of another mass, and stretched: by another part along each axis.
+
+    So it stays a real body, flat if it was flat.  The armature stays as it is.
+    """
     model = system.model.copy()
     for i in range(1, model.njoints):
         body = model.inertias[i]
-        scale = np.diag(1.0 + by * np.array([1.0, 0.3, -0.5]))
-        wrong = scale @ body.inertia @ scale
-        model.inertias[i] = pin.Inertia(body.mass * (1.0 + by / i), body.lever, wrong)
+        stretch = np.diag(1.0 + by * np.array([1.0, 0.3, -0.5]))
+        spread = 0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia
+        spread = (1.0 + by / i) * stretch @ spread @ stretch
+        inertia = np.trace(spread) * np.eye(3) - spread
+        model.inertias[i] = pin.Inertia(body.mass * (1.0 + by / i), body.lever, inertia)
     return pinred.load(model)
 
 
@@ -103,16 +112,59 @@ def test_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyP
 INVARIANT = ("reversal", "energy", "casimirs", "frames", "units")
 
 
-@pytest.mark.filterwarnings("ignore::pinred.ModelWarning")  # flat bodies become unreal ones
+# The smallest fault, in decades, that the short form of a check notices (docs/stress.md).
+NOTICED = {
+    "tolerances": 1e-8,
+    "between": 1e-7,
+    "periods": 1e-8,
+    "mass_ratios": 1e-7,
+    "spins": 1e-9,
+    "flat_bodies": 1e-8,
+    "straight_chains": 1e-8,
+    "singular_shapes": 1e-8,
+    "stiff_springs": 1e-8,
+    "long_chains": 1e-8,
+    "zero_momentum": 1e-8,
+    "time_scales": 1e-9,
+    "chaos": 1e-8,
+}
+
+
+@pytest.mark.filterwarnings("ignore::pinred.ModelWarning")  # flat bodies are doubtful ones
 @pytest.mark.parametrize("name", [name for name in CHECKS if name not in INVARIANT])
 def test_a_wrong_constant_fails(name: str) -> None:
-    """The check fails for a simulation of a robot whose constants are off by 1e-5."""
+    """The check fails for a simulation of a robot whose constants are off, and says by which case.
+
+    A fault with which nothing could be simulated would be an error of this test.
+    """
+    outcome = with_fault(name, NOTICED[name])
+    assert not outcome.stopped, outcome.stopped
+    assert any(not case.passed for case in outcome.cases), table([outcome])
+
+
+def with_fault(name: str, by: float) -> Outcome:
+    """The outcome of the short form of a check, of robots whose constants are off by that part."""
     wrong = replace(
         SHORT,
-        simulate=broken(pinred.simulate),
-        simulate_many=broken(pinred.simulate_many),
+        simulate=broken(pinred.simulate, by),
+        simulate_many=broken(pinred.simulate_many, by),
     )
-    assert not run_check(CHECKS[name], wrong).passed
+    return run_check(CHECKS[name], wrong)
+
+
+def test_a_jump_at_zero_is_noticed_by_all() -> None:
+    """Where the kernel without momentum gives another motion, every case that compares says so."""
+
+    def run(system: pinred.System, *, momentum: Any, **options: Any) -> Any:
+        still = np.all(momentum == 0.0, axis=1)
+        pushed = np.where(still[:, None], 1e-5 * np.abs(momentum).max(axis=0), momentum)
+        return pinred.simulate_many(system, momentum=pushed, **options)
+
+    outcome = run_check(CHECKS["zero_momentum"], replace(SHORT, simulate_many=run))
+    compared = [case for case in outcome.cases if "from that at zero" in case.name]
+    small = [case for case in compared if "e-03" not in case.name and "0e+00" not in case.name]
+    assert len(small) >= 26
+    assert not any(case.passed for case in small), "\n".join(map(str, small))
 
 
 def rubbed(function: Callable[..., Any]) -> Callable[..., Any]:

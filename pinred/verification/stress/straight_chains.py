@@ -17,9 +17,9 @@ _ROUNDING = 10.0  # of eps times the condition of the locked inertia
 
 
 def _cases(trial: Trial) -> Cases:
-    for thin in trial.pick((1e-8,), (1e-2, 1e-4, 1e-6, 1e-8)):
+    for thin in trial.pick((1e-2, 1e-8), (1e-2, 1e-4, 1e-6, 1e-8)):
         system = _chain(thin)
-        for bend in trial.pick((1e-4,), (1e-1, 1e-2, 1e-4)):
+        for bend in trial.pick((1e-1, 1e-4), (1e-1, 1e-2, 1e-4)):
             # At rest about the chain's own axis, but for what the bends need.
             traj = trial.simulate(
                 system,

@@ -1,0 +1,35 @@
+"""Trajectories that were changed after the fact, for judges to find out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.simulation.pieces import Motion
+from pinred.simulation.state import with_base
+
+Change = Callable[[pinred.State], pinred.State]
+
+
+def tampered(traj: pinred.Trajectory, change: Change) -> pinred.Trajectory:
+    """The trajectory with its states changed after the fact."""
+
+    class Tampered(Motion):
+        def states(self, t: Array) -> pinred.State:
+            return change(with_base(super().states(t), ""))
+
+    motion = Tampered(traj.motion._flow, traj.motion._pieces)
+    return pinred.Trajectory(traj.scene, motion, traj.run)
+
+
+def offset(name: str, column: int, size: float) -> Change:
+    """A change that moves one column of a field at later times."""
+
+    def change(state: pinred.State) -> pinred.State:
+        values: Array = getattr(state, name).copy()
+        values[len(values) // 2 :, column] += size
+        return replace(state, **{name: values})
+
+    return change

@@ -1,0 +1,59 @@
+"""A symmetry that is broken by a little is broken: gravity beside an axis, a wheel out of true."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinred
+from pinred.reduction.at_a_shape import Reduction
+from pinred.reduction.cyclic_joints import cyclic_joints
+from pinred.reduction.potential import Potential
+
+
+def leaning(by: float) -> pinred.System:
+    """A pendulum on a mast that turns about an axis which leans by that angle [rad]."""
+    model = pin.Model()
+    mast = model.addJoint(
+        0, pin.JointModelRZ(), pin.SE3(pin.exp3(np.array([by, 0.0, 0.0])), np.zeros(3)), "mast"
+    )
+    model.appendBodyToJoint(mast, pin.Inertia.FromSphere(1.0, 0.2), pin.SE3.Identity())
+    arm = model.addJoint(mast, pin.JointModelRX(), pin.SE3.Identity(), "arm")
+    body = pin.Inertia(1.0, np.array([0.0, 0.0, -0.5]), 0.1 * np.eye(3))
+    model.appendBodyToJoint(arm, body, pin.SE3.Identity())
+    model.gravity.linear = np.array([0.0, 0.0, -9.81])
+    return pinred.load(model)
+
+
+@pytest.mark.parametrize("by", [1e-3, 1e-6, 1e-8])
+def test_an_axis_beside_gravity_is_refused(by: float) -> None:
+    """However little it leans."""
+    Potential(leaning(0.0))
+    with pytest.raises(pinred.SymmetryError, match="breaks the SO2 symmetry"):
+        Potential(leaning(by))
+
+
+@pytest.mark.parametrize("by", [1e-6, 1e-9])
+def test_a_wheel_out_of_true_is_not_cyclic(by: float) -> None:
+    """By a nanometre, or with moments that differ by that part."""
+    model = pinred.load("reaction_wheel_satellite").model
+    assert cyclic_joints(Reduction(pinred.load(model.copy()))) == (1, 2, 3)
+    beside = model.copy()
+    beside.inertias[3].lever = beside.inertias[3].lever + by * np.array([0.0, 1.0, 0.0])
+    assert cyclic_joints(Reduction(pinred.load(beside))) == (2, 3)
+    uneven = model.copy()
+    moments = uneven.inertias[3].inertia + by * np.diag([0.0, 0.01, -0.01])
+    uneven.inertias[3] = pin.Inertia(uneven.inertias[3].mass, uneven.inertias[3].lever, moments)
+    assert cyclic_joints(Reduction(pinred.load(uneven))) == (2, 3)
+
+
+@pytest.mark.parametrize("far", [0.0, 1.0, 1e3])
+def test_a_true_wheel_is_cyclic_however_far_out(far: float) -> None:
+    """Round-off of where it sits is no dependence on its angle."""
+    model = pinred.load("reaction_wheel_satellite").model.copy()
+    place = model.jointPlacements[3]
+    model.jointPlacements[3] = pin.SE3(
+        pin.exp3(np.array([0.3, 0.2, 0.1])) @ place.rotation, place.translation + far
+    )
+    assert 1 in cyclic_joints(Reduction(pinred.load(model)))

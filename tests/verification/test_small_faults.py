@@ -1,0 +1,102 @@
+"""Faults of 1e-9 in a mass, a length or an axis fail the comparison of every bundled robot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinred
+from pinred.system.catalogue import bundled_robots
+
+BY = 1e-9
+
+
+def spoiled(system: pinred.System, kind: str, joint: int, axis: int) -> pinred.System:
+    """The robot with one constant off by 1e-9: a mass or a length by that part, an axis by rad."""
+    model, entry = system.model.copy(), np.eye(3)[axis]
+    body, place = model.inertias[joint].copy(), model.jointPlacements[joint].copy()
+    if kind == "mass":
+        model.inertias[joint].mass = body.mass * (1.0 + BY)
+    elif kind == "lever":
+        model.inertias[joint].lever = body.lever * (1.0 + BY * entry)
+    elif kind == "moment":
+        model.inertias[joint].inertia = body.inertia + BY * np.diag(entry * np.diag(body.inertia))
+    elif kind == "length":
+        longer = place.translation * (1.0 + BY * entry)
+        model.jointPlacements[joint] = pin.SE3(place.rotation, longer)
+    else:
+        turn = pin.exp3(BY * entry)
+        model.jointPlacements[joint] = pin.SE3(place.rotation @ turn, place.translation)
+    return pinred.load(model)
+
+
+@cache
+def motion(name: str) -> pinred.Trajectory:
+    """A short motion of a bundled robot from its own state; one that nothing moves has a spring."""
+    springs = {"beanie": (3.0, 0.0)} if name == "elroys_beanie" else {}
+    return pinred.simulate(pinred.load(name), duration=0.5, springs=springs)
+
+
+def judged_as(traj: pinred.Trajectory, other: pinred.System) -> pinred.Report:
+    """The comparison of a motion with the equations of another robot, from the same state."""
+    start: dict[str, Any] = {"x0": traj.x[0], "xdot0": traj.xdot[0], "xi0": traj.xi[0]}
+    scene = replace(traj.scene, system=other, **start)
+    return pinred.compare(pinred.Trajectory(scene, traj.motion, traj.run))
+
+
+# Of a free body only its moments show; a hinge's axis in the plane, or along that of symmetry of
+# all it carries, shows only where it is turned about itself, or not at all; of the beanie, no axis.
+FAULTS = {
+    "elroys_beanie": [("moment", 1, 2), ("moment", 2, 2)],
+    "coupled_planar": [("mass", 1, 0), ("mass", 2, 0), ("length", 2, 0)],
+    "planar_chain5": [
+        ("mass", 1, 0), ("mass", 6, 0), ("lever", 6, 0), ("length", 2, 0), ("length", 6, 0),
+        ("axis", 2, 2), ("axis", 6, 2),
+    ],
+    "rigid_body": [("moment", 1, 0), ("moment", 1, 1), ("moment", 1, 2)],
+    "coupled_spatial": [
+        ("mass", 1, 0), ("mass", 4, 0), ("lever", 4, 0), ("length", 2, 0), ("axis", 2, 0),
+        ("axis", 4, 2),
+    ],
+    "satellite_two_arms": [
+        ("mass", 1, 0), ("mass", 4, 0), ("lever", 7, 0), ("length", 2, 1), ("length", 7, 0),
+        ("axis", 2, 0), ("axis", 7, 1),
+    ],
+    "falling_cat": [
+        ("mass", 1, 0), ("mass", 4, 0), ("lever", 1, 0), ("axis", 2, 0), ("axis", 4, 2),
+    ],
+    "cartpole": [("mass", 1, 0), ("mass", 2, 0), ("lever", 2, 2), ("axis", 2, 1)],
+    "double_spherical_pendulum": [
+        ("mass", 2, 0), ("mass", 4, 0), ("lever", 4, 2), ("length", 3, 2), ("axis", 2, 0),
+        ("axis", 4, 1),
+    ],
+    "reaction_wheel_satellite": [
+        ("mass", 1, 0), ("lever", 2, 0), ("length", 2, 0), ("axis", 2, 0), ("axis", 3, 1),
+        ("moment", 3, 0), ("mass", 4, 0),
+    ],
+    "upright_drone": [
+        ("mass", 1, 0), ("mass", 3, 0), ("lever", 3, 0), ("axis", 2, 2), ("axis", 3, 1),
+    ],
+}  # fmt: skip
+
+
+def test_every_robot_has_faults() -> None:
+    """None is left out."""
+    assert set(FAULTS) == set(bundled_robots())
+
+
+@pytest.mark.parametrize("name", sorted(FAULTS))
+def test_a_fault_of_1e_9_fails(name: str) -> None:
+    """The equations see it, at the default tolerance; without it all pass."""
+    traj = motion(name)
+    own = judged_as(traj, traj.system)
+    assert own.passed, str(own)
+    for kind, joint, axis in FAULTS[name]:
+        report = judged_as(traj, spoiled(traj.system, kind, joint, axis))
+        assert report.verdict == "FAILED", (kind, joint, axis, str(report))
+        assert report.equations > report.equations_bound, (kind, joint, axis)
