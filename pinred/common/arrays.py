@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from math import isfinite
 from typing import Any, TypeAlias
@@ -11,8 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InputError, ShapeError
+from .plain_names import brief
 
 Array: TypeAlias = NDArray[np.float64]
+
+_LARGEST = float(np.finfo(float).max)
 
 
 def as_floats(value: ArrayLike, what: str) -> Array:
@@ -22,8 +25,28 @@ def as_floats(value: ArrayLike, what: str) -> Array:
         if array.dtype.kind == "c":
             raise TypeError
         return np.asarray(array, dtype=float)
+    except OverflowError:
+        raise ShapeError(f"{what} must be numbers of at most {_LARGEST:.1e}") from None
     except (TypeError, ValueError):
-        raise ShapeError(f"{what} must be numbers, got {value!r}") from None
+        raise ShapeError(f"{what} must be numbers, got {brief(value)}") from None
+
+
+def entries_of(value: Any) -> list[Any] | None:
+    """Return the entries of a list of any kind; None for text, mappings and what has no entries."""
+    if isinstance(value, (str, bytes, Mapping)):
+        return None
+    try:
+        return list(value)
+    except TypeError:
+        return None
+
+
+def dimensions(value: Any) -> int:
+    """Return how many axes an array has, or would have; −1 for lists that no array can hold."""
+    try:
+        return np.ndim(value)
+    except (TypeError, ValueError):
+        return -1
 
 
 def vector(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -> Array:
@@ -65,8 +88,10 @@ def positive(value: float, what: str) -> float:
     """Return `value` as a finite float above zero.  Raises InputError naming `what`."""
     try:
         number = float(value)
+    except OverflowError:
+        raise InputError(f"{what} must be at most {_LARGEST:.1e}") from None
     except (TypeError, ValueError):
-        raise InputError(f"{what} must be a number, got {value!r}") from None
+        raise InputError(f"{what} must be a number, got {brief(value)}") from None
     if not (isfinite(number) and number > 0):
         raise InputError(f"{what} must be finite and above zero, got {number:g}")
     return number

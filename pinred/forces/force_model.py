@@ -15,6 +15,7 @@ from ..common.arrays import Array, freeze
 from ..common.casadi_calls import Numeric
 from ..common.errors import InputError
 from ..common.memo import once
+from ..common.plain_names import brief
 from ..reduction.potential import spring_pair
 from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..system.coupling import following
@@ -23,6 +24,7 @@ from .by_name import Column
 from .force import Force, Symbols, Terms
 from .kinds import Controller, Damper, Friction, Spring
 from .signals import Constant, Expression, Signal
+from .written import terms_of
 
 _REMEMBERED = 16  # models of one system
 _KINKS = {
@@ -112,7 +114,7 @@ class ForceModel:
                 required = partial(_required_torque, system, s)
                 s = replace(s, others=others, accelerations=known, required_torque=required)
             first = len(self._values)
-            terms = force.terms(s, self._number)
+            terms = terms_of(force, s, self._number)
             self._check_symbols(s, terms, force.label)
             if isinstance(force, Controller):
                 self.held.append((force, slice(first, len(self._values))))
@@ -252,7 +254,7 @@ def _force_model(
     ]
     for force in forces:
         if not isinstance(force, Force):
-            raise InputError(f"forces must be those of pinred.forces, got {force!r}")
+            raise InputError(f"forces must be those of pinred.forces, got {brief(force)}")
         every.append(force)
     for name, signal in prescribed.items():
         if not isinstance(signal, Signal):
