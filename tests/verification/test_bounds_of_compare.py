@@ -21,7 +21,7 @@ from pinred.verification.distances import FullMotion
 from pinred.verification.full_state import FullState
 from pinred.verification.report import EXIT_CODES, Verdict
 
-RTOL, ATOL = 1e-8, 1e-10
+RTOL, ATOL = 1e-8, 5e-9
 TOLERANCE = RTOL + ATOL
 
 
@@ -239,6 +239,14 @@ def test_a_jump_far_away(away: float) -> None:
     value, bound = report.checks["position error [m]"]
     assert value == pytest.approx(1e-6, rel=1e-3)
     assert value > bound
+
+
+def test_round_off_of_places() -> None:
+    """At a thousand kilometres, 1e-14 of them passes besides what passes of ten metres."""
+    pose0 = [1e6, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    traj = pinred.simulate(pinred.load("falling_cat"), duration=1.0, pose0=pose0)
+    report = pinred.compare(traj)
+    assert report.position_bounds - 10.0 * report.rotation_bounds == pytest.approx(1e-8, rel=0.01)
 
 
 def test_sizes_of_a_motion() -> None:
