@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 from ..common.errors import IntegrationError, LeftOutWarning, ModelWarning, PinredError
 from ..common.plain_names import plain
 from ..common.version import __version__
+from .interrupt import CODE, say
 from .options import VECTORS
 from .terminal import showing_all
 
@@ -60,8 +61,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     except MemoryError:
         return _failed("not enough memory for this many numbers", 2)
     except KeyboardInterrupt:
-        print("pinred: interrupted", file=sys.stderr)
-        return 130
+        say()
+        return CODE
     except BrokenPipeError:  # the reader of our output has gone, as in `pinred robots | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

@@ -140,12 +140,15 @@ def scene_with(system: System, seed: int | None, **given: Any) -> Scene:
     Where no state is given and the robot comes with none, it is random; the seed is printed, so
     that anyone can repeat the run.
     """
+    from ..scene.angles import large_angles
     from ..scene.scene import Scene
 
     states = (*STATE, "keyframe")
     known = system.initial is not None or any(given.get(name) is not None for name in states)
     seed = 0 if seed is None and not known else seed
     scene = Scene(system=system, seed=seed, **given)
+    if given.get("x0") is not None and (note := large_angles(scene.given.x[0], system)):
+        print(f"note: {note}")
     if seed is not None:
         print(f"initial state: random, seed {seed}")
     return scene

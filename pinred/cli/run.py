@@ -39,6 +39,7 @@ def run(options: argparse.Namespace) -> int:
     if options.scene is None:
         raise InputError("run needs a scene: the name of a TOML file; see `pinred run --help`")
     from ..common.files import check_path
+    from ..scene.angles import large_angles
     from ..scene.toml.reader import read_scene_file
     from ..simulation.explain import explain
     from ..simulation.plan import plan_of
@@ -49,6 +50,8 @@ def run(options: argparse.Namespace) -> int:
     explanation = explain(plan_of(scene))  # finds out whether the scene can run, too
     if options.explain:
         print(explanation)
+    elif note := large_angles(scene.given.x[0], scene.system):
+        print(f"note: {note}")
     if options.check:
         print(f"ok: {_title(scene)}")
         return 0

@@ -11,8 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InputError, ShapeError
+from .plain_names import brief
 
 Array: TypeAlias = NDArray[np.float64]
+
+_LARGEST = float(np.finfo(float).max)
 
 
 def as_floats(value: ArrayLike, what: str) -> Array:
@@ -22,8 +25,10 @@ def as_floats(value: ArrayLike, what: str) -> Array:
         if array.dtype.kind == "c":
             raise TypeError
         return np.asarray(array, dtype=float)
+    except OverflowError:
+        raise ShapeError(f"{what} must be numbers of at most {_LARGEST:.1e}") from None
     except (TypeError, ValueError):
-        raise ShapeError(f"{what} must be numbers, got {value!r}") from None
+        raise ShapeError(f"{what} must be numbers, got {brief(value)}") from None
 
 
 def vector(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -> Array:
@@ -65,8 +70,10 @@ def positive(value: float, what: str) -> float:
     """Return `value` as a finite float above zero.  Raises InputError naming `what`."""
     try:
         number = float(value)
+    except OverflowError:
+        raise InputError(f"{what} must be at most {_LARGEST:.1e}") from None
     except (TypeError, ValueError):
-        raise InputError(f"{what} must be a number, got {value!r}") from None
+        raise InputError(f"{what} must be a number, got {brief(value)}") from None
     if not (isfinite(number) and number > 0):
         raise InputError(f"{what} must be finite and above zero, got {number:g}")
     return number

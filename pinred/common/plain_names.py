@@ -39,6 +39,19 @@ def quoted_path(path: object) -> str:
     return f"'{plain_path(path)}'"
 
 
+def brief(value: object) -> str:
+    """Return what Python shows of a value, in one short line."""
+    try:
+        return plain(repr(value), _LONGEST_PATH)
+    except Exception:  # of any type: a number of thousands of digits, somebody's own __repr__
+        return f"a {type(value).__name__}"
+
+
+def one_of(value: object, choices: Collection[str]) -> bool:
+    """Return whether a value is one of some words; arrays and lists are none."""
+    return isinstance(value, str) and value in choices
+
+
 def listed(names: Collection[str], most: int = _MOST) -> str:
     """Return names in a row, the first few of many."""
     shown = [plain(name) for name, _ in zip(names, range(most), strict=False)]

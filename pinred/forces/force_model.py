@@ -23,6 +23,7 @@ from .by_name import Column
 from .force import Force, Symbols, Terms
 from .kinds import Controller, Damper, Friction, Spring
 from .signals import Constant, Expression, Signal
+from .written import terms_of
 
 _REMEMBERED = 16  # models of one system
 _KINKS = {
@@ -112,7 +113,7 @@ class ForceModel:
                 required = partial(_required_torque, system, s)
                 s = replace(s, others=others, accelerations=known, required_torque=required)
             first = len(self._values)
-            terms = force.terms(s, self._number)
+            terms = terms_of(force, s, self._number)
             self._check_symbols(s, terms, force.label)
             if isinstance(force, Controller):
                 self.held.append((force, slice(first, len(self._values))))

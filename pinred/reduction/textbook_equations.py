@@ -184,8 +184,9 @@ def euler_poincare(
     """Evaluate the Euler–Poincaré equations of the system frozen at shape x.
 
     xi: (r,) body twist.  wrench: (r,) on the base, in its frame.
-    Raises ShapeError for wrong lengths.
+    Raises ShapeError for wrong lengths, SymmetryError if gravity breaks the symmetry.
     """
+    red.checked_potential()  # gravity at a pivot has a moment, which is none of the terms
     I, xi = red.locked_inertia(x), vector(xi, red.system.r, "xi")
     momentum = _momentum_forces(red, xi, I @ xi, wrench)
     return EulerPoincare(momentum, read_only(_solve(I, momentum.total)))

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, as_floats, read_only, vector
 from ..common.errors import InputError, PinredError, ShapeError
 from ..common.names import joint_index, nearest
-from ..common.plain_names import quoted
+from ..common.plain_names import brief, quoted
 from ..forces.signals import Constant, Expression, Signal
 from ..integrators.methods import METHODS, Method
 from ..system.coupling import following
@@ -68,9 +68,11 @@ def signal(value: Any, what: str) -> Signal:
             return Expression(value)
         if isinstance(value, Real) and not isinstance(value, bool):
             return Constant(float(value))
+    except OverflowError:
+        raise InputError(f"{what} is larger than any number of 64 bits") from None
     except PinredError as error:
         raise type(error)(f"{what}: {error}") from None
-    raise InputError(f"{what} must be a Signal, a number or a formula in t, got {value!r}")
+    raise InputError(f"{what} must be a Signal, a number or a formula in t, got {brief(value)}")
 
 
 def configuration(q: ArrayLike, system: System) -> Configuration:
@@ -137,7 +139,9 @@ def method(value: Any) -> Method | Literal["auto"]:
     if isinstance(value, Method):
         return value
     names = " or ".join(f"{name}(…)" for name in METHODS)
-    raise InputError(f"method must be 'auto' or {names}, or one of these as text, got {value!r}")
+    raise InputError(
+        f"method must be 'auto' or {names}, or one of these as text, got {brief(value)}"
+    )
 
 
 def _method_of_text(text: str) -> Method | Literal["auto"]:

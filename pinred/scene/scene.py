@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, as_floats, positive, read_only, vector
 from ..common.defaults import Default, is_given
 from ..common.errors import InputError, ShapeError
-from ..common.plain_names import listed, quoted
+from ..common.plain_names import brief, listed, one_of
 from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method
 from ..system.system import System, checked_system
 from . import forms
+from .angles import refuse_vague
 from .initial_state import GivenStates, Start, start_of
 from .passive import acting_passive, checked_passive, passive_left_out
 from .random_state import DURATION, random_state
@@ -121,8 +122,10 @@ class Scene:
             )
         if self.seed is not None:
             checked_seed(self.seed)
-        if self.outputs not in OUTPUTS:
-            raise InputError(f"outputs must be one of {', '.join(OUTPUTS)}, got {self.outputs!r}")
+        if not one_of(self.outputs, OUTPUTS):
+            raise InputError(
+                f"outputs must be one of {', '.join(OUTPUTS)}, got {brief(self.outputs)}"
+            )
         for name in ("rtol", "atol"):
             value = positive(getattr(self, name), name)
             if is_given(getattr(self, name)):
@@ -221,15 +224,14 @@ class Scene:
     def _check_forces(self) -> None:
         """Write the forces down, if there are any."""
         if not isinstance(self.springs, Mapping):
-            raise InputError(f"springs must be {{joint: (stiffness, rest)}}, got {self.springs!r}")
+            raise InputError(
+                f"springs must be {{joint: (stiffness, rest)}}, got {brief(self.springs)}"
+            )
         if not isinstance(self.prescribed, Mapping):
             raise InputError(
                 f"prescribed must be {{joint: Signal, number or formula}}, got {self.prescribed!r}"
             )
-        given = (self.forces,) if isinstance(self.forces, Force) else self.forces or ()
-        if not isinstance(given, Iterable):
-            raise InputError(f"forces must be a list of those of pinred.forces, got {given!r}")
-        forces = tuple(given)
+        forces = _listed_forces(self.forces)
         passive, friction = checked_passive(self.passive, self.friction)
         self._keep("friction", friction)
         own = acting_passive(self.system, passive=passive, friction=friction)
@@ -298,6 +300,7 @@ class Scene:
         if ready is not None and own:
             x, xdot = ready.x, ready.xdot
             xi = ready.xi if self.xi0 is None else xi
+        refuse_vague(x, system)
         x, xdot = self.with_prescribed(x[None], xdot[None])
         if self.momentum is None:
             return GivenStates(pose[None], x, xdot, xi[None], None)
@@ -319,11 +322,10 @@ class Scene:
 
 def checked_keyframe(system: System, name: str) -> str:
     """Return the name of a keyframe if the robot has it.  Raises InputError."""
-    if name not in system.keyframes:
+    if not one_of(name, system.keyframes):
         known = listed(list(system.keyframes), 60) or "none"
         raise InputError(
-            f"keyframe: '{system.name}' has no keyframe {quoted(str(name))}; the "
-            f"keyframes are {known}"
+            f"keyframe: '{system.name}' has no keyframe {brief(name)}; the keyframes are {known}"
         )
     return name
 
@@ -331,8 +333,17 @@ def checked_keyframe(system: System, name: str) -> str:
 def checked_seed(seed: Any) -> int:
     """Return a seed as a whole number from 0.  Raises InputError."""
     if isinstance(seed, bool) or not (isinstance(seed, (int, np.integer)) and seed >= 0):
-        raise InputError(f"seed must be a whole number from 0, got {seed!r}")
+        raise InputError(f"seed must be a whole number from 0, got {brief(seed)}")
     return int(seed)
+
+
+def _listed_forces(given: Any) -> tuple[Any, ...]:
+    """Return the forces of a scene as they are given, one or several, or None for none."""
+    if given is None or isinstance(given, Force):
+        return () if given is None else (given,)
+    if not isinstance(given, Iterable) or isinstance(given, (str, bytes, Mapping, np.ndarray)):
+        raise InputError(f"forces must be a list of those of pinred.forces, got {brief(given)}")
+    return tuple(given)
 
 
 def _even_times(last: float) -> Array:

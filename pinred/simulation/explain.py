@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..reduction.potential import falling
+from ..scene.angles import large_angles
 from .compiled.compiled_flow import without_momentum
 from .plan import Plan
 
@@ -11,6 +12,8 @@ def explain(plan: Plan) -> str:
     """Return what the compiled engine skips and how many numbers it integrates, as lines."""
     lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=_begins_without(plan))]
     lines.append(f"integrated: {integrated(plan)}")
+    if note := large_angles(plan.scene.given.x[0], plan.system):
+        lines.append(f"note: {note}")
     if plan.scene.left_out:
         lines.append(f"left out: {plan.scene.left_out}")
     return "\n".join([*lines, f"method: {plan.method.name} ({plan.choice.why})"])

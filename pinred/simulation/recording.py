@@ -6,10 +6,6 @@ something needs it, from where the file says, or from where one says.
 
 from __future__ import annotations
 
-import os
-import struct
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -23,16 +19,14 @@ from ..common.arrays import Array
 from ..common.errors import InputError, LoadError, PinredError
 from ..common.plain_names import plain_path, quoted_path
 from ..lie.groups import GROUPS
+from ..system.load import is_path
+from ..system.robot_files import is_file
+from .archive import read_arrays
 from .state import OverTime, ShapeState, State
 
 if TYPE_CHECKING:
     from ..system.system import System
 
-_UNREADABLE = (
-    ValueError, OSError, EOFError, KeyError, TypeError, NotImplementedError, SyntaxError,
-    AttributeError, MemoryError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error,
-    struct.error,
-)  # fmt: skip
 _AGREE = 1e-6  # rad | m; how far q may be from pose and shape
 
 
@@ -41,7 +35,9 @@ class Recording(OverTime):
     """States at the times of a file, increasing, and the names of robot, group and joints.
 
     content: a State, or a ShapeState where the base was left out; time first, read-only.
-    origin: what the file says about where its robot comes from.
+    origin: what the file says about where its robot comes from.  confirmed: whether it is not the
+    file that says so, but the user: else only a robot known by name, or one in the same folder,
+    is loaded.
     """
 
     path: Path
@@ -50,6 +46,7 @@ class Recording(OverTime):
     joints: tuple[str, ...]
     content: State | ShapeState
     origin: Mapping[str, Any]
+    confirmed: bool = False
 
     def __repr__(self) -> str:
         end = float(self.t[-1])
@@ -76,7 +73,7 @@ class Recording(OverTime):
         Raises LoadError if it cannot be loaded, InputError if it and the file do not belong
         together.
         """
-        system = _loaded(self.path, self.robot, self.group, self.origin)
+        system = _loaded(self.path, self.robot, self.group, self.origin, confirmed=self.confirmed)
         if system.shape_names != self.joints or system.group.name != self.group:
             raise InputError(
                 f"{plain_path(self.path)} was written for group {self.group} and the joints "
@@ -96,7 +93,7 @@ def read_recording(path: str | Path, robot: str | None = None) -> Recording:
     `Recording.system`.
     """
     path = Path(path)
-    content = _read(path)
+    content = read_arrays(path)
     missing = {"robot", "group", "joints", "t", "x", "xdot", "energy"} - content.keys()
     if missing:
         raise LoadError(
@@ -111,30 +108,11 @@ def read_recording(path: str | Path, robot: str | None = None) -> Recording:
     found = Recording(
         path, str(content["robot"]), str(content["group"]),
         tuple(map(str, np.atleast_1d(content["joints"]))), _outputs(path, content),
-        origin if robot is None else origin | {"source": str(robot)},
+        origin if robot is None else origin | {"source": str(robot)}, robot is not None,
     )  # fmt: skip
     if robot is not None:
         _ = found.system  # what was asked for by name is not refused only later
     return found
-
-
-def _read(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise LoadError(f"no such file: {plain_path(path)}")
-    if not os.access(path, os.R_OK):
-        raise LoadError(f"{quoted_path(path)} cannot be read; you have no right to")
-    if not zipfile.is_zipfile(path):
-        raise LoadError(
-            f"{quoted_path(path)} is no .npz file of plain arrays: it is no archive, or cut off"
-        )
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except _UNREADABLE:  # its words are about numpy's options
-        raise LoadError(
-            f"{quoted_path(path)} is no .npz file of plain arrays: what is in it is damaged, "
-            "or made of Python objects, which are not read"
-        ) from None
 
 
 def _outputs(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
@@ -166,8 +144,10 @@ def _outputs(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
     return kind(**arrays)
 
 
-def _loaded(path: Path, robot: str, group: str, origin: Mapping[str, Any]) -> System:
-    """Return the system that a file names.  Raises LoadError."""
+def _loaded(
+    path: Path, robot: str, group: str, origin: Mapping[str, Any], *, confirmed: bool
+) -> System:
+    """Return the system that a file names.  confirmed: by the user.  Raises LoadError."""
     from ..system.load import load
 
     source = str(origin.get("source", ""))
@@ -176,9 +156,8 @@ def _loaded(path: Path, robot: str, group: str, origin: Mapping[str, Any]) -> Sy
             f"{path} does not say where its robot '{robot}' comes from; name it "
             "(--robot, or robot=)"
         )
-    beside = path.parent / Path(source).name
-    if Path(source).is_absolute() and not Path(source).is_file() and beside.is_file():
-        source = str(beside)
+    if not confirmed:
+        source = _not_elsewhere(path, source)
     try:
         names = map(str, origin.get("lock_joints", ()))
         values = map(float, origin.get("lock_values", ()))
@@ -189,6 +168,22 @@ def _loaded(path: Path, robot: str, group: str, origin: Mapping[str, Any]) -> Sy
         raise LoadError(
             f"the robot of {path} cannot be loaded: {error}; name another (--robot, or robot=)"
         ) from None
+
+
+def _not_elsewhere(path: Path, source: str) -> str:
+    """Return the name of a robot that a file may have loaded unasked: a known one, or one beside.
+
+    A file from somebody else could name anything on this machine.  Raises LoadError.
+    """
+    if not is_path(source):
+        return source
+    beside = path.parent / Path(source).name
+    if is_file(beside):
+        return str(beside)
+    raise LoadError(
+        f"{quoted_path(path)} says that its robot is in {quoted_path(source)}, which is not in "
+        "its own folder; if that is so, name it (--robot, or robot=), or copy it there"
+    )
 
 
 def _belong(path: Path, states: State, system: System) -> None:

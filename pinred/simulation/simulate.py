@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any, Unpack
 
 from ..common.errors import InputError
+from ..common.plain_names import brief, one_of
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
 from ..scene.options import SceneOptions
@@ -41,8 +42,8 @@ def simulate(
     gravity breaks the symmetry, IntegrationError if the motion cannot be followed,
     KernelMismatch if a compiled kernel disagrees with Pinocchio.
     """
-    if engine not in ENGINES:
-        raise InputError(f"unknown engine {engine!r}; the engines are {', '.join(ENGINES)}")
+    if not one_of(engine, ENGINES):
+        raise InputError(f"unknown engine {brief(engine)}; the engines are {', '.join(ENGINES)}")
     scene = as_scene(scene, options, "simulate")
     if engine == "pinocchio" and scene.method != "auto":
         raise InputError("engine 'pinocchio' has SciPy's DOP853 for integrator; give no method")

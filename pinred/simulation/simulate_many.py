@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from ..common.arrays import Array, as_floats, vectors
 from ..common.errors import InputError, IntegrationError, ShapeError
+from ..common.plain_names import brief
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
 from ..scene import forms
+from ..scene.angles import refuse_vague
 from ..scene.initial_state import GivenStates
 from ..scene.options import SceneOptions
 from ..scene.random_state import random_state
@@ -140,7 +142,7 @@ def simulate_many(
     # The first member as a scene of its own: it checks all that is common.
     first = {name: values[0] for name, values in varying.items()}
     if seeds is not None:
-        first["seed"] = int(seeds[0])
+        first["seed"] = checked_seed(seeds[0])
     scene = as_scene(system, common | first, "simulate_many")
     plan = plan_of(scene)
     _refuse_stops(plan)
@@ -169,6 +171,8 @@ def _members(
 ) -> tuple[dict[str, Any], dict[str, Array], int]:
     """Return the options that are common, those that vary, (N, …), and N."""
     if seeds is not None:
+        if np.ndim(seeds) != 1:
+            raise InputError(f"seeds must be a list of whole numbers, got {brief(seeds)}")
         if "seed" in options:
             raise InputError("give seeds or seed, not both")
         return dict(options), {}, len(seeds)
@@ -210,6 +214,7 @@ def _given(scene: Scene, varying: dict[str, Array], count: int) -> GivenStates:
     pose = np.repeat(own.pose, count, axis=0)
     if "pose0" in varying:
         pose = np.array([system.group.pose(each) for each in varying["pose0"]])
+    refuse_vague(np.abs(x).max(axis=0), system)
     x, xdot = scene.with_prescribed(x, xdot)
     return GivenStates(pose, x, xdot, rows("xi0", own.xi), rows("momentum", own.mu))
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..common.errors import InputError
 from ..common.names import joint_index
+from ..common.plain_names import brief
 
 if TYPE_CHECKING:
     import casadi as ca
@@ -117,8 +118,10 @@ def finite(value: Any, what: str, wanted: str = "a number") -> float:
     """Return a value as a finite number.  Raises InputError naming `what`."""
     try:
         number = float(value)
+    except OverflowError:
+        raise InputError(f"{what} must be finite, and is larger than any float") from None
     except (TypeError, ValueError):
-        raise InputError(f"{what} must be {wanted}, got {value!r}") from None
+        raise InputError(f"{what} must be {wanted}, got {brief(value)}") from None
     if not np.isfinite(number):
         raise InputError(f"{what} must be finite, got {number}")
     return number

@@ -22,6 +22,8 @@ from .singular_shapes import SingularShape, SingularShapes, singular_shapes
 
 TRIANGLE_SLACK = 1e-9  # a flat body meets the triangle inequality with equality, up to round-off
 
+_HUGE = 1e100  # kg, kg m², m
+
 
 def check_inertias(model: pin.Model, coupled: Coupled | None = None) -> tuple[str, ...]:
     """Return what is doubtful about the inertias of a model, each as a sentence.
@@ -62,6 +64,12 @@ def _check_body(model: pin.Model, i: int, unit: float) -> None:
     mass, inertia = body.mass, body.inertia
     if not all(np.isfinite(a).all() for a in (mass, inertia, body.lever)):
         raise ModelError(f"{body_of(model, i)} has an inertia that is not finite")
+    largest = max(mass, float(np.abs(inertia).max()), float(np.abs(body.lever).max()))
+    if largest > _HUGE:
+        raise ModelError(
+            f"{body_of(model, i)} has a mass, a moment of inertia or a lever of {largest:.1e}, "
+            f"above {_HUGE:g}, of which products overflow; take other units"
+        )
     if mass < 0.0:
         raise ModelError(
             f"{body_of(model, i)} has negative mass {mass:g}; give it a positive one, or none"

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, vector
+from ..common.arrays import Array, as_floats, vector
 from ..common.errors import (
     ChoiceError,
     InputError,
@@ -22,7 +22,7 @@ from ..common.errors import (
     ModelError,
     ModelWarning,
 )
-from ..common.plain_names import listed, quoted
+from ..common.plain_names import brief, listed, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
 from ..lie.se3 import SE3
@@ -87,7 +87,7 @@ def load(
     """
     wanted = group_named(group) if isinstance(group, str) else group
     if wanted is not None and not isinstance(wanted, Group):
-        raise InputError(f"group must be one of {', '.join(GROUPS)}, got {group!r}")
+        raise InputError(f"group must be one of {', '.join(GROUPS)}, got {brief(group)}")
     weight = None if gravity is None else _gravity(gravity)
     locked = _locked(lock)
     folders = mesh_folders(meshes)
@@ -120,7 +120,7 @@ def load(
         wanted = wanted or group_named(robot.group)
         if not locked and wanted.name == robot.group:
             initial = _initial_state(robot.initial)
-    elif _is_path(name):
+    elif is_path(name):
         raw, couplings = read_description(Path(source))
         name = Path(source).stem
         origin = Origin(str(Path(source).absolute()), locked, meshes=folders)
@@ -151,7 +151,7 @@ def _as_mujoco(source: object) -> str:
     if not isinstance(source, (str, Path)) or str(source) in catalogue.bundled_robots():
         return ""
     path = Path(source)
-    return "path" if _is_path(str(source)) and is_file(path) and is_mjcf(read_text(path)) else ""
+    return "path" if is_path(str(source)) and is_file(path) and is_mjcf(read_text(path)) else ""
 
 
 def _load_mujoco(
@@ -202,7 +202,8 @@ def _initial_state(entry: Mapping[str, Any]) -> InitialState:
     return InitialState(x=x, xdot=xdot, xi=xi, duration=float(entry["duration"]))
 
 
-def _is_path(name: str) -> bool:
+def is_path(name: str) -> bool:
+    """Return whether a source is the path of a file, not the name of a known robot."""
     if "/" in name or Path(name).suffix != "":
         return True
     try:
@@ -242,15 +243,19 @@ def _locked(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
     """Return the joints to freeze with their values.  Raises InputError."""
     if isinstance(lock, str):
         raise InputError(f"lock must be a list of joint names, not text; use [{lock!r}]")
-    if not isinstance(lock, Iterable):
-        raise InputError(f"lock must be a list of joint names or a mapping to values, got {lock!r}")
+    if not isinstance(lock, Iterable) or np.ndim(lock if hasattr(lock, "ndim") else ()) != 1:
+        raise InputError(
+            f"lock must be a list of joint names or a mapping to values, got {brief(lock)}"
+        )
+    lock = lock if isinstance(lock, Mapping) else list(lock)
     if not all(isinstance(name, str) for name in lock):
-        raise InputError(f"lock must hold names of joints, got {list(lock)!r}")
+        raise InputError(f"lock must hold names of joints, got {brief(list(lock))}")
     values = dict(lock.items()) if isinstance(lock, Mapping) else dict.fromkeys(lock, 0.0)
     for name, value in values.items():
-        if not (isinstance(value, (int, float, np.number)) and np.isfinite(value)):
+        number = as_floats(value, f"lock: the value for joint {quoted(name)}")
+        if number.ndim or not np.isfinite(number):
             raise InputError(
-                f"lock: the value for joint {quoted(name)} must be finite, got {value!r}"
+                f"lock: the value for joint {quoted(name)} must be finite, got {brief(value)}"
             )
     return {str(name): float(value) for name, value in values.items()}
 

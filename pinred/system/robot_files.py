@@ -32,6 +32,9 @@ URDFDOM = re.compile(
 )
 _MOST_BYTES = 256_000_000  # of a file that is read whole
 _DEEP, _STACK = 500, 65536  # links behind one another, and bytes of stack for each
+_DEEPEST = 100  # elements of a URDF within one another; the format has a few
+_MOST_ELEMENTS = 1_000_000
+_MOST_LINKS = 20_000  # that a parser sees; it calls itself for each behind another
 _FEW = 4096  # letters that are looked at at once
 _ELEMENT = re.compile(r"<[^!?]")
 
@@ -47,6 +50,8 @@ def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
         raise LoadError(
             f"{plain_path(path)} is neither URDF (<robot>) nor MJCF (<mujoco>), but <{root.tag}>"
         )
+    if (links := len(root.findall("link"))) > _MOST_LINKS:
+        raise LoadError(f"{plain_path(path)} has {links} links, more than {_MOST_LINKS}")
     check_urdf(root)
     couplings = mimic_couplings(root)
     model, why = None, ""
@@ -111,9 +116,13 @@ def read_text(path: Path) -> str:
             "nor MuJoCo opens; rename the file or its folder"
         ) from None
     try:
-        if path.stat().st_size > _MOST_BYTES:
+        if path.stat().st_size == 0:  # as what the system makes up is, which may never end
+            raise LoadError(f"{plain_path(path)} is empty")
+        with path.open("rb") as file:
+            content = file.read(_MOST_BYTES + 1)
+        if len(content) > _MOST_BYTES:
             raise LoadError(f"{plain_path(path)} is larger than {_MOST_BYTES // 10**6} MB")
-        text = path.read_bytes().decode("utf-8-sig")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise LoadError(f"{plain_path(path)} is not XML in UTF-8") from None
     except OSError as error:
@@ -143,8 +152,26 @@ def read_xml(path: Path) -> ElementTree.Element:
     Prefixes of names are part of them, whether the file declares them or not.
     """
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
-    parser.StartElementHandler = builder.start
-    parser.EndElementHandler = builder.end
+    count = depth = 0
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal count, depth
+        count, depth = count + 1, depth + 1
+        if count > _MOST_ELEMENTS or depth > _DEEPEST:
+            what = (
+                f"{_MOST_ELEMENTS} elements" if depth <= _DEEPEST else f"{_DEEPEST} within others"
+            )
+            raise LoadError(
+                f"{plain_path(path)}, line {parser.CurrentLineNumber}: more than {what}"
+            )
+        builder.start(tag, attributes)
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        builder.end(tag)
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
     try:
         parser.Parse(_without_declaration(read_text(path)), True)
         return builder.close()

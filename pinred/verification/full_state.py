@@ -1,18 +1,16 @@
 """The full simulation: Pinocchio's ABA on (q, v), and what Pinocchio says is conserved.
 
 This is the other side of every comparison, so it shares nothing with the reduction: its
-own kinematics of the root, other integrators (Hairer's, through scipy.integrate.ode),
+own kinematics of the root, other integrators (Hairer's, through SciPy),
 momentum and energy by Pinocchio's functions; of forces, it evaluates the same expressions.
 """
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.integrate import ode
 
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
@@ -22,13 +20,13 @@ from ..simulation.stops import begin_stretch, stops_of
 from ..system.joints import joint_units
 from ..system.system import System
 from .distances import Distance, FullMotion, Size
+from .hairer import Hairer
 from .root_motion import root_motion
 from .ties import Ties
 
 FINEST = (2e-14, 1e-16)  # the tightest rtol and atol that Hairer's codes can keep
 OFFSET = 1e-5  # part of a distance from the origin that lengths are told in beside round-off
 KICK = 1e-6  # relative size of the perturbation whose growth is measured
-_MOST_STEPS = 10_000_000
 _LEAST = 1e-290  # J; energies below are counted in steps of the smallest numbers
 
 
@@ -156,14 +154,13 @@ class FullState:
             if t - solver.t <= 1e-12 * end:  # there already, but for round-off
                 found[float(t)] = y
             else:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", UserWarning)  # its failures are raised below
-                    y = solver.integrate(t)
-                if not (solver.successful() and np.isfinite(y).all()):
+                reached = solver.integrate(float(t))
+                if reached is None:
                     raise IntegrationError(
                         f"the full simulation of '{self._model.name}' cannot be followed to "
                         f"t = {t:g} s at rtol = {rtol:g}"
                     )
+                y = reached
                 found[float(t)] = y
             if t in stops[:-1]:
                 solver = self._solver(method, y, float(t), rtol, atol)
@@ -173,13 +170,12 @@ class FullState:
             q=np.array([self.q(row) for row in y]),
         )
 
-    def _solver(self, method: str, y: Array, t: float, rtol: float, atol: float) -> ode:
+    def _solver(self, method: str, y: Array, t: float, rtol: float, atol: float) -> Hairer:
         """Return a solver that begins here, with the torques that controllers give here."""
         later = self._stops[self._stops > t]
         stop = float(later[0]) if later.size else t
         begin_stretch(self._scene, self._numbers, t, stop, lambda: self._sample(y))
-        solver = ode(self.rate).set_integrator(method, rtol=rtol, atol=atol, nsteps=_MOST_STEPS)
-        return solver.set_initial_value(y, t)
+        return Hairer(self.rate, method, y, t, rtol, atol)
 
     def _sample(self, y: Array) -> Sample:
         """Return what forces see, by Pinocchio; the weight they do not see."""

@@ -16,12 +16,14 @@ from ...common.errors import (
     StepSizeUnderflow,
     TooManySteps,
 )
+from ...common.plain_names import quoted
 from ...integrators.integrate import integrate_checked
 from ...integrators.integrate_many import STATUS
 from ...integrators.integrate_many import integrate_many as _integrate_many
 from ...integrators.methods import Method
 from ...reduction.lost_inertia import lost_inertia
 from ...scene.scene import Scene
+from ...system.joints import joint_units
 from ..pieces import Integrate, Piece
 from ..plan import Plan
 from .compiled_flow import CompiledFlow, CompiledFlows
@@ -69,6 +71,7 @@ def integrate_many(
 
 
 _prepared: set[type[Method]] = set()
+_WILD = 100.0  # rad in one step
 _NO_TIMES = read_only(np.empty(0))
 
 
@@ -119,6 +122,7 @@ def integrator(
             )
         except IntegrationError as stop:
             raise _explained(stop, flow, scene, start) from None
+        _refuse_wild(flow, plan, found.states)
         knots = _refined(found.knots + start, parts)
         knots[-1] = end  # whatever round-off says
 
@@ -131,6 +135,28 @@ def integrator(
         return Piece(knots, at, numbers, found.steps, found.evaluations)
 
     return run
+
+
+def _refuse_wild(flow: CompiledFlow, plan: Plan, states: Array) -> None:
+    """Refuse a run of equal steps in one of which a joint turns many times.
+
+    Nothing controls the error of such steps, and no method follows a joint so far in one.  Joints
+    whose momentum is constant, as of wheels, may turn as fast as they like.
+    """
+    step = getattr(plan.method, "step", None)
+    active = list(flow.kernel.layout.active)
+    if step is None or not active:
+        return
+    turned = np.abs(np.diff(states[:, : len(active)], axis=0)).max(axis=0, initial=0.0)
+    names, units = plan.system.shape_names, joint_units(plan.system.model)
+    for k, most in zip(active, turned, strict=True):
+        joint = plan.system.joint_number(names[k])
+        if units[joint] == "rad" and not most < _WILD:
+            raise IntegrationError(
+                f"joint {quoted(names[k])} of '{plan.system.name}' turns by {most:.1e} rad within "
+                f"one step of {step:g} s, which {plan.method.name} cannot follow; take shorter "
+                "steps, or a method with step control"
+            )
 
 
 def _refined(knots: Array, parts: int) -> Array:

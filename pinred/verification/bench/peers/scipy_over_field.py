@@ -13,6 +13,7 @@ from scipy.integrate import ode, odeint, solve_ivp
 
 from ....common.arrays import Array
 from ....common.errors import IntegrationError
+from ....common.interrupts import held_interrupt
 from ..problems import Problem
 from ..solver import ATOL, End, Prepared, Solver, decades
 
@@ -57,9 +58,10 @@ def by_ode(field: Field, problem: Problem, tolerance: float, method: str) -> Pre
         solver = ode(rate).set_integrator(
             method, rtol=tolerance, atol=ATOL * tolerance, nsteps=_MOST
         )
-        solver.set_initial_value(field.y0, 0.0)
-        with warnings.catch_warnings():
+        with held_interrupt() as stopped, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # its failures are raised below
+            solver.set_solout(lambda *_: -1 if stopped() else 1)
+            solver.set_initial_value(field.y0, 0.0)
             y = solver.integrate(duration)
         if not solver.successful():
             raise IntegrationError(f"{method} stopped with code {solver.get_return_code()}")
