@@ -5,18 +5,19 @@ from __future__ import annotations
 
 def main() -> int:
     """Run the command that the process was started for.  Returns its exit code."""
+    import os
     import signal
 
     try:
-        from .interrupt import ends_soon
+        from .interrupt import CODE, end, ends_soon
         from .main import main as run
 
         with ends_soon():
-            return run()
-    except KeyboardInterrupt:
-        import os
-
+            code = run()
+        if code == CODE:
+            end()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # it has done what it was to do
+    except KeyboardInterrupt:  # before there was anything of ours
         os.write(2, b"pinred: interrupted\n")
-        return 130
-    finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is ending
+        os._exit(130)
+    return code

@@ -13,6 +13,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import NoReturn
 
 _said = threading.Event()
 CODE = 130  # as shells have it, 128 + SIGINT
@@ -24,6 +25,18 @@ def say() -> None:
     if not _said.is_set():
         _said.set()
         os.write(2, b"pinred: interrupted\n")
+
+
+def end() -> NoReturn:
+    """End the process here, with the children that it has, and wait for nothing.
+
+    Python's own end would wait for threads, and for libraries to take themselves down.
+    """
+    if "multiprocessing" in sys.modules:
+        for child in sys.modules["multiprocessing"].active_children():
+            child.kill()
+    say()
+    os._exit(CODE)
 
 
 @contextmanager
@@ -46,8 +59,4 @@ def _watch(reading: int) -> None:
     while signal.SIGINT not in os.read(reading, 1):
         pass
     threading.Event().wait(_PATIENCE)
-    if "multiprocessing" in sys.modules:
-        for child in sys.modules["multiprocessing"].active_children():
-            child.kill()
-    say()
-    os._exit(CODE)
+    end()

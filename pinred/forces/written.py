@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -13,6 +14,7 @@ from ..common.errors import InputError, PinredError
 from ..common.plain_names import plain
 from ..system.force import Force, Symbols, Terms
 
+_SOURCE = re.compile(r"^\S*\.[ch]pp:\d+: ")  # where in CasADi
 _INSTEAD = (
     "it is called once, with CasADi symbols: write casadi.sin(t) for math.sin or np.sin, and "
     "casadi.if_else(t < 0.5, a, b) for `if`; or use a Controller, which is given numbers"
@@ -25,10 +27,12 @@ def terms_of(force: Force, s: Symbols, number: Callable[[float], Any]) -> Terms:
         with warnings.catch_warnings():
             warnings.filterwarnings("error", r"\s*casadi: a numpy function", FutureWarning)
             terms = force.terms(s, number)
-    except PinredError:
+    except PinredError as error:
+        if str(error).endswith("got nan"):  # as float() makes of a symbol, and so Python's math
+            raise type(error)(f"{error}; if a function of yours gives it, {_INSTEAD}") from None
         raise
     except Exception as error:  # of any type, as somebody else's function raised it
-        said = plain(str(error).rpartition("sx_elem.cpp")[2] or str(error), 160)
+        said = plain(_SOURCE.sub("", str(error)).partition("Possible prototypes")[0], 160)
         if isinstance(error, FutureWarning):
             said = "a function of NumPy was called on a CasADi symbol"
         raise InputError(f"{force.label}: {type(error).__name__}: {said}; {_INSTEAD}") from error

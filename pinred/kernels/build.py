@@ -16,6 +16,7 @@ from .layout import Structure, layout_of
 from .machine.native import compile_object, load_object
 from .object_cache import ObjectCache, cache_key
 from .reduced_graph import ReducedGraph
+from .scale import telling_scale
 
 
 def build_kernel(
@@ -26,7 +27,8 @@ def build_kernel(
 ) -> Kernel:
     """Return the kernel of a system and structure: from the cache, or compiled and cached.
 
-    Raises KernelMismatch if it disagrees with Pinocchio; then nothing runs.
+    Raises KernelMismatch if it disagrees with Pinocchio, ModelError if that
+    is because the system is ill-scaled; then nothing runs.
     """
     cache = ObjectCache() if cache is None else cache
     kind = asdict(structure) | {"forces": None if forces is None else forces.key}
@@ -51,7 +53,8 @@ def build_kernel(
         outputs=load_object(outputs_code, "outputs"),
         instructions=int(meta["instructions"]),
     )
-    judge(kernel)
+    with telling_scale(system):
+        judge(kernel)
     return kernel
 
 

@@ -9,9 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..common.errors import InputError, KernelMismatch, ModelError
+from ..common.errors import InputError, KernelMismatch
 from ..reduction.potential import translations
-from ..system.scale import ill_scaled
 from .judged_state import JudgedState, random_state
 
 if TYPE_CHECKING:
@@ -27,17 +26,8 @@ def judge(kernel: Kernel) -> None:
     """Compare a kernel with Pinocchio: velocities by H v = (μ, π), accelerations by RNEA.
 
     Raises KernelMismatch with the numbers if they differ by more than 1e-10 relative, and
-    InputError if the forces are hardly ever finite.  Where units are extreme, ModelError says so.
+    InputError if the forces are hardly ever finite.
     """
-    try:
-        _judge(kernel)
-    except KernelMismatch as error:
-        if words := ill_scaled(kernel.system):
-            raise ModelError(words) from error
-        raise
-
-
-def _judge(kernel: Kernel) -> None:
     rng, judged = np.random.default_rng(0), 0
     for trial in range(_TRIALS):
         # Where a force is not defined everywhere, as a barrier is, smaller states are tried.

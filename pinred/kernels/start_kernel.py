@@ -31,6 +31,7 @@ from .fingerprint import model_bytes
 from .judge import agree
 from .machine.native import NativeCode, compile_object, load_object
 from .object_cache import ObjectCache, cache_key
+from .scale import telling_scale
 
 TwistOrMomentum = Literal["xi", "mu"]
 _NAME = "start"
@@ -77,7 +78,7 @@ class StartKernel:
 def start_kernel(system: System, given: TwistOrMomentum) -> StartKernel:
     """Return the kernel for initial states with a body twist ("xi") or a body momentum ("mu").
 
-    Raises KernelMismatch if it disagrees with Pinocchio.
+    Raises KernelMismatch if it disagrees with Pinocchio, ModelError if the system is ill-scaled.
     """
 
     def make() -> StartKernel:
@@ -88,7 +89,8 @@ def start_kernel(system: System, given: TwistOrMomentum) -> StartKernel:
             code = compile_object(_graph(system, given), _NAME)
             cache.put(key, code)
         kernel = StartKernel(system, load_object(code, _NAME))
-        _judge(kernel, given)
+        with telling_scale(system):
+            _judge(kernel, given)
         return kernel
 
     return once(system, (StartKernel, given), make)

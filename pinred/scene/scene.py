@@ -229,7 +229,8 @@ class Scene:
             )
         if not isinstance(self.prescribed, Mapping):
             raise InputError(
-                f"prescribed must be {{joint: Signal, number or formula}}, got {self.prescribed!r}"
+                "prescribed must be {joint: Signal, number or formula}, "
+                f"got {brief(self.prescribed)}"
             )
         forces = _listed_forces(self.forces)
         passive, friction = checked_passive(self.passive, self.friction)

@@ -243,7 +243,7 @@ def _locked(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
     """Return the joints to freeze with their values.  Raises InputError."""
     if isinstance(lock, str):
         raise InputError(f"lock must be a list of joint names, not text; use [{lock!r}]")
-    if not isinstance(lock, Iterable) or np.ndim(lock if hasattr(lock, "ndim") else ()) != 1:
+    if not isinstance(lock, Iterable) or getattr(lock, "ndim", 1) != 1:
         raise InputError(
             f"lock must be a list of joint names or a mapping to values, got {brief(lock)}"
         )

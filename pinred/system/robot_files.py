@@ -158,12 +158,10 @@ def read_xml(path: Path) -> ElementTree.Element:
         nonlocal count, depth
         count, depth = count + 1, depth + 1
         if count > _MOST_ELEMENTS or depth > _DEEPEST:
-            what = (
-                f"{_MOST_ELEMENTS} elements" if depth <= _DEEPEST else f"{_DEEPEST} within others"
-            )
-            raise LoadError(
-                f"{plain_path(path)}, line {parser.CurrentLineNumber}: more than {what}"
-            )
+            deep = depth > _DEEPEST
+            what = f"{_DEEPEST} elements within one another" if deep else f"{count - 1} elements"
+            where = f"{plain_path(path)}, line {parser.CurrentLineNumber}"
+            raise LoadError(f"{where}: more than {what}")
         builder.start(tag, attributes)
 
     def end(tag: str) -> None:
