@@ -88,6 +88,8 @@ def load(
     wanted = group_named(group) if isinstance(group, str) else group
     if wanted is not None and not isinstance(wanted, Group):
         raise InputError(f"group must be one of {', '.join(GROUPS)}, got {brief(group)}")
+    if not (root is None or isinstance(root, str)):
+        raise InputError(f"root must be the name of a body, got {brief(root)}")
     weight = None if gravity is None else _gravity(gravity)
     locked = _locked(lock)
     folders = mesh_folders(meshes)

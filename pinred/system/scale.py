@@ -14,9 +14,6 @@ def ill_scaled(system: System) -> str:
     model = system.model
     bodies = [model.inertias[i] for i in range(1, model.njoints) if model.inertias[i].mass > 0.0]
     reach = [np.linalg.norm(place.translation) for place in list(model.jointPlacements)[2:]]
-    # A revolving mass is counted by its radius of gyration, a lever by its length.
-    lengths = [float(np.linalg.norm(body.lever)) for body in bodies]
-    lengths += [float(np.sqrt(np.trace(body.inertia) / body.mass)) for body in bodies]
     said = []
     for what, unit, most, sizes in (
         ("masses", "kg", _MASS, [body.mass for body in bodies]),

@@ -36,26 +36,27 @@ stiffness="2" springref="0.1"/><inertial pos="0.1 0 0" mass="1" diaginertia="1 1
 <replicate count="2" offset="0.1 0 0"><geom type="sphere" size="0.1" mass="0.1"/></replicate></body>
 </body></worldbody><keyframe><key name="k" qpos="0 0 1 1 0 0 0 0.2"/></keyframe></mujoco>"""
 
-_SCENE = b"""[robot]
-source = "falling_cat"
+_SCENE = b"""robot = "falling_cat"
+[load]
 gravity = [0.0, 0.0, 0.0]
 [start]
-shape = { bend = 0.3, twist = 0.1 }
-rate = [0.1, 0.2, 0.3]
+x0 = { bend = 0.3, sway = 0.1 }
+xdot0 = [0.1, 0.2, 0.0]
+momentum = 0
 [run]
 duration = 0.1
 samples = 11
-rtol = 1e-8
-method = "DOP853"
-[[forces]]
-kind = "spring"
-joint = "bend"
-stiffness = 2.0
+method = { name = "DOP853", rtol = 1e-11, atol = 1e-13 }
 [[forces]]
 kind = "torque"
-torque = { sway = "0.1*sin(t)" }
+name = "pump"
+function = { sway = "0.1*sin(t)*tanh(2*xdot['bend'])" }
+limit = 0.3
+smooth = true
+[springs]
+bend = [2.0, 0.1]
 [prescribed]
-twist = "0.1*t + x"
+twist = { fourier = { cosines = [-0.4, 0.8, -0.4], period = 0.6 } }
 """
 
 
@@ -208,7 +209,7 @@ def arguments(rng: Rng, folder: Path) -> str:
     return "" if code in (0, 1, 2, 3) else f"exit code {code}"
 
 
-def options(rng: Rng, folder: Path) -> str:
+def options(rng: Rng, _: Path) -> str:
     """A scene of Python with options of odd types and sizes; a short one is simulated."""
     names = ["x0", "xdot0", "xi0", "momentum", "seed", "keyframe", "pose0", "q0", "v0", "duration",
              "times", "rtol", "atol", "springs", "forces", "prescribed", "passive", "friction",
@@ -243,8 +244,8 @@ def _odd(rng: Rng) -> Any:
         lambda: None, lambda: True, lambda: 0, lambda: -1, lambda: 10**400, lambda: -(10**30),
         lambda: math.nan, lambda: math.inf, lambda: 1e300, lambda: 1e-300, lambda: 0.01,
         lambda: "", lambda: "bend", lambda: "SE3", lambda: "all", lambda: "\0", lambda: b"bytes",
-        lambda: "x" * 3000, lambda: [], lambda: [1.0], lambda: [1.0, 2.0, 3.0], lambda: [None],
-        lambda: ["bend"], lambda: [[1.0, 2.0], [3.0]], lambda: {}, lambda: {"bend": 1.0},
+        lambda: "x" * 3000, list, lambda: [1.0], lambda: [1.0, 2.0, 3.0], lambda: [None],
+        lambda: ["bend"], lambda: [[1.0, 2.0], [3.0]], dict, lambda: {"bend": 1.0},
         lambda: {"bend": (1.0, 2.0)}, lambda: {"nobody": 1.0}, lambda: {1: 2},
         lambda: {"bend": None}, lambda: {"bend": 10**400}, lambda: {"bend": "sin(t)"},
         lambda: np.zeros(3), lambda: np.zeros((2, 3)), lambda: np.zeros(0), lambda: np.array(1.0),

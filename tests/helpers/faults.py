@@ -12,6 +12,7 @@ that any can be made again.
 from __future__ import annotations
 
 import argparse
+import faulthandler
 import os
 import pickle
 import select
@@ -55,7 +56,7 @@ def tried(kind: str, count: int, seed: int = 0, first: int = 0) -> Tally:
     """Return the outcomes of inputs of a kind, `count` of them from number `first` on."""
     found, number, last = Tally(), first, first + count
     while number < last:
-        for number, outcome, about in _of_child(kind, seed, number, min(number + _CHUNK, last)):  # noqa: B007, B020, PLW2901
+        for number, outcome, about in _of_child(kind, seed, number, min(number + _CHUNK, last)):  # noqa: B020
             found.add(number, outcome, about)
         number += 1
     return found
@@ -107,6 +108,7 @@ def _of_child(kind: str, seed: int, first: int, last: int) -> list[tuple[int, st
 
 def _work(kind: str, seed: int, first: int, last: int, writing: int) -> None:
     """Try inputs and write each outcome down.  Ends the process."""
+    faulthandler.disable()
     silent = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silent, 1)
     os.dup2(silent, 2)

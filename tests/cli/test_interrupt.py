@@ -1,0 +1,139 @@
+"""Ctrl-C: every command ends soon after the first, with exit code 130 and one line."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pinred.common.interrupts import held_interrupt
+from pinred.verification.hairer import Hairer
+
+SOON = 0.5  # s
+_BEGINS = 0.1  # s in which Python itself begins, whose tracebacks are not pinred's
+
+
+def interrupted(at: float, *command: str) -> tuple[int, float, str]:
+    """Return exit code, seconds to the end and standard error of a process stopped at a time."""
+    process = subprocess.Popen(
+        [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        process.wait(at)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGINT)
+    began = time.monotonic()
+    try:
+        _, error = process.communicate(timeout=20.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        _, error = process.communicate()
+    return process.returncode, time.monotonic() - began, error
+
+
+def check(at: float) -> None:
+    """Interrupt a comparison that takes long, most of it in the full simulation."""
+    code, took, error = interrupted(at, "-m", "pinred", "compare", "falling_cat", "--time", "300")
+    assert (code, error) == (130, "pinred: interrupted\n"), at
+    assert took < 2.0 * SOON, at  # the machine may be busy
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", range(20))
+def test_compare_ends(part: int) -> None:
+    """At random times from its start on."""
+    rng = np.random.default_rng(part)
+    check(_BEGINS + 3.0 * (part + rng.random()) / 20)
+
+
+def test_compare_ends_in_the_full_simulation() -> None:
+    """Where SciPy's compiled loop swallows what is raised."""
+    check(3.0)
+
+
+def test_what_is_swallowed_ends_too() -> None:
+    """The process ends even where KeyboardInterrupt is caught again and again."""
+    swallowing = (
+        "import sys, time\nfrom pinred.cli import main\nfrom pinred.cli import entry\n"
+        "def run():\n    while True:\n        try:\n            time.sleep(0.01)\n"
+        "        except KeyboardInterrupt:\n            pass\n"
+        "main.main = run\nsys.exit(entry.main())\n"
+    )
+    code, took, error = interrupted(1.0, "-c", swallowing)
+    assert (code, error) == (130, "pinred: interrupted\n")
+    assert took < 2.0 * SOON
+
+
+def _after(seconds: float) -> threading.Timer:
+    timer = threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    return timer
+
+
+@pytest.mark.parametrize("method", ["dop853", "dopri5"])
+def test_python_gets_it_too(method: str) -> None:
+    """KeyboardInterrupt comes out of a run from Python, and the handler is as before."""
+    before = signal.getsignal(signal.SIGINT)
+    fast = Hairer(
+        lambda t, y: np.array([np.cos(1e6 * t)]) + 0 * y, method, np.ones(1), 0.0, 1e-12, 1e-14
+    )
+    timer = _after(0.2)
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        fast.integrate(100.0)
+    timer.join()
+    assert time.monotonic() - began < 0.2 + SOON
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_errors_come_out() -> None:
+    """What a vector field raises is raised by the run, not swallowed by its compiled loop."""
+
+    def rate(
+        t: float, y: np.ndarray[tuple[int], np.dtype[np.float64]]
+    ) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        if t > 0.5:
+            raise ZeroDivisionError("here")
+        return -y
+
+    with pytest.raises(ZeroDivisionError, match="here"):
+        Hairer(rate, "dop853", np.ones(1), 0.0, 1e-10, 1e-12).integrate(1.0)
+
+
+def test_hairer_without_interruption() -> None:
+    """The exponential, against its closed form."""
+    y = Hairer(lambda _, y: -y, "dop853", np.ones(1), 0.0, 1e-13, 1e-15).integrate(1.0)
+    assert y is not None
+    assert y[0] == pytest.approx(np.exp(-1.0), rel=1e-12)
+
+
+def test_held_in_a_thread_is_nothing() -> None:
+    """Signals come to the main thread only, and a thread may not ask for them."""
+    told: list[bool] = []
+
+    def work() -> None:
+        with held_interrupt() as came:
+            told.append(came())
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert told == [False]
+
+
+def test_ignored_stays_ignored(tmp_path: Path) -> None:
+    """A command that `nohup` or a shell's & has told to ignore Ctrl-C goes on."""
+    code = (
+        "import signal, sys\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+        f"sys.argv[1:] = ['simulate', 'falling_cat', '--out', {str(tmp_path / 'a.npz')!r}]\n"
+        "from pinred.cli.entry import main\nimport os\nos.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.exit(main())\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
