@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from math import isfinite
 from typing import Any, TypeAlias
@@ -29,6 +29,24 @@ def as_floats(value: ArrayLike, what: str) -> Array:
         raise ShapeError(f"{what} must be numbers of at most {_LARGEST:.1e}") from None
     except (TypeError, ValueError):
         raise ShapeError(f"{what} must be numbers, got {brief(value)}") from None
+
+
+def entries_of(value: Any) -> list[Any] | None:
+    """Return the entries of a list of any kind; None for text, mappings and what has no entries."""
+    if isinstance(value, (str, bytes, Mapping)):
+        return None
+    try:
+        return list(value)
+    except TypeError:
+        return None
+
+
+def dimensions(value: Any) -> int:
+    """Return how many axes an array has, or would have; −1 for lists that no array can hold."""
+    try:
+        return np.ndim(value)
+    except (TypeError, ValueError):
+        return -1
 
 
 def vector(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -> Array:

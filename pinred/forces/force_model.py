@@ -15,6 +15,7 @@ from ..common.arrays import Array, freeze
 from ..common.casadi_calls import Numeric
 from ..common.errors import InputError
 from ..common.memo import once
+from ..common.plain_names import brief
 from ..reduction.potential import spring_pair
 from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..system.coupling import following
@@ -253,7 +254,7 @@ def _force_model(
     ]
     for force in forces:
         if not isinstance(force, Force):
-            raise InputError(f"forces must be those of pinred.forces, got {force!r}")
+            raise InputError(f"forces must be those of pinred.forces, got {brief(force)}")
         every.append(force)
     for name, signal in prescribed.items():
         if not isinstance(signal, Signal):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, as_floats, positive, read_only, vector
+from ..common.arrays import Array, as_floats, dimensions, entries_of, positive, read_only, vector
 from ..common.defaults import Default, is_given
 from ..common.errors import InputError, ShapeError
 from ..common.plain_names import brief, listed, one_of
@@ -306,7 +306,7 @@ class Scene:
         if self.momentum is None:
             return GivenStates(pose[None], x, xdot, xi[None], None)
         # A plain 0 is short for the zero momentum of any group.
-        zero = np.ndim(self.momentum) == 0 and self.momentum == 0
+        zero = dimensions(self.momentum) == 0 and self.momentum == 0
         mu = np.zeros(system.r) if zero else vector(self.momentum, system.r, "momentum")
         return GivenStates(pose[None], x, xdot, None, mu[None])
 
@@ -342,9 +342,10 @@ def _listed_forces(given: Any) -> tuple[Any, ...]:
     """Return the forces of a scene as they are given, one or several, or None for none."""
     if given is None or isinstance(given, Force):
         return () if given is None else (given,)
-    if not isinstance(given, Iterable) or isinstance(given, (str, bytes, Mapping, np.ndarray)):
+    entries = entries_of(given)
+    if entries is None:
         raise InputError(f"forces must be a list of those of pinred.forces, got {brief(given)}")
-    return tuple(given)
+    return tuple(entries)
 
 
 def _even_times(last: float) -> Array:

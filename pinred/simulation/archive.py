@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import LoadError
+from ..common.places import is_file
 from ..common.plain_names import plain_path, quoted, quoted_path
 
 MOST_BYTES = 1_000_000_000  # of all arrays together
@@ -29,7 +30,7 @@ _UNREADABLE = (
 def read_arrays(path: Path) -> dict[str, Any]:
     """Return the arrays in a .npz file by name.  Raises LoadError for anything else."""
     name = quoted_path(path)
-    if not path.is_file():
+    if not is_file(path):
         raise LoadError(f"no such file: {plain_path(path)}")
     if not os.access(path, os.R_OK):
         raise LoadError(f"{name} cannot be read; you have no right to")

@@ -17,10 +17,10 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import InputError, LoadError, PinredError
+from ..common.places import is_file
 from ..common.plain_names import plain_path, quoted_path
 from ..lie.groups import GROUPS
 from ..system.load import is_path
-from ..system.robot_files import is_file
 from .archive import read_arrays
 from .state import OverTime, ShapeState, State
 

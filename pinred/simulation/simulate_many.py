@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.arrays import Array, as_floats, vectors
+from ..common.arrays import Array, as_floats, dimensions, entries_of, vectors
 from ..common.errors import InputError, IntegrationError, ShapeError
 from ..common.plain_names import brief
 from ..common.progress import Progress, shown
@@ -132,6 +132,11 @@ def simulate_many(
     to be integrated in pieces: with controllers, or tables that have breaks.
     """
     checked_system(system, "simulate_many")
+    if seeds is not None:
+        drawn = entries_of(seeds)
+        if drawn is None:
+            raise InputError(f"seeds must be a list of whole numbers, got {brief(seeds)}")
+        seeds = [checked_seed(seed) for seed in drawn]
     given = {
         name: forms.in_order(value, system, name) if name in _BY_JOINT else value
         for name, value in options.items()
@@ -142,7 +147,7 @@ def simulate_many(
     # The first member as a scene of its own: it checks all that is common.
     first = {name: values[0] for name, values in varying.items()}
     if seeds is not None:
-        first["seed"] = checked_seed(seeds[0])
+        first["seed"] = seeds[0]
     scene = as_scene(system, common | first, "simulate_many")
     plan = plan_of(scene)
     _refuse_stops(plan)
@@ -171,14 +176,12 @@ def _members(
 ) -> tuple[dict[str, Any], dict[str, Array], int]:
     """Return the options that are common, those that vary, (N, …), and N."""
     if seeds is not None:
-        if np.ndim(seeds) != 1:
-            raise InputError(f"seeds must be a list of whole numbers, got {brief(seeds)}")
         if "seed" in options:
             raise InputError("give seeds or seed, not both")
         return dict(options), {}, len(seeds)
     varying = {}
     for name in _VARYING:
-        if options.get(name) is not None and np.ndim(options[name]) == 2:
+        if options.get(name) is not None and dimensions(options[name]) == 2:
             varying[name] = as_floats(options[name], name)
     sizes = {name: len(values) for name, values in varying.items()}
     if len(set(sizes.values())) != 1:
@@ -221,7 +224,7 @@ def _given(scene: Scene, varying: dict[str, Array], count: int) -> GivenStates:
 
 def _drawn(scene: Scene, seeds: Sequence[int]) -> GivenStates:
     """Return the random initial states of seeds."""
-    states = [random_state(scene.system, checked_seed(seed)) for seed in seeds]
+    states = [random_state(scene.system, seed) for seed in seeds]
     x, xdot, xi = (np.array([getattr(s, name) for s in states]) for name in ("x", "xdot", "xi"))
     x, xdot = scene.with_prescribed(x, xdot)
     return GivenStates(np.repeat(scene.given.pose, len(states), axis=0), x, xdot, xi, None)

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, as_floats, vector
+from ..common.arrays import Array, as_floats, entries_of, vector
 from ..common.errors import (
     ChoiceError,
     InputError,
@@ -22,6 +22,7 @@ from ..common.errors import (
     ModelError,
     ModelWarning,
 )
+from ..common.places import is_file
 from ..common.plain_names import brief, listed, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
@@ -35,7 +36,7 @@ from .mjcf.read import read_mujoco
 from .model_passive import passive_contents
 from .pinocchio_mimics import plain_joints
 from .rerooting import rebuild
-from .robot_files import is_file, is_mjcf, read_description, read_text, read_xml
+from .robot_files import is_mjcf, read_description, read_text, read_xml
 from .root_chain import RootChain, root_chain
 from .system import InitialState, Origin, System
 from .urdf import mimic_couplings
@@ -245,14 +246,14 @@ def _locked(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
     """Return the joints to freeze with their values.  Raises InputError."""
     if isinstance(lock, str):
         raise InputError(f"lock must be a list of joint names, not text; use [{lock!r}]")
-    if not isinstance(lock, Iterable) or getattr(lock, "ndim", 1) != 1:
+    names = list(lock) if isinstance(lock, Mapping) else entries_of(lock)
+    if names is None:
         raise InputError(
             f"lock must be a list of joint names or a mapping to values, got {brief(lock)}"
         )
-    lock = lock if isinstance(lock, Mapping) else list(lock)
-    if not all(isinstance(name, str) for name in lock):
-        raise InputError(f"lock must hold names of joints, got {brief(list(lock))}")
-    values = dict(lock.items()) if isinstance(lock, Mapping) else dict.fromkeys(lock, 0.0)
+    if not all(isinstance(name, str) for name in names):
+        raise InputError(f"lock must hold names of joints, got {brief(names)}")
+    values = dict(lock.items()) if isinstance(lock, Mapping) else dict.fromkeys(names, 0.0)
     for name, value in values.items():
         number = as_floats(value, f"lock: the value for joint {quoted(name)}")
         if number.ndim or not np.isfinite(number):

@@ -20,6 +20,7 @@ import pinocchio as pin
 
 from ..common.errors import LoadError, ModelError
 from ..common.library_output import library_output
+from ..common.places import is_file, is_folder
 from ..common.plain_names import plain_path, quoted_path
 from .contents import Coupling
 from .model_passive import keep_dynamics
@@ -95,18 +96,10 @@ def _check_mass(path: Path, model: pin.Model, written: float) -> None:
         )
 
 
-def is_file(path: Path) -> bool:
-    """Return whether there is such a file; what is no name of a file at all is none."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
 def read_text(path: Path) -> str:
     """Return what stands in a file of XML.  Raises LoadError."""
     if not is_file(path):
-        what = "is a folder" if path.is_dir() else "no such file"
+        what = "is a folder" if is_folder(path) else "no such file"
         raise LoadError(f"{what}: {plain_path(path)}")
     try:
         str(path).encode()

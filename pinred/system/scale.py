@@ -14,6 +14,10 @@ def ill_scaled(system: System) -> str:
     model = system.model
     bodies = [model.inertias[i] for i in range(1, model.njoints) if model.inertias[i].mass > 0.0]
     reach = [np.linalg.norm(place.translation) for place in list(model.jointPlacements)[2:]]
+    lengths = [
+        float(np.sqrt(body.lever @ body.lever + np.trace(body.inertia) / body.mass))
+        for body in bodies
+    ]
     said = []
     for what, unit, most, sizes in (
         ("masses", "kg", _MASS, [body.mass for body in bodies]),

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pinocchio as pin
 
+from ..common.arrays import entries_of
 from ..common.errors import InputError
+from ..common.places import is_folder
+from ..common.plain_names import brief, quoted_path
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +59,11 @@ def mesh_folders(meshes: Any) -> tuple[str, ...]:
     meshes: a folder or several.  Raises InputError if one of them is not there.
     """
     given = (meshes,) if isinstance(meshes, (str, Path)) else meshes
-    if not isinstance(given, Iterable) or not all(isinstance(f, (str, Path)) for f in given):
-        raise InputError(f"meshes must be a folder or a list of folders, got {meshes!r}")
-    folders = [Path(folder) for folder in given]
+    entries = entries_of(given)
+    if entries is None or not all(isinstance(entry, (str, Path)) for entry in entries):
+        raise InputError(f"meshes must be a folder or a list of folders, got {brief(meshes)}")
+    folders = [Path(folder) for folder in entries]
     for folder in folders:
-        if not folder.is_dir():
-            raise InputError(f"meshes: there is no folder '{folder}'")
+        if not is_folder(folder):
+            raise InputError(f"meshes: there is no folder {quoted_path(folder)}")
     return tuple(str(folder.absolute()) for folder in folders)

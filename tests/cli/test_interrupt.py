@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pinred.common.arrays import Array
 from pinred.common.interrupts import held_interrupt
 from pinred.verification.hairer import Hairer
 
@@ -81,9 +82,7 @@ def _after(seconds: float) -> threading.Timer:
 def test_python_gets_it_too(method: str) -> None:
     """KeyboardInterrupt comes out of a run from Python, and the handler is as before."""
     before = signal.getsignal(signal.SIGINT)
-    fast = Hairer(
-        lambda t, y: np.array([np.cos(1e6 * t)]) + 0 * y, method, np.ones(1), 0.0, 1e-12, 1e-14
-    )
+    fast = Hairer(lambda t, y: np.cos(1e6 * t) + 0.0 * y, method, np.ones(1), 0.0, 1e-12, 1e-14)
     timer = _after(0.2)
     began = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
@@ -96,9 +95,7 @@ def test_python_gets_it_too(method: str) -> None:
 def test_errors_come_out() -> None:
     """What a vector field raises is raised by the run, not swallowed by its compiled loop."""
 
-    def rate(
-        t: float, y: np.ndarray[tuple[int], np.dtype[np.float64]]
-    ) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    def rate(t: float, y: Array) -> Array:
         if t > 0.5:
             raise ZeroDivisionError("here")
         return -y

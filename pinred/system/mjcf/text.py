@@ -12,8 +12,9 @@ from pathlib import Path
 from xml.parsers import expat
 
 from ...common.errors import LoadError
+from ...common.places import is_file
 from ...common.plain_names import plain_path
-from ..robot_files import is_file, read_text
+from ..robot_files import read_text
 
 _DEEPEST = 450  # elements in one another; MuJoCo refuses 500
 _DEEPEST_INCLUDES = 50  # files in one another
