@@ -163,3 +163,17 @@ def test_bad_states(words: str, arguments: tuple[object, ...], options: dict[str
     red = pinred.Reduction(pinred.load("coupled_planar"))
     with pytest.raises(pinred.ShapeError, match=words):
         lagrange_poincare(red, *arguments, **options)  # type: ignore[arg-type]
+
+
+def test_gravity_at_a_pivot_is_refused_by_all() -> None:
+    """Its moment is no term of theirs; without gravity the same equations hold."""
+    heavy = random_model("SO3", 2, 3)
+    heavy.gravity.linear = np.array([0.0, 0.0, -9.81])
+    zero = np.zeros(3)
+    red = pinred.Reduction(pinred.load(heavy))
+    with pytest.raises(pinred.SymmetryError):
+        pinred.equations.euler_poincare(red, zero[:2], zero)
+    with pytest.raises(pinred.SymmetryError):
+        pinred.equations.lagrange_poincare(red, zero[:2], zero[:2], zero)
+    free = pinred.Reduction(pinred.load(heavy, gravity=zero))
+    assert not pinred.equations.euler_poincare(free, zero[:2], zero).xidot.any()

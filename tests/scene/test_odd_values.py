@@ -1,0 +1,146 @@
+"""Values of odd kinds and sizes: a pinred error that names the option and what to do."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import run
+from robot_texts import FLOATING, write
+
+import pinred
+from pinred.forces import PotentialEnergy, Torque
+from pinred.scene.angles import large_angles
+
+HUGE = 10**400
+
+
+@pytest.fixture(scope="module")
+def cat() -> pinred.System:
+    """A robot with three joints."""
+    return pinred.load("falling_cat")
+
+
+@pytest.mark.parametrize("odd", [np.arange(4.0), np.array(["a", "b"]), ["all"], HUGE, b"x"])
+@pytest.mark.parametrize("name", ["outputs", "method", "engine", "forces", "keyframe"])
+def test_where_a_word_is_expected(name: str, odd: Any, cat: pinred.System) -> None:
+    """Arrays, lists and numbers are refused in a line that names the option."""
+    with pytest.raises(pinred.InputError, match=name) as caught:
+        pinred.simulate(cat, duration=0.1, **{name: odd})
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize(
+    "name", ["x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0", "times", "rtol", "duration"]
+)
+def test_numbers_that_are_no_floats(name: str, cat: pinred.System) -> None:
+    """10**400 is refused by its name."""
+    for value in (HUGE, [HUGE], -HUGE):
+        with pytest.raises(pinred.InputError):
+            pinred.Scene(system=cat, **{name: value})
+
+
+@pytest.mark.parametrize(
+    "seeds", [3, [1.5], ["a"], [[1]], [-1], "12", {1: 2}, [[1, 2], [3]], [True]]
+)
+def test_odd_seeds(seeds: Any, cat: pinred.System) -> None:
+    """They have to be whole numbers in a list."""
+    with pytest.raises(pinred.InputError, match=r"seeds? must be a"):
+        pinred.simulate_many(cat, seeds=seeds, duration=0.1)
+
+
+@pytest.mark.parametrize("lock", [np.array(3), 3, {"bend": HUGE}, {"bend": [1, 2]}, [1]])
+def test_odd_locks(lock: Any) -> None:
+    """Locks are names, or values by name."""
+    with pytest.raises(pinred.InputError, match="lock"):
+        pinred.load("falling_cat", lock=lock)
+
+
+def test_odd_roots_and_meshes() -> None:
+    """Found by inputs at random."""
+    for options in ({"root": 3}, {"root": [1]}, {"meshes": np.array(1.0)}, {"meshes": "x" * 3000}):
+        with pytest.raises(pinred.InputError, match=next(iter(options))):
+            pinred.load("falling_cat", **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda t, *_: {"bend": 1.0 if t < 0.5 else 0.0}, "truth value"),
+        (lambda t, *_: {"bend": math.sin(t)}, "got nan"),
+        (lambda t, *_: {"bend": np.sin(t)}, "a function of NumPy"),
+        (lambda t, *_: {"bend": math.sin(t) * t}, "not a number"),
+        (lambda _t, _x, _v, mu: {"bend": mu["bend"]}, "Wrong number or type"),
+        (lambda _t, x, *_: {"bend": x[7]}, "out of bounds"),
+    ],
+)
+def test_python_where_casadi_is_needed(function: Any, message: str, cat: pinred.System) -> None:
+    """The error says what to write instead; nothing else is printed."""
+    with pytest.raises(pinred.InputError, match=message) as caught:
+        pinred.Scene(system=cat, forces=Torque(function))
+    assert "casadi.if_else" in str(caught.value)
+    assert "casadi.sin" in str(caught.value)
+    assert str(caught.value).count("\n") == 0
+
+
+def test_a_potential_by_math_and_a_joint_that_is_not_there(cat: pinred.System) -> None:
+    """The same of potentials; names have their own error."""
+    with pytest.raises(pinred.InputError, match="casadi.sin"):
+        pinred.Scene(system=cat, forces=PotentialEnergy(lambda x: math.cos(x[0])))
+    with pytest.raises(pinred.InputError, match="no shape joint 'bendd'; did you mean 'bend'"):
+        pinred.Scene(system=cat, forces=Torque(lambda _t, x, *_: {"bend": x["bendd"]}))
+
+
+def test_angles_that_are_known_to_no_digit(cat: pinred.System) -> None:
+    """1e15 rad is known to 0.1 rad; a million turns are known well enough."""
+    with pytest.raises(pinred.InputError, match=r"'bend', 1e\+15 rad, is known to 0\.1 rad only"):
+        pinred.Scene(system=cat, x0=[1e15, 0, 0])
+    with pytest.raises(pinred.InputError, match="known to"):
+        pinred.simulate_many(cat, x0=[[0, 0, 0], [0, 0, 1e15]], duration=0.1)
+    assert pinred.Scene(system=cat, x0=[1e6, 0, 0]).start.x[0] == 1e6
+
+
+def test_angles_above_a_turn(cat: pinred.System, capsys: pytest.CaptureFixture[str]) -> None:
+    """They are noted on the command line and in what is explained, with the degrees they may be."""
+    note = "note: joint 'bend' begins at 90 rad, 14.3 turns; in degrees that would be 1.571 rad"
+    assert f"note: {large_angles(np.array([90.0, 0, 0]), cat)}" == note
+    code, out, _ = run(
+        capsys,
+        "compare",
+        "falling_cat",
+        "--x0",
+        "bend=90",
+        "--momentum",
+        "0",
+        "--xdot0",
+        "1,2,3",
+        "--time",
+        "0.01",
+    )
+    assert (code, note in out) == (0, True)
+    pinred.simulate(cat, x0=[90.0, 0, 0], duration=0.01, explain=True)
+    assert note in capsys.readouterr().out
+    pinred.simulate(cat, x0=[6.0, 0, 0], duration=0.01, explain=True)
+    assert "note:" not in capsys.readouterr().out
+
+
+def test_equal_steps_that_are_far_too_long(cat: pinred.System) -> None:
+    """An energy of 1e27 J at the end of three long steps is no result."""
+    with pytest.raises(pinred.IntegrationError, match="turns by .* rad within one step of 1 s"):
+        pinred.simulate(cat, method="RKMK4(1.0)", duration=3.0)
+    assert pinred.simulate(cat, method="RKMK4(0.01)", duration=0.1).run.steps == 10
+
+
+@pytest.mark.parametrize("mass", [1e-30, 1e-40])
+def test_extreme_units(mass: float, tmp_path: Path) -> None:
+    """What disagrees because of them is told as ill-scaled, with the cure."""
+    text = FLOATING.replace('mass value="2.0"', f'mass value="{2 * mass}"').replace(
+        'ixx="1" iyy="2" izz="2.5"', f'ixx="{mass}" iyy="{2 * mass}" izz="{2.5 * mass}"'
+    )
+    system = pinred.load(write(tmp_path, text))
+    with pytest.raises(pinred.ModelError, match=r"ill-scaled: it has masses .* write it in units"):
+        pinred.simulate(system, x0=[0.1], xdot0=[1.0], xi0=[0, 0, 0, 0.1, 0.2, 0.3], duration=0.1)
