@@ -110,7 +110,7 @@ def read_text(path: Path) -> str:
         ) from None
     try:
         if path.stat().st_size == 0:  # as what the system makes up is, which may never end
-            raise LoadError(f"{plain_path(path)} is empty")
+            raise LoadError(f"{plain_path(path)} is empty, so not XML")
         with path.open("rb") as file:
             content = file.read(_MOST_BYTES + 1)
         if len(content) > _MOST_BYTES:

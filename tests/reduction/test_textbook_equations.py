@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from strategies import Case, cases, make_case
+from trees import random_model
 
 import pinred
 from pinred.common.arrays import Array
