@@ -9,11 +9,16 @@ def main() -> int:
     import signal
 
     try:
-        from .interrupt import CODE, end, ends_soon
+        from .interrupt import CODE, end, ends_soon, pressed
         from .main import main as run
 
         with ends_soon():
-            code = run()
+            try:
+                code = run()
+            except Exception:
+                if pressed():  # modules in C make an ImportError of it
+                    end()
+                raise
         if code == CODE:
             end()
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # it has done what it was to do

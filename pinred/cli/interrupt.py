@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NoReturn
 
-_said = threading.Event()
+_pressed, _said = threading.Event(), threading.Event()
 CODE = 130  # as shells have it, 128 + SIGINT
 _PATIENCE = 0.3  # s that a command has to end by itself, and to clean up
 
@@ -25,6 +25,11 @@ def say() -> None:
     if not _said.is_set():
         _said.set()
         os.write(2, b"pinred: interrupted\n")
+
+
+def pressed() -> bool:
+    """Return whether Ctrl-C has been pressed, while `ends_soon` watches."""
+    return _pressed.wait(0.05)
 
 
 def end() -> NoReturn:
@@ -58,5 +63,6 @@ def ends_soon() -> Iterator[None]:
 def _watch(reading: int) -> None:
     while signal.SIGINT not in os.read(reading, 1):
         pass
+    _pressed.set()
     threading.Event().wait(_PATIENCE)
     end()

@@ -18,6 +18,10 @@ from pinred.scene.angles import large_angles
 HUGE = 10**400
 
 
+def _any(name: str, value: Any) -> Any:
+    return {name: value}
+
+
 @pytest.fixture(scope="module")
 def cat() -> pinred.System:
     """A robot with three joints."""
@@ -41,7 +45,7 @@ def test_numbers_that_are_no_floats(name: str, cat: pinred.System) -> None:
     """10**400 is refused by its name."""
     for value in (HUGE, [HUGE], -HUGE):
         with pytest.raises(pinred.InputError):
-            pinred.Scene(system=cat, **{name: value})
+            pinred.Scene(system=cat, **_any(name, value))
 
 
 @pytest.mark.parametrize(
@@ -62,9 +66,10 @@ def test_odd_locks(lock: Any) -> None:
 
 def test_odd_roots_and_meshes() -> None:
     """Found by inputs at random."""
-    for options in ({"root": 3}, {"root": [1]}, {"meshes": np.array(1.0)}, {"meshes": "x" * 3000}):
+    given: Any = ({"root": 3}, {"root": [1]}, {"meshes": np.array(1.0)}, {"meshes": "x" * 3000})
+    for options in given:
         with pytest.raises(pinred.InputError, match=next(iter(options))):
-            pinred.load("falling_cat", **options)  # type: ignore[arg-type]
+            pinred.load("falling_cat", **options)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +105,7 @@ def test_angles_that_are_known_to_no_digit(cat: pinred.System) -> None:
     with pytest.raises(pinred.InputError, match=r"'bend', 1e\+15 rad, is known to 0\.1 rad only"):
         pinred.Scene(system=cat, x0=[1e15, 0, 0])
     with pytest.raises(pinred.InputError, match="known to"):
-        pinred.simulate_many(cat, x0=[[0, 0, 0], [0, 0, 1e15]], duration=0.1)
+        pinred.simulate_many(cat, x0=np.array([[0, 0, 0], [0, 0, 1e15]]), duration=0.1)
     assert pinred.Scene(system=cat, x0=[1e6, 0, 0]).start.x[0] == 1e6
 
 
