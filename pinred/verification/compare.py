@@ -103,7 +103,7 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
     done(1.0)
     tolerance = max(rtol, _RESOLVED) + atol
     mean = min(float(missed.steps.mean()) if missed.steps.size else 0.0, DEFECT * tolerance)
-    drift = max(DRIFT * tolerance, SAFETY * mean * (len(traj.motion.knots) - 1))
+    drift = max(DRIFT * tolerance, 2.0 * mean * (len(traj.motion.knots) - 1))
     return Report(
         robot=traj.system.name,
         engine=traj.run.engine,
