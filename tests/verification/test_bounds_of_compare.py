@@ -41,7 +41,7 @@ def test_what_passes() -> None:
     """The bounds are those that docs/comparison.md states."""
     report = passed()
     assert report.passed
-    assert report.equations_bound == 3e-12
+    assert report.equations_bound == 1e-12
     assert report.defect_bound == pytest.approx(3.0 * TOLERANCE)
     assert report.drift_bound == pytest.approx(100.0 * TOLERANCE)
     assert report.field_bound == 1e-9
@@ -366,5 +366,5 @@ def test_a_report_is_true_and_one_line() -> None:
     for report in (passed(), failed, replace(passed(), reasons=("no reason",))):
         assert "\n" not in repr(report)
         assert str(report.verdict) in repr(report)
-    assert "equations of motion [relative] 1.0e+00 of 3.0e-12" in repr(failed)
+    assert "equations of motion [relative] 1.0e+00 of 1.0e-12" in repr(failed)
     assert "no reason" in repr(replace(passed(), reasons=("no reason",)))
