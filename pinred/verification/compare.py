@@ -40,7 +40,7 @@ SAFETY = 10.0  # for a growth that is measured by one kick, and the defects of s
 EXACT = 1e-12  # relative; what two ways to the same accelerations leave of round-off
 DEFECT = 3.0  # tolerances; a step's defect, as the stress suite holds it on extreme robots
 BETWEEN = 50.0  # tolerances; the same between the ends of steps, of which no control sees the error
-DRIFT = 100.0  # tolerances; what errors of so many steps may do to energy
+DRIFT = 100.0  # tolerances, at least; what errors of so many steps may do to energy
 REFERENCE = 100.0  # tolerances for each growth; beyond it the reference is no reference
 CONSISTENT = 1e-9  # relative; pose, twist, momenta and energy are functions of q and v
 _RESOLVED = 1e-13  # relative; what the reference and its energies can tell from round-off
@@ -102,6 +102,8 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
     audit = audited(traj, states)
     done(1.0)
     tolerance = max(rtol, _RESOLVED) + atol
+    mean = min(float(missed.steps.mean()) if missed.steps.size else 0.0, DEFECT * tolerance)
+    drift = max(DRIFT * tolerance, 2.0 * mean * (len(traj.motion.knots) - 1))
     return Report(
         robot=traj.system.name,
         engine=traj.run.engine,
@@ -125,7 +127,7 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
         reference_error=float(between[: ends.told].max(initial=0.0)),
         equations_bound=EXACT,
         defect_bound=DEFECT * tolerance,
-        drift_bound=DRIFT * tolerance,
+        drift_bound=drift,
         field_bound=CONSISTENT,
         reference_bound=REFERENCE * tolerance * float(growth[max(ends.told - 1, 0)]),
         growth=growth,
