@@ -20,6 +20,7 @@ from ..common.errors import InputError, LoadError, PinredError
 from ..common.places import is_file
 from ..common.plain_names import plain_path, quoted_path
 from ..lie.groups import GROUPS
+from ..system.catalogue import bundled_robots
 from ..system.load import is_path
 from .archive import read_arrays
 from .state import OverTime, ShapeState, State
@@ -180,6 +181,8 @@ def _not_elsewhere(path: Path, source: str) -> str:
     beside = path.parent / Path(source).name
     if is_file(beside):
         return str(beside)
+    if Path(source).resolve() in {robot.path.resolve() for robot in bundled_robots().values()}:
+        return source
     raise LoadError(
         f"{quoted_path(path)} says that its robot is in {quoted_path(source)}, which is not in "
         "its own folder; if that is so, name it (--robot, or robot=), or copy it there"

@@ -102,8 +102,14 @@ def test_locking_what_is_named_is_the_way_out(group: str, joints: int, seed: int
         return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ModelWarning)
-        # Not at zero, which for what people draw is a shape of its own.
-        system = pinred.load(model, lock=dict.fromkeys(found, 0.7))
+        try:
+            # Not at zero, which for what people draw is a shape of its own.
+            system = pinred.load(model, lock=dict.fromkeys(found, 0.7))
+        except pinred.ModelError as error:
+            # Joints at the root may be one then, whose armature is another thing to refuse.
+            if "armature" in str(error):
+                return
+            raise
     assert not set(found) & set(system.shape_names)
 
 

@@ -158,7 +158,8 @@ def test_meshes_names_folders(parts: tuple[Path, Path], tmp_path: Path) -> None:
     motion, page = tmp_path / "m.npz", tmp_path / "m.html"
     traj.save(motion)
     for words, said in (([], True), (["--meshes", str(package)], False)):
-        assert main(["play", str(motion), "--out", str(page), *words]) == 0
+        named = ["--robot", str(robot)]  # which is not beside the recording
+        assert main(["play", str(motion), "--out", str(page), *named, *words]) == 0
         assert ("could not be found" in page.read_text("utf-8")) == said
 
 
