@@ -29,6 +29,7 @@ def test_type_checkers_know_the_names() -> None:
         _ = pinred.nope  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_a_function_is_not_hidden_by_its_module() -> None:
     """Functions stay functions, in any order of imports."""
     code = (

@@ -10,6 +10,7 @@ import rooms
 from rooms import PACKAGE, ROOMS, ROOT, Import
 
 
+@pytest.mark.slow
 def test_imports_point_down() -> None:
     """No room imports one above it, nor a face of the package: lazily, for types, or otherwise."""
     wrong = rooms.upward(rooms.imports())

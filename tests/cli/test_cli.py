@@ -38,6 +38,7 @@ def test_compare_with_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
     assert "verdict: PASSED" in out
 
 
+@pytest.mark.slow
 def test_compare_that_cannot_tell_ends_with_three(capsys: pytest.CaptureFixture[str]) -> None:
     """A scene that cannot be judged does not pass, nor does it fail."""
     code, out, _ = run(

@@ -54,6 +54,7 @@ def test_compare_ends(part: int) -> None:
     check(_BEGINS + 3.0 * (part + rng.random()) / 20)
 
 
+@pytest.mark.slow
 def test_compare_ends_in_the_full_simulation() -> None:
     """Where SciPy's compiled loop swallows what is raised."""
     check(3.0)
@@ -125,6 +126,7 @@ def test_held_in_a_thread_is_nothing() -> None:
     assert told == [False]
 
 
+@pytest.mark.slow
 def test_ignored_stays_ignored(tmp_path: Path) -> None:
     """A command that `nohup` or a shell's & has told to ignore Ctrl-C goes on."""
     code = (

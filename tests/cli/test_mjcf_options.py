@@ -45,6 +45,7 @@ def test_inspect(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "keyframes   home\n" in out
 
 
+@pytest.mark.slow
 def test_the_warning_is_one_line(path: Path) -> None:
     """On standard error, like errors."""
     command = [sys.executable, "-m", "pinred", "inspect", str(path), *ROBOT]

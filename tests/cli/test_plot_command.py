@@ -32,6 +32,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
     return commands.run(capsys, "plot", *arguments)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "begins"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")]
 )
@@ -51,6 +52,7 @@ def test_every_kind_of_file(
     assert os.listdir(tmp_path) == [path.name]
 
 
+@pytest.mark.slow
 def test_several_kinds_at_once(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """One file each, named after its kind; options go where they belong."""
     code, _, err = run(
@@ -65,6 +67,7 @@ def test_several_kinds_at_once(capsys: pytest.CaptureFixture[str], tmp_path: Pat
         assert imread(tmp_path / f"cat_{kind}.png").std() > 0.01
 
 
+@pytest.mark.slow
 def test_the_same_figure_as_in_python(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """A recording, and the scene that made it, give the picture of the Python API."""
     scene = tmp_path / "scene.toml"
@@ -101,6 +104,7 @@ def test_random_state_is_said(capsys: pytest.CaptureFixture[str], tmp_path: Path
     assert "seed 4" in run(capsys, *arguments)[1]
 
 
+@pytest.mark.slow
 def test_measurements_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """The record of a benchmark gives the figure that its results give."""
     path, out = tmp_path / "accuracy.csv", tmp_path / "wp.png"
@@ -167,6 +171,7 @@ def test_commands_of_the_document(
     assert len(os.listdir(tmp_path)) == len(kinds)
 
 
+@pytest.mark.slow
 def test_document_names_kinds_and_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The table of docs/plots.md has all kinds with all their options; its example runs."""
     rows = re.findall(r"^\| `(\w+)` \|.*\| (.*) ?\|$", DOCUMENT, re.MULTILINE)

@@ -57,6 +57,7 @@ def test_help_on_an_ascii_terminal(command: str) -> None:
     assert "".join(c if c.isascii() else nearest_ascii(c) for c in wide) == done.stdout.decode()
 
 
+@pytest.mark.slow
 def test_errors_on_an_ascii_terminal() -> None:
     """In one line."""
     done = run("inspect", "kätzchen×²")
@@ -65,6 +66,7 @@ def test_errors_on_an_ascii_terminal() -> None:
     assert done.stderr.count(b"\n") == 1
 
 
+@pytest.mark.slow
 def test_units_in_ascii() -> None:
     """What the terminal can is printed as it is; the rest as near as ASCII comes."""
     assert "m/s^2" in run("inspect", "falling_cat").stdout.decode()

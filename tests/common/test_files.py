@@ -95,6 +95,7 @@ def test_a_failure_leaves_the_old_file(tmp_path: Path) -> None:
     assert files_in(tmp_path) == ["a.npz"]
 
 
+@pytest.mark.slow
 def test_what_would_be_lost_is_refused(tmp_path: Path) -> None:
     """A read-only file, a FIFO, a folder: as --out, before anything is simulated."""
     kept, pipe, folder = (tmp_path / f"{name}.npz" for name in ("kept", "pipe", "folder"))

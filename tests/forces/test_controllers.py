@@ -164,6 +164,7 @@ def test_controllers_hold(period: float) -> None:
         np.testing.assert_allclose(traj.energy_balance.residual, 0.0, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_two_controllers_and_a_table() -> None:
     """Each at its own period, on its own joints, by names, beside a table; compare passes."""
     system = pinred.load("planar_chain5")

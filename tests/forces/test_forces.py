@@ -216,6 +216,7 @@ def wheels(*forces: Force) -> tuple[int, ...]:
     return CompiledFlow(plan_of(scene)).kernel.layout.cyclic
 
 
+@pytest.mark.slow
 def test_wheels_with_forces() -> None:
     """What acts on a wheel, or reads its angle, makes it act; what reads its rate does not."""
     hinge = SATELLITE.shape_names[0]

@@ -105,6 +105,7 @@ def test_motion_against_aba_with_mujocos_forces(engine: Any) -> None:
     assert np.abs(without.states.x - traj.states.x).max() > 1e-2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [4, 7])
 def test_compare_passes_and_balances_hold(seed: int) -> None:
     """Energy goes as dampers and friction say; momentum stays, as they act inside."""

@@ -434,6 +434,7 @@ def test_a_stiff_decay_is_followed_by_shorter_steps() -> None:
     assert found.y[0, 0] == pytest.approx(exact, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_wide_kernels_are_judged() -> None:
     """All lanes give what Pinocchio's equations of motion give."""
     for robot in ("falling_cat", "solo12"):

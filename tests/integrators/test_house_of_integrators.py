@@ -27,6 +27,7 @@ def folders(found: Iterable[Import]) -> dict[str, set[str]]:
     return graph
 
 
+@pytest.mark.slow
 def test_no_circle_of_folders() -> None:
     """Machine code knows no method, no method its value, no value who runs it."""
     graph = folders(rooms.imports())

@@ -35,6 +35,7 @@ METHODS: tuple[Method, ...] = (
 ROBOTS = ("rigid_body", "cartpole", "coupled_planar", "elroys_beanie", "falling_cat")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS, ids=str)
 def test_rows_are_enough(method: Method, monkeypatch: pytest.MonkeyPatch) -> None:
     """Marks behind the rows survive steps, reports between them, and states asked for later."""

@@ -109,6 +109,7 @@ def test_gravity_on_the_shape() -> None:
         assert report.passed, str(report)
 
 
+@pytest.mark.slow
 def test_wheels_turn_by_quadrature() -> None:
     """Cyclic joints leave the integrated pairs, and their angles are still right."""
     system = pinred.load("reaction_wheel_satellite")

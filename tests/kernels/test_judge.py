@@ -360,6 +360,7 @@ def slide(axis: Array, gravity: float) -> Kernel:
     return kernel_of(plan_of(pinred.Scene(system=pinred.load(model), seed=0)), zero_momentum=False)
 
 
+@pytest.mark.slow
 def test_a_slide_that_is_not_along_gravity(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of gravity, what does not make it fall acts across; along it, round-off of that is left."""
     axes = np.random.default_rng(0).normal(size=(12, 3))

@@ -39,6 +39,7 @@ def test_mass_matrix_and_its_derivatives(case: CoupledCase) -> None:
         np.testing.assert_allclose(at.dI[:, :, k], slope, rtol=0, atol=1e-8 * size)
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(coupled_cases())
 def test_sweep_solves_for_velocities_and_forces(case: CoupledCase) -> None:

@@ -60,6 +60,7 @@ def test_files_of_a_shape(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table["energy"], traj.energy)
 
 
+@pytest.mark.slow
 def test_time_is_integrated_only_where_it_counts() -> None:
     """A constant torque needs no clock, one that depends on time does."""
     system = pinred.load("falling_cat")
@@ -78,6 +79,7 @@ def test_time_is_integrated_only_where_it_counts() -> None:
 WHEELS = ("wheel_x", "wheel_y", "wheel_z")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("force", "cyclic"),
     [

@@ -366,6 +366,7 @@ def test_equal_steps_are_judged_by_rtol() -> None:
     assert pinred.compare(loose).passed
 
 
+@pytest.mark.slow
 def test_plans_as_numbers_and_formulas() -> None:
     """The joint is where the formula says, by NumPy; the scene keeps Signals."""
     traj = pinred.simulate(CAT, duration=0.7, prescribed={"sway": PLAN, "bend": np.float64(0.25)})

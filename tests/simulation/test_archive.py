@@ -29,6 +29,7 @@ def _with(saved: Path, **changed: object) -> Path:
     return saved
 
 
+@pytest.mark.slow
 def test_a_bomb_is_not_unpacked(tmp_path: Path) -> None:
     """4 GB of zeros in 4 MB are refused by the sizes that the archive tells."""
     path, block = tmp_path / "bomb.npz", bytes(10_000_000)

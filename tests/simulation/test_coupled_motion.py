@@ -109,6 +109,7 @@ def test_a_spring_on_a_follower(engine: Engine) -> None:
     np.testing.assert_allclose(a.energy, b.energy, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_forces_on_a_follower_act_through_it(crank: pinred.System) -> None:
     """Torque, damper, PD, limits and controllers: the ratio times what they are there."""
     k, b = -2.5, 0.3
@@ -143,6 +144,7 @@ def test_forces_on_a_follower_act_through_it(crank: pinred.System) -> None:
         assert a.energy_balance.residual == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 def test_prescribed_leaders(engine: Engine) -> None:
     """All that follow a prescribed joint move as planned, under a torque on it alone."""

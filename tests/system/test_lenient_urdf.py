@@ -93,6 +93,7 @@ def chain(count: int, kind: str) -> str:
     return robot(*links, *(joint(f"l{k}", f"l{k + 1}", kind) for k in range(count)))
 
 
+@pytest.mark.slow
 def test_deep_trees(tmp_path: Path) -> None:
     """Two thousand links on fixed joints are one body; a fault in them is still an error."""
     text = chain(2000, "fixed")

@@ -350,6 +350,7 @@ def run(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_mujoco_is_imported_for_mjcf_alone(tmp_path: Path) -> None:
     """Not for pinred, nor for a URDF; and without it one line says what to install."""
     path = write(tmp_path, text(base(arm())))

@@ -289,6 +289,7 @@ def test_too_much_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         pinred.load(path)
 
 
+@pytest.mark.slow
 def test_a_file_that_is_too_large(tmp_path: Path) -> None:
     """It is not even read: of a URDF, too."""
     for name in ("robot.xml", "robot.urdf"):
@@ -311,6 +312,7 @@ def test_room_for_what_is_not_needed_is_not_taken(head: str) -> None:
     assert loaded(text(base(arm()), head)).m == 1
 
 
+@pytest.mark.slow
 def test_a_wrong_text_never_ends_the_process(tmp_path: Path) -> None:
     """Texts changed at random end in a System or in an error of pinred's, in one line."""
     code = f"""

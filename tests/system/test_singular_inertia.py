@@ -80,6 +80,7 @@ def agrees(model: pin.Model, found: SingularShapes, rng: np.random.Generator) ->
             assert least(x) < 1e2 * ZERO, shape
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(groups, st.integers(1, 5), seeds)
 @example("SE3", 4, 114)
@@ -91,6 +92,7 @@ def test_the_rule_against_eigenvalues(group: str, joints: int, seed: int) -> Non
     agrees(model, singular_shapes(model), np.random.default_rng(seed))
 
 
+@pytest.mark.slow
 @given(groups, st.integers(1, 6), seeds)
 def test_locking_what_is_named_is_the_way_out(group: str, joints: int, seed: int) -> None:
     """Without the joints that move no mass at any shape, the others do at most shapes."""
@@ -273,6 +275,7 @@ def test_point_pendulum_moves_as_its_lagrangian_says(tmp_path: Path) -> None:
         assert energy == pytest.approx(traj.energy[0], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_run_driven_into_a_singular_shape_names_the_joint() -> None:
     """A plan that lays the rod on the first axis lets its momentum turn ever faster; it ends."""
     with pytest.warns(ModelWarning):

@@ -13,6 +13,7 @@ from pinred.system import robot_files
 _DEEP = 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "message"),
     [

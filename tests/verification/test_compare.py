@@ -54,6 +54,7 @@ def test_random_trees(group: str, seed: int) -> None:
     assert report.passed, str(report)
 
 
+@pytest.mark.slow
 def test_error_follows_the_tolerance() -> None:
     """A tighter tolerance gives a smaller error, within a factor of it, down to round-off."""
     system = pinred.load("falling_cat")
@@ -108,6 +109,7 @@ def test_the_judge_sees_wrong_physics() -> None:
     assert value > 100.0 * bound
 
 
+@pytest.mark.slow
 def test_all_of_the_motion_is_judged() -> None:
     """A scene that reports only its start is judged to its end, and fails where that does."""
     system = pinred.load("double_spherical_pendulum")

@@ -90,6 +90,7 @@ def test_every_robot_has_faults() -> None:
     assert set(FAULTS) == set(bundled_robots())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(FAULTS))
 def test_a_fault_of_1e_9_fails(name: str) -> None:
     """The equations see it, at the default tolerance; without it all pass."""

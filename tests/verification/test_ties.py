@@ -49,6 +49,7 @@ def test_accelerations(case: CoupledCase) -> None:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("group", "seed"), [("SE3", 0), ("SE2", 4), ("SO3", 5), ("SO2", 8)])
 def test_compare_passes(group: str, seed: int) -> None:
     """On random trees with couplings, and what is under forces."""
@@ -59,6 +60,7 @@ def test_compare_passes(group: str, seed: int) -> None:
     assert report.passed, str(report)
 
 
+@pytest.mark.slow
 def test_a_tree_that_is_singular_without_its_ties(tmp_path: Path) -> None:
     """A leader without mass moves that of its follower: one system, not ABA."""
     system = pinred.load(write(tmp_path, MASSLESS))
@@ -68,6 +70,7 @@ def test_a_tree_that_is_singular_without_its_ties(tmp_path: Path) -> None:
     assert report.passed, str(report)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_wrong_ratio_is_found(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     """Of a part in a million, wherever the reduction takes it from."""

@@ -147,6 +147,7 @@ def test_grid_is_seen_all_along(
     assert quarters(screen, 60.0).sum() > 400
 
 
+@pytest.mark.slow
 def test_grid_has_no_gaps(screen: Browser, tmp_path: Path) -> None:
     """Near the camera the floor has its lines, too, where they go on behind it."""
     path = tmp_path / "page.html"

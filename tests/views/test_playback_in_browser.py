@@ -103,6 +103,7 @@ def test_the_checks_can_fail(screen: Browser, tmp_path: Path) -> None:
     assert differ(blank, blank) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_saved_page(screen: Browser, tmp_path: Path, name: str) -> None:
     """It opens from disk, is not blank, plays by itself, says nothing, asks nobody."""
@@ -336,6 +337,7 @@ def test_player_is_not_needed_afterwards(screen: Browser) -> None:
     assert complaints(screen) == []
 
 
+@pytest.mark.slow
 def test_sigterm_leaves_nothing_of_a_film(screen: Browser, tmp_path: Path) -> None:
     """It ends the process, which takes its unfinished frames and its folders with it."""
     del screen  # as above
