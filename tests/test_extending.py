@@ -59,6 +59,7 @@ def test_every_section_is_run() -> None:
     assert "A further explicit method" in (ROOT / "docs/integrators.md").read_text("utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", ["A force"], indirect=True)
 def test_force(names: dict[str, Any]) -> None:
     """The same motion as of a torque that says the same; its work is what it took."""

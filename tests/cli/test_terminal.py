@@ -46,6 +46,7 @@ def test_commands_on_an_ascii_terminal(words: tuple[str, ...]) -> None:
     assert b"Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["", *COMMANDS])
 def test_help_on_an_ascii_terminal(command: str) -> None:
     """Each page is the one of a terminal that can do more, but for single letters."""

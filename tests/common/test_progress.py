@@ -153,6 +153,7 @@ def test_progress_true_in_a_notebook(outputs: dict[str, list[Any]]) -> None:
     assert outputs["4"] == []
 
 
+@pytest.mark.slow
 def test_progress_is_a_bar_or_a_function(monkeypatch: pytest.MonkeyPatch) -> None:
     """True draws, None and False do not, a function is called, anything else is refused."""
     drawn: list[tuple[str, float]] = []

@@ -66,6 +66,7 @@ def test_pd_turns_the_satellite(limit: str | None, engine: Engine) -> None:
     np.testing.assert_allclose(about, 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_pd_is_judged() -> None:
     """The comparison passes with PD and hard limits on."""
     plan = dict(zip(ARMS, GOAL.tolist(), strict=True))
@@ -81,6 +82,7 @@ def closed_form(error: float, rate: float, kp: float, kd: float, t: Array) -> Ar
     return np.asarray((A * np.exp(a * t) + (error - A) * np.exp(b * t)).real)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("group", GROUPS)
 def test_computed_torque_decays_as_it_says(group: str, engine: Engine) -> None:

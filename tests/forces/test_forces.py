@@ -161,6 +161,7 @@ def wrench_breaks(wrench: Wrench) -> list[float]:
     return [float(b) for signal in wrench.signals for b in signal.breaks if b < 1.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 def test_detumbling_in_closed_form(engine: Engine) -> None:
     """A pure moment −c μ on the base: |J| = |J0| e^(−ct), and its direction stays."""
@@ -188,6 +189,7 @@ def test_push_in_closed_form(group: str) -> None:
         np.testing.assert_allclose(J - J[0], 0.8 * traj.t, atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("kind", [Spline, Hold, Linear])
 def test_torque_from_a_table(kind: Any, engine: Engine) -> None:
@@ -253,6 +255,7 @@ def test_a_force_that_reads_a_wheel(angle: bool) -> None:
     assert against_aba(traj, tau) < 1e-7
 
 
+@pytest.mark.slow
 def test_time_enters_only_where_something_depends_on_it() -> None:
     """A clock is integrated for what moves with time; not for constants and tables of steps."""
     system = pinred.load("falling_cat")

@@ -79,6 +79,7 @@ def test_a_planted_fault_is_seen(what: str) -> None:
     assert error(system, forces, MujocoForces(text, system.shape_names)) > 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
 def test_motion_against_aba_with_mujocos_forces(engine: Any) -> None:
     """The motion with passive=True is ABA's under the torques that MuJoCo finds."""

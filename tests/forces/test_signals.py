@@ -64,6 +64,7 @@ def random_table(seed: int, size: int) -> tuple[Array, Array]:
     return times, rng.normal(size=size)
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1), size=st.integers(2, 12), end=st.sampled_from(ENDS))
 @settings(max_examples=40)
 def test_spline_is_scipys(seed: int, size: int, end: str) -> None:

@@ -37,6 +37,7 @@ def test_no_circle_of_folders() -> None:
     assert len(order) > 5
 
 
+@pytest.mark.slow
 def test_a_circle_of_folders_is_seen() -> None:
     """A constant that a stepper takes from the values is one."""
     back = Import(f"{ROOM}.gauss.stages", 1, f"{ROOM}.methods.gauss")

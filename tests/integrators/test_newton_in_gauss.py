@@ -108,6 +108,7 @@ def test_the_two_solvers_agree(order: int) -> None:
     assert np.array_equal(ends[2].q, ends[0].q)  # where it converges well
 
 
+@pytest.mark.slow
 def test_hard_springs_without_damping() -> None:
     """Energy and momentum over 20000 steps far beyond the springs' period, and the way back."""
     system = pinred.load("coupled_spatial")

@@ -110,6 +110,7 @@ def test_linear_systems(n: int) -> None:
     assert not factor_complex(rows, 1, n + 1, n, pivots)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["planar_chain5", "coupled_spatial", "solo12"])
 def test_derivative_by_pinocchio(robot: str) -> None:
     """Along the motion ẋ changes as ABA says, and that as ABA's derivatives say."""
@@ -184,6 +185,7 @@ def test_a_wrong_derivative_is_refused(
 # --- accuracy ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "robot", ["double_spherical_pendulum", "falling_cat", "satellite_two_arms"]
 )

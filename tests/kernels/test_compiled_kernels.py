@@ -97,6 +97,7 @@ def test_both_routes_agree(name: str) -> None:
         np.testing.assert_allclose(x, y, rtol=0, atol=3e-8 * scale, err_msg=field)
 
 
+@pytest.mark.slow
 def test_gravity_on_the_shape() -> None:
     """A pendulum chain about the vertical and a slanted cart: V(x) is in the kernel."""
     for group, gravity in (("R", (1.0, -2.0, 3.0)), ("SO2", None)):

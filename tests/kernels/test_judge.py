@@ -292,6 +292,7 @@ def spheres(seed: int) -> pin.Model:
     return model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_spheres_on_joints(seed: int) -> None:
     """Nothing is refused for its symmetry, and the motion is that of ABA."""

@@ -256,6 +256,7 @@ INTEGER = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(
     recipe=recipes(INTEGER, 40),
@@ -273,6 +274,7 @@ def test_random_graphs_of_integers_are_exact(recipe: Recipe, at: list[int], last
     np.testing.assert_array_equal(fast(*arguments), every[-1:] if last else every)
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(
     recipe=recipes(["ADD", "SUB", "MUL", "DIV", "NEG", "TWICE", "SQ", "SQRT", "INV"], 25),

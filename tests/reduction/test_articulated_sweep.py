@@ -54,6 +54,7 @@ def test_sweep_solves_for_velocities_and_forces(case: Case) -> None:
         np.testing.assert_allclose(force, expected, rtol=0, atol=max(1e-12, scale) * size)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(cases(1))
 def test_frames_put_every_axis_along_z(case: Case) -> None:

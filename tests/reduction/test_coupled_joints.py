@@ -81,6 +81,7 @@ def swept(system: pinred.System, y: Array, p: Array) -> tuple[Array, Array]:
     return v, force
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(coupled_cases())
 def test_prescribed_rates(case: CoupledCase) -> None:

@@ -285,6 +285,7 @@ def test_a_singular_shape_is_named(nearly: float) -> None:
             getattr(field, name)
 
 
+@pytest.mark.slow
 def test_a_field_needs_no_compiler() -> None:
     """Neither CasADi nor LLVM nor numba is imported for a field."""
     code = (

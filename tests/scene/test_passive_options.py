@@ -73,6 +73,7 @@ def test_forms_are_equal(
     assert (np.load(out)["xdot"][-1] < 0.99) == bool(options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("options", "text", "words"), FORMS)
 def test_one_line_says_what_is_left_out(
     robot: Path,

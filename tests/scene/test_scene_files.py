@@ -263,6 +263,7 @@ def test_methods(text: str, method: Any, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_load_and_seed(tmp_path: Path) -> None:
     """Group, gravity, locked joints and the seed go where they go in Python."""
     text = (

@@ -214,6 +214,7 @@ def test_computed_torque(crank: pinred.System) -> None:
     np.testing.assert_allclose(traj.x[:, 0], 0.2 + traj.t, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_computed_torque_of_a_tree() -> None:
     """The same on a branched tree, whose accelerations are then zero."""
     system = make_case("SE3", 5, 3).system
@@ -281,6 +282,7 @@ def test_random_states_are_within_the_limits_of_followers(tmp_path: Path) -> Non
     assert (x >= -0.01 / 3.0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_limbs_of_one_build(seed: int) -> None:
     """Limbs with couplings inside, across and on one limb alone, beside limbs without any."""

@@ -150,6 +150,7 @@ def test_sections_of_files(tmp_path: Path) -> None:
     assert 4**2.5 < apart[0] / apart[1] < 4**4.5
 
 
+@pytest.mark.slow
 def test_robots_of_ones_own(tmp_path: Path) -> None:
     """A file of a pin.Model names no robot: numbers are drawn; what needs it says what to do."""
     model = pinred.load("falling_cat").model

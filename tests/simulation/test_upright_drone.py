@@ -94,6 +94,7 @@ def test_any_gravity_only_makes_it_fall() -> None:
     np.testing.assert_allclose((falling.pose - still.pose)[:, :3], fall, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_files_say_the_group(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """On the command line, in a scene file, and in what is written and read back."""
     urdf = bundled_folder() / "upright_drone.urdf"

@@ -233,6 +233,7 @@ def test_lock_a_joint_called_like_its_link(tmp_path: Path) -> None:
     assert (system.shape_names, system.mass) == (("b-c",), 6.0)
 
 
+@pytest.mark.slow
 def test_lock_a_model_made_from_python() -> None:
     """A model without joint frames can be locked, in a process of its own: it might crash."""
     code = (

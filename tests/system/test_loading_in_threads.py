@@ -99,6 +99,7 @@ def test_what_is_not_the_librarys_comes_through(capfd: pytest.CaptureFixture[str
     assert capfd.readouterr().err == "theirs\n"
 
 
+@pytest.mark.slow
 def test_without_standard_error() -> None:
     """A process that has none loads all the same."""
     code = (

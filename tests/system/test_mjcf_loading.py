@@ -371,6 +371,7 @@ def test_without_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_no_file_is_written(tmp_path: Path) -> None:
     """What MuJoCo warns of neither ends in a file beside one nor stays switched off."""
     nan = write(tmp_path, text(base(arm()).replace("1 2 3", "1 nan 3")))

@@ -207,6 +207,7 @@ def test_nothing_is_compiled_for_what_is_refused(monkeypatch: pytest.MonkeyPatch
     assert "j0" in refusal(pendulum([(RZ, 1.0, UP)]))
 
 
+@pytest.mark.slow
 def test_a_run_that_reaches_a_singular_shape_names_the_joint() -> None:
     """Both engines end with the joint that has lost its inertia; elsewhere the robot runs."""
     model = pendulum([(RX, 0.0, NONE), (RY, 1.0, UP)])
@@ -256,6 +257,7 @@ def test_point_pendulum_has_the_mass_matrix_of_its_lagrangian(tmp_path: Path) ->
         assert found == pytest.approx(acceleration, abs=1e-13 * size)
 
 
+@pytest.mark.slow
 def test_point_pendulum_moves_as_its_lagrangian_says(tmp_path: Path) -> None:
     """Simulated and judged by ABA; its states obey the Euler–Lagrange equations of two points."""
     system, lagrangian = pointed(tmp_path), Lagrangian()

@@ -24,6 +24,7 @@ def counts() -> dict[str, tuple[float, ...]]:
     return dict(found.counts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("DOP853", "DOP853"), ("Dormand–Prince 5(4)", "RK45")])
 def test_counts_are_those_on_the_full_state(
     counts: dict[str, tuple[float, ...]], name: str, kind: str

@@ -279,6 +279,7 @@ def hanging() -> pinred.Trajectory:
     return pinred.simulate(pinred.load(model), seed=0, duration=1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [pushed, hanging])
 def test_momentum_that_is_given_is_counted(make: Any) -> None:
     """Where it is not conserved, its balance with the impulse is what is judged, and seen."""

@@ -18,6 +18,7 @@ from pinred.verification.full_state import FullState
 EXAMPLES = {"solo12": 2.0, "ur5": 3.0, "talos": 0.5}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(bundled_robots()))
 def test_bundled_robot(name: str) -> None:
     """Every bundled robot agrees with ABA over its whole duration, from its own state."""
@@ -28,6 +29,7 @@ def test_bundled_robot(name: str) -> None:
     assert report.reference_error < 1e-9 * report.growth[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not has_example_robots(), reason="needs example-robot-data")
 @pytest.mark.parametrize("name", sorted(EXAMPLES))
 def test_example_robot(name: str) -> None:
@@ -38,6 +40,7 @@ def test_example_robot(name: str) -> None:
     assert report.passed, str(report)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("group", GROUPS)
 def test_random_trees(group: str, seed: int) -> None:
@@ -135,6 +138,7 @@ def test_wrong_energy_is_seen() -> None:
     assert not pinred.compare(tampered(traj, lifted)).passed
 
 
+@pytest.mark.slow
 def test_chaos_is_not_passed_by_default() -> None:
     """Where perturbations grow too much for the endpoint to mean anything, it says so."""
     system = pinred.load("double_spherical_pendulum")

@@ -207,6 +207,7 @@ def test_arrow_stands_still_on_the_screen(screen: Browser, tmp_path: Path) -> No
     assert (gone[0] & gone[1]).sum() < 0.5 * gone[0].sum()
 
 
+@pytest.mark.slow
 def test_every_switch_shows_something(screen: Browser, tmp_path: Path) -> None:
     """Each overlay is visible, and its switch takes it away and brings it back."""
     traj = pinred.simulate(pinred.load("falling_cat"), duration=2.0)
@@ -293,6 +294,7 @@ def test_names_are_only_names(screen: Browser, tmp_path: Path) -> None:
     assert complaints(screen) == []
 
 
+@pytest.mark.slow
 def test_films(screen: Browser, tmp_path: Path) -> None:
     """Frames, gif and mp4: as many pictures as were asked for, of that size, that move."""
     del screen  # one is started for each film; this only skips where there is none
