@@ -176,7 +176,7 @@ class FullState:
         later = self._stops[self._stops > t]
         stop = float(later[0]) if later.size else t
         begin_stretch(self._scene, self._numbers, t, stop, lambda: self._sample(y))
-        return Hairer(self.rate, method, y, t, rtol, atol)
+        return Hairer(self.rate, method, y, t, rtol, atol, self._scene.end)
 
     def _sample(self, y: Array) -> Sample:
         """Return what forces see, by Pinocchio; the weight they do not see."""
