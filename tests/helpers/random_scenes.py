@@ -20,7 +20,7 @@ SCENES_OF_A_TREE = 12  # the kernel of a tree is the same for some of them
 TINY = 1e-160  # rad/s and m/s: the square of a momentum is no number any more
 FAR = 1e9  # m: round-off of the place is a ten-millionth of a metre
 _MOST_STEPS = 20_000  # a wheel of a millimetre on a strong spring takes any number
-_MOST_SECONDS = 5.0  # where springs or weight set the pace
+_MOST_SECONDS = 2.0  # where springs or weight set the pace
 
 
 @dataclass(frozen=True)
