@@ -13,6 +13,8 @@ from .analysis.inspection import inspect as inspect
 from .analysis.phases.phase import Phase as Phase
 from .analysis.phases.phase import phase as phase
 from .analysis.phases.screw import Screw as Screw
+from .analysis.phases.slopes import PhaseSlopes as PhaseSlopes
+from .analysis.phases.slopes import phase_slopes as phase_slopes
 from .common.errors import InputError as InputError
 from .common.errors import IntegrationError as IntegrationError
 from .common.errors import KernelMismatch as KernelMismatch

@@ -12,6 +12,7 @@ piece are solved by fixed-point iteration; q is made a unit at the end of each p
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,8 +52,24 @@ def in_space(group: Group, twists: Array) -> Array:
     return out
 
 
+class Lifted(NamedTuple):
+    """Poses on the way, from the identity.
+
+    path: (P + 1, size) at the ends of the pieces.  inner: (P, 8, 7) positions and quaternions, of
+    no particular length, at their Gauss nodes.
+    """
+
+    path: Array
+    inner: Array
+
+
 def lift(group: Group, pieces: Pieces, J: Array) -> Array:
-    """Return the poses (P + 1, size) at the ends of pieces, from the identity.
+    """Return the path of `lifted` alone."""
+    return lifted(group, pieces, J).path
+
+
+def lifted(group: Group, pieces: Pieces, J: Array) -> Lifted:
+    """Return the poses at the ends of pieces and at their nodes, from the identity.
 
     J: (r,) spatial momentum.
 
@@ -61,17 +78,26 @@ def lift(group: Group, pieces: Pieces, J: Array) -> Array:
     table, count = tables(STAGES), len(pieces.h)
     out, angle = np.zeros((count + 1, 7)), np.zeros(count + 1)
     out[0, 6] = 1.0
-    work = np.empty((3, STAGES, 7))
+    inner, work = np.empty((count, STAGES, 7)), np.empty((2, STAGES, 7))
     coefficients = np.ascontiguousarray(table.mu * table.b)
     stopped = _lift(
-        pieces.h, pieces.a, pieces.L, in_space(group, J), coefficients, table.b, out, angle, work
+        pieces.h,
+        pieces.a,
+        pieces.L,
+        in_space(group, J),
+        coefficients,
+        table.b,
+        out,
+        angle,
+        inner,
+        work,
     )
     if stopped >= 0:
         raise NoConvergence(
             f"the lift of piece {stopped} of {count} did not converge: the body turns far in it",
             float(pieces.h[:stopped].sum()), out[max(stopped - 1, 0)].copy(),
         )  # fmt: skip
-    return _poses(group, out, angle)
+    return Lifted(_poses(group, out, angle), inner)
 
 
 def travelled(pieces: Pieces) -> tuple[float, float]:
@@ -94,13 +120,14 @@ def _poses(group: Group, out: Array, angle: Array) -> Array:
 @compiled
 def _lift(
     h: Array, a: Array, L: Array, J: Array, A: Array, b: Array, out: Array, angle: Array,
-    work: Array,
+    inner: Array, work: Array,
 ) -> int:  # fmt: skip
     """Fill poses and angles; return −1, or the piece that did not converge."""
     stages = len(b)
-    Y, F, W = work[0], work[1], work[2]  # values and slopes of (p, q); twists
+    F, W = work[0], work[1]  # slopes of (p, q); twists
     moving = len(L) > 0
     for piece in range(len(h)):
+        Y = inner[piece]
         for i in range(stages):
             for k in range(7):
                 Y[i, k] = out[piece, k]
