@@ -5,8 +5,16 @@ from . import forces as forces
 from . import lie as lie
 from . import plots as plots
 from . import signals as signals
+from .analysis.connections.connection import Connection as Connection
+from .analysis.connections.connection import ConnectionField as ConnectionField
+from .analysis.gaits.gait import Gait as Gait
 from .analysis.inspection import Inspection as Inspection
 from .analysis.inspection import inspect as inspect
+from .analysis.phases.phase import Phase as Phase
+from .analysis.phases.phase import phase as phase
+from .analysis.phases.screw import Screw as Screw
+from .analysis.phases.slopes import PhaseSlopes as PhaseSlopes
+from .analysis.phases.slopes import phase_slopes as phase_slopes
 from .common.errors import InputError as InputError
 from .common.errors import IntegrationError as IntegrationError
 from .common.errors import KernelMismatch as KernelMismatch
