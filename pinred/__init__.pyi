@@ -4,6 +4,7 @@ from . import equations as equations
 from . import forces as forces
 from . import lie as lie
 from . import plots as plots
+from . import poisson as poisson
 from . import signals as signals
 from .analysis.connections.connection import Connection as Connection
 from .analysis.connections.connection import ConnectionField as ConnectionField

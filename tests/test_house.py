@@ -60,7 +60,7 @@ def test_a_circle_is_seen() -> None:
 def test_every_file_is_in_a_room() -> None:
     """Beside the rooms there are the face, the entry, and the aliases that the README names."""
     beside = {path.stem for path in PACKAGE.glob("*.py")}
-    assert beside == {"__init__", "__main__", "equations", "plots", "signals"}
+    assert beside == {"__init__", "__main__", "equations", "plots", "poisson", "signals"}
     folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
     assert folders == set(ROOMS)
     tested = {path.parent.name for path in (ROOT / "tests").glob("*/test_*.py")}

@@ -9,6 +9,7 @@ by stages", 2001.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,11 +18,20 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, vector, vectors
-from ..common.errors import SymmetryError
+from ..common.errors import InputError, SymmetryError
 from ..lie.group import Group
-from ..system.system import System, checked_system
+from ..system.system import System, Velocity, checked_system
 from .inertia_split import InertiaSplit, mass_matrix_at, split_inertia
-from .potential import Potential, Springs
+from .levi_civita import (
+    christoffel_symbols,
+    left_invariant_derivative,
+    reduced_metric_derivatives,
+    riemann_tensor,
+    sectional,
+)
+from .potential import Potential, Springs, pivot_weight
+from .section import MovedFrame, Section
+from .tree.second_derivatives import inertia_derivatives
 
 if TYPE_CHECKING:
     from .over_shapes import ShapeField
@@ -70,6 +80,14 @@ class ReducedShape(InertiaSplit):
         )
 
 
+@dataclass(frozen=True)
+class SplitVelocity:
+    """A velocity as a sum.  vertical: (Ω, 0), a rigid motion.  horizontal: without momentum."""
+
+    vertical: Velocity
+    horizontal: Velocity
+
+
 class Reduction:
     """The split of one system's mass matrix, at any shape.
 
@@ -89,12 +107,16 @@ class Reduction:
         self._model.gravity.setZero()
         self._data = self.system.data
         self._identity = system.group.identity()
+        self._frames: tuple[MovedFrame, ...] = ()
         # Gravity that breaks the symmetry leaves I, A, M and B defined; only V is not.
         self._potential: Potential | SymmetryError
+        self._springs: Potential | None = None
         try:
             self._potential = Potential(system, springs)
         except SymmetryError as error:
             self._potential = error
+            if pivot_weight(system).any():
+                self._springs = Potential(system, springs, weight=False)
 
     def __repr__(self) -> str:
         return f"Reduction({self.system!r})"
@@ -129,7 +151,10 @@ class Reduction:
 
         B[:, α, β] is antisymmetric in α, β.  The bracket is that of body twists.
         """
-        return self.at(x).curvature
+        B = self._in_file.at(x).curvature if self._frames else self.at(x).curvature
+        for frame in self._frames:
+            B = frame.curvature(self._shape(x), B)
+        return B
 
     def potential(self, x: ArrayLike) -> float:
         """V(x) [J], springs and gravity.  Raises SymmetryError if gravity breaks the symmetry."""
@@ -160,10 +185,90 @@ class Reduction:
         g = self.group.pose(pose)
         return self.group.spatial_momentum(g, vector(mu, self.system.r, "mu"))
 
+    def connection_form(self, pose: ArrayLike, x: ArrayLike) -> Array:
+        """The connection one-form 𝒜 = Ad_g (ξ + A ẋ), (r, n), on velocities v = (ξ, ẋ).
+
+        Its value is a spatial twist: that of the locked system, J = 𝕀 𝒜(v) (`spatial_momentum`,
+        `locked_inertia_in_space`).  𝒜 of a rigid motion is its own spatial twist.
+        """
+        Ad = self.group.Ad(self.group.pose(pose))
+        return np.hstack([Ad, Ad @ self.local_connection(x)])
+
+    def curvature_form(self, pose: ArrayLike, x: ArrayLike) -> Array:
+        """The curvature two-form d𝒜 − [𝒜, 𝒜] = Ad_g B(ẋ, ẋ′), (r, n, n), on v = (ξ, ẋ).
+
+        A spatial twist, antisymmetric in the last two; zero where either velocity is vertical.
+        """
+        r, n = self.system.r, self.system.n
+        out = np.zeros((r, n, n))
+        Ad = self.group.Ad(self.group.pose(pose))
+        out[:, r:, r:] = np.einsum("ij,jab->iab", Ad, self.curvature(x))
+        return out
+
+    def locked_inertia_in_space(self, pose: ArrayLike, x: ArrayLike) -> Array:
+        """𝕀 = Ad_{g⁻¹}ᵀ I Ad_{g⁻¹}, (r, r): in the root joint's fixed frame, about its origin."""
+        back = self.group.Ad(self.group.inverse(self.group.pose(pose)))
+        return np.asarray(back.T @ self.locked_inertia(x) @ back)
+
+    def horizontal_lift(self, x: ArrayLike, xdot: ArrayLike) -> Velocity:
+        """The velocity (−A ẋ, ẋ) above a shape rate (m,) that has no momentum."""
+        xdot = vector(xdot, self.system.m, "xdot")
+        return Velocity(xi=-self.local_connection(x) @ xdot, xdot=xdot)
+
+    def split_velocity(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> SplitVelocity:
+        """The velocity (ξ, ẋ) as (Ω, 0) along the group plus (−A ẋ, ẋ), orthogonal in H."""
+        omega = self.locked_velocity(x, xdot, xi)
+        horizontal = self.horizontal_lift(x, xdot)
+        return SplitVelocity(Velocity(omega, np.zeros(self.system.m)), horizontal)
+
+    def christoffel(self, x: ArrayLike) -> Array:
+        """Γ^c_ab of the reduced metric, (m, m, m), c first: geodesics are ẍ^c = −Γ^c_ab ẋ^a ẋ^b."""
+        d = self._metric_derivatives(x)
+        return christoffel_symbols(d[0], d[1])
+
+    def riemann(self, x: ArrayLike) -> Array:
+        """R_abcd of the reduced metric, (m, m, m, m); R_abcd u^a v^b u^c v^d > 0 on a sphere."""
+        return riemann_tensor(*self._metric_derivatives(x))
+
+    def sectional_curvature(self, x: ArrayLike, u: ArrayLike, v: ArrayLike) -> float:
+        """R(u, v, u, v)/(|u|² |v|² − ⟨u, v⟩²) of the reduced metric, for shape rates u, v (m,).
+
+        Raises InputError if they are parallel.
+        """
+        u, v = vector(u, self.system.m, "u"), vector(v, self.system.m, "v")
+        M, dM, d2M = self._metric_derivatives(x)
+        return sectional(riemann_tensor(M, dM, d2M), M, u, v)
+
+    def covariant_acceleration(self, x: ArrayLike, xdot: ArrayLike, xddot: ArrayLike) -> Array:
+        """ẍ^c + Γ^c_ab ẋ^a ẋ^b, (m,); zero on geodesics of the reduced metric."""
+        xdot = vector(xdot, self.system.m, "xdot")
+        return vector(xddot, self.system.m, "xddot") + self.christoffel(x) @ xdot @ xdot
+
+    def left_invariant_derivative(self, x: ArrayLike, xi: ArrayLike, eta: ArrayLike) -> Array:
+        """∇_ξ η = ½[ξ, η] − ½ I⁻¹(ad*_ξ I η + ad*_η I ξ), (r,), of the frozen system's metric I(x).
+
+        For body twists ξ, η (r,); its geodesics obey ξ̇ = −∇_ξ ξ (Euler–Poincaré).
+        """
+        r = self.system.r
+        xi, eta = vector(xi, r, "xi"), vector(eta, r, "eta")
+        return left_invariant_derivative(self.group, self.locked_inertia(x), xi, eta)
+
+    def change_section(self, h: Section) -> Reduction:
+        """Return the reduction whose base frame is g h(x), moved along with the shape.
+
+        h: from a shape (m,) to (group element, Θ), where Θ = h⁻¹ ∂h, (r, m), holds the body twist
+        of h per unit rate of each joint; `at` also needs ∂Θ, (r, m, m), ∂ last, as a third value.
+        Then A′ = Ad_{h⁻¹} A − Θ, B′ = Ad_{h⁻¹} B, I′ = Ad_hᵀ I Ad_h, M′ = M, μ′ = Ad_hᵀ μ.
+        Raises InputError if Θ or ∂Θ is not the derivative.
+        """
+        moved = copy(self)
+        moved._frames = (*self._frames, MovedFrame(self.system, h))
+        return moved
+
     def at(self, x: ArrayLike) -> ReducedShape:
         """Everything at one shape, computed once: 1 + n Pinocchio calls, or 1 without joints."""
         x = self._shape(x).copy()
-        split = self._split(x)
+        split = self._split_in_file(x)
         system, r, n, m = self.system, self.system.r, self.system.n, self.system.m
         q = system.model_q(self._identity, x)
         zero, units, dH = np.zeros(self._model.nv), np.eye(n), np.empty((n, n, m))
@@ -178,16 +283,18 @@ class Reduction:
         dA = dA.reshape(r, m, m)
         dAtIA = np.einsum("iac,ib->abc", dA, I @ A) + np.einsum("ia,ibc->abc", A, dIA)
         bracket = np.einsum("aij,jb->iab", self.group.ad(A.T), A)
+        curvature, com = np.swapaxes(dA, 1, 2) - dA - bracket, split.com
+        for frame in self._frames:
+            split, curvature = frame.split(split), frame.curvature(x, curvature)
+            dI, dA = frame.slopes(split, dI, dA)
         known = self._potential
         return ReducedShape(
             **vars(split),
-            curvature=np.swapaxes(dA, 1, 2) - dA - bracket,
+            curvature=curvature,
             dI=dI.copy(),
             dA=dA,
             dM=dH[r:, r:] - dAtIA,
-            _potential=(
-                known if isinstance(known, SymmetryError) else known.value_at(x, split.com)
-            ),
+            _potential=(known if isinstance(known, SymmetryError) else known.value_at(x, com)),
         )
 
     def grid(self, shapes: ArrayLike) -> ShapeField:
@@ -199,10 +306,12 @@ class Reduction:
 
         Each is computed when it is first looked at, by composite bodies and not by
         Pinocchio.  Raises ShapeError, with the index, for a wrong length or a number that
-        is not finite.
+        is not finite, and InputError after `change_section`.
         """
         from .over_shapes import ShapeField
 
+        if self._frames:
+            raise InputError("grid knows no change of section; take that of the Reduction before")
         what, names = f"shapes of {self.system.name!r}", self.system.shape_names
         x = vectors(shapes, self.system.m, what, names).copy()
         return ShapeField(self.system, x, self._potential)
@@ -213,6 +322,22 @@ class Reduction:
             raise self._potential
         return self._potential
 
+    def shape_potential(self) -> Potential:
+        """Return the potential; of a base that gravity turns about a pivot, what is left of it.
+
+        Raises SymmetryError if gravity breaks the symmetry otherwise.
+        """
+        return self._springs if self._springs is not None else self.checked_potential()
+
+    def com_slope(self, x: ArrayLike) -> Array:
+        """∂c/∂x of the centre of mass in the root body's frame, (3, m)."""
+        split = self._split_in_file(self._shape(x))
+        slope: Array = inertia_derivatives(self.system, split.x[None]).dcom[0]
+        for frame in self._frames:
+            split = frame.split(split)
+            slope = frame.com_slope(split, slope)
+        return slope
+
     def _shape(self, x: ArrayLike) -> Array:
         return vector(x, self.system.m, f"shape x of {self.system.name!r}", self.system.shape_names)
 
@@ -220,6 +345,25 @@ class Reduction:
         """I, A, M, H and the centre of mass at one shape, without derivatives: one CRBA."""
         return self._split(self._shape(x))
 
+    def _metric_derivatives(self, x: ArrayLike) -> tuple[Array, Array, Array]:
+        """Return M and its first and second derivatives."""
+        x = self._shape(x)
+        self._split(x)  # raises SingularInertiaError
+        return reduced_metric_derivatives(inertia_derivatives(self.system, x[None]), self.system.r)
+
     def _split(self, x: Array) -> InertiaSplit:
+        split = self._split_in_file(x)
+        for frame in self._frames:
+            split = frame.split(split)
+        return split
+
+    @property
+    def _in_file(self) -> Reduction:
+        """The reduction in the section of the robot's file."""
+        first = copy(self)
+        first._frames = ()
+        return first
+
+    def _split_in_file(self, x: Array) -> InertiaSplit:
         H = mass_matrix_at(self.system, self._model, self._data, self._identity, x)
         return split_inertia(self.system, x, H, np.array(self._data.Ycrb[1].lever))

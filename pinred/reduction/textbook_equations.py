@@ -12,8 +12,16 @@ base in its own frame; −⟨f, A_α⟩ is the work that f does when the shape m
 ξ = −A ẋ.  Gravity along the group's translations does not appear: the equations hold in the
 frame that falls with it.
 
+Where gravity turns a pivoted base (SO(3), the pivot away from the centre of mass c), its direction
+in the body Γ = Rᵀ ĝ is a variable too, Γ̇ = Γ × ξ.  With the weight F = m |g| Γ,
+
+    f_weight = c × F  in μ̇,     F·∂_αc − ⟨c × F, A_α⟩  in the shape equation,
+
+and h gains −F·c.  `gamma`, or the pose that it follows from, is then required.
+
 Source: Cendra, Marsden, Ratiu 2001, ch. 3; Cendra, Marsden, Pekarsky, Ratiu,
-"Variational principles for Lie–Poisson and Hamilton–Poincaré equations", 2003.
+"Variational principles for Lie–Poisson and Hamilton–Poincaré equations", 2003; for the weight:
+Holm, Marsden, Ratiu, "The Euler–Poincaré equations and semidirect products", 1998.
 """
 
 from __future__ import annotations
@@ -24,7 +32,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, read_only, vector
+from ..common.errors import InputError
+from ..lie.rotations import apply, rotation
 from .at_a_shape import ReducedShape, Reduction
+from .base_parts import root_of
+from .potential import pivot_weight
+
+_UNIT = 1e-6  # by how much gamma may miss length one
 
 
 @dataclass(frozen=True)
@@ -33,6 +47,7 @@ class ShapeForces:
 
     metric: ½ ẋᵀ ∂M ẋ.  centrifugal: ½ Ωᵀ ∂I Ω.  potential: −∂V.
     curvature: ⟨μ, B_αβ⟩ ẋ^β.  coadjoint: −⟨μ, [Ω, A_α]⟩.  torque: τ.  wrench: −⟨f, A_α⟩.
+    weight: F·∂_αc − ⟨c × F, A_α⟩, of a pivoted base.
     """
 
     metric: Array
@@ -42,6 +57,7 @@ class ShapeForces:
     coadjoint: Array
     torque: Array
     wrench: Array
+    weight: Array
 
     @property
     def total(self) -> Array:
@@ -54,15 +70,16 @@ class ShapeForces:
 
 @dataclass(frozen=True)
 class MomentumForces:
-    """The terms of μ̇, each (r,) [N; N·m].  coadjoint: ad*_ξ μ.  wrench: f."""
+    """The terms of μ̇, each (r,) [N; N·m].  coadjoint: ad*_ξ μ.  wrench: f.  weight: c × F."""
 
     coadjoint: Array
     wrench: Array
+    weight: Array
 
     @property
     def total(self) -> Array:
-        """The sum of both terms, (r,)."""
-        return self.coadjoint + self.wrench
+        """The sum of all terms, (r,)."""
+        return self.coadjoint + self.wrench + self.weight
 
     def __str__(self) -> str:
         return _table([(t.name, getattr(self, t.name)) for t in fields(self)], self.total)
@@ -93,7 +110,7 @@ class HamiltonPoincare:
     """The Hamilton–Poincaré equations at one state.
 
     xdot: (m,) = M⁻¹ p.  shape: terms of ṗ.  momentum: terms of μ̇.
-    energy: h = ½ pᵀ M⁻¹ p + V + ½ μᵀ I⁻¹ μ [J].
+    energy: h = ½ pᵀ M⁻¹ p + V + ½ μᵀ I⁻¹ μ, and −F·c of a pivoted base's weight [J].
     """
 
     xdot: Array
@@ -130,19 +147,23 @@ def lagrange_poincare(
     *,
     torque: ArrayLike | None = None,
     wrench: ArrayLike | None = None,
+    gamma: ArrayLike | None = None,
+    pose: ArrayLike | None = None,
 ) -> LagrangePoincare:
     """Evaluate the Lagrange–Poincaré equations.
 
     x, xdot: (m,).  omega: (r,) locked velocity Ω = ξ + A ẋ (`red.locked_velocity`).
-    torque: (m,) at the joints.  wrench: (r,) on the base, in its frame.
-    Raises ShapeError for wrong lengths, SymmetryError if gravity breaks the symmetry.
+    torque: (m,) at the joints.  wrench: (r,) on the base, in its frame.  gamma: (3,) direction
+    of gravity in the body, or pose, where gravity turns a pivoted base, and only there.
+    Raises ShapeError for wrong lengths, InputError without gamma or pose where one is needed,
+    SymmetryError if gravity breaks the symmetry.
     """
-    at = red.at(x)
+    at, F = red.at(x), _weight(red, gamma, pose)
     xdot = vector(xdot, red.system.m, "xdot")
     omega = vector(omega, red.system.r, "omega")
     mu = at.locked_inertia @ omega
-    momentum = _momentum_forces(red, omega - at.local_connection @ xdot, mu, wrench)
-    shape = _shape_forces(red, at, xdot, omega, torque, momentum.wrench)
+    momentum = _momentum_forces(red, omega - at.local_connection @ xdot, mu, wrench, F, at.com)
+    shape = _shape_forces(red, at, xdot, omega, torque, momentum, F)
     # d/dt(M ẋ) = M ẍ + Ṁ ẋ,  μ̇ = I Ω̇ + İ Ω,  ξ̇ = Ω̇ − A ẍ − Ȧ ẋ
     xddot = _solve(at.reduced_metric, shape.total - at.dM @ xdot @ xdot)
     omegadot = _solve(at.locked_inertia, momentum.total - at.dI @ xdot @ omega)
@@ -158,38 +179,81 @@ def hamilton_poincare(
     *,
     torque: ArrayLike | None = None,
     wrench: ArrayLike | None = None,
+    gamma: ArrayLike | None = None,
+    pose: ArrayLike | None = None,
 ) -> HamiltonPoincare:
     """Evaluate the Hamilton–Poincaré equations.
 
     x: (m,).  p: (m,) horizontal shape momentum M ẋ.  mu: (r,) body momentum.
-    torque: (m,) at the joints.  wrench: (r,) on the base, in its frame.
-    Raises ShapeError for wrong lengths, SymmetryError if gravity breaks the symmetry.
+    torque: (m,) at the joints.  wrench: (r,) on the base, in its frame.  gamma: (3,) direction
+    of gravity in the body, or pose, where gravity turns a pivoted base, and only there.
+    Raises ShapeError for wrong lengths, InputError without gamma or pose where one is needed,
+    SymmetryError if gravity breaks the symmetry.
     """
-    at = red.at(x)
+    at, F = red.at(x), _weight(red, gamma, pose)
     p, mu = vector(p, red.system.m, "p"), vector(mu, red.system.r, "mu")
     xdot = _solve(at.reduced_metric, p)
     omega = _solve(at.locked_inertia, mu)
-    momentum = _momentum_forces(red, omega - at.local_connection @ xdot, mu, wrench)
+    momentum = _momentum_forces(red, omega - at.local_connection @ xdot, mu, wrench, F, at.com)
+    kinetic, potential = 0.5 * float(p @ xdot + mu @ omega), red.shape_potential().value(at.x)
     return HamiltonPoincare(
         xdot=read_only(xdot),
-        shape=_shape_forces(red, at, xdot, omega, torque, momentum.wrench),
+        shape=_shape_forces(red, at, xdot, omega, torque, momentum, F),
         momentum=momentum,
-        energy=float(0.5 * p @ xdot + 0.5 * mu @ omega) + at.potential,
+        energy=kinetic + potential + _weight_energy(red, F, at.com),
     )
 
 
 def euler_poincare(
-    red: Reduction, x: ArrayLike, xi: ArrayLike, *, wrench: ArrayLike | None = None
+    red: Reduction,
+    x: ArrayLike,
+    xi: ArrayLike,
+    *,
+    wrench: ArrayLike | None = None,
+    gamma: ArrayLike | None = None,
+    pose: ArrayLike | None = None,
 ) -> EulerPoincare:
     """Evaluate the Euler–Poincaré equations of the system frozen at shape x.
 
-    xi: (r,) body twist.  wrench: (r,) on the base, in its frame.
-    Raises ShapeError for wrong lengths, SymmetryError if gravity breaks the symmetry.
+    xi: (r,) body twist.  wrench: (r,) on the base, in its frame.  gamma: (3,) direction of gravity
+    in the body, or pose, where gravity turns a pivoted base, and only there.
+    Raises ShapeError for wrong lengths, InputError without gamma or pose where one is needed,
+    SymmetryError if gravity breaks the symmetry.
     """
-    red.checked_potential()  # gravity at a pivot has a moment, which is none of the terms
-    I, xi = red.locked_inertia(x), vector(xi, red.system.r, "xi")
-    momentum = _momentum_forces(red, xi, I @ xi, wrench)
-    return EulerPoincare(momentum, read_only(_solve(I, momentum.total)))
+    F = _weight(red, gamma, pose)
+    red.shape_potential()  # gravity that breaks the symmetry has a moment, which is no term here
+    at, xi = red.split(x), vector(xi, red.system.r, "xi")
+    momentum = _momentum_forces(red, xi, at.locked_inertia @ xi, wrench, F, at.com)
+    return EulerPoincare(momentum, read_only(_solve(at.locked_inertia, momentum.total)))
+
+
+def _weight(red: Reduction, gamma: ArrayLike | None, pose: ArrayLike | None) -> Array | None:
+    """Return the weight F = m |g| Γ in the body's frame, (3,), if it turns a pivoted base."""
+    fixed, name = pivot_weight(red.system), red.system.name
+    if not fixed.any():
+        if gamma is not None or pose is not None:
+            raise InputError(f"gravity turns no pivoted base of '{name}'; leave gamma and pose out")
+        return None
+    if (gamma is None) == (pose is None):
+        raise InputError(
+            f"gravity turns '{name}' about its pivot: give either gamma (3,), the direction of "
+            "gravity in the body's frame, or pose"
+        )
+    if gamma is None:
+        turned = rotation(red.group.pose(pose))
+        return np.asarray(apply(turned.T, fixed))
+    direction = vector(gamma, 3, "gamma")
+    length = float(np.linalg.norm(direction))
+    if not abs(length - 1.0) <= _UNIT:
+        raise InputError(f"gamma must be a direction of length 1, got length {length:g}")
+    return np.asarray(float(np.linalg.norm(fixed)) * direction)
+
+
+def _weight_energy(red: Reduction, F: Array | None, com: Array) -> float:
+    """Return the potential energy of the weight, counted from the world's origin [J]."""
+    if F is None:
+        return 0.0
+    return -float(F @ com + pivot_weight(red.system) @ root_of(red.system).origin)
 
 
 def _shape_forces(
@@ -198,25 +262,36 @@ def _shape_forces(
     xdot: Array,
     omega: Array,
     torque: ArrayLike | None,
-    wrench: Array,
+    momentum: MomentumForces,
+    F: Array | None,
 ) -> ShapeForces:
-    mu = at.locked_inertia @ omega
+    mu, weight = at.locked_inertia @ omega, np.zeros(red.system.m)
+    if F is not None:
+        weight = F @ red.com_slope(at.x) - momentum.weight @ at.local_connection
     return ShapeForces(
         metric=read_only(0.5 * np.einsum("abc,a,b->c", at.dM, xdot, xdot)),
         centrifugal=read_only(0.5 * np.einsum("abc,a,b->c", at.dI, omega, omega)),
-        potential=read_only(0.0 - red.potential_gradient(at.x)),
+        potential=read_only(0.0 - red.shape_potential().gradient(at.x)),
         curvature=read_only(np.einsum("iab,i,b->a", at.curvature, mu, xdot)),
         coadjoint=read_only(-red.group.ad(omega).T @ mu @ at.local_connection),
         torque=_given(torque, red.system.m, "torque"),
-        wrench=read_only(-wrench @ at.local_connection),
+        wrench=read_only(-momentum.wrench @ at.local_connection),
+        weight=read_only(weight),
     )
 
 
 def _momentum_forces(
-    red: Reduction, xi: Array, mu: Array, wrench: ArrayLike | None
+    red: Reduction,
+    xi: Array,
+    mu: Array,
+    wrench: ArrayLike | None,
+    F: Array | None,
+    com: Array,
 ) -> MomentumForces:
     coadjoint = read_only(red.group.coadjoint(xi, mu))
-    return MomentumForces(coadjoint, _given(wrench, red.system.r, "wrench"))
+    moment = np.zeros(red.system.r) if F is None else np.cross(com, F)
+    given = _given(wrench, red.system.r, "wrench")
+    return MomentumForces(coadjoint, given, read_only(moment))
 
 
 def _solve(matrix: Array, rhs: Array) -> Array:

@@ -6,7 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from hypothesis import given, settings
-from strategies import Case, cases, make_case
+from hypothesis import strategies as st
+from strategies import Case, cases, make_case, seeds
 from trees import random_model
 
 import pinred
@@ -166,15 +167,65 @@ def test_bad_states(words: str, arguments: tuple[object, ...], options: dict[str
         lagrange_poincare(red, *arguments, **options)  # type: ignore[arg-type]
 
 
-def test_gravity_at_a_pivot_is_refused_by_all() -> None:
-    """Its moment is no term of theirs; without gravity the same equations hold."""
+@settings(max_examples=60)
+@given(st.integers(0, 5), seeds)
+def test_gravity_at_a_pivot(joints: int, seed: int) -> None:
+    """All three equations of a pivoted tree in gravity, springs and forces too, are ABA's."""
+    model = random_model("SO3", joints, seed)
+    rng = np.random.default_rng(seed)
+    model.gravity.linear = rng.normal(size=3) * 9.0
+    system = pinred.load(model)
+    model = system.model
+    pose = system.group.exp(rng.uniform(-1.5, 1.5, 3))
+    x, xdot, xi = rng.uniform(-2.0, 2.0, joints), rng.normal(size=joints), rng.normal(size=3)
+    torque, wrench = rng.normal(size=joints), rng.normal(size=3)
+    springs = dict.fromkeys(system.shape_names[::2], (1.5, 0.4))
+    red = pinred.Reduction(system, springs=springs)
+    tau = np.concatenate([wrench, torque])
+    tau[3::2] -= 1.5 * (x[::2] - 0.4)
+    q, v = system.model_q(pose, x), system.model_v(xi, xdot)
+    a = pin.aba(model, model.createData(), q, v, tau)
+    gamma = pin.Quaternion(pose).matrix().T @ model.jointPlacements[1].rotation.T
+    gamma = gamma @ model.gravity.linear / np.linalg.norm(model.gravity.linear)
+    omega = red.locked_velocity(x, xdot, xi)
+    terms = lagrange_poincare(red, x, xdot, omega, torque=torque, wrench=wrench, gamma=gamma)
+    assert np.abs(np.concatenate([terms.xidot, terms.xddot]) - a).max() <= 1e-11 * np.abs(a).max()
+    at = red.at(x)
+    p, mu = at.reduced_metric @ xdot, red.body_momentum(x, xdot, xi)
+    found = hamilton_poincare(red, x, p, mu, torque=torque, wrench=wrench, pose=pose)
+    np.testing.assert_allclose(found.shape.total, terms.shape.total, rtol=1e-12, atol=1e-11)
+    H = np.triu(pin.crba(model, model.createData(), q))
+    energy = 0.5 * v @ (H + np.triu(H, 1).T) @ v
+    energy += pin.computePotentialEnergy(model, system.data, q)
+    energy += 0.75 * float(np.sum((x[::2] - 0.4) ** 2))
+    assert found.energy == pytest.approx(energy, rel=1e-11, abs=1e-10)
+    if not joints:
+        frozen = euler_poincare(red, [], xi, wrench=wrench, pose=pose)
+        assert np.abs(frozen.xidot - a).max() <= 1e-11 * np.abs(a).max()
+
+
+def test_gravity_at_a_pivot_needs_its_direction() -> None:
+    """Γ or the pose is required there, and refused elsewhere; other gravity breaks the symmetry."""
     heavy = random_model("SO3", 2, 3)
     heavy.gravity.linear = np.array([0.0, 0.0, -9.81])
     zero = np.zeros(3)
     red = pinred.Reduction(pinred.load(heavy))
-    with pytest.raises(pinred.SymmetryError):
-        pinred.equations.euler_poincare(red, zero[:2], zero)
-    with pytest.raises(pinred.SymmetryError):
-        pinred.equations.lagrange_poincare(red, zero[:2], zero[:2], zero)
+    for missing in (
+        lambda **k: euler_poincare(red, zero[:2], zero, **k),
+        lambda **k: lagrange_poincare(red, zero[:2], zero[:2], zero, **k),
+        lambda **k: hamilton_poincare(red, zero[:2], zero[:2], zero, **k),
+    ):
+        with pytest.raises(pinred.InputError, match="give either gamma"):
+            missing()
+        with pytest.raises(pinred.InputError, match="give either gamma"):
+            missing(gamma=[0, 0, 1], pose=[0, 0, 0, 1])
+        with pytest.raises(pinred.InputError, match="length 1, got length 2"):
+            missing(gamma=[0, 0, 2])
+        missing(gamma=[0, 0, 1])
     free = pinred.Reduction(pinred.load(heavy, gravity=zero))
-    assert not pinred.equations.euler_poincare(free, zero[:2], zero).xidot.any()
+    assert not euler_poincare(free, zero[:2], zero).xidot.any()
+    with pytest.raises(pinred.InputError, match="leave gamma and pose out"):
+        euler_poincare(free, zero[:2], zero, gamma=[0, 0, 1])
+    tilted = pinred.load("double_spherical_pendulum", gravity=(1.0, 0.0, -9.0))
+    with pytest.raises(pinred.SymmetryError):
+        euler_poincare(pinred.Reduction(tilted), zero, [0.0])

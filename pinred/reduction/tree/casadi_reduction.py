@@ -1,0 +1,48 @@
+"""The split of the mass matrix as CasADi expressions of the shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from ...system.system import System
+from .momenta import bracket, momenta
+
+
+@dataclass(frozen=True)
+class CasadiReduction:
+    """Expressions of x (m, 1): H (n, n), I (r, r), A (r, m), M (m, m).
+
+    B: (r, m²), column α m + β is B_αβ.
+    """
+
+    x: ca.SX
+    H: ca.SX
+    I: ca.SX
+    A: ca.SX
+    M: ca.SX
+    B: ca.SX
+
+
+def casadi_reduction(system: System) -> CasadiReduction:
+    """Return the expressions of a system, in symbols of their own."""
+    r, m = system.r, system.m
+    x, v = ca.SX.sym("x", m), ca.SX.sym("v", system.n)
+    H = ca.jacobian(momenta(system, x, v), v)
+    I, Hbs, Hss = H[:r, :r], H[:r, r:], H[r:, r:]
+    A = ca.solve(I, Hbs) if m else ca.SX(r, 0)
+    return CasadiReduction(x, H, I, A, Hss - Hbs.T @ A, _curvature(system, x, A))
+
+
+def _curvature(system: System, x: ca.SX, A: ca.SX) -> ca.SX:
+    r, m = system.r, system.m
+    if not m:
+        return ca.SX(r, 0)
+    dA = [ca.jacobian(A[:, b], x) for b in range(m)]  # dA[β][:, α] = ∂_α A_β
+    columns = []
+    for a in range(m):
+        for b in range(m):
+            turned = bracket(system.group, A[:, a], A[:, b])
+            columns.append(dA[b][:, a] - dA[a][:, b] - turned)
+    return ca.horzcat(*columns)

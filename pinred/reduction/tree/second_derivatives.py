@@ -1,0 +1,210 @@
+"""Mass matrix and centre of mass with first and second derivatives, at many shapes at once.
+
+Everything is in the frame of the root body.  S_k is the screw of joint k, J_k the inertia (6 × 6)
+of the composite body behind it, F_j = J_j S_j its momentum at unit rate, and
+
+    H_ij = S_i · F_j,     i from the root to j.
+
+A joint a carries all that hangs on it: screws by [S_a, ·], momenta by −ad_aᵀ, inertias by
+X_a J = −(ad_aᵀ J + J ad_a).  Of what hangs on several joints of one path, the last one moves first:
+
+    ∂_a F_j = −ad_aᵀ F_j  (a up to j),     (X_a J_a) S_j  (a behind j)
+
+and H_ij does not depend on joints before i.  Joints of different branches do not see each other.
+Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 2 and 6; differentiated here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...common.arrays import Array, freeze
+from ...lie.se3 import SE3
+from ...system.joints import axes_of, is_prismatic
+from ...system.system import System
+
+
+@dataclass(frozen=True)
+class InertiaDerivatives:
+    """H(x) and the centre of mass c(x) with two derivatives, last; arrays are read-only.
+
+    H: (N, n, n), base rows first, with dH: (N, n, n, m) and d2H: (N, n, n, m, m).
+    com: (N, 3) in the root body's frame [m], with dcom: (N, 3, m) and d2com: (N, 3, m, m).
+    """
+
+    H: Array
+    dH: Array
+    d2H: Array
+    com: Array
+    dcom: Array
+    d2com: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+def inertia_derivatives(system: System, x: Array) -> InertiaDerivatives:
+    """Return mass matrix and centre of mass with their derivatives at shapes x (N, m)."""
+    tree = system.workspace(_Tree, lambda: _Tree(system))
+    return tree.derivatives(x)
+
+
+class _Tree:
+    """The constants of a tree, and its recursion."""
+
+    def __init__(self, system: System) -> None:
+        model = system.model
+        self._system, self._count = system, model.njoints - 2
+        self._parents = [0, *(int(model.parents[i]) - 1 for i in range(2, model.njoints))]
+        placements = [model.jointPlacements[i] for i in range(2, model.njoints)]
+        self._turns = [np.array(place.rotation) for place in placements]
+        self._steps = [np.array(place.translation) for place in placements]
+        self._slides = [is_prismatic(model.joints[i]) for i in range(2, model.njoints)]
+        self._axes = [axes_of(model.joints[i])[:, 0] for i in range(2, model.njoints)]
+        self._root = axes_of(model.joints[1])  # screws of the base, constant in its own frame
+        self._bodies = [model.inertias[i] for i in range(1, model.njoints)]
+        self._armature = np.array(model.armature)
+        self._paths = [self._path(k) for k in range(self._count + 1)]
+
+    def _path(self, k: int) -> list[int]:
+        """Return the joints from the root (left out) to body k, numbered from 1."""
+        path = []
+        while k:
+            path.append(k)
+            k = self._parents[k]
+        return path[::-1]
+
+    def derivatives(self, x: Array) -> InertiaDerivatives:
+        """Return the sums over the tree at shapes x (N, m)."""
+        N, M, r = len(x), self._count, self._root.shape[1]
+        screws, composites = self._composites(self._system.joint_values(x))
+        ad = SE3.ad(screws)  # (N, M + 1, 6, 6); the root's is not looked at
+        H, dH = np.zeros((N, r + M, r + M)), np.zeros((N, r + M, r + M, M))
+        d2H = np.zeros((N, r + M, r + M, M, M))
+        first, second = np.zeros((N, M, 6, 6)), np.zeros((N, M, M, 6, 6))
+        moved, twice = {}, {}
+        for b in range(1, M + 1):
+            moved[b] = _carried(ad[:, b], composites[:, b])
+            first[:, b - 1] = moved[b]
+            for a in self._paths[b]:
+                twice[a, b] = _carried(ad[:, a], moved[b])
+                second[:, a - 1, b - 1] = second[:, b - 1, a - 1] = twice[a, b]
+        E, J = self._root, composites[:, 0]
+        H[:, :r, :r] = E.T @ J @ E
+        dH[:, :r, :r] = np.moveaxis(E.T @ first @ E, 1, -1)
+        d2H[:, :r, :r] = np.moveaxis(E.T @ second @ E, (1, 2), (-2, -1))
+        for j in range(1, M + 1):
+            S = screws[:, j, :, None]
+            F = composites[:, j] @ S
+            on = self._paths[j]
+            rows = np.concatenate([np.broadcast_to(E.T, (N, r, 6)), screws[:, on]], axis=1)
+            at = [*range(r), *(r + k - 1 for k in on)]
+            c = r + j - 1
+            H[:, at, c] = (rows @ F)[..., 0]
+            for b, dF in self._slopes(j, ad, moved, S, F):
+                # H_ij does not depend on the joints before i.
+                some = len(at) if b not in on else r + on.index(b) + 1
+                dH[:, at[:some], c, b - 1] = (rows[:, :some] @ dF)[..., 0]
+                for a in self._paths[b]:
+                    if a in on:
+                        d2F = -np.swapaxes(ad[:, a], 1, 2) @ dF
+                    elif j in self._paths[a]:
+                        d2F = twice[a, b] @ S
+                    else:
+                        continue
+                    few = some if a not in on else r + on.index(a) + 1
+                    entry = (rows[:, :few] @ d2F)[..., 0]
+                    d2H[:, at[:few], c, a - 1, b - 1] = d2H[:, at[:few], c, b - 1, a - 1] = entry
+        for array in (H, dH, d2H):
+            for c in range(r, r + M):
+                array[:, c, :c] = array[:, :c, c]
+        diagonal = np.arange(r + M)
+        H[:, diagonal, diagonal] += self._armature
+        mass = self._system.mass
+        return self._on_shape(
+            H,
+            dH,
+            d2H,
+            *(_moment(part) / mass for part in (J[:, None, None], first[:, None], second)),
+        )
+
+    def _slopes(
+        self, j: int, ad: Array, moved: dict[int, Array], S: Array, F: Array
+    ) -> Iterator[tuple[int, Array]]:
+        """Yield the joints b on whose angle F_j depends, with ∂_b F_j, (N, 6, 1)."""
+        for b in range(1, self._count + 1):
+            if b in self._paths[j]:
+                yield b, -np.swapaxes(ad[:, b], 1, 2) @ F
+            elif j in self._paths[b]:
+                yield b, moved[b] @ S
+
+    def _composites(self, x: Array) -> tuple[Array, Array]:
+        """Return screws (N, M + 1, 6) and composite inertias (N, M + 1, 6, 6); x: all joints."""
+        N, M = len(x), self._count
+        R, p = np.zeros((N, M + 1, 3, 3)), np.zeros((N, M + 1, 3))
+        R[:, 0] = np.eye(3)
+        screws, inertias = np.zeros((N, M + 1, 6)), np.zeros((N, M + 1, 6, 6))
+        inertias[:, 0] = self._bodies[0].matrix()
+        for k in range(1, M + 1):
+            up, i = self._parents[k], k - 1
+            p[:, k] = p[:, up] + R[:, up] @ self._steps[i]
+            R[:, k] = R[:, up] @ self._turns[i]
+            if self._slides[i]:
+                axis = R[:, k] @ self._axes[i][:3]
+                p[:, k] += axis * x[:, i, None]
+                screws[:, k, :3] = axis
+            else:
+                axis = R[:, k] @ self._axes[i][3:]
+                R[:, k] = R[:, k] @ _turned(self._axes[i][3:], x[:, i])
+                screws[:, k, :3], screws[:, k, 3:] = np.cross(p[:, k], axis), axis
+            inertias[:, k] = _in_root(self._bodies[k].matrix(), R[:, k], p[:, k])
+        for k in range(M, 0, -1):
+            inertias[:, self._parents[k]] += inertias[:, k]
+        return screws, inertias
+
+    def _on_shape(self, H: Array, dH: Array, d2H: Array, *com: Array) -> InertiaDerivatives:
+        """Return the derivatives by the shape of those by all joints, x = G y + b."""
+        coupled, r = self._system.coupled, self._root.shape[1]
+        c, dc, d2c = com[0][:, 0, 0], np.moveaxis(com[1][:, 0], 1, -1), np.moveaxis(com[2], 3, 1)
+        if coupled is None:
+            return InertiaDerivatives(H, dH, d2H, c, dc, d2c)
+        lead = np.moveaxis
+        H = coupled.matrix(H, r)
+        dH = lead(coupled.matrix(lead(coupled.forces(dH, 0), -1, 1), r), 1, -1)
+        d2H = lead(
+            coupled.matrix(lead(coupled.matrix(d2H, 0), (-2, -1), (1, 2)), r), (1, 2), (-2, -1)
+        )
+        return InertiaDerivatives(H, dH, d2H, c, coupled.forces(dc, 0), coupled.matrix(d2c, 0))
+
+
+def _carried(ad: Array, J: Array) -> Array:
+    """Return X J = −(adᵀ J + J ad), (N, 6, 6), for a symmetric J."""
+    half = J @ ad
+    return np.asarray(-(half + np.swapaxes(half, -1, -2)))
+
+
+def _turned(axis: Array, angle: Array) -> Array:
+    """Return rotations about an axis, (N, 3, 3) (Rodrigues)."""
+    x, y, z = axis
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    return np.asarray(np.eye(3) + s * K + (1.0 - c) * (K @ K))
+
+
+def _in_root(J: Array, R: Array, p: Array) -> Array:
+    """Return a body's inertia (6, 6) in the root's frame, (N, 6, 6), at rotations and places."""
+    back = np.zeros((len(p), 6, 6))  # twists of the root's frame in the body's
+    back[:, :3, :3] = back[:, 3:, 3:] = T = np.swapaxes(R, 1, 2)
+    x, y, z = p.T
+    zero = np.zeros_like(x)
+    hat = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+    back[:, :3, 3:] = -T @ np.moveaxis(hat, -1, 0)
+    return np.asarray(np.swapaxes(back, 1, 2) @ J @ back)
+
+
+def _moment(J: Array) -> Array:
+    """Return mass times centre of mass, (..., 3), that an inertia (..., 6, 6) holds."""
+    return np.stack([J[..., 5, 1], J[..., 3, 2], J[..., 4, 0]], axis=-1)

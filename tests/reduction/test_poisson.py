@@ -1,0 +1,228 @@
+"""Poisson brackets: both forms, the Jacobi identity, Casimirs, and ḟ = {f, h} along motions."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from strategies import Case, cases, make_case, seeds
+from trees import random_model
+
+import pinred
+from pinred import poisson
+from pinred.common.arrays import Array
+from pinred.lie import GROUPS
+from pinred.reduction.casimirs import momentum_tensor
+
+NINE = np.array([3, -32, 168, -672, 0, 672, -168, 32, -3]) / 840.0  # of differences, order 8
+
+
+def heavy(joints: int, seed: int) -> pinred.System:
+    """A random tree on a pivot in gravity."""
+    model = random_model("SO3", joints, seed)
+    model.gravity.linear = np.array([1.0, -2.0, -9.0])
+    return pinred.load(model)
+
+
+@settings(max_examples=25)
+@given(cases(0, 4))
+def test_the_connection_pushes_one_form_into_the_other(case: Case) -> None:
+    """With σ(x, π, μ) = (x, π − Aᵀμ, μ): Tσ P Tσᵀ, where A and its slopes are CasADi's."""
+    system = case.system
+    space = poisson.phase_space(system, form="canonical")
+    A = pinred.casadi_functions(system).local_connection(space.x)
+    sigma = ca.vertcat(space.x, space.p - A.T @ space.mu, space.mu)
+    slope = ca.jacobian(sigma, space.z)
+    pushed = ca.Function("pushed", [space.z], [slope @ space.tensor @ slope.T])
+    pi, mu = case.rng.normal(size=system.m), case.rng.normal(size=system.r)
+    P = np.array(pushed(np.concatenate([case.x, pi, mu])))
+    red = pinred.Reduction(system)
+    found = poisson.tensor(red, case.x, pi, mu)
+    size = max(1.0, np.abs(P).max(initial=0.0))
+    assert np.abs(found - P).max(initial=0.0) <= 1e-12 * size
+    np.testing.assert_array_equal(found, -found.T)
+    flat = poisson.tensor(red, case.x, pi, mu, form="canonical")
+    z = np.concatenate([case.x, pi, mu])
+    np.testing.assert_allclose(flat, np.array(ca.Function("P", [space.z], [space.tensor])(z)))
+    symbolic = poisson.phase_space(system)
+    at = np.array(ca.Function("P", [symbolic.z], [symbolic.tensor])(z))
+    assert np.abs(found - at).max(initial=0.0) <= 1e-12 * size
+
+
+@pytest.mark.parametrize("form", ["connection", "canonical"])
+@pytest.mark.parametrize("group", [*GROUPS, "heavy"])
+def test_jacobi(group: str, form: str) -> None:
+    """{{f, g}, k} and its turns cancel, to round-off of the largest of them."""
+    system = heavy(2, 3) if group == "heavy" else make_case(group, 2, 3).system
+    space = poisson.phase_space(system, form=form)  # type: ignore[arg-type]
+    rng = np.random.default_rng(4)
+    size = space.z.numel()
+    assert size == 4 + system.r + 3 * (group == "heavy")
+    f, g, k = (
+        ca.dot(ca.DM(rng.normal(size=size)), space.z)
+        + ca.sin(ca.dot(ca.DM(rng.normal(size=size)), space.z))
+        for _ in range(3)
+    )
+    turns = [
+        poisson.bracket(poisson.bracket(a, b), c) for a, b, c in ((f, g, k), (g, k, f), (k, f, g))
+    ]
+    value = ca.Function("turns", [space.z], turns)
+    for _ in range(5):
+        z = rng.normal(size=size)
+        values = np.array([float(v) for v in value(z)])
+        assert abs(values.sum()) <= 2e-13 * max(1.0, np.abs(values).max())
+        assert np.abs(values).max() > 1e-3
+
+
+def along(system: pinred.System, traj: pinred.Trajectory, t: float, step: float) -> None:
+    """ḟ of random functions by nine-point differences is {f, h}, to 1e-10 of its scale."""
+    space = poisson.phase_space(system)
+    rng = np.random.default_rng(0)
+    size = space.z.numel()
+    tests = [
+        ca.dot(ca.DM(rng.normal(size=size)), space.z) + 0.5 * ca.sumsqr(space.mu),
+        ca.cos(ca.sum1(space.z)),
+        space.hamiltonian,
+    ]
+    value = ca.Function("f", [space.z], [ca.vertcat(*tests)])
+    rate = ca.Function(
+        "rate", [space.z], [ca.vertcat(*(poisson.bracket(f, space.hamiltonian) for f in tests))]
+    )
+    terms = ca.Function(
+        "terms",
+        [space.z],
+        [ca.fabs(ca.jacobian(ca.vertcat(*tests), space.z))
+         @ ca.fabs(space.tensor @ ca.gradient(space.hamiltonian, space.z))],
+    )  # fmt: skip
+    red, G = pinred.Reduction(system), system.group
+    k = G.linear
+    states = traj(t + step * np.arange(-4, 5))
+    down = np.zeros((9, 0))
+    if space.gamma.numel():
+        weight = system.model.jointPlacements[1].rotation.T @ system.gravity
+        down = np.array([G.matrix(g).T @ weight / np.linalg.norm(weight) for g in states.pose])
+    rows = []
+    for i in range(9):
+        at = red.at(states.x[i])
+        mu = states.body_momentum[i].copy()
+        if system.gravity.any() and k:  # in the frame that falls
+            from pinred.reduction.base_parts import root_of
+
+            fallen = states.t[i] * root_of(system).g
+            mu -= at.locked_inertia[:, :k] @ G.turned_back(states.pose[i, k:], fallen)
+        rows.append(np.concatenate([at.x, at.reduced_metric @ states.xdot[i], mu, down[i]]))
+    values = np.array([np.array(value(z))[:, 0] for z in rows])
+    found = NINE @ values / step
+    expected, scale = (np.array(f(rows[4]))[:, 0] for f in (rate, terms))
+    assert (np.abs(found - expected) <= 1e-10 * np.maximum(1.0, scale)).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    ["falling_cat", "double_spherical_pendulum", "planar_chain5", "upright_drone", "cartpole"],
+)
+def test_rates_along_motions(name: str) -> None:
+    """Of random functions, on bundled robots, falling ones too."""
+    system = pinred.load(name)
+    traj = pinred.simulate(system, duration=2.0, rtol=1e-13, atol=1e-14)
+    for t in (0.6, 1.4):
+        along(system, traj, t, 4e-3)
+
+
+@pytest.mark.slow
+def test_rates_along_a_heavy_top() -> None:
+    """With Γ, on a pivoted tree in gravity."""
+    system = heavy(1, 5)
+    traj = pinred.simulate(system, seed=1, duration=1.0, rtol=1e-13, atol=1e-14)
+    along(system, traj, 0.5, 1e-3)
+
+
+EXPECTED = {
+    "R": ["P"],
+    "SO2": ["L"],
+    "SE2": ["P1² + P2²"],
+    "SO3": ["L1² + L2² + L3²"],
+    "SE3": ["P1² + P2² + P3²", "P1 L1 + P2 L2 + P3 L3"],
+    "RxSE2": ["P3", "P1² + P2²"],
+}
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_casimirs_of_groups(group: str) -> None:
+    """As many as the rank leaves room for, and their brackets with all momenta vanish."""
+    system = make_case(group, 1, 0).system
+    found = poisson.casimirs(system)
+    assert [str(each) for each in found] == EXPECTED[group]
+    rng = np.random.default_rng(0)
+    mu = rng.normal(size=system.r)
+    P = momentum_tensor(system.group, mu)
+    assert len(found) == system.r - np.linalg.matrix_rank(P, tol=1e-12)
+    for each in found:
+        assert np.abs(P @ each.gradient(mu)).max() < 1e-14
+        assert np.abs(each.gradient(mu)).max() > 1e-3
+        with pytest.raises(pinred.InputError, match="has no gamma"):
+            each(mu, [0.0, 0.0, 1.0])
+
+
+def test_casimirs_of_a_heavy_top() -> None:
+    """μ·Γ and |Γ|², constant in any motion by ABA; |μ|² is none any more."""
+    system = heavy(2, 1)
+    found = poisson.casimirs(system)
+    assert [str(each) for each in found] == ["L1 Γ1 + L2 Γ2 + L3 Γ3", "Γ1² + Γ2² + Γ3²"]
+    mu, gamma = np.array([0.3, -0.2, 0.5]), np.array([0.6, 0.0, 0.8])
+    P = momentum_tensor(system.group, mu, gamma)
+    assert np.linalg.matrix_rank(P) == 4
+    for each in found:
+        assert np.abs(P @ each.gradient(mu, gamma)).max() < 1e-15
+    assert found[0](mu, gamma) == pytest.approx(mu @ gamma, abs=1e-15)
+    with pytest.raises(pinred.InputError, match="needs gamma"):
+        found[0](mu)
+
+
+@settings(max_examples=10)
+@given(seeds)
+def test_observables_are_their_expressions(seed: int) -> None:
+    """Functions with gradients of their own have the bracket of the same CasADi expressions."""
+    case = make_case("SE3", 2, seed)
+    system, red = case.system, pinred.Reduction(case.system)
+    space = poisson.phase_space(system)
+    w = case.rng.normal(size=(2, 10))
+    numbers = [
+        poisson.Observable(
+            red,
+            lambda x, p, mu, a=a: float(np.sin(a @ np.concatenate([x, p, mu]))),
+            lambda x, p, mu, a=a: np.cos(a @ np.concatenate([x, p, mu])) * a,
+        )
+        for a in w
+    ]
+    f, g = (ca.sin(ca.dot(ca.DM(a), space.z)) for a in w)
+    p, mu = case.rng.normal(size=2), case.rng.normal(size=6)
+    expected = ca.Function("b", [space.z], [poisson.bracket(f, g)])
+    z: Array = np.concatenate([case.x, p, mu])
+    assert poisson.bracket(*numbers)(case.x, p, mu) == pytest.approx(float(expected(z)), abs=1e-10)
+
+
+def test_refusals() -> None:
+    """Symbols of nowhere, of two spaces, mixed kinds, unknown forms, missing Γ."""
+    cat, top = pinred.load("falling_cat"), heavy(1, 2)
+    one, two = poisson.phase_space(cat), poisson.phase_space(cat, form="canonical")
+    with pytest.raises(pinred.InputError, match="no variable of a phase space"):
+        poisson.bracket(ca.SX.sym("y"), one.mu[0])
+    with pytest.raises(pinred.InputError, match="one phase space"):
+        poisson.bracket(one.mu[0], two.mu[0])
+    with pytest.raises(pinred.InputError, match="one phase space"):
+        poisson.bracket(ca.SX(1.0), ca.SX(2.0))
+    with pytest.raises(pinred.InputError, match="'connection' or 'canonical'"):
+        poisson.phase_space(cat, form="lie")  # type: ignore[arg-type]
+    red = pinred.Reduction(top)
+    with pytest.raises(pinred.InputError, match="give gamma"):
+        poisson.tensor(red, [0.1], [0.0], np.ones(3))
+    with pytest.raises(pinred.InputError, match="leave gamma out"):
+        poisson.tensor(pinred.Reduction(cat), np.zeros(3), np.zeros(3), np.ones(6), [0, 0, 1])
+    some = poisson.Observable(red, lambda *_: 0.0, lambda *_: np.zeros(3))
+    with pytest.raises(pinred.InputError, match="not one of each"):
+        poisson.bracket(some, one.mu[0])  # type: ignore[call-overload]
+    with pytest.raises(pinred.ShapeError, match="a gradient by z"):
+        poisson.bracket(some, some)([0.1], [0.0], np.ones(3), [0.0, 0.0, 1.0])
