@@ -35,6 +35,7 @@ from .common.errors import StepSizeUnderflow as StepSizeUnderflow
 from .common.errors import SymmetryError as SymmetryError
 from .common.errors import TooManySteps as TooManySteps
 from .common.errors import UnsupportedOperationError as UnsupportedOperationError
+from .common.parameter import Parameter as Parameter
 from .integrators.methods import DOP853 as DOP853
 from .integrators.methods import RKMK4 as RKMK4
 from .integrators.methods import AdaptiveGauss as AdaptiveGauss
