@@ -61,7 +61,8 @@ def test_signals_show_the_value() -> None:
     """A signal evaluated by itself has the values of its parameters."""
     plan = Fourier(Parameter("mean", 0.3), [Parameter("a", 0.5)], [], 2.0)
     assert plan.value(0.0) == 0.8
-    assert Spline([0.0, 1.0], [Parameter("a", 0.5), 1.0]).value(0.5) == 0.75
+    values: list[float | Parameter] = [Parameter("a", 0.5), 1.0]
+    assert Spline([0.0, 1.0], values).value(0.5) == 0.75
 
 
 def test_refusals() -> None:
