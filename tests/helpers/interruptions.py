@@ -39,6 +39,7 @@ def interrupted(at: float, *command: str) -> tuple[int, float, str]:
 
 def main(arguments: list[str]) -> int:
     """Interrupt a command that takes a few seconds, at times from its start to its end."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # not ignored, as behind `&`
     count, seed = int(arguments[0]), int(arguments[1]) if len(arguments) > 1 else 0
     began = time.monotonic()
     subprocess.run([sys.executable, *COMMAND, "60"], capture_output=True, check=True)
