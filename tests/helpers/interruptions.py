@@ -45,11 +45,14 @@ def main(arguments: list[str]) -> int:
     subprocess.run([sys.executable, *COMMAND, "60"], capture_output=True, check=True)
     whole = time.monotonic() - began
     times = BEGINS + (whole - BEGINS) * np.random.default_rng(seed).random(count)
-    took, wrong, done = [], 0, 0
+    took, wrong, done, early = [], 0, 0, 0
     for at in times.tolist():
         code, seconds, error = interrupted(at, *COMMAND, "60")
         if code == 0:  # it was done before
             done += 1
+            continue
+        if "KeyboardInterrupt" in error and "/pinred/" not in error:  # Python was still starting
+            early += 1
             continue
         took.append(seconds)
         if (code, error) != (130, "pinred: interrupted\n"):
@@ -57,7 +60,8 @@ def main(arguments: list[str]) -> int:
             print(f"{at:.3f} s: exit code {code}: {error[-300:]}", flush=True)
     late = sum(seconds > SOON for seconds in took)
     print(
-        f"{count} times within {whole:.1f} s: {done} had ended, {len(took) - wrong} ended well, "
+        f"{count} times within {whole:.1f} s: {done} had ended, {early} came before "
+        f"pinred began, {len(took) - wrong} ended well, "
         f"{wrong} not; the slowest took {max(took, default=0.0):.2f} s, {late} more than {SOON} s"
     )
     return int(wrong > 0 or late > 0)
