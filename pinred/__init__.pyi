@@ -6,6 +6,9 @@ from . import lie as lie
 from . import plots as plots
 from . import poisson as poisson
 from . import signals as signals
+from .analysis.branches.follow import Branches as Branches
+from .analysis.branches.follow import BranchPoint as BranchPoint
+from .analysis.branches.follow import branches as branches
 from .analysis.equilibria.find import relative_equilibria as relative_equilibria
 from .analysis.equilibria.relative_equilibrium import Equilibria as Equilibria
 from .analysis.equilibria.relative_equilibrium import RelativeEquilibrium as RelativeEquilibrium

@@ -51,7 +51,7 @@ def second_variation(energy: AmendedEnergy, point: Points, J: float) -> SecondVa
     """Return the second variation at one equilibrium, a Points of length one."""
     problem = energy.problem
     e = energy(point, J)
-    W = _weights(problem, point)
+    W = weights(problem, point)
     values, vectors = np.linalg.eigh(W @ e.hessian[0] @ W)
     largest = float(np.abs(values).max(initial=0.0))
     # What round-off leaves of a rigid body's energy, where there is nothing else.
@@ -137,7 +137,7 @@ def symmetry_axis(I: Array, c: Array) -> Array | None:
     return None
 
 
-def _weights(problem: Problem, point: Points) -> Array:
+def weights(problem: Problem, point: Points) -> Array:
     """Return W with W² the inverse of a metric on the unknowns: the kinetic one, and of turns."""
     ma, system = len(problem.active), problem.system
     d = inertia_derivatives(system, problem.shapes(point.x))
