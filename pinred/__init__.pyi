@@ -14,6 +14,12 @@ from .analysis.equilibria.relative_equilibrium import Equilibria as Equilibria
 from .analysis.equilibria.relative_equilibrium import RelativeEquilibrium as RelativeEquilibrium
 from .analysis.inspection import Inspection as Inspection
 from .analysis.inspection import inspect as inspect
+from .analysis.stability.along_motions import FloquetMultipliers as FloquetMultipliers
+from .analysis.stability.along_motions import LyapunovSpectrum as LyapunovSpectrum
+from .analysis.stability.along_motions import floquet as floquet
+from .analysis.stability.along_motions import linearise as linearise
+from .analysis.stability.along_motions import lyapunov as lyapunov
+from .analysis.stability.linearised import Linearisation as Linearisation
 from .common.errors import InputError as InputError
 from .common.errors import IntegrationError as IntegrationError
 from .common.errors import KernelMismatch as KernelMismatch
