@@ -6,6 +6,9 @@ from . import lie as lie
 from . import plots as plots
 from . import poisson as poisson
 from . import signals as signals
+from .analysis.branches.follow import Branches as Branches
+from .analysis.branches.follow import BranchPoint as BranchPoint
+from .analysis.branches.follow import branches as branches
 from .analysis.connections.connection import Connection as Connection
 from .analysis.connections.connection import ConnectionField as ConnectionField
 from .analysis.connections.fluid import Ellipse as Ellipse
@@ -18,6 +21,9 @@ from .analysis.connections.mixed_motion import simulate_mixed as simulate_mixed
 from .analysis.connections.viscous import Rod as Rod
 from .analysis.connections.wheels import Rolling as Rolling
 from .analysis.connections.wheels import Wheel as Wheel
+from .analysis.equilibria.find import relative_equilibria as relative_equilibria
+from .analysis.equilibria.relative_equilibrium import Equilibria as Equilibria
+from .analysis.equilibria.relative_equilibrium import RelativeEquilibrium as RelativeEquilibrium
 from .analysis.floating_arm import FloatingArm as FloatingArm
 from .analysis.floating_arm import Singularity as Singularity
 from .analysis.floating_arm import Workspace as Workspace
@@ -31,6 +37,12 @@ from .analysis.phases.rigid_body import rigid_body_phase as rigid_body_phase
 from .analysis.phases.screw import Screw as Screw
 from .analysis.phases.slopes import PhaseSlopes as PhaseSlopes
 from .analysis.phases.slopes import phase_slopes as phase_slopes
+from .analysis.stability.along_motions import FloquetMultipliers as FloquetMultipliers
+from .analysis.stability.along_motions import LyapunovSpectrum as LyapunovSpectrum
+from .analysis.stability.along_motions import floquet as floquet
+from .analysis.stability.along_motions import linearise as linearise
+from .analysis.stability.along_motions import lyapunov as lyapunov
+from .analysis.stability.linearised import Linearisation as Linearisation
 from .common.errors import InputError as InputError
 from .common.errors import IntegrationError as IntegrationError
 from .common.errors import KernelMismatch as KernelMismatch

@@ -32,18 +32,23 @@ def _joint(name: str, parent: str, child: str, axis: str, down: float = 0.0) -> 
     )
 
 
-URDF = "".join(
-    (
-        '<robot name="point_pendulum">',
-        *(_link("world"), _link("ring1"), _link("rod1", MASSES[0], LENGTHS[0])),
-        *(_link("ring2"), _link("rod2", MASSES[1], LENGTHS[1])),
-        _joint("azimuth", "world", "ring1", "0 0 1"),
-        _joint("tilt1", "ring1", "rod1", "0 1 0"),
-        _joint("swing2", "rod1", "ring2", "1 0 0", LENGTHS[0]),
-        _joint("tilt2", "ring2", "rod2", "0 1 0"),
-        "</robot>",
+def urdf(masses: tuple[float, float], lengths: tuple[float, float]) -> str:
+    """The pendulum of two masses on rods of two lengths."""
+    return "".join(
+        (
+            '<robot name="point_pendulum">',
+            *(_link("world"), _link("ring1"), _link("rod1", masses[0], lengths[0])),
+            *(_link("ring2"), _link("rod2", masses[1], lengths[1])),
+            _joint("azimuth", "world", "ring1", "0 0 1"),
+            _joint("tilt1", "ring1", "rod1", "0 1 0"),
+            _joint("swing2", "rod1", "ring2", "1 0 0", lengths[0]),
+            _joint("tilt2", "ring2", "rod2", "0 1 0"),
+            "</robot>",
+        )
     )
-)
+
+
+URDF = urdf(MASSES, LENGTHS)
 
 
 class Lagrangian:

@@ -1,0 +1,1 @@
+"""Branches of relative equilibria over the momentum, through folds and pitchforks."""

@@ -1,0 +1,255 @@
+"""The amended potential as a function of active joints and direction, with exact derivatives.
+
+With K the inertia of base and cyclic joints at frozen shape, H_d its coupling to the joints that
+are driven at rates ν, and s = (μ, π_cyclic) the momenta,
+
+    U = V + ½ σᵀ K⁻¹ σ − ½ νᵀ H_dd ν,     σ = s − H_d ν,
+
+which is minus Routh's function at rest.  In free space μ = (0, J n): no linear momentum in the
+frame of the centre of mass, and a direction n in the body.  Where gravity turns a pivoted base,
+only the angular momentum J about the vertical is kept: the base turns about the upward direction e
+in the body, K and σ are those of that turn (E = [e]), and V = m |g| e·c.
+
+Derivatives by θ = (x, n): with η = K⁻¹ σ and ρ_θ = ∂σ − ∂K η, so that ∂η = K⁻¹ρ,
+
+    ∂U = ηᵀ∂σ − ½ ηᵀ∂K η + ∂V,     ∂∂U = ρᵀK⁻¹ρ + ηᵀ∂∂σ − ½ ηᵀ∂∂K η + ∂∂V.
+
+Source: J. C. Simo, D. Lewis, J. E. Marsden, "Stability of relative equilibria. Part I: The reduced
+energy–momentum method", 1991.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ...common.arrays import Array
+from ...reduction.base_parts import root_of
+from ...reduction.tree.second_derivatives import InertiaDerivatives, inertia_derivatives
+from .problem import Problem
+
+Which: TypeAlias = slice | list[int] | NDArray[Any]
+
+_SINGULAR = 1e13  # condition number of a mass matrix that counts as singular
+
+
+@dataclass(frozen=True)
+class Points:
+    """Values of the unknowns.  x: (N, ma) active joints.  n: (N, 3) direction, or (N, 0)."""
+
+    x: Array
+    n: Array
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def __getitem__(self, key: Which) -> Points:
+        return Points(self.x[key], self.n[key])
+
+    def moved(self, step: Array) -> Points:
+        """Return the points moved along (x, tangent of the sphere), (N, unknowns)."""
+        ma = self.x.shape[1]
+        if not self.n.shape[1]:
+            return Points(self.x + step, self.n)
+        n = self.n + (tangents(self.n) @ step[:, ma:, None])[..., 0]
+        return Points(self.x + step[:, :ma], n / np.linalg.norm(n, axis=1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class Energies:
+    """U (N,) with its gradient (N, u) and Hessian (N, u, u) by the unknowns, on the sphere.
+
+    rates: (N, k) η, twist of the base (of its turn about the vertical, where heavy) and rates of
+    the cyclic joints.  by_momentum: (N, u), the gradient's derivative by J.  scale: (N,) sizes of
+    the energies in U [J].
+    """
+
+    U: Array
+    gradient: Array
+    hessian: Array
+    rates: Array
+    by_momentum: Array
+    scale: Array
+
+
+def tangents(n: Array) -> Array:
+    """Return orthonormal bases (N, 3, 2) of the planes across unit vectors (N, 3)."""
+    least = np.eye(3)[np.argmin(np.abs(n), axis=1)]
+    a = np.cross(n, least)
+    a /= np.linalg.norm(a, axis=1, keepdims=True)
+    return np.stack([a, np.cross(n, a)], axis=-1)
+
+
+class AmendedEnergy:
+    """The amended potential of a problem, at many points at once."""
+
+    def __init__(self, problem: Problem) -> None:
+        """Prepare what does not depend on the point."""
+        self.problem = problem
+        system, acting = problem.system, problem.plan.acting
+        self._rows = [*range(system.r), *(system.r + k for k in problem.cyclic)]
+        self._active = list(problem.active)
+        self._driven = [system.r + k for k in problem.driven]
+        gravity = np.zeros(3) if acting.gravity is None else np.array(acting.gravity)
+        self._gravity = system.mass * gravity
+        self._origin = -float(self._gravity @ root_of(system).origin)
+
+    def __call__(self, points: Points, J: float | Array) -> Energies:
+        """Evaluate at points, for momentum J: one, or (N,)."""
+        problem, N = self.problem, len(points)
+        J = np.broadcast_to(np.asarray(J, dtype=float), (N,))
+        x = problem.shapes(points.x)
+        d = inertia_derivatives(problem.system, x)
+        K, K1, K2, s, s1, s2, sJ, sJ1 = self._terms(d, points, J)
+        # Point masses on their axis have no inertia, and their coordinates say nothing there.
+        regular = np.linalg.cond(d.H) < _SINGULAR
+        K = np.where(regular[:, None, None], K, np.eye(K.shape[1]))
+        eta = np.where(regular[:, None], np.linalg.solve(K, s[..., None])[..., 0], np.nan)
+        rho = s1 - (K1 @ eta[:, None, :, None])[..., 0]
+        across = np.linalg.solve(K, np.swapaxes(rho, 1, 2))
+        U = 0.5 * np.einsum("ni,ni->n", s, eta)
+        g = np.einsum("nti,ni->nt", s1, eta)
+        g -= 0.5 * np.einsum("ntij,ni,nj->nt", K1, eta, eta)
+        Hs = rho @ across + np.einsum("ntui,ni->ntu", s2, eta)
+        Hs -= 0.5 * np.einsum("ntuij,ni,nj->ntu", K2, eta, eta)
+        gJ = np.einsum("nit,ni->nt", across, sJ) + np.einsum("nti,ni->nt", sJ1, eta)
+        scale = 0.5 * np.einsum("ni,ni->n", np.abs(s), np.abs(eta))
+        self._add_driven(d, U, g, Hs)
+        scale = scale + self._add_potential(d, x, points, U, g, Hs)
+        return self._on_sphere(points, Energies(U, g, Hs, eta, gJ, scale))
+
+    def _terms(self, d: InertiaDerivatives, points: Points, J: Array) -> tuple[Array, ...]:
+        """Return K and σ with their derivatives by θ, and ∂σ/∂J with its own."""
+        problem, N, a, rows = self.problem, len(points), self._active, self._rows
+        ma, r, size = len(a), problem.system.r, len(rows)
+        T = ma + 3 * problem.directional
+        block = np.ix_(range(N), rows, rows)
+        full, full1, full2 = d.H[block], d.dH[block][..., a], d.d2H[block][..., a, :][..., a]
+        side = np.ix_(range(N), rows, self._driven)
+        rate = problem.driven_rate
+        h = d.H[side] @ rate
+        h1 = np.einsum("nida,d->nai", d.dH[side][..., a], rate)
+        h2 = np.einsum("nidab,d->nabi", d.d2H[side][..., a, :][..., a], rate)
+        full1, full2 = np.moveaxis(full1, -1, 1), np.moveaxis(full2, (-2, -1), (1, 2))
+        if problem.kind != "heavy":
+            s, sJ, sJ1 = np.zeros((N, size)), np.zeros((N, size)), np.zeros((N, T, size))
+            s1, s2 = np.zeros((N, T, size)), np.zeros((N, T, T, size))
+            K1, K2 = np.zeros((N, T, size, size)), np.zeros((N, T, T, size, size))
+            K1[:, :ma], K2[:, :ma, :ma] = full1, full2
+            if problem.directional:
+                sJ[:, r - 3 : r] = points.n
+                sJ1[:, ma:, r - 3 : r] = np.eye(3)
+                s1[:, ma:, r - 3 : r] = J[:, None, None] * np.eye(3)
+            else:
+                sJ[:, r - 1] = 1.0
+            s[:] = J[:, None] * sJ
+            s[:, r:] += problem.cyclic_momenta
+            s -= h
+            s1[:, :ma] -= h1
+            s2[:, :ma, :ma] -= h2
+            return full, K1, K2, s, s1, s2, sJ, sJ1
+        k = 1 + len(problem.cyclic)
+        E = np.zeros((N, size, k))
+        E[:, :3, 0] = points.n
+        E[:, 3:, 1:] = np.eye(k - 1)
+        Ei = np.zeros((3, size, k))
+        Ei[[0, 1, 2], [0, 1, 2], 0] = 1.0
+        Et, Eit = np.swapaxes(E, 1, 2), np.swapaxes(Ei, 1, 2)
+        K1, K2 = np.zeros((N, T, k, k)), np.zeros((N, T, T, k, k))
+        K1[:, :ma], K2[:, :ma, :ma] = Et[:, None] @ full1 @ E[:, None], _both(Et, full2, E)
+        K1[:, ma:] = _symmetric(Eit @ (full @ E)[:, None])
+        mixed = _symmetric(Eit @ (full1 @ E[:, None])[:, :, None])
+        K2[:, :ma, ma:], K2[:, ma:, :ma] = mixed, np.swapaxes(mixed, 1, 2)
+        K2[:, ma:, ma:] = _symmetric(Eit[:, None] @ full[:, None, None] @ Ei)
+        s = np.zeros((N, k))
+        s[:, 0], s[:, 1:] = J, problem.cyclic_momenta
+        s -= (Et @ h[..., None])[..., 0]
+        s1, s2 = np.zeros((N, T, k)), np.zeros((N, T, T, k))
+        s1[:, :ma] = -h1 @ E
+        s1[:, ma:] = -(Eit @ h[:, None, :, None])[..., 0]
+        s2[:, :ma, :ma] = -h2 @ E[:, None]
+        turned = -np.einsum("nai,eik->naek", h1, Ei)
+        s2[:, :ma, ma:], s2[:, ma:, :ma] = turned, np.swapaxes(turned, 1, 2)
+        sJ = np.zeros((N, k))
+        sJ[:, 0] = 1.0
+        return Et @ full @ E, K1, K2, s, s1, s2, sJ, np.zeros((N, T, k))
+
+    def _add_driven(self, d: InertiaDerivatives, U: Array, g: Array, Hs: Array) -> None:
+        """Subtract ½ νᵀ H_dd ν."""
+        if not self._driven:
+            return
+        block = np.ix_(range(len(U)), self._driven, self._driven)
+        a, ma, v = self._active, len(self._active), self.problem.driven_rate
+        U -= 0.5 * np.einsum("nij,i,j->n", d.H[block], v, v)
+        g[:, :ma] -= 0.5 * np.einsum("nija,i,j->na", d.dH[block][..., a], v, v)
+        twice = d.d2H[block][..., a, :][..., a]
+        Hs[:, :ma, :ma] -= 0.5 * np.einsum("nijab,i,j->nab", twice, v, v)
+
+    def _add_potential(
+        self, d: InertiaDerivatives, x: Array, points: Points, U: Array, g: Array, Hs: Array
+    ) -> Array:
+        """Add V; return the sizes of its terms, (N,)."""
+        a, ma = self._active, len(self._active)
+        scale = np.zeros(len(U))
+        weight = self._gravity
+        if weight.any():
+            dcom, d2com = d.dcom[..., a], d.d2com[..., a, :][..., a]
+            if self.problem.kind == "heavy":
+                size = float(np.linalg.norm(weight))
+                pull = -size * points.n  # along the body's own axes
+                g[:, ma:] += size * d.com
+                Hs[:, ma:, :ma] += size * dcom
+                Hs[:, :ma, ma:] += size * np.swapaxes(dcom, 1, 2)
+            else:
+                pull = np.broadcast_to(weight, d.com.shape)
+            U += self._origin - np.einsum("ni,ni->n", pull, d.com)
+            g[:, :ma] -= np.einsum("ni,nia->na", pull, dcom)
+            Hs[:, :ma, :ma] -= np.einsum("ni,niab->nab", pull, d2com)
+            scale += np.linalg.norm(weight) * np.linalg.norm(d.com, axis=1)
+        if self.problem.forces is not None:
+            V, V1, V2 = (np.array(part) for part in self._springs(x.T))
+            m = x.shape[1]
+            U += V[0]
+            g[:, :ma] += V1.T[:, a]
+            Hs[:, :ma, :ma] += V2.T.reshape(-1, m, m)[:, a][:, :, a]
+            scale += np.abs(V[0])
+        return scale
+
+    @cached_property
+    def _springs(self) -> ca.Function:
+        """V of the forces, its gradient and Hessian."""
+        forces = self.problem.forces
+        assert forces is not None
+        x = ca.SX.sym("x", self.problem.system.m)
+        V = forces.potential_function(x, ca.DM(forces.numbers))
+        H, g = ca.hessian(V, x)
+        return ca.Function("springs", [x], [ca.densify(part) for part in (V, g, H)])
+
+    def _on_sphere(self, points: Points, e: Energies) -> Energies:
+        """Return derivatives along the sphere in the place of those by n."""
+        if not self.problem.directional:
+            return e
+        ma = points.x.shape[1]
+        B = np.zeros((len(points), ma + 3, ma + 2))
+        B[:, :ma, :ma] = np.eye(ma)
+        B[:, ma:, ma:] = tangents(points.n)
+        Bt = np.swapaxes(B, 1, 2)
+        hessian = Bt @ e.hessian @ B
+        along = np.einsum("ni,ni->n", e.gradient[:, ma:], points.n)
+        hessian[:, ma:, ma:] -= along[:, None, None] * np.eye(2)
+        g, gJ = ((Bt @ part[..., None])[..., 0] for part in (e.gradient, e.by_momentum))
+        return Energies(e.U, g, hessian, e.rates, gJ, e.scale)
+
+
+def _symmetric(matrix: Array) -> Array:
+    return matrix + np.swapaxes(matrix, -1, -2)
+
+
+def _both(Et: Array, matrix: Array, E: Array) -> Array:
+    """Return Eᵀ · E with two axes of derivatives in between."""
+    return np.asarray(Et[:, None, None] @ matrix @ E[:, None, None])

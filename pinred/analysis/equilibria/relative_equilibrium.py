@@ -1,0 +1,243 @@
+"""RelativeEquilibrium: a steady motion, its stability, and the scenes that begin there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import overload
+
+import numpy as np
+
+from ...common.arrays import Array, freeze
+from ...common.errors import InputError
+from ...lie.rotations import quaternion_exp
+from ...reduction.at_a_shape import Reduction
+from ...scene.scene import Scene
+from ...system.system import System
+from ..stability.verdict import Mode, Stability, Verdict
+from .problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeEquilibrium:
+    """A steady motion whose shape does not change; arrays are read-only.
+
+    x: (m,) shape, cyclic joints at zero.  xdot: (m,) rates, zero but for cyclic and driven joints.
+    xi: (r,) body twist.  mu: (r,) body momentum.  direction: (3,) of the momentum in the body, or
+    the upward vertical where gravity turns a pivoted base; (0,) where there is one axis alone.
+    amended_potential: [J], heights from the world's origin.  energy: [J].  residual: the largest
+    derivative left, over the size of the energies.  momentum: J.  stability: see Stability, whose
+    verdict, growth, frequencies, modes and dimension stand here, too.
+    """
+
+    system: System
+    x: Array
+    xdot: Array
+    xi: Array
+    mu: Array
+    direction: Array
+    momentum: float
+    amended_potential: float
+    energy: float
+    residual: float
+    stability: Stability
+    problem: Problem = field(repr=False)
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @property
+    def verdict(self) -> Verdict:
+        """One of "stable", "unstable" and "undecided"."""
+        return self.stability.verdict
+
+    @property
+    def growth(self) -> float:
+        """The largest growth rate [1/s]; zero if none is beyond its error."""
+        return self.stability.growth
+
+    @property
+    def frequencies(self) -> Array:
+        """Frequencies of pure swings, sorted [rad/s]."""
+        return self.stability.frequencies
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """Modes of the linearised reduced flow, largest growth first."""
+        return self.stability.modes
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of the family of equilibria that this one stands for; zero if it is alone."""
+        return self.stability.dimension
+
+    @property
+    def damped_growth(self) -> Mapping[str, float]:
+        """If undecided: the growth per damping coefficient of each joint's damper."""
+        return self.stability.damped_growth
+
+    def scene(
+        self,
+        mode: int | None = None,
+        *,
+        amplitude: float = 0.05,
+        duration: float | None = None,
+        times: Array | None = None,
+    ) -> Scene:
+        """Return the scene that begins in this motion, or on one of its modes.
+
+        mode: index in `modes`.  amplitude: of the mode's largest entry [rad | m].  duration: ten
+        periods of the mode, or of the turning, if None.  Raises InputError for a mode that there
+        is not.
+        """
+        change = self._change(mode, amplitude)
+        system, problem = self.system, self.problem
+        x, pose = self.x + change[: system.m], pose_of(problem, self.direction)
+        pi, mu = self._momenta(change)
+        if problem.kind == "heavy":
+            gamma = -self.direction + change[2 * system.m : 2 * system.m + 3]
+            pose = pose_of(problem, -gamma / np.linalg.norm(gamma))
+        xdot, xi = self._velocity(x, pi, mu)
+        if duration is None and times is None:
+            duration = self._usual_duration(mode)
+        return replace(
+            problem.scene, x0=x, xdot0=xdot, xi0=xi, pose0=pose, duration=duration, times=times,
+            outputs="all",
+        )  # fmt: skip
+
+    def _change(self, mode: int | None, amplitude: float) -> Array:
+        """Return the changes of x, π (m each) and of the base's entries."""
+        if mode is None:
+            return np.zeros(2 * self.system.m + 6)
+        if not 0 <= mode < len(self.modes):
+            raise InputError(f"there are {len(self.modes)} modes, counted from 0; got mode {mode}")
+        found = self.modes[mode]
+        parts = [found.shape, found.momentum, found.base, np.zeros(6 - len(found.base))]
+        return amplitude * np.real(np.concatenate(parts))
+
+    def _momenta(self, change: Array) -> tuple[Array, Array]:
+        """Return π (m,) of the joints and the body momentum (r,) with a change."""
+        system = self.system
+        v = np.concatenate([self.xi, self.xdot])
+        whole = Reduction(system).mass_matrix(self.x) @ v
+        r, m = system.r, system.m
+        mu, base = whole[:r].copy(), change[2 * m :]
+        if self.problem.kind == "heavy":
+            mu += base[3:6]
+        elif self.problem.kind == "free":
+            mu[r - 3 :] += base[:3]
+        return whole[r:] + change[m : 2 * m], mu
+
+    def _velocity(self, x: Array, pi: Array, mu: Array) -> tuple[Array, Array]:
+        """Return (ẋ, ξ) of momenta; rates of driven joints are given."""
+        system, problem = self.system, self.problem
+        H = Reduction(system).mass_matrix(x)
+        driven = system.r + np.array(problem.driven, dtype=np.intp)
+        free = np.setdiff1d(np.arange(system.n), driven)
+        v = np.zeros(system.n)
+        v[driven] = problem.driven_rate
+        rest = np.concatenate([mu, pi])[free] - H[np.ix_(free, driven)] @ v[driven]
+        v[free] = np.linalg.solve(H[np.ix_(free, free)], rest)
+        return v[system.r :], v[: system.r]
+
+    def _usual_duration(self, mode: int | None) -> float:
+        rate = float(np.linalg.norm(self.xi[self.system.group.linear :]))
+        if mode is not None:
+            found = self.modes[mode]
+            rate = abs(found.frequency) or 2.0 * np.pi * abs(found.growth) or rate
+        return 20.0 * np.pi / rate if rate else 10.0
+
+    def __str__(self) -> str:
+        shape = ", ".join(
+            f"{name}={value:.6g}"
+            for name, value in zip(self.system.shape_names, self.x, strict=True)
+        )
+        return f"{shape or 'rigid'}: {self.verdict}{_growth(self.stability)}"
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibria(Sequence[RelativeEquilibrium]):
+    """The relative equilibria that were found, least amended potential first.
+
+    Found, not all: a search from starts, which says how many it has tried and how many arrived.
+    """
+
+    system: System
+    momentum: float
+    starts: int
+    arrived: int
+    entries: tuple[RelativeEquilibrium, ...]
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    @overload
+    def __getitem__(self, index: int) -> RelativeEquilibrium: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[RelativeEquilibrium, ...]: ...
+
+    def __getitem__(
+        self, index: int | slice
+    ) -> RelativeEquilibrium | tuple[RelativeEquilibrium, ...]:
+        return self.entries[index]
+
+    def __iter__(self) -> Iterator[RelativeEquilibrium]:
+        return iter(self.entries)
+
+    def __str__(self) -> str:
+        head = f"{self.system.name}: {len(self)} relative equilibria found at momentum "
+        head += f"{self.momentum:g}, from {self.arrived} of {self.starts} starts"
+        rows = [["", "amended V [J]", "verdict", "growth [1/s]", "frequencies [rad/s]", "shape"]]
+        rows += [[str(k), *row] for k, row in enumerate(map(_row, self))]
+        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]) - 1)]
+        lines = [
+            "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[-1]]).rstrip()
+            for row in rows
+        ]
+        return "\n".join([head, *lines])
+
+    def _repr_html_(self) -> str:
+        from ...common.html import card, table
+
+        columns = ["amended V [J]", "verdict", "growth [1/s]", "frequencies [rad/s]", "shape"]
+        return card(
+            self.system.name,
+            f"{len(self)} relative equilibria found at momentum {self.momentum:g}, from "
+            f"{self.arrived} of {self.starts} starts",
+            table("", columns, [_row(each) for each in self]),
+        )
+
+
+def _row(each: RelativeEquilibrium) -> list[str]:
+    """Return amended potential, verdict, growth, frequencies and shape as text."""
+    swings = " ".join(f"{f:.5g}" for f in each.frequencies)
+    shape = "(" + ", ".join(f"{value:.6g}" for value in each.x) + ")"
+    if each.direction.size:
+        shape += " about (" + ", ".join(f"{value:.4g}" for value in each.direction) + ")"
+    verdict = each.verdict + (f", family of dimension {each.dimension}" if each.dimension else "")
+    growth = f"{each.growth:.6g}" if each.growth else ""
+    return [f"{each.amended_potential:.8g}", verdict, growth, swings, shape]
+
+
+def _growth(stability: Stability) -> str:
+    if not stability.growth:
+        return ""
+    return f", grows by {stability.growth:.6g} ± {stability.growth_error:.1g} 1/s"
+
+
+def pose_of(problem: Problem, up: Array) -> Array:
+    """Return a pose of the base: where heavy, with this direction of the body upward."""
+    group = problem.system.group
+    if problem.kind != "heavy":
+        return group.identity()
+    model = problem.system.model
+    down = model.jointPlacements[1].rotation.T @ problem.system.gravity
+    wanted = -down / np.linalg.norm(down)
+    across, along = np.cross(up, wanted), float(up @ wanted)
+    size = float(np.linalg.norm(across))
+    if size < 1e-12:
+        least = np.eye(3)[int(np.argmin(np.abs(up)))]
+        across, size = np.cross(up, least), float(np.linalg.norm(np.cross(up, least)))
+        return quaternion_exp((np.pi if along < 0.0 else 0.0) * across / size)
+    return quaternion_exp(np.arctan2(size, along) * across / size)

@@ -1,0 +1,1 @@
+"""Stability: of relative equilibria, of states along motions, of chaotic and periodic ones."""

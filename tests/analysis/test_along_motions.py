@@ -1,0 +1,262 @@
+"""Linearised flows along motions: differences, ABA, Mathieu's equation."""
+
+from __future__ import annotations
+
+import aba
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.special import mathieu_b
+
+import pinred
+from pinred.analysis.stability.variational import variational
+from pinred.common.arrays import Array
+from pinred.forces import Controller, Damper
+from pinred.reduction.canonical_form import CanonicalForm
+from pinred.reduction.potential import Potential
+
+SIX = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))  # differences of order six
+
+
+def wild(duration: float) -> pinred.Trajectory:
+    """The double spherical pendulum thrown over: chaotic."""
+    return pinred.simulate(
+        pinred.load("double_spherical_pendulum"),
+        x0=[2.0, 0.3, 1.0], xdot0=[0.0, 1.0, 0.0], xi0=[1.0], duration=duration,
+    )  # fmt: skip
+
+
+def test_linearise_is_the_derivative_of_pinocchios_equations() -> None:
+    """∂(ẋ, π̇)/∂(x, π) of the canonical form by Pinocchio, at a time in the middle."""
+    traj = wild(2.0)
+    system, t = traj.system, 1.3
+    linear = pinred.linearise(traj, t)
+    assert linear.names == (*system.shape_names, *(f"π {n}" for n in system.shape_names))
+    form, mu = CanonicalForm(system, Potential(system)), traj.body_momentum[0]
+    state = traj(t)
+    H = pinred.Reduction(system).mass_matrix(state.x)
+    z = np.concatenate([state.x, (H @ np.r_[state.xi, state.xdot])[1:]])
+    np.testing.assert_allclose(linear.state, z, atol=1e-12)
+
+    def rate(z: Array) -> Array:
+        v = form.velocity(z[:3], np.concatenate([mu, z[3:]]))
+        return np.concatenate([v[1:], form.force(z[:3], v)])
+
+    h = 1e-3
+    columns = [
+        sum(w / h * (rate(z + n * h * e) - rate(z - n * h * e)) for n, w in SIX) for e in np.eye(6)
+    ]
+    np.testing.assert_allclose(linear.matrix, np.array(columns).T, atol=1e-7)
+    values = linear.eigenvalues
+    assert abs(values.sum()) < 1e-11
+    assert "frequency" in str(linear)
+
+
+def test_linearise_sees_dampers_and_time() -> None:
+    """A damper takes the trace away: −c Σ M⁻¹_kk; plans in time enter by the clock."""
+    cat = pinred.load("falling_cat")
+    c = 0.3
+    traj = pinred.simulate(
+        cat, duration=1.0, seed=2, forces=Damper("bend", c), prescribed={"sway": "0.3*sin(t)"}
+    )
+    linear = pinred.linearise(traj, 0.6)
+    x = traj(0.6).x
+    H = pinred.Reduction(cat).mass_matrix(x)
+    rows = [0, 1, 2, 3, 4, 5, 6 + cat.shape_names.index("bend"), 6 + cat.shape_names.index("twist")]
+    inverse = np.linalg.inv(H[np.ix_(rows, rows)])
+    assert np.trace(linear.matrix) == pytest.approx(-c * inverse[6, 6], rel=1e-9)
+    with pytest.raises(pinred.InputError, match="between 0 and 1"):
+        pinred.linearise(traj, 2.0)
+    shape = pinred.simulate(cat, duration=0.5, outputs="shape")
+    with pytest.raises(pinred.InputError, match="outputs='all'"):
+        pinred.linearise(shape, 0.1)
+
+
+def test_directions_grow_as_two_motions_part_by_aba() -> None:
+    """What the linearised flow makes of a direction in 3 s is what two ABA runs show."""
+    traj = wild(3.0)
+    system, model = traj.system, traj.system.model
+    whole = variational(traj)
+    kick = np.array([0.3, -0.5, 0.2])  # of the shape, at the same momenta
+    whole.Y[:] = 0.0
+    whole.Y[:3, 0] = kick
+    whole.advance(3.0)
+    ends = []
+    red = pinred.Reduction(system)
+    momenta = red.mass_matrix(traj.x[0]) @ np.r_[traj.xi[0], traj.xdot[0]]
+    for sign in (1.0, -1.0):
+        x = traj.x[0] + sign * 1e-7 * kick
+        v = np.linalg.solve(red.mass_matrix(x), momenta)
+        q, rates = aba.integrate(model, system.model_q([0.0], x), v, np.array([3.0]), rtol=1e-13)
+        end = system.configuration(q[-1])
+        pi = (red.mass_matrix(end.x) @ rates[-1])[1:]
+        ends.append(np.concatenate([end.x, pi]))
+    apart = ends[0] - ends[1]
+    apart[:3] -= 2.0 * np.pi * np.round(apart[:3] / (2.0 * np.pi))
+    grown = apart / 2e-7
+    size = np.abs(grown).max()
+    assert size > 30.0
+    np.testing.assert_allclose(whole.Y[:6, 0], grown, atol=1e-4 * size)
+
+
+@pytest.mark.slow
+def test_lyapunov_spectrum() -> None:
+    """They add up to zero to 1e-8 and come in pairs to 2 %; the largest is ABA's to 10 %."""
+    traj = wild(60.0)
+    found = pinred.lyapunov(traj)
+    assert len(found.exponents) == 6
+    assert abs(found.exponents.sum()) < 1e-8
+    largest = found.exponents[0]
+    assert np.abs(found.exponents + found.exponents[::-1]).max() < 0.02 * largest
+    assert found.history.shape == (len(found.times), 6)
+    assert "1/s" in str(found)
+    assert parted_by_aba(traj, 60.0) == pytest.approx(largest, rel=0.1)
+
+
+def parted_by_aba(traj: pinred.Trajectory, end: float, every: float = 0.5) -> float:
+    """Benettin's rate at which two full motions part, by ABA, brought near again now and then."""
+    system, model = traj.system, traj.system.model
+    red, mu = pinred.Reduction(system), traj.body_momentum[0]
+    q, v = system.given_q(traj.q[0]), traj.v[0]
+    apart, total, rng = 1e-7, 0.0, np.random.default_rng(1)
+    state = np.concatenate([system.configuration(q).x, (red.mass_matrix(traj.x[0]) @ v)[1:]])
+    other = state + apart * unit(rng.normal(size=6))
+
+    def after(z: Array) -> Array:
+        v = np.linalg.solve(red.mass_matrix(z[:3]), np.concatenate([mu, z[3:]]))
+        q = system.model_q([0.0], z[:3])
+        turned, rates = aba.integrate(model, q, v, np.array([every]), rtol=1e-10)
+        x = system.configuration(turned[-1]).x
+        x = z[:3] + np.remainder(x - z[:3] + np.pi, 2.0 * np.pi) - np.pi
+        return np.concatenate([x, (red.mass_matrix(x) @ rates[-1])[1:]])
+
+    for _ in range(round(end / every)):
+        state, other = after(state), after(other)
+        gone = other - state
+        gone[:3] -= 2.0 * np.pi * np.round(gone[:3] / (2.0 * np.pi))
+        total += np.log(np.linalg.norm(gone) / apart)
+        other = state + apart * unit(gone)
+    return float(total / end)
+
+
+def unit(z: Array) -> Array:
+    """The direction of a vector."""
+    return np.asarray(z / np.linalg.norm(z))
+
+
+def test_a_regular_motion_has_no_exponents() -> None:
+    """Euler's top: two, whose growth is linear in time, so that log t/t is left."""
+    body = pinred.load("rigid_body")
+    found = pinred.lyapunov(pinred.simulate(body, xi0=[0.5, 0.7, 1.6], duration=400.0))
+    assert len(found.exponents) == 2
+    assert np.abs(found.exponents).max() < 3.0 * np.log(400.0) / 400.0
+    assert abs(found.exponents.sum()) < 1e-9
+
+
+HUB, MASS, LENGTH, WIDE, G = 0.3, 1.2, 0.7, 0.06, 9.81
+INERTIA, PULL = MASS * LENGTH**2 + WIDE, MASS * LENGTH
+
+
+def shaken() -> pinred.System:
+    """A pendulum on a hinge that slides up and down a hub."""
+    model = pin.Model()
+    model.name = "shaken"
+    hub = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "hub")
+    model.appendBodyToJoint(hub, pin.Inertia(1.0, np.zeros(3), HUB * np.eye(3)), pin.SE3.Identity())
+    lift = model.addJoint(hub, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
+    model.appendBodyToJoint(
+        lift, pin.Inertia(0.5, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity()
+    )
+    arm = model.addJoint(lift, pin.JointModelRY(), pin.SE3.Identity(), "tilt")
+    body = pin.Inertia(MASS, np.array([0.0, 0.0, -LENGTH]), np.diag([WIDE, WIDE, 0.01]))
+    model.appendBodyToJoint(arm, body, pin.SE3.Identity())
+    return pinred.load(model)
+
+
+def shaken_motion(height: float, frequency: float, at: float) -> pinred.Trajectory:
+    """The pendulum at rest, hanging (0) or standing (π), while its hinge shakes for a period."""
+    return pinred.simulate(
+        shaken(), x0={"tilt": at}, duration=2.0 * np.pi / frequency, momentum=0,
+        prescribed={"lift": f"{height!r}*cos({frequency!r}*t)"},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("height", "frequency", "at"), [(0.05, 9.0, 0.0), (0.2, 8.0, 0.0), (0.1, 90.0, np.pi)]
+)
+def test_floquet_multipliers_are_mathieus(height: float, frequency: float, at: float) -> None:
+    """θ̈ + (m l/I)(g − a ω² cos ωt) θ = 0, or with − where it stands: by SciPy's own integrator."""
+    found = pinred.floquet(shaken_motion(height, frequency, at))
+    sign = 1.0 if at == 0.0 else -1.0
+
+    def hill(t: float, y: Array) -> list[float]:
+        lift = G - height * frequency**2 * np.cos(frequency * t)
+        return [y[1], -sign * PULL / INERTIA * lift * y[0]]
+
+    T = 2.0 * np.pi / frequency
+    columns = [
+        solve_ivp(hill, (0.0, T), e, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+        for e in np.eye(2)
+    ]
+    expected = np.linalg.eigvals(np.array(columns).T).astype(complex)
+    expected = expected[np.argsort(-np.abs(expected), kind="stable")]
+    np.testing.assert_allclose(np.abs(found.multipliers), np.abs(expected), rtol=1e-9)
+    assert found.multipliers.sum() == pytest.approx(expected.sum(), rel=1e-9)
+    assert found.multipliers.prod() == pytest.approx(1.0, abs=1e-11)
+    if at:
+        assert np.abs(found.multipliers).max() == pytest.approx(1.0, abs=1e-9)  # Kapitza's
+    assert "closes to" in str(found)
+
+
+def test_the_edge_of_mathieus_tongue() -> None:
+    """On a = b₁(q) both multipliers are −1."""
+    frequency = 9.0
+    q = -0.3
+    # τ = ωt/2: a = 4 m l g/(I ω²), q = 2 m l A/I, whose sign is a shift of time.
+    height = 2.0 * abs(q) * INERTIA / (4.0 * PULL)
+    a = float(mathieu_b(1, abs(q)))
+    frequency = float(np.sqrt(4.0 * PULL * G / (INERTIA * a)))
+    found = pinred.floquet(shaken_motion(height, frequency, 0.0))
+    assert found.multipliers.sum().real == pytest.approx(-2.0, abs=1e-9)
+
+
+def test_periodic_rotations() -> None:
+    """Euler's top comes back: multipliers one; half of its period does not close."""
+    body, xi = pinred.load("rigid_body"), [0.5, 0.0, 1.6]
+    traj = pinred.simulate(body, xi0=xi, duration=40.0)
+    mu = traj.body_momentum
+    # The period of the body momentum: from one passage through L₂ = 0 upwards to the next.
+    from scipy.optimize import brentq
+
+    up = np.flatnonzero((mu[:-1, 1] < 0.0) & (mu[1:, 1] >= 0.0))
+
+    def crossing(k: int) -> float:
+        return float(
+            brentq(lambda t: traj(t).body_momentum[1], traj.t[k], traj.t[k + 1], xtol=1e-14)
+        )
+
+    T = crossing(int(up[1])) - crossing(int(up[0]))
+    found = pinred.floquet(traj, period=T)
+    # A double one in a Jordan block: exact to the root of round-off.
+    np.testing.assert_allclose(found.multipliers, 1.0, atol=1e-4)
+    assert np.trace(found.monodromy) == pytest.approx(2.0, abs=1e-8)
+    with pytest.raises(pinred.InputError, match="misses its start"):
+        pinred.floquet(traj, period=0.5 * T)
+    with pytest.raises(pinred.InputError, match="before its period"):
+        pinred.floquet(traj, period=50.0)
+
+
+def test_refusals() -> None:
+    """The readable route, and forces that jump."""
+    cat = pinred.load("falling_cat")
+    slow = pinred.simulate(cat, duration=0.1, engine="pinocchio")
+    with pytest.raises(pinred.InputError, match="engine='compiled'"):
+        pinred.lyapunov(slow)
+    held = pinred.simulate(
+        cat, duration=0.1, forces=Controller(lambda *_: {"bend": 0.0}, period=0.02)
+    )
+    with pytest.raises(pinred.InputError, match="smooth in time"):
+        pinred.lyapunov(held)
+    with pytest.raises(pinred.InputError, match="nothing of"):
+        pinred.lyapunov(pinred.simulate(pinred.load("elroys_beanie"), duration=0.1))

@@ -1,0 +1,164 @@
+"""Branches over the momentum, on a pendulum whose folds and pitchforks are in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.optimize import minimize_scalar
+
+import pinred
+from pinred.analysis.branches import bifurcations as found_by
+from pinred.analysis.branches.curve import Curve, CurvePoint
+from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
+from pinred.analysis.equilibria.problem import problem_of
+from pinred.common.arrays import Array
+
+HUB, MASS, LENGTH, G = 0.3, 1.2, 0.7, 9.81
+SLIM, WIDE = 0.01, 0.06  # moments of the arm along it and across
+NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}
+
+
+def governor(offset: float) -> pinred.System:
+    """An arm on a hub that turns about the vertical, hinged beside the axis."""
+    model = pin.Model()
+    model.name = "governor"
+    hub = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "hub")
+    model.appendBodyToJoint(hub, pin.Inertia(1.0, np.zeros(3), HUB * np.eye(3)), pin.SE3.Identity())
+    place = pin.SE3(np.eye(3), np.array([offset, 0.0, 0.0]))
+    arm = model.addJoint(hub, pin.JointModelRY(), place, "tilt")
+    body = pin.Inertia(MASS, np.array([0.0, 0.0, -LENGTH]), np.diag([WIDE, WIDE, SLIM]))
+    model.appendBodyToJoint(arm, body, pin.SE3.Identity())
+    return pinred.load(model)
+
+
+def inertia(x: float | Array, offset: float) -> float | Array:
+    """About the vertical: the arm hangs at x = 0, and its end goes to −x."""
+    s, c = np.sin(x), np.cos(x)
+    return HUB + MASS * (offset - LENGTH * s) ** 2 + WIDE * s**2 + SLIM * c**2
+
+
+def momentum_at(x: float, offset: float) -> float:
+    """J² = 2 I² V′/I′ where the arm is in equilibrium at x."""
+    s, c = np.sin(x), np.cos(x)
+    slope = -2.0 * MASS * LENGTH * c * (offset - LENGTH * s) + 2.0 * (WIDE - SLIM) * s * c
+    return float(2.0 * inertia(x, offset) ** 2 * MASS * G * LENGTH * s / slope)
+
+
+def test_a_pitchfork() -> None:
+    """Hinged on the axis: J_c = I₀ √(m g l/ΔI); beyond it two arms lift, which are one shape."""
+    wide = MASS * LENGTH**2 + WIDE - SLIM
+    critical = (HUB + SLIM) * np.sqrt(MASS * G * LENGTH / wide)
+    found = pinred.branches(governor(0.0), momentum=(0.2 * critical, 2.0 * critical), starts=40)
+    hanging = [p for p in found.pitchforks if abs(p.x[0]) < 1.0]
+    assert len(hanging) == 1
+    assert hanging[0].momentum == pytest.approx(critical, rel=1e-10)
+    assert found.folds == ()
+    (lifted,) = (
+        k for k in range(found.count) if any(0.1 < abs(p.x[0]) < 1.4 for p in found.branch(k))
+    )
+    for p in found.branch(lifted):
+        if abs(p.x[0]) > 0.02:
+            assert p.momentum**2 == pytest.approx(momentum_at(p.x[0], 0.0), rel=1e-9)
+            assert p.index == 0
+            assert p.residual < 1e-12
+    assert min(p.momentum for p in found.branch(lifted)) == pytest.approx(critical, rel=2e-3)
+    (down,) = (k for k in range(found.count) if all(abs(p.x[0]) < 1e-6 for p in found.branch(k)))
+    for p in found.branch(down):
+        assert p.index == int(p.momentum > critical)
+
+
+def test_a_fold() -> None:
+    """Hinged beside the axis the pitchfork breaks into a fold, at the least J²(x) beyond."""
+    offset = 0.05
+    best = minimize_scalar(
+        lambda x: momentum_at(x, offset), bounds=(0.1, 1.2), method="bounded",
+        options={"xatol": 1e-12},
+    )  # fmt: skip
+    critical = np.sqrt(best.fun)
+    found = pinred.branches(governor(offset), momentum=(0.5 * critical, 2.0 * critical), starts=40)
+    assert len(found.folds) == 1
+    (fold,) = found.folds
+    assert fold.momentum == pytest.approx(critical, rel=1e-10)
+    assert fold.x[0] == pytest.approx(best.x, abs=1e-5)
+    assert fold.residual < 1e-9
+    assert found.pitchforks == ()
+    through = found.branch(fold.branch)
+    assert {p.index for p in through} == {0, 1}
+    for p in through:
+        assert p.momentum**2 == pytest.approx(momentum_at(p.x[0], offset), rel=1e-8)
+    each = through[0].equilibrium()
+    assert each.momentum == through[0].momentum
+    assert each.residual < 1e-12
+    assert "fold at momentum" in str(found)
+
+
+def test_an_artefact_is_no_fold(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that half steps find elsewhere, and one that the extended system has not."""
+    offset = 0.05
+    problem = problem_of(governor(offset), **NOTHING)  # type: ignore[arg-type]
+    curve = Curve(AmendedEnergy(problem), 1.0)
+    point = Points(np.array([[0.3]]), np.zeros((1, 0)))
+    here = curve.start(point, np.sqrt(momentum_at(0.3, offset)), np.array([-1.0, 0.0]))
+    there: CurvePoint | None = here
+    while there is not None and there.index == here.index:
+        here, there = there, curve.step(there, 0.02)
+    assert there is not None
+    (fold,) = found_by.bifurcations_between(curve, here, there, 0.02)
+    assert fold.kind == "fold"
+    assert found_by.extended_residual(curve, fold.at) < 1e-9
+    with monkeypatch.context() as patch:
+        patch.setattr(found_by, "extended_residual", lambda *_: 1e-6)
+        assert found_by.bifurcations_between(curve, here, there, 0.02) == []
+    whole = found_by.located
+
+    def elsewhere(curve: Curve, a: CurvePoint, h: float, k: int) -> CurvePoint | None:
+        found = whole(curve, a, h, k)
+        return found if found is None or h < 0.02 else replace(found, J=found.J + 1e-5)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(found_by, "located", elsewhere)
+        patch.setattr(found_by, "extended_residual", lambda *_: 0.0)
+        patch.setattr(found_by, "classified", lambda *_: fold)
+        assert found_by.bifurcations_between(curve, here, there, 0.02) == []
+
+
+def test_rigid_bodies_have_straight_branches() -> None:
+    """½ J²/I along three branches, each of one index, none of which bifurcates."""
+    found = pinred.branches(pinred.load("rigid_body"), momentum=(0.5, 1.5), starts=20, step=0.2)
+    assert found.count == 3
+    assert len(found.folds) + len(found.pitchforks) + len(found.crossings) == 0
+    for k, I in enumerate((2.5, 2.0, 1.0)):
+        for p in found.branch(k):
+            assert p.amended_potential == pytest.approx(0.5 * p.momentum**2 / I, rel=1e-12)
+            assert p.index == k
+        ends = [found.branch(k)[0].momentum, found.branch(k)[-1].momentum]
+        np.testing.assert_allclose(sorted(ends), [0.5, 1.5], rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_bundled_pendulum() -> None:
+    """A fold at J = 0.908178: there are two equilibria more beyond it."""
+    pendulum = pinred.load("double_spherical_pendulum")
+    found = pinred.branches(pendulum, momentum=(0.9, 0.915), starts=60, step=0.1)
+    (fold,) = found.folds
+    assert fold.momentum == pytest.approx(0.9081782824, rel=1e-9)
+    before, after = (len(pinred.relative_equilibria(pendulum, momentum=J)) for J in (0.9, 0.915))
+    assert after == before + 2
+
+
+def test_refusals() -> None:
+    """Ranges that are none, branches that there are not, robots with nothing to follow."""
+    cat = pinred.load("falling_cat")
+    for momentum in ((1.0, 0.5), (1.0,), (0.0, 1.0), (-1.0, 1.0), (np.nan, 1.0)):
+        with pytest.raises(pinred.InputError, match="momentum"):
+            pinred.branches(cat, momentum=momentum)
+    with pytest.raises(pinred.InputError, match="step must be"):
+        pinred.branches(cat, momentum=(0.5, 1.0), step=0.0)
+    with pytest.raises(pinred.InputError, match="nothing can change"):
+        pinred.branches(pinred.load("coupled_planar"), momentum=(0.5, 1.0))
+    few = pinred.branches(pinred.load("cartpole"), momentum=(0.5, 1.0), starts=8, step=0.5)
+    with pytest.raises(pinred.InputError, match="2 branches, counted from 0; got 2"):
+        few.branch(2)

@@ -1,0 +1,373 @@
+"""Relative equilibria: closed forms, published counts, and no accelerations by ABA."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from point_pendulum import GRAVITY, urdf
+from spinning_robots import gyrostat, rods
+from trees import random_model
+
+import pinred
+from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
+from pinred.analysis.equilibria.find import equilibrium_at
+from pinred.analysis.equilibria.problem import problem_of
+from pinred.common.arrays import Array
+from pinred.forces import Damper, PotentialEnergy
+from pinred.reduction.potential import falling
+
+ROOT = Path(__file__).parent.parent.parent
+
+
+def stands_still(found: pinred.Equilibria, forces: dict[int, float] | None = None) -> None:
+    """ABA gives no body acceleration at any, but for gravity's fall and driven wheels."""
+    for each in found:
+        system, problem = each.system, each.problem
+        scene = each.scene()
+        model, data = system.model, system.model.createData()
+        start = scene.start
+        q, v = system.model_q(start.pose, start.x), system.model_v(start.xi, start.xdot)
+        tau = np.zeros(system.n)
+        for k, torque in (forces or {}).items():
+            tau[system.r + k] = torque
+        free = pin.aba(model, data, q, v, tau)
+        if problem.driven:  # their drives keep them at their rates
+            rows = system.r + np.array(problem.driven)
+            H = np.triu(pin.crba(model, data, q))
+            inverse = np.linalg.inv(H + np.triu(H, 1).T)
+            free = free - inverse[:, rows] @ np.linalg.solve(
+                inverse[np.ix_(rows, rows)], free[rows]
+            )
+        if system.group.linear and system.gravity.any():
+            fall = falling(system)
+            free[: len(fall)] -= system.group.turned_back(start.pose[system.group.linear :], fall)
+        size = max(1.0, float(np.abs(v).max()) ** 2, float(np.abs(each.energy)))
+        assert np.abs(free).max() <= 1e-9 * size, str(each)
+        assert each.residual < 1e-12
+        np.testing.assert_allclose(start.x, each.x, atol=1e-15)
+
+
+def test_rigid_body() -> None:
+    """Three axes; ½ J²/I; about the middle one λ = √((I₂−I₁)(I₃−I₂)/(I₁I₃)) Ω."""
+    body = pinred.load("rigid_body")
+    I = np.array([2.5, 2.0, 1.0])  # the least energy first
+    J = 1.7
+    found = pinred.relative_equilibria(body, momentum=J)
+    assert len(found) == 3
+    np.testing.assert_allclose([e.amended_potential for e in found], 0.5 * J**2 / I, rtol=1e-14)
+    assert [e.verdict for e in found] == ["stable", "unstable", "stable"]
+    for k, each in enumerate(found):
+        np.testing.assert_allclose(np.abs(each.direction), np.eye(3)[2 - k], atol=1e-12)
+        np.testing.assert_allclose(each.mu, J * each.direction, atol=1e-14)
+        np.testing.assert_allclose(each.xi, J / I[k] * each.direction, atol=1e-13)
+        a, b = np.delete(I, k)
+        rate = J / I[k] * np.sqrt(abs((I[k] - a) * (I[k] - b)) / (a * b))
+        wanted = each.growth if k == 1 else each.frequencies[0]
+        assert wanted == pytest.approx(rate, rel=1e-12)
+    stands_still(found)
+
+
+def test_the_middle_axis_by_simulation() -> None:
+    """What begins on the growing mode grows by e^{λt}."""
+    body = pinred.load("rigid_body")
+    middle = pinred.relative_equilibria(body, momentum=2.0)[1]
+    growth = np.sqrt(1.0 * 0.5 / 2.5) * 1.0
+    assert middle.growth == pytest.approx(growth, rel=1e-12)
+    scene = middle.scene(0, amplitude=1e-7, duration=20.0)
+    traj = pinred.simulate(scene)
+    apart = np.linalg.norm(traj.body_momentum - middle.mu, axis=1)
+    rate = np.polyfit(traj.t[20:180], np.log(apart[20:180]), 1)[0]
+    assert rate == pytest.approx(growth, rel=1e-4)
+
+
+def test_bundled_pendulum() -> None:
+    """At J = 2: 14 shapes, one stable, one undecided, the rest unstable; published frequencies."""
+    found = pinred.relative_equilibria(pinred.load("double_spherical_pendulum"), momentum=2.0)
+    assert len(found) == 14
+    verdicts = [e.verdict for e in found]
+    assert [verdicts.count(v) for v in ("stable", "unstable", "undecided")] == [1, 12, 1]
+    lowest = found[0]
+    np.testing.assert_allclose(np.abs(lowest.x), [0.444672, 0.0, 0.155910], atol=5e-7)
+    assert lowest.x[0] * lowest.x[2] > 0.0
+    assert lowest.xi[0] == pytest.approx(2.913119, abs=5e-7)
+    np.testing.assert_allclose(lowest.frequencies, [4.16816, 5.13036, 8.30001], atol=5e-6)
+    (one,) = (e for e in found if e.verdict == "undecided")
+    np.testing.assert_allclose(one.frequencies, [0.23173, 7.08424, 10.72249], atol=5e-6)
+    np.testing.assert_allclose(np.abs(one.x), [0.355, np.pi / 2, np.pi / 2], atol=1e-3)
+    stands_still(found)
+
+
+def point_mass_pendulum(path: Path) -> pinred.System:
+    """Equal masses on equal rods: m = (m₁ + m₂)/m₂ = 2, r = l₂/l₁ = 1."""
+    path.write_text(urdf((1.0, 1.0), (1.0, 1.0)), encoding="utf-8")
+    with pytest.warns(pinred.ModelWarning):
+        return pinred.load(path, group="SO2")
+
+
+@pytest.mark.slow
+def test_point_masses(tmp_path: Path) -> None:
+    """λ² = (L² − r²)/(L² − α²), L = α(m + α)/(m(1 + α)): both hanging branches, J = 0.2 … 30."""
+    system = point_mass_pendulum(tmp_path / "pendulum.urdf")
+    m, r = 2.0, 1.0
+    for J in (0.2, 1.0, 3.0, 8.0, 15.0, 30.0):
+        alphas = []
+        for each in pinred.relative_equilibria(system, momentum=J, starts=400):
+            q = system.model_q([0.0], each.x)
+            data = system.model.createData()
+            pin.forwardKinematics(system.model, data, q)
+            ends = [data.oMi[k].act(np.array([0.0, 0.0, -1.0])) for k in (2, 4)]
+            first, second = ends[0], ends[1] - ends[0]
+            along = first[:2] / np.linalg.norm(first[:2])
+            assert abs(along[0] * second[1] - along[1] * second[0]) < 1e-9  # in one upright plane
+            radius = float(np.linalg.norm(first[:2]))
+            alpha = float(second[:2] @ along) / radius
+            L = alpha * (m + alpha) / (m * (1.0 + alpha))
+            assert radius**2 == pytest.approx((L**2 - r**2) / (L**2 - alpha**2), abs=1e-9)
+            omega = np.sqrt(GRAVITY * m / (-first[2] * (m + alpha)))
+            spin = omega * radius**2 * (1.0 + (1.0 + alpha) ** 2)
+            assert spin == pytest.approx(J, rel=1e-9)
+            assert each.xi[0] == pytest.approx(omega, rel=1e-9)
+            if first[2] < 0.0:
+                alphas.append(alpha)
+        assert any(alpha > 0.0 for alpha in alphas)
+        assert any(-m < alpha < -1.0 for alpha in alphas)
+
+
+def test_three_rods() -> None:
+    """I = 2.25 (maximum of I: stable), 0.916667 twice (saddles), 0.25: four shapes."""
+    found = pinred.relative_equilibria(rods(), momentum=1.0)
+    inertias = [0.5 / e.amended_potential for e in found]
+    np.testing.assert_allclose(inertias, [2.25, 11.0 / 12.0, 11.0 / 12.0, 0.25], rtol=1e-13)
+    assert [e.stability.index for e in found] == [0, 1, 1, 2]
+    assert [e.verdict for e in found][:3] == ["stable", "unstable", "unstable"]
+    stands_still(found)
+
+
+def test_reaction_wheels() -> None:
+    """J = 0.5 and π = (0.3, −0.2, 0.4): eight; the opposite direction is none of them reversed."""
+    system = pinred.load("reaction_wheel_satellite")
+    found = pinred.relative_equilibria(
+        system, momentum=0.5, cyclic={"wheel_x": 0.3, "wheel_y": -0.2, "wheel_z": 0.4}
+    )
+    assert len(found) == 8
+    for each in found:
+        J = system.group.about(pinred.Reduction(system).split(each.x).com, each.mu)
+        assert np.linalg.norm(J) == pytest.approx(0.5, rel=1e-12)
+        pi = pinred.Reduction(system).mass_matrix(each.x)[6:] @ np.r_[each.xi, each.xdot]
+        np.testing.assert_allclose(pi[1:], [0.3, -0.2, 0.4], atol=1e-13)
+    stands_still(found)
+
+
+@pytest.mark.parametrize("rate", [-4.0, -0.5, 0.7, 6.0])
+def test_gyrostat(rate: float) -> None:
+    """s² = −Ω²(λ − I₁)(λ − I₃)/(I₁I₃), λ = I₂ + h/Ω, of a rotor driven on axis 2."""
+    I, J, spin = (0.9, 1.3, 1.1), 1.5, 0.03
+    found = pinred.relative_equilibria(
+        gyrostat(I), momentum=J, prescribed={"wheel": f"{rate}*t"}, starts=100
+    )
+    h = spin * rate
+    about = [e for e in found if abs(abs(e.direction[1]) - 1.0) < 1e-9]
+    assert len(about) == 2
+    for each in about:
+        omega = (J * each.direction[1] - h) / I[1]
+        assert each.xi[1] == pytest.approx(omega, rel=1e-12)
+        size = I[1] + h / omega
+        square = -(omega**2) * (size - I[0]) * (size - I[2]) / (I[0] * I[2])
+        if square > 0.0:
+            assert each.growth == pytest.approx(np.sqrt(square), rel=1e-11)
+            assert each.verdict == "unstable"
+        else:
+            assert each.frequencies[0] == pytest.approx(np.sqrt(-square), rel=1e-11)
+            assert each.verdict == "stable"
+    stands_still(found)
+
+
+def test_thresholds_of_a_rotor() -> None:
+    """Where λ = I₁ or I₃: h = Ω (I_k − I₂), Ω = J/I_k; by bisection on the verdict, to 1e-10."""
+    I, J, spin = (0.9, 1.0, 1.3), 1.5, 0.03
+    second = Points(np.zeros((1, 0)), np.array([[0.0, 1.0, 0.0]]))
+    problem = problem_of(
+        gyrostat(I), cyclic=None, springs=None, forces=(), prescribed=None, passive=False
+    )
+    for k in (0, 2):
+        omega = J / I[k]
+        rate = omega * (I[k] - I[1]) / spin
+        momentum = spin * (omega + rate)
+        low, high = sorted([momentum - 0.05 * rate * spin, momentum + 0.05 * rate * spin])
+        if k == 2:  # unstable lies between the two thresholds
+            low, high = high, low
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            each = equilibrium_at(replace(problem, cyclic_momenta=np.array([middle])), second, J)
+            low, high = (low, middle) if each.verdict == "unstable" else (middle, high)
+        assert each.xdot[0] == pytest.approx(rate, rel=1e-10)
+        assert each.xi[1] == pytest.approx(omega, rel=1e-10)
+
+
+def test_dual_spin_satellite() -> None:
+    """About the axis of least inertia a free rotor may stabilise or not: h = π − I_w Ω."""
+    I, spin = (1.1, 0.8, 1.3), 0.03
+    system = gyrostat(I, group="SE3")
+    for J, pi in ((1.0, 0.5), (1.0, -0.6), (0.4, 0.9)):
+        found = pinred.relative_equilibria(system, momentum=J, cyclic={"wheel": pi})
+        both = [e for e in found if abs(abs(e.direction[1]) - 1.0) < 1e-9]
+        for each in both:
+            omega = (J * each.direction[1] - pi) / (I[1] - spin)
+            assert each.xi[4] == pytest.approx(omega, rel=1e-12)
+            h = pi - spin * omega
+            size = I[1] + h / omega
+            square = -(omega**2) * (size - I[0]) * (size - I[2]) / (I[0] * I[2])
+            rate = each.growth if square > 0.0 else each.frequencies[0]
+            assert rate == pytest.approx(np.sqrt(abs(square)), rel=1e-10)
+        assert len(both) == 2
+        stands_still(found)
+
+
+def test_cart_on_rails() -> None:
+    """ℝ at any momentum: the pole hangs or stands, ω² = g k/(M at 0) and its negative."""
+    cart = pinred.load("cartpole")
+    for momentum in (0.0, -3.0):
+        found = pinred.relative_equilibria(cart, momentum=momentum)
+        assert [round(e.x[0], 12) for e in found] == [0.0, round(np.pi, 12)]
+        M = 0.34 - 1.0 / 12.0
+        rate = np.sqrt(9.81 * 0.5 / M)
+        assert found[0].frequencies[0] == pytest.approx(rate, rel=1e-12)
+        assert found[1].growth == pytest.approx(rate, rel=1e-12)
+        assert found[0].xi[0] == pytest.approx(momentum / 3.0, abs=1e-14)
+
+
+def test_springs_and_other_potentials() -> None:
+    """A spring moves the cat's spin; a potential of one's own says the same."""
+    cat = pinred.load("falling_cat")
+    spring = {"bend": (5.0, 0.6), "sway": (5.0, -0.2), "twist": (5.0, 0.3)}
+    found = pinred.relative_equilibria(cat, momentum=1.0, springs=spring, starts=150)
+    own = pinred.relative_equilibria(
+        cat,
+        momentum=1.0,
+        starts=150,
+        forces=PotentialEnergy(
+            lambda x: 2.5 * ((x[0] - 0.6) ** 2 + (x[1] + 0.2) ** 2 + (x[2] - 0.3) ** 2)
+        ),
+    )
+    assert own[0].energy == pytest.approx(found[0].energy, rel=1e-12)
+    np.testing.assert_allclose(own[0].x, found[0].x, atol=1e-10)
+    least = found[0]
+    tau = {k: -5.0 * (least.x[k] - rest) for k, rest in enumerate((0.6, -0.2, 0.3))}
+    single = pinred.Equilibria(cat, 1.0, 1, 1, (least,))
+    stands_still(single, tau)
+
+
+def test_held_joints() -> None:
+    """A prescribed joint stands where it is held; the others are in equilibrium beside it."""
+    chain = rods(4)
+    held = pinred.relative_equilibria(chain, momentum=1.0, prescribed={"joint2": 0.5})
+    assert all(e.x[1] == 0.5 for e in held)
+    lowest = held[0]
+    energy = AmendedEnergy(lowest.problem)
+    assert energy.problem.driven == (1,)
+    red = pinred.Reduction(chain)
+
+    def inertia(x: Array) -> float:
+        I = red.locked_inertia(x)
+        return float(1.0 / np.linalg.inv(I)[2, 2])
+
+    for step in (1e-3, -1e-3):
+        for k in (0, 2):
+            assert inertia(lowest.x + step * np.eye(3)[k]) < inertia(lowest.x)
+
+
+def test_pivots_in_gravity() -> None:
+    """A random heavy tree: ABA has no acceleration, the base turns about the vertical."""
+    model = random_model("SO3", 1, 7)
+    model.gravity.linear = np.array([0.0, 3.0, -9.0])
+    system = pinred.load(model)
+    found = pinred.relative_equilibria(system, momentum=0.7, starts=300)
+    assert len(found) >= 4
+    for each in found:
+        np.testing.assert_allclose(np.cross(each.xi, each.direction), 0.0, atol=1e-12)
+        assert each.mu @ each.direction == pytest.approx(0.7, rel=1e-12)
+    stands_still(found)
+
+
+def test_families_count_once() -> None:
+    """The cat's symmetric front half lets equilibria come in circles, judged across."""
+    found = pinred.relative_equilibria(pinred.load("falling_cat"), momentum=1.0, starts=200)
+    dimensions = {e.dimension for e in found}
+    assert dimensions == {0, 1}
+    (least,) = (e for e in found if e.verdict == "stable")
+    assert least.dimension == 1
+    assert least.growth == 0.0
+    stands_still(found)
+    disc = pin.Model()
+    root = disc.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    disc.appendBodyToJoint(
+        root, pin.Inertia(1.0, np.zeros(3), np.diag([0.2, 0.2, 0.3])), pin.SE3.Identity()
+    )
+    disc.gravity.setZero()
+    spins = pinred.relative_equilibria(pinred.load(disc), momentum=1.0)
+    assert [(e.dimension, e.verdict) for e in spins] == [(0, "stable"), (1, "stable")]
+
+
+def test_many_joints_have_their_minimum() -> None:
+    """Every search from other starts ends at the same one; all residuals are round-off."""
+    system = pinred.load("satellite_two_arms")
+    least = []
+    for seed in range(2):
+        found = pinred.relative_equilibria(system, momentum=1.0, starts=30, seed=seed)
+        assert max(e.residual for e in found) < 1e-12
+        (one,) = (e for e in found if e.verdict == "stable")
+        assert one is found[0]
+        least.append(one.amended_potential)
+    assert least[0] == pytest.approx(least[1], rel=1e-12)
+
+
+def test_a_scene_begins_in_it() -> None:
+    """The motion keeps its shape, and on a mode it swings at the mode's frequency."""
+    pendulum = pinred.load("double_spherical_pendulum")
+    least = pinred.relative_equilibria(pendulum, momentum=2.0, starts=200)[0]
+    traj = pinred.simulate(least.scene(duration=5.0))
+    assert np.abs(traj.x - least.x).max() < 1e-8
+    mode = least.modes[0]
+    traj = pinred.simulate(least.scene(0, amplitude=1e-5, duration=6.0))
+    swing = (traj.x - least.x) / 1e-5
+    expected = np.real(mode.shape * np.exp(1j * mode.frequency * traj.t)[:, None])
+    assert np.abs(swing - expected).max() < 1e-3
+    with pytest.raises(pinred.InputError, match="3 modes, counted from 0; got mode 3"):
+        least.scene(3)
+
+
+def test_refusals() -> None:
+    """What is no relative equilibrium's problem is refused by name."""
+    cat, wheels = pinred.load("falling_cat"), pinred.load("reaction_wheel_satellite")
+    for words, options in (
+        ("not negative", {"momentum": -1.0}),
+        ("momentum must be a finite number", {"momentum": np.nan}),
+        ("every shape is an equilibrium", {"momentum": 0.0}),
+        ("starts must be a whole number", {"momentum": 1.0, "starts": 0}),
+        ("the cyclic joints are none", {"momentum": 1.0, "cyclic": {"bend": 1.0}}),
+        ("does work", {"momentum": 1.0, "forces": Damper("bend", 0.1)}),
+        ("constant rate", {"momentum": 1.0, "prescribed": {"bend": "sin(t)"}}),
+        ("no motion is steady", {"momentum": 1.0, "prescribed": {"bend": "t"}}),
+    ):
+        with pytest.raises(pinred.InputError, match=words):
+            pinred.relative_equilibria(cat, **options)
+    with pytest.raises(pinred.InputError, match="wheel_x, wheel_y, wheel_z"):
+        pinred.relative_equilibria(wheels, momentum=1.0, cyclic={"panel_hinge": 1.0})
+    tilted = pinred.load("double_spherical_pendulum", gravity=(1.0, 0.0, -9.0))
+    with pytest.raises(pinred.SymmetryError):
+        pinred.relative_equilibria(tilted, momentum=1.0)
+
+
+def test_a_table_says_what_was_found() -> None:
+    """As text and as a card."""
+    found = pinred.relative_equilibria(pinred.load("rigid_body"), momentum=1.0, starts=10)
+    text = str(found)
+    assert "3 relative equilibria found at momentum 1" in text
+    assert "unstable" in text
+    assert "grows by 0.223607" in str(found[1])
+    assert "relative equilibria" in found._repr_html_()
+    assert len(found[:2]) == 2

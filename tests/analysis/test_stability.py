@@ -1,0 +1,163 @@
+"""Stability: thresholds in closed form, parity of index and growth, what dampers do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import seeds
+from trees import random_model
+
+import pinred
+from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
+from pinred.analysis.equilibria.find import equilibrium_at, flow_at
+from pinred.analysis.equilibria.problem import problem_of
+from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium
+from pinred.analysis.stability.second_variation import second_variation, symmetry_axis
+from pinred.common.arrays import Array
+from pinred.forces import Damper
+from pinred.kernels.tangent import jacobian_of
+from pinred.simulation.compiled.compiled_flow import CompiledFlow
+from pinred.simulation.plan import plan_of
+
+ROOT = Path(__file__).parent.parent.parent
+NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}
+UP = Points(np.zeros((1, 0)), np.array([[0.0, 0.0, 1.0]]))
+I1, I3, PULL = 0.35, 0.05, 9.81 * 0.5  # of examples/heavy_top.urdf, I1 about its pivot; m g l
+
+
+def sleeping(spin: float) -> RelativeEquilibrium:
+    """The heavy top upright, at a spin [rad/s]."""
+    top = pinred.load(ROOT / "examples/heavy_top.urdf", group="SO3")
+    return equilibrium_at(problem_of(top, **NOTHING), UP, I3 * spin)  # type: ignore[arg-type]
+
+
+def test_sleeping_top() -> None:
+    """Stable above ω² = 4 m g l I₁/I₃², by its symmetry about its own axis; to 1e-10."""
+    threshold = np.sqrt(4.0 * PULL * I1) / I3
+    low, high = 0.9 * threshold, 1.1 * threshold
+    for _ in range(38):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if sleeping(middle).growth else (low, middle)
+    assert middle == pytest.approx(threshold, rel=1e-10)
+    slow, fast = sleeping(0.9 * threshold), sleeping(1.1 * threshold)
+    assert (slow.verdict, fast.verdict) == ("unstable", "stable")
+    assert fast.stability.index == 2  # the amended potential alone does not say so
+    # δ̈ I₁ − i I₃ ω δ̇ − m g l δ = 0 in the plane of Γ.
+    half, rest = 0.5 * I3 * 0.9 * threshold / I1, PULL / I1
+    assert slow.growth == pytest.approx(np.sqrt(rest - half**2), rel=1e-11)
+    half = 0.5 * I3 * 1.1 * threshold / I1
+    # In the body, which turns at ω beside.
+    spins = half + np.array([-1.0, 1.0]) * np.sqrt(half**2 - rest)
+    np.testing.assert_allclose(
+        fast.frequencies, np.sort(np.abs(1.1 * threshold - spins)), rtol=1e-10
+    )
+
+
+def test_a_top_without_symmetry_stays_undecided() -> None:
+    """With two moments that differ by a thousandth, nothing but the vertical's symmetry is left."""
+    import pinocchio as pin
+
+    model = pin.Model()
+    root = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "root")
+    body = pin.Inertia(1.0, np.array([0.0, 0.0, 0.5]), np.diag([0.1, 0.1001, 0.05]))
+    model.appendBodyToJoint(root, body, pin.SE3.Identity())
+    system = pinred.load(model)
+    fast = equilibrium_at(problem_of(system, **NOTHING), UP, I3 * 65.0)  # type: ignore[arg-type]
+    assert fast.verdict == "undecided"
+    assert len(fast.frequencies) == 2
+    lever = np.array([0.0, 0.0, 0.5])
+    assert symmetry_axis(np.diag([0.1, 0.1, 0.05]), lever) is not None
+    assert symmetry_axis(np.diag([0.1, 0.1001, 0.05]), lever) is None
+    assert symmetry_axis(np.diag([0.1, 0.1, 0.05]), np.array([0.1, 0.0, 0.5])) is None
+
+
+def test_hanging_and_tilted_tops() -> None:
+    """A hanging top is stable; a family that precesses tilted is one entry, of dimension 1."""
+    top = pinred.load(ROOT / "examples/heavy_top.urdf", group="SO3")
+    found = pinred.relative_equilibria(top, momentum=4.0, starts=200)
+    lowest = found[0]
+    assert lowest.verdict == "stable"
+    for each in found:
+        tilted = abs(abs(each.direction[2]) - 1.0) > 1e-6
+        assert each.dimension == int(tilted)
+    assert sum(e.dimension for e in found) >= 1
+
+
+@pytest.mark.slow
+@settings(max_examples=12)
+@given(st.sampled_from(["SO2", "SE2", "SO3", "SE3"]), st.integers(1, 3), seeds)
+def test_parity(group: str, joints: int, seed: int) -> None:
+    """The index is odd just where an odd number of real modes grow: two separate routes."""
+    model = random_model(group, joints, seed)
+    found = pinred.relative_equilibria(pinred.load(model), momentum=1.0, starts=30)
+    for each in found:
+        if each.dimension == 0 and each.residual < 1e-12:
+            assert each.stability.index % 2 == each.stability.growing % 2, str(each)
+            if each.verdict == "stable":
+                assert each.stability.index in (0, 2) if group == "SO3" else True
+
+
+def test_second_variation_is_the_energys() -> None:
+    """At the least energy, any small change of the reduced state on its leaf raises the energy."""
+    cat = pinred.load("planar_chain5")
+    least = pinred.relative_equilibria(cat, momentum=1.0, starts=60)[0]
+    assert least.verdict == "stable"
+    energy = AmendedEnergy(least.problem)
+    point = Points(least.x[None], np.zeros((1, 0)))
+    second = second_variation(energy, point, 1.0)
+    assert second.index == 0
+    assert second.values.min() > 0.0
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        step = 1e-3 * rng.normal(size=(1, 5))
+        assert energy(point.moved(step), 1.0).U[0] > least.amended_potential
+
+
+def damped_growth(each: RelativeEquilibrium, joint: str, c: float) -> float:
+    """The largest growth with a damper at a joint, by the Jacobian of a kernel that has it."""
+    from dataclasses import replace
+
+    scene = replace(each.scene(), forces=Damper(joint, c), outputs="shape")
+    flow = CompiledFlow(plan_of(scene))
+    matrix: Array = jacobian_of(flow.kernel, flow.y0, flow.parameters)
+    return float(np.linalg.eigvals(matrix).real.max())
+
+
+def test_dampers_of_the_undecided() -> None:
+    """∂Re λ/∂c of each joint is what a kernel with that damper shows."""
+    pendulum = pinred.load("double_spherical_pendulum")
+    found = pinred.relative_equilibria(pendulum, momentum=2.0)
+    (one,) = (e for e in found if e.verdict == "undecided")
+    assert set(one.damped_growth) == set(pendulum.shape_names)
+    for joint, growth in one.damped_growth.items():
+        assert growth > 0.0
+        c = 1e-4 / growth
+        assert damped_growth(one, joint, c) == pytest.approx(c * growth, rel=2e-2)
+    assert all(not e.damped_growth for e in found if e is not one)
+
+
+def test_modes_solve_the_linearised_flow() -> None:
+    """J v = λ v for each mode, with J by differences of the kernel's rates."""
+    system = pinred.load("reaction_wheel_satellite")
+    found = pinred.relative_equilibria(system, momentum=0.5, cyclic={"wheel_x": 0.3}, starts=200)
+    each = found[0]
+    flow = flow_at(each.problem, Points(each.x[None, :1], each.direction[None]), each.xdot, each.xi)
+    n, layout = len(flow.y0), flow.kernel.layout
+
+    def rate(y: Array) -> Array:
+        return flow.kernel.evaluate_rate(y, flow.parameters)
+
+    still = rate(flow.y0)
+    still[2:5] = 0.0  # angles of the wheels
+    assert np.abs(still).max() < 1e-13
+    J = np.array([(rate(flow.y0 + h) - rate(flow.y0 - h)) / 2e-6 for h in 1e-6 * np.eye(n)]).T
+    assert layout.active == (0,)
+    for mode in each.modes:
+        v = np.concatenate([[mode.shape[0], mode.momentum[0]], np.zeros(3), mode.base])
+        left = J @ v - (mode.growth + 1j * mode.frequency) * v
+        left[2:5] = 0.0
+        assert np.abs(left).max() < 1e-7 * np.abs(v).max()

@@ -1,0 +1,48 @@
+"""Robots for steady spins, as texts: gyrostats, rods in the plane, tops."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+import pinred
+
+WHEEL = (0.03, 0.02)  # moments of the rotor about its axis, and across it
+
+
+def gyrostat(moments: tuple[float, float, float], *, group: str = "SO3") -> pinred.System:
+    """A body with a symmetric rotor on its second axis, all centred: locked moments I1, I2, I3."""
+    spin, across = WHEEL
+    I1, I2, I3 = moments[0] - across, moments[1] - spin, moments[2] - across
+    text = f"""<robot name="gyrostat"><link name="body"><inertial><mass value="2"/>
+      <inertia ixx="{I1!r}" iyy="{I2!r}" izz="{I3!r}" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <link name="rotor"><inertial><mass value="0.5"/>
+      <inertia ixx="{across}" iyy="{spin}" izz="{across}" ixy="0" ixz="0" iyz="0"/></inertial>
+      </link><joint name="wheel" type="continuous"><parent link="body"/><child link="rotor"/>
+      <axis xyz="0 1 0"/></joint></robot>"""
+    return pinred.load(text_file(text), group=group, gravity=(0.0, 0.0, 0.0))
+
+
+def text_file(text: str) -> Path:
+    """A file with a robot in it, in a folder that the process leaves behind it."""
+    folder = Path(tempfile.mkdtemp(prefix="pinred-spin-"))
+    path = folder / "robot.urdf"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def rods(count: int = 3) -> pinred.System:
+    """Rods of 1 m and 1 kg in a row, in the plane, with hinges between."""
+    model = pin.Model()
+    model.name = "rods"
+    model.gravity.setZero()
+    parent, joint, place = 0, pin.JointModelPlanar(), pin.SE3.Identity()
+    rod = pin.Inertia(1.0, np.array([0.5, 0.0, 0.0]), np.diag([1e-3, 1.0 / 12.0, 1.0 / 12.0]))
+    for k in range(count):
+        parent = model.addJoint(parent, joint, place, f"joint{k}")
+        model.appendBodyToJoint(parent, rod, pin.SE3.Identity())
+        joint, place = pin.JointModelRZ(), pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    return pinred.load(model)
