@@ -17,16 +17,21 @@ import argparse
 import ast
 import copy
 import csv
+import importlib
 import os
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
-from collections import Counter
+import time
+import traceback
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+
+import numba
+import pytest
 
 ROOT = Path(__file__).parents[2]
 # The tests that most likely kill a mutant, first those that mirror the module.
@@ -161,34 +166,91 @@ def tests_of(module: str) -> list[str]:
     return [f"tests/{name}" for name in dict.fromkeys(tests) if (ROOT / "tests" / name).exists()]
 
 
-def outcome(copied: Path, module: str, text: str, tests: list[str], seconds: float) -> str:
-    """Return what the tests say of a module with that text, in a copy of the project."""
-    target = copied / "pinred" / module
-    own = target.read_text()
-    target.write_text(text)
-    with tempfile.TemporaryDirectory() as own_cache:
-        shared = str(copied.parent / "cache")
-        kernels = module.startswith(("integrators", "kernels", "lie", "reduction", "forces"))
-        places = {
-            "PINRED_CACHE_DIR": own_cache if kernels else shared,
-            "NUMBA_CACHE_DIR": own_cache if module.startswith("integrators") else shared,
-        }
-        command = [sys.executable, "-B", "-m", "pytest", "-q", "-x", "-m", "not slow", "-p",
-                   "no:cacheprovider", *tests]  # fmt: skip
-        with subprocess.Popen(
-            command, cwd=copied, env=os.environ | places | {"PYTHONPATH": str(copied)},
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
-        ) as job:  # fmt: skip
+class Copy:
+    """A copy of the project in which modules are changed and tests run, one run after the other.
+
+    What pinred stands on is imported once, in this process; each run is a fork of it that takes
+    pinred from the copy.  Tests that have killed before come first.
+    """
+
+    def __init__(self, place: Path) -> None:
+        """Copy the project to a folder."""
+        self.root, self._cache = place / "project", place / "cache"
+        self._said, self._writes = place / "said", 0
+        self._killers: defaultdict[str, Counter[str]] = defaultdict(Counter)
+        ignored = shutil.ignore_patterns("__pycache__")
+        self.root.mkdir()
+        for name in ("pinred", "tests", "robots", "docs", "examples", "pyproject.toml"):
+            if (ROOT / name).is_dir():
+                shutil.copytree(ROOT / name, self.root / name, ignore=ignored)
+            else:
+                shutil.copy(ROOT / name, self.root / name)
+        for name in ("casadi", "mujoco", "pinocchio", "scipy.integrate"):
+            importlib.import_module(name)
+
+    def outcome(self, module: str, text: str, tests: list[str], seconds: float) -> str:
+        """Return what the tests say of a module with that text."""
+        own = (self.root / "pinred" / module).read_text()
+        self._write(module, text)
+        killers = [name for name, _ in self._killers[module].most_common(3)]
+        with tempfile.TemporaryDirectory() as own_cache:
+            kernels = module.startswith(("integrators", "kernels", "lie", "reduction", "forces"))
+            places = {
+                "PINRED_CACHE_DIR": own_cache if kernels else str(self._cache),
+                "NUMBA_CACHE_DIR": own_cache if module.startswith("integrators")
+                else str(self._cache),
+            }  # fmt: skip
+            code = self._forked([*killers, *tests], places, seconds)
+        self._write(module, own)
+        if code == 0:
+            return "survived"
+        said = self._said.read_text(errors="replace").splitlines()
+        failed = [line for line in said if line.startswith(("FAILED", "ERROR"))]
+        if code is None or not failed:
+            return f"killed by {'time' if code is None else 'an error'}"
+        killer = failed[0].split(" - ")[0].split(maxsplit=1)[1]
+        if "::" in killer:
+            self._killers[module][killer] += 1
+        return f"killed by {killer}"
+
+    def _write(self, module: str, text: str) -> None:
+        """Write a module with a time of its own, by which compiled ones are told from others."""
+        target = self.root / "pinred" / module
+        target.write_text(text)
+        self._writes += 1
+        os.utime(target, (self._writes, self._writes))
+
+    def _forked(self, tests: list[str], places: dict[str, str], seconds: float) -> int | None:
+        """Run tests in a fork until one fails and return its exit code; None if it took longer."""
+        child = os.fork()
+        if not child:
             try:
-                said = job.communicate(timeout=seconds)[0]
-            except subprocess.TimeoutExpired:
-                os.killpg(job.pid, signal.SIGKILL)
-                said = "\nFAILED too long"
-    target.write_text(own)
-    if job.returncode == 0:
-        return "survived"
-    failed = [line for line in said.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return f"killed by {failed[0].split()[1] if failed else 'an error'}"
+                os.setsid()
+                with self._said.open("w") as said:
+                    os.dup2(said.fileno(), 1)
+                    os.dup2(said.fileno(), 2)
+                os.chdir(self.root)
+                os.environ.update(places | {"PYTHONPATH": str(self.root)})
+                numba.config.reload_config()
+                sys.path.insert(0, str(self.root))
+                options = ["-q", "-x", "-m", "not slow", "-p", "no:cacheprovider"]
+                code = int(pytest.main([*options, *tests]))
+                sys.stdout.flush()
+                os._exit(code)
+            except BaseException:
+                traceback.print_exc()
+            finally:
+                sys.stderr.flush()
+                os._exit(70)
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            found, status = os.waitpid(child, os.WNOHANG)
+            if found:
+                return os.waitstatus_to_exitcode(status)
+            time.sleep(0.05)
+        os.killpg(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        return None
 
 
 def main(arguments: list[str]) -> int:
@@ -203,24 +265,16 @@ def main(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     rows, counts = [], Counter[tuple[str, str]]()
     with tempfile.TemporaryDirectory() as place:
-        copied = Path(place) / "project"
-        copied.mkdir()
-        for name in ("pinred", "tests", "robots", "docs", "examples", "pyproject.toml"):
-            source = ROOT / name
-            ignored = shutil.ignore_patterns("__pycache__")
-            if source.is_dir():
-                shutil.copytree(source, copied / name, ignore=ignored)
-            else:
-                shutil.copy(source, copied / name)
+        copied = Copy(Path(place))
         for module in options.modules:
             text = (ROOT / "pinred" / module).read_text()
             tests = options.tests or tests_of(module)
-            plain = outcome(copied, module, text, tests, options.seconds)
+            plain = copied.outcome(module, text, tests, options.seconds)
             if plain != "survived":
                 print(f"{module}: the tests fail without a mutant: {plain}")
                 return 2
             for mutant in list(mutants(text))[options.first :: options.every]:
-                found = outcome(copied, module, mutant.text, tests, options.seconds)
+                found = copied.outcome(module, mutant.text, tests, options.seconds)
                 counts[module, found.split()[0]] += 1
                 rows.append([module, mutant.line, mutant.what, found])
                 if found == "survived":
