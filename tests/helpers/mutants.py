@@ -231,7 +231,7 @@ class Copy:
                     os.dup2(said.fileno(), 2)
                 os.chdir(self.root)
                 os.environ.update(places | {"PYTHONPATH": str(self.root)})
-                numba.config.reload_config()
+                numba.config.reload_config()  # type: ignore[no-untyped-call]
                 sys.path.insert(0, str(self.root))
                 options = ["-q", "-x", "-m", "not slow", "-p", "no:cacheprovider"]
                 code = int(pytest.main([*options, *tests]))
