@@ -37,7 +37,7 @@ ROOT = Path(__file__).parents[2]
 # The tests that most likely kill a mutant, first those that mirror the module.
 TESTS: dict[str, list[str]] = {
     "verification": [
-        "verification/test_bounds_of_compare.py", "verification/test_small_faults.py",
+        "verification/test_bounds_of_compare.py", "verification/test_bounds_of_ends.py",
         "verification/test_compare.py", "verification/test_ties.py",
     ],
     "kernels/judge": ["kernels/test_judge.py", "simulation/test_simulate.py"],
