@@ -133,7 +133,7 @@ def test_impulses_are_cleared(axis: int) -> None:
     impulse = 1e-3 * np.eye(6)[axis]
     for fall in (0.0, 20.0):
         state = held(fall=fall)
-        mass, radius, kinetic, internal = measures(state)
+        mass, radius, _, internal = measures(state)
         own = np.sqrt(2.0 * mass * internal) * (1.0 if axis < 3 else radius)
         scale = max(own, np.abs(state.spatial_momentum).max())
         assert audit(state, 0.0, impulse).momenta[1] * scale == pytest.approx(-impulse)
