@@ -73,7 +73,8 @@ def errors(
     monkeypatch.setattr(equations_of_motion, "accelerations", lambda *_: given)
 
     def other(self: FullState, t: float, y: Array, *, dense: bool = False) -> Array:
-        return RATE(self, t, y, dense=dense) + np.append(0.0 * y[:-2], dense * np.array(apart))
+        added = np.append(0.0 * y[:-2], dense * np.array(apart))
+        return np.asarray(RATE(self, t, y, dense=dense) + added)
 
     monkeypatch.setattr(FullState, "rate", other)
     return equation_errors(traj, FullState(traj.scene), TIMES)
