@@ -112,7 +112,7 @@ def test_steps_that_are_judged() -> None:
 def test_kinks_of_forces_stand_out(monkeypatch: pytest.MonkeyPatch, kinks: bool) -> None:
     """Ten times the median, where forces have kinks; what is no number is none."""
     system = pinred.load("coupled_planar")
-    acting = pinred.forces.Torque(lambda _t, x, *_: 0.1 * casadi.fabs(x)) if kinks else None
+    acting = [pinred.forces.Torque(lambda _t, x, *_: 0.1 * casadi.fabs(x))] if kinks else []
     steps = np.array([1.0, 1.0, 1.0, 9.9, 10.1])
 
     def made(*_: object) -> Defects:
