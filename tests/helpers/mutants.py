@@ -67,11 +67,16 @@ _TYPED = (ast.AnnAssign, ast.arg, ast.FunctionDef)
 
 @dataclass(frozen=True)
 class Mutant:
-    """A change.  line: of the module.  what: before and after.  text: of the whole module."""
+    """A change.  line: of the module.  what: before and after.  tree: the whole module then."""
 
     line: int
     what: str
-    text: str
+    tree: ast.Module
+
+    @property
+    def text(self) -> str:
+        """Return the source of the module."""
+        return ast.unparse(ast.fix_missing_locations(self.tree))
 
 
 def mutants(source: str) -> Iterator[Mutant]:
@@ -82,14 +87,13 @@ def mutants(source: str) -> Iterator[Mutant]:
         if id(node) in skipped or not isinstance(node, _CHANGED):
             continue
         for number in range(3):
-            changed = copy.deepcopy(tree)
+            changed = ast.parse(source)
             twin = next(each for k, each in enumerate(ast.walk(changed)) if k == index)
             before = ast.unparse(twin)
             after = _change(changed, twin, number)
             if after is None:
                 break
-            text = ast.unparse(ast.fix_missing_locations(changed))
-            yield Mutant(getattr(node, "lineno", 0), f"{_short(before)}  ->  {after}", text)
+            yield Mutant(getattr(node, "lineno", 0), f"{_short(before)}  ->  {after}", changed)
 
 
 def _unseen(tree: ast.AST) -> Iterator[ast.AST]:
@@ -263,30 +267,36 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--tests", nargs="+", default=[])
     parser.add_argument("--seconds", type=float, default=180.0)
     options = parser.parse_args(arguments)
-    rows, counts = [], Counter[tuple[str, str]]()
+    rows: list[list[object]] = []
+    sums, sound = [], set[tuple[str, ...]]()
     with tempfile.TemporaryDirectory() as place:
         copied = Copy(Path(place))
         for module in options.modules:
-            text = (ROOT / "pinred" / module).read_text()
+            text = (copied.root / "pinred" / module).read_text()
             tests = options.tests or tests_of(module)
-            plain = copied.outcome(module, text, tests, options.seconds)
-            if plain != "survived":
-                print(f"{module}: the tests fail without a mutant: {plain}")
-                return 2
-            for mutant in list(mutants(text))[options.first :: options.every]:
+            if tuple(tests) not in sound:
+                plain = copied.outcome(module, text, tests, 10.0 * options.seconds)
+                if plain != "survived":
+                    print(f"{module}: the tests fail without a mutant: {plain}")
+                    return 2
+                sound.add(tuple(tests))
+            every, survived = list(mutants(text)), 0
+            chosen = every[options.first :: options.every]
+            for mutant in chosen:
                 found = copied.outcome(module, mutant.text, tests, options.seconds)
-                counts[module, found.split()[0]] += 1
                 rows.append([module, mutant.line, mutant.what, found])
                 if found == "survived":
+                    survived += 1
                     print(f"{module}:{mutant.line}: {mutant.what}", flush=True)
                 if options.table is not None:
                     with options.table.open("w", newline="") as file:
                         head = ["module", "line", "change", "outcome"]
                         csv.writer(file).writerows([head, *rows])
-    for module in options.modules:
-        killed, survived = (counts[module, word] for word in ("killed", "survived"))
-        print(f"{module:<40} {killed:4d} killed {survived:4d} survived")
-    return int(any(word == "survived" for _, word in counts))
+            killed = len(chosen) - survived
+            sums.append(f"{module:<40} {len(chosen):4d} of {len(every):4d}: {killed:4d} killed")
+            print(sums[-1], flush=True)
+    print("\n".join(sums))
+    return int(any(row[-1] == "survived" for row in rows))
 
 
 if __name__ == "__main__":

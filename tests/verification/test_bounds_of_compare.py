@@ -8,9 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 from tampering import offset, tampered
+from trees import random_model
 
 import pinred
 from pinred.cli.compare import judged
+from pinred.system.joints import joint_units
 from pinred.verification.distances import FullMotion
 from pinred.verification.full_state import FullState
 from pinred.verification.report import EXIT_CODES, Verdict
@@ -164,6 +166,18 @@ def test_sizes_of_a_motion() -> None:
     assert size.joints == pytest.approx([1.0, 3.0, 9.0])
     q[1] = q[0]
     assert full.size(FullMotion(x=x, q=q)).position == pytest.approx(full.radius(q[0]))
+
+
+def test_slides_count_by_the_size_of_the_robot() -> None:
+    """Where they move by less than that; of hinges it is a radian."""
+    system = pinred.load(random_model("SE3", 6, 2))
+    full = FullState(pinred.Scene(system=system, seed=0))
+    q = system.sorted_q(system.q(system.group.identity(), np.zeros(6)))
+    radius = full.radius(q)
+    assert {"m", "rad"} == set(system.units)
+    found = full.size(FullMotion(x=np.zeros((1, 6)), q=q[None])).joints
+    sizes = {"m": radius, "rad": 1.0}
+    assert found == pytest.approx([sizes[unit] for unit in joint_units(system.model)])
 
 
 @pytest.mark.parametrize("rate", [0.0, 3e-13])
