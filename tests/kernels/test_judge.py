@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from trees import random_model
 import pinred
 from pinred import forces
 from pinred.common.arrays import Array
+from pinred.kernels.build import build_kernel
 from pinred.kernels.judge import judge
 from pinred.kernels.judged_state import JudgedState
 from pinred.kernels.kernel import Kernel
@@ -246,6 +248,22 @@ def test_a_wrong_force_is_found(make: Any) -> None:
     first, last = places(kernel)["pi"]
     with pytest.raises(pinred.KernelMismatch, match="acceleration"):
         judge(Faulty(kernel, "rate", first, last, 3.0 * LEAST))  # type: ignore[arg-type]
+
+
+def test_a_slide_that_is_no_wheel_is_found() -> None:
+    """Where the base is pushed, the momentum of what slides along is no constant."""
+    pushed = pin.Model()
+    for i, name in enumerate(("root", "slide")):
+        joint = pushed.addJoint(i, pin.JointModelPX(), pin.SE3.Identity(), name)
+        pushed.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    pushed.gravity.setZero()
+    system = pinred.load(pushed)
+    plan = plan_of(pinred.Scene(system=system, seed=0, forces=forces.Wrench([0.8])))
+    judge(kernel_of(plan, zero_momentum=False))
+    kind = plan.kind(zero_momentum=False)
+    wrong = replace(kind.structure, cyclic=(0,))
+    with pytest.raises(pinred.KernelMismatch, match="acceleration"):
+        build_kernel(system, wrong, kind.forces)
 
 
 def single(group: str, moments: list[float], lever: float = 0.0) -> Kernel:
