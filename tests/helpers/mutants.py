@@ -36,18 +36,34 @@ import pytest
 ROOT = Path(__file__).parents[2]
 # The tests that most likely kill a mutant, first those that mirror the module.
 TESTS: dict[str, list[str]] = {
-    "verification": [
-        "verification/test_bounds_of_compare.py", "verification/test_bounds_of_ends.py",
-        "verification/test_compare.py", "verification/test_ties.py",
+    "verification/full_state": [
+        "verification/test_audit.py", "verification/test_compare.py",
+        "verification/test_bounds_of_compare.py", "verification/test_ties.py",
     ],
-    "kernels/judge": ["kernels/test_judge.py", "simulation/test_simulate.py"],
-    "reduction/potential": ["reduction/test_gravity.py", "reduction/test_closed_forms.py",
-                            "system/test_refusals.py"],
+    "verification/defect": ["verification/test_defects.py"],
+    "verification/distances": ["verification/test_distances.py"],
+    "verification/equations": [
+        "verification/test_equations_of_motion.py", "verification/test_ties.py",
+    ],
+    "verification/ties": ["verification/test_ties.py", "verification/test_equations_of_motion.py"],
+    "verification/report": [
+        "verification/test_bounds_of_compare.py", "views/test_notebook_cards.py",
+    ],
+    "verification": [
+        "verification/test_bounds_of_ends.py", "verification/test_bounds_of_compare.py",
+        "verification/test_audit.py", "verification/test_compare.py",
+    ],
+    "kernels/judge": [
+        "kernels/test_judged_state.py", "kernels/test_judged_velocities.py",
+        "kernels/test_judge.py", "forces/test_refused_forces.py",
+    ],
+    "reduction/potential": ["reduction/test_gravity.py", "reduction/test_small_asymmetries.py",
+                            "reduction/test_closed_forms.py", "system/test_refusals.py"],
     "reduction": ["reduction"],
     "lie": ["lie"],
     "forces": ["forces"],
     "integrators": ["integrators"],
-    "simulation/balances": ["simulation/test_balances.py"],
+    "simulation/balances": ["simulation/test_balances.py", "verification/test_audit.py"],
     "simulation/accelerations": [
         "verification/test_bounds_of_compare.py", "verification/test_small_faults.py",
     ],

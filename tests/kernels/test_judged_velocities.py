@@ -1,16 +1,17 @@
-"""Velocities of all joints are judged each for itself, at three states."""
+"""Velocities of all joints are judged each for itself, at three states; NaN never passes."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 from coupled_trees import make_case
 from faulty_kernels import Faulty, light_tree
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.kernels.judge import judge
+from pinred.kernels.judge import agree, judge
 from pinred.simulation.compiled.kernel_of_plan import kernel_of
 from pinred.simulation.plan import plan_of
 
@@ -38,6 +39,18 @@ def test_velocities_of_followers_are_found() -> None:
             judge(Faulty(kernel, "out", k, k + 1, 1e-8))  # type: ignore[arg-type]
         found.append("velocity of all joints is" in str(told.value))
     assert sum(found) == len(system.followers)
+
+
+@pytest.mark.parametrize("where", ["out", "rate"])
+def test_what_is_no_number_agrees_with_nothing(where: str) -> None:
+    """Neither found nor expected."""
+    with pytest.raises(pinred.KernelMismatch):
+        judge(Faulty(light_tree(1.0), where, 0, 1, np.nan))  # type: ignore[arg-type]
+    for pair in ([np.nan, 1.0], [1.0, np.nan]):
+        found, expected = np.array([pair]).T
+        with pytest.raises(pinred.KernelMismatch, match="it disagrees with Pinocchio: this is off"):
+            agree("it", "this", found, expected, 1.0)
+    agree("it", "this", np.array([1.0 + 0.9e-10]), np.array([1.0]), 0.0)
 
 
 def test_three_states_are_judged() -> None:
