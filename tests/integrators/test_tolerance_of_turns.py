@@ -15,7 +15,7 @@ RTOL, TURNED = 1e-8, 100.0
     ("method", "part"), [("DOP853", 1.0), ("Tsit5", 1.0), ("Radau", 0.03), ("AdaptiveGauss", 0.1)]
 )
 def test_a_sphere_turns_to_the_tolerance(method: str, part: float) -> None:
-    """After 100 rad its angle is off by less than a part of rtol; ten times looser steps leave more.
+    """After 100 rad its angle is off by a part of rtol; ten times looser steps leave more.
 
     That is 1.5 and 3 for the explicit methods, 0.12 and 0.35 for the others.
     """
