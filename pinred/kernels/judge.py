@@ -168,7 +168,7 @@ def _judge_acceleration(
     active, a = list(layout.active), len(layout.active)
     pidot = np.zeros(system.m)
     pidot[active] = rate[a : 2 * a]
-    pidot[active] += (H[:k, r:].T @ wrench[:k] / system.mass)[active]
+    pidot += H[:k, r:].T @ wrench[:k] / system.mass
     # Far from the world's origin Pinocchio's Coriolis matrix has round-off of the distance.
     near = model.copy()
     near.jointPlacements[1] = pin.SE3.Identity()

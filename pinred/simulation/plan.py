@@ -160,13 +160,14 @@ def _plan(scene: Scene) -> Plan:
 def _acting(system: System, forces: ForceModel | None) -> Acting:
     weight = pivot_weight(system)
     driven = forces.joints if forces is not None else ()
+    pushed = forces is not None and forces.has_wrench
     return Acting(
         system=system,
         forces=forces,
         weight=weight,
         gravity=acting_gravity(system),
-        momentum_changes=bool(weight.any()) or (forces is not None and forces.has_wrench),
-        cyclic=cyclic_of(system, touched_by(forces)),
+        momentum_changes=bool(weight.any()) or pushed,
+        cyclic=cyclic_of(system, touched_by(forces), pushed=pushed),
         driven=driven,
         free=tuple(k for k in range(system.m) if k not in driven),
     )

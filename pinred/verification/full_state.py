@@ -186,12 +186,12 @@ class FullState:
         xi, mu = self._relative(self.q(y), v)
         return Sample(self.ties.shape(x), self.ties.shape(v[r:]), xi, mu, np.zeros(3))
 
-    def rate(self, t: float, y: Array, *, dense: bool = False) -> Array:
-        """Return dy/dt with Pinocchio's ABA.  dense: with its CRBA instead, for comparison."""
+    def rate(self, t: float, y: Array) -> Array:
+        """Return dy/dt with Pinocchio's ABA."""
         size, m, r = self._size, self._m, self._r
         if self._forces is None:
             v, q = y[size + m :], self.q(y)
-            a = self.ties.acceleration(q, v, np.zeros(len(v)), dense=dense)
+            a = self.ties.acceleration(q, v, np.zeros(len(v)))
             return np.concatenate([self._root.rate(y[:size], v[:r]), v[r:], a])
         y = y.copy()
         accelerations = np.empty(0)
@@ -206,7 +206,7 @@ class FullState:
         shape, shape_rate = self.ties.shape(x), self.ties.shape(v[r:])
         acting = self._forces.acting(t, shape, shape_rate, xi, mu, self._numbers)
         tau = np.append(acting.wrench, self.ties.at_leaders(acting.torque))
-        a = self.ties.acceleration(q, v, tau, self._driven, accelerations, dense=dense)
+        a = self.ties.acceleration(q, v, tau, self._driven, accelerations)
         return np.concatenate([self._root.rate(y[:size], v[:r]), v[r:], a])
 
     def _relative(self, q: Array, v: Array) -> tuple[Array, Array]:

@@ -4,8 +4,9 @@ Each mutant is one small change of one module, in a copy of the package: compari
 constants ten times as large or small, + for −, * for /, `and` for `or`, a statement or a returned
 value left out, an expression set to zero, a condition denied.  The tests of the module run until
 one fails (killed) or all pass (survived: the tests do not see it, or there is nothing to see).
-Options: --table FILE.csv, --every N (each N-th mutant only), --first (number of the first),
---seconds of a mutant's tests, --tests (these instead of all of the module's).
+Options: --table FILE.csv, --sample N (so many of each module, at random by --seed),
+--seconds of a mutant's tests, --tests (these instead of all of the module's).  Tests marked slow
+are left out.
 
 Compiled kernels and integrators are kept in a cache of the run's own; where a mutant may be part
 of what was compiled, in one of its own.
@@ -29,6 +30,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from random import Random
 
 import numba
 import pytest
@@ -36,18 +38,34 @@ import pytest
 ROOT = Path(__file__).parents[2]
 # The tests that most likely kill a mutant, first those that mirror the module.
 TESTS: dict[str, list[str]] = {
-    "verification": [
-        "verification/test_bounds_of_compare.py", "verification/test_bounds_of_ends.py",
-        "verification/test_compare.py", "verification/test_ties.py",
+    "verification/full_state": [
+        "verification/test_audit.py", "verification/test_compare.py",
+        "verification/test_bounds_of_compare.py", "verification/test_ties.py",
     ],
-    "kernels/judge": ["kernels/test_judge.py", "simulation/test_simulate.py"],
-    "reduction/potential": ["reduction/test_gravity.py", "reduction/test_closed_forms.py",
-                            "system/test_refusals.py"],
+    "verification/defect": ["verification/test_defects.py"],
+    "verification/distances": ["verification/test_distances.py"],
+    "verification/equations": [
+        "verification/test_equations_of_motion.py", "verification/test_ties.py",
+    ],
+    "verification/ties": ["verification/test_ties.py", "verification/test_equations_of_motion.py"],
+    "verification/report": [
+        "verification/test_bounds_of_compare.py", "views/test_notebook_cards.py",
+    ],
+    "verification": [
+        "verification/test_bounds_of_ends.py", "verification/test_bounds_of_compare.py",
+        "verification/test_audit.py", "verification/test_compare.py",
+    ],
+    "kernels/judge": [
+        "kernels/test_judged_state.py", "kernels/test_judged_velocities.py",
+        "kernels/test_judge.py", "forces/test_refused_forces.py",
+    ],
+    "reduction/potential": ["reduction/test_gravity.py", "reduction/test_small_asymmetries.py",
+                            "reduction/test_closed_forms.py", "system/test_refusals.py"],
     "reduction": ["reduction"],
     "lie": ["lie"],
     "forces": ["forces"],
     "integrators": ["integrators"],
-    "simulation/balances": ["simulation/test_balances.py"],
+    "simulation/balances": ["simulation/test_balances.py", "verification/test_audit.py"],
     "simulation/accelerations": [
         "verification/test_bounds_of_compare.py", "verification/test_small_faults.py",
     ],
@@ -262,8 +280,8 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("modules", nargs="+", help="such as verification/compare.py")
     parser.add_argument("--table", type=Path)
-    parser.add_argument("--every", type=int, default=1)
-    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--sample", type=int)
+    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tests", nargs="+", default=[])
     parser.add_argument("--seconds", type=float, default=180.0)
     options = parser.parse_args(arguments)
@@ -281,7 +299,10 @@ def main(arguments: list[str]) -> int:
                     return 2
                 sound.add(tuple(tests))
             every, survived = list(mutants(text)), 0
-            chosen = every[options.first :: options.every]
+            chosen = every
+            if options.sample is not None and options.sample < len(every):
+                which = Random(options.seed).sample(range(len(every)), options.sample)
+                chosen = [every[k] for k in sorted(which)]
             for mutant in chosen:
                 found = copied.outcome(module, mutant.text, tests, options.seconds)
                 rows.append([module, mutant.line, mutant.what, found])

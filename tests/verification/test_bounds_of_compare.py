@@ -121,6 +121,17 @@ def test_growth_is_that_of_an_unstable_motion() -> None:
     assert (growth <= 1.3 * most + 1.0).all()
 
 
+@pytest.mark.parametrize("error", [1e-300, np.nan])
+def test_a_bound_of_nothing_passes_nothing(error: float) -> None:
+    """However small, and what is no number; no error at all passes."""
+    bounds, errors = passed().rotation_bounds.copy(), passed().rotation_errors.copy()
+    bounds[5] = errors[5] = 0.0
+    assert replace(passed(), rotation_errors=errors.copy(), rotation_bounds=bounds).passed
+    errors[5] = error
+    report = replace(passed(), rotation_errors=errors, rotation_bounds=bounds)
+    assert report.verdict is Verdict.FAILED
+
+
 def test_a_hinge_does_not_hide_behind_a_wheel() -> None:
     """Each joint is judged in units of its own motion: wheels turn by 300 rad, the panel by 1."""
     traj = pinred.simulate(pinred.load("reaction_wheel_satellite"))
