@@ -8,6 +8,11 @@ from . import poisson as poisson
 from . import signals as signals
 from .analysis.connections.connection import Connection as Connection
 from .analysis.connections.connection import ConnectionField as ConnectionField
+from .analysis.connections.fluid import Ellipse as Ellipse
+from .analysis.connections.fluid import Ellipsoid as Ellipsoid
+from .analysis.connections.viscous import Rod as Rod
+from .analysis.connections.wheels import Rolling as Rolling
+from .analysis.connections.wheels import Wheel as Wheel
 from .analysis.gaits.gait import Gait as Gait
 from .analysis.inspection import Inspection as Inspection
 from .analysis.inspection import inspect as inspect

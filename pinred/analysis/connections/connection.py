@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -13,7 +15,11 @@ from ...kernels.connection.code import ConnectionCode
 from ...kernels.connection.form import ConnectionForm
 from ...lie.group import Group
 from ...system.system import System
+from .fluid import Ellipse, Ellipsoid, fluid_form
 from .mechanical import mechanical_form
+from .sections import from_link, in_section
+from .viscous import Rod, viscous_form
+from .wheels import Rolling, Wheel, kinematic_form
 
 _EXPLAINED = 16.0 * np.finfo(float).eps  # least own part of an inertia that is not singular
 _WHEELS = 1e-9  # least health of a form that is not symmetric
@@ -53,6 +59,7 @@ class Connection:
 
     form: ConnectionForm = field(repr=False)
     code: ConnectionCode = field(repr=False)
+    system: System | None = field(default=None, repr=False)
 
     @classmethod
     def of(cls, form: ConnectionForm) -> Connection:
@@ -62,7 +69,54 @@ class Connection:
     @classmethod
     def mechanical(cls, system: System) -> Connection:
         """Return the mechanical connection of a system: A = I⁻¹ H_bs, metric M (kg m², …)."""
-        return cls.of(mechanical_form(system))
+        return replace(cls.of(mechanical_form(system)), system=system)
+
+    @classmethod
+    def viscous(cls, system: System, drag: Mapping[str, Rod | ArrayLike]) -> Connection:
+        """Return the connection of a robot at low Reynolds number, where drag rules.
+
+        drag: of links by name, a Rod, or a symmetric tensor (6, 6) from twists to what resists
+        them [N s/m, N s, N m s], in the link's frame about its origin.  The metric M is half of
+        what is dissipated: path length is in √(W s).
+        """
+        return replace(cls.of(viscous_form(system, drag)), system=system)
+
+    @classmethod
+    def fluid(
+        cls, system: System, density: float, bodies: Mapping[str, Ellipsoid | Ellipse | ArrayLike]
+    ) -> Connection:
+        """Return the connection of a robot in a perfect fluid, by added masses.
+
+        density: of the fluid [kg/m³]; of an Ellipse [kg/m²] if masses are per metre of height.
+        bodies: of links by name, an Ellipsoid, an Ellipse, or the added inertia per density as a
+        symmetric tensor (6, 6) in the link's frame.  Bodies do not see each other's flow.
+        """
+        return replace(cls.of(fluid_form(system, density, bodies)), system=system)
+
+    @classmethod
+    def kinematic(cls, system: System, wheels: Sequence[Wheel | Rolling]) -> Connection:
+        """Return the connection of wheels, as many as the group has dimensions: A = W_b⁻¹ W_s.
+
+        It has no metric.  Shapes at which the wheels leave a motion open are refused.
+        """
+        return replace(cls.of(kinematic_form(system, wheels)), system=system)
+
+    def seen_from(self, link: str) -> Connection:
+        """Return the same connection with another link as the base, whose twist ξ then is.
+
+        A cycle that begins at x₀ has the phase h(x₀)⁻¹ g h(x₀), h the pose of the link as the old
+        base sees it.  Raises InputError for a link that there is not, or that leaves the group.
+        """
+        if self.system is None:
+            raise InputError("only a connection made from a System can be seen from a link")
+        return Connection.of(from_link(self.form, self.system, link))
+
+    def in_section(self, pose: Callable[[ca.SX], ca.SX]) -> Connection:
+        """Return the same connection in the frame h(x): A′ = Ad_{h⁻¹} A − h⁻¹∂h.
+
+        pose: writes the pose coordinates of h, (size,), as CasADi expressions in x (m,).
+        """
+        return Connection.of(in_section(self.form, pose))
 
     def __repr__(self) -> str:
         return f"Connection({self.form.what}, {self.group.name}, m={self.m})"
