@@ -18,6 +18,8 @@ from .analysis.inspection import Inspection as Inspection
 from .analysis.inspection import inspect as inspect
 from .analysis.phases.phase import Phase as Phase
 from .analysis.phases.phase import phase as phase
+from .analysis.phases.rigid_body import RigidBodyPhase as RigidBodyPhase
+from .analysis.phases.rigid_body import rigid_body_phase as rigid_body_phase
 from .analysis.phases.screw import Screw as Screw
 from .analysis.phases.slopes import PhaseSlopes as PhaseSlopes
 from .analysis.phases.slopes import phase_slopes as phase_slopes

@@ -125,9 +125,16 @@ def _seen(
         G = form.reference(x) @ T
         return np.asarray(T.T @ G if form.symmetric else G)
 
+    def locked(x: ca.SX) -> ca.SX:
+        xi = ca.SX.sym("xi", r)
+        T = ca.densify(ca.jacobian(old(x, xi, ca.SX.zeros(form.m, 1)), xi))
+        P = ca.reshape(form.locked(x), r, r) @ T
+        return T.T @ P if form.symmetric else P
+
     return form_of(
-        form.group, form.joints, form.units, what, values, reference, symmetric=form.symmetric
-    )
+        form.group, form.joints, form.units, what, values, reference,
+        symmetric=form.symmetric, locked=locked,
+    )  # fmt: skip
 
 
 def link_pose(system: System, name: str, x: Array) -> Array:
