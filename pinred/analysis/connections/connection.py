@@ -219,10 +219,7 @@ class Connection:
         return found.A, found.M, found.P
 
     def refuse_singular(self, x: Array, health: Array) -> None:
-        """Raise SingularInertiaError, naming a shape, if one of (N, m) is singular.
-
-        Of a form that is not symmetric also if the sign changes between two shapes in a row.
-        """
+        """Raise SingularInertiaError, naming a shape, if one of (N, m) is singular."""
         least = _EXPLAINED if self.form.symmetric else _WHEELS
         size = health if self.form.symmetric else np.abs(health)
         wrong = ~(size > least)
@@ -231,6 +228,17 @@ class Connection:
             raise SingularInertiaError(
                 f"A is not defined at the shape {at}: {self.form.what} leave a motion of the "
                 "body open there; keep the joints away from it"
+            )
+
+    def refuse_crossing(self, health: Array) -> None:
+        """Raise SingularInertiaError if P_b is singular between the shapes (N,) of a path.
+
+        A form that is not symmetric changes its sign there.
+        """
+        if not self.form.symmetric and health.min() < 0.0 < health.max():
+            raise SingularInertiaError(
+                f"the gait crosses shapes at which {self.form.what} leave a motion of the body "
+                "open; choose one that stays on one side of them"
             )
 
     def _one(self, x: ArrayLike) -> Array:

@@ -125,7 +125,7 @@ def kinematic_form(system: System, wheels: Sequence[Wheel | Rolling]) -> Connect
     if len(slips) != system.r:
         raise InputError(
             f"{system.group.name} has {system.r} dimensions, so a kinematic connection needs "
-            f"{system.r} wheels, got {len(slips)}; with fewer, see Connection.mixed"
+            f"{system.r} wheels, got {len(slips)}; with fewer, see mixed_connection"
         )
 
     def values(x: ca.SX, v: ca.SX) -> ca.SX:
