@@ -18,6 +18,9 @@ from .analysis.connections.mixed_motion import simulate_mixed as simulate_mixed
 from .analysis.connections.viscous import Rod as Rod
 from .analysis.connections.wheels import Rolling as Rolling
 from .analysis.connections.wheels import Wheel as Wheel
+from .analysis.floating_arm import FloatingArm as FloatingArm
+from .analysis.floating_arm import Singularity as Singularity
+from .analysis.floating_arm import Workspace as Workspace
 from .analysis.gaits.gait import Gait as Gait
 from .analysis.inspection import Inspection as Inspection
 from .analysis.inspection import inspect as inspect
