@@ -21,6 +21,12 @@ from .analysis.connections.wheels import Wheel as Wheel
 from .analysis.floating_arm import FloatingArm as FloatingArm
 from .analysis.floating_arm import Singularity as Singularity
 from .analysis.floating_arm import Workspace as Workspace
+from .analysis.frames.corrected import CorrectedIntegral as CorrectedIntegral
+from .analysis.frames.corrected import corrected_integral as corrected_integral
+from .analysis.frames.flatness import Flatness as Flatness
+from .analysis.frames.flatness import flatness as flatness
+from .analysis.frames.optimal_frame import OptimalFrame as OptimalFrame
+from .analysis.frames.optimal_frame import optimal_frame as optimal_frame
 from .analysis.gaits.gait import Gait as Gait
 from .analysis.inspection import Inspection as Inspection
 from .analysis.inspection import inspect as inspect
