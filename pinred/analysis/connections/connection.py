@@ -127,8 +127,8 @@ class Connection:
         """Return the connection of a robot at low Reynolds number, where drag rules.
 
         drag: of links by name, a Rod, or a symmetric tensor (6, 6) from twists to what resists
-        them [N s/m, N s, N m s], in the link's frame about its origin.  The metric M is half of
-        what is dissipated: path length is in √(W s).
+        them [N s/m, N s, N m s], in the link's frame about its origin.  With the metric
+        M, ẋᵀ M ẋ is the power that is dissipated [W].
         """
         return replace(cls.of(viscous_form(system, drag)), system=system)
 
