@@ -125,3 +125,16 @@ def test_refusals(
     assert message in err
     assert err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "command"), [("field", "pinred field"), ("cycles", "pinred phase")]
+)
+def test_plot_names_the_command(
+    kind: str, command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """What is no figure of a motion is drawn by a command of its own."""
+    words = ("plot", "three_rods", "--kind", kind, "--out", str(tmp_path / "out.png"))
+    code, _, err = run(capsys, *words)
+    assert code == 2
+    assert f"`{command}` draws it" in err
