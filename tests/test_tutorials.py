@@ -98,9 +98,9 @@ def test_form(path: Path) -> None:
     assert f"tutorials/{path.name}" in (ROOT / "docs/tutorials.md").read_text(encoding="utf-8")
 
 
-def test_there_are_six() -> None:
+def test_there_are_nine() -> None:
     """Numbered from 1 to 6."""
-    assert [int(path.name[:2]) for path in PATHS] == list(range(1, 7))
+    assert [int(path.name[:2]) for path in PATHS] == list(range(1, 10))
 
 
 def test_elroys_beanie(tell: Callable[[str], Told]) -> None:
@@ -221,6 +221,38 @@ def test_integrators(tell: Callable[[str], Told]) -> None:
     assert drift["Gauss6"][1] < 1e-4 * drift["RKMK4"][1]
     explicit, implicit = told.numbers(r"stiff: N evaluations of DOP853, N evaluations of Radau")
     assert explicit > 30 * implicit
+
+
+def test_cat_in_one_formula(tell: Callable[[str], Told]) -> None:
+    """The bend that turns it over, and the phases of four bends, by the closed form."""
+    told = tell("07")
+    assert told.numbers("bent by N° it turns over") == pytest.approx([59.42646], abs=5e-6)
+    rows = re.findall(r"(\d+)° +([\d.]+) +([\d.]+)", told.text)
+    assert len(rows) == 4
+    for degrees, found, _ in rows:
+        half = np.radians(float(degrees)) / 2.0
+        c, s = np.cos(half), np.sin(half)
+        roll = 2.0 * np.pi * (0.25 * c / (0.25 * c**2 + s**2) - 1.0)
+        assert np.cos(float(found)) == pytest.approx(np.cos(roll), abs=1e-8)
+
+
+def test_trusted_height_function(tell: Callable[[str], Told]) -> None:
+    """Purcell's stroke as published; from a quarter off to half a per cent."""
+    told = tell("08")
+    moved = told.numbers("the circle moves it by N,")
+    assert moved == pytest.approx([0.0512808243], abs=1e-9)
+    assert told.numbers(r"middle +link: off by N %") == pytest.approx([26.6], abs=0.1)
+    (off,) = told.numbers("the volume is off by N %")
+    assert off < 0.5
+
+
+def test_hand_that_stays_put(tell: Callable[[str], Told]) -> None:
+    """Held, the hand strays by a hundredth of what it does with frozen joints."""
+    told = tell("09")
+    (way,) = told.numbers("with frozen joints the hand strays by N m")
+    (held,) = told.numbers("held, it strays by N m")
+    assert held < 0.01 * way
+    assert told.text.count("verdict: PASSED") == 1
 
 
 def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -26,7 +26,8 @@ STATE = {  # the initial state, by the names that Scene has for it: the form, an
     "q0": ("V1,V2,…", "Pinocchio's configuration instead of x0 and pose0"),
     "v0": ("V1,V2,…", "Pinocchio's velocity instead of xdot0, xi0 and momentum"),
 }
-VECTORS = ("--at", "--gravity", *(f"--{name}" for name in STATE))  # of numbers with commas
+# Options of numbers with commas.
+VECTORS = ("--at", "--gravity", "--limits", *(f"--{name}" for name in STATE))
 
 
 def one_of(names: Iterable[str], default: Any) -> str:

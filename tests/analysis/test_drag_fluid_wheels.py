@@ -149,7 +149,7 @@ def test_singular_wheels_are_refused() -> None:
         with pytest.raises(pinred.SingularInertiaError, match="leave a motion of the body open"):
             A.local(x)
         with pytest.raises(pinred.SingularInertiaError, match="leave a motion of the body open"):
-            A.grid([[1.0, -0.5], x])
+            _ = A.grid([[1.0, -0.5], x]).curvature
     with pytest.raises(pinred.SingularInertiaError, match="crosses shapes"):
         pinred.phase(A, Gait.fourier([0.5, 0.1], [[0.7, 0.0]], [[0.0, 0.6]]))
 

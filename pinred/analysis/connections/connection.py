@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, read_only, vector, vectors
 from ...common.errors import InputError, SingularInertiaError
-from ...kernels.connection.code import ConnectionCode
+from ...kernels.connection.code import ConnectionCode, Curvatures
 from ...kernels.connection.form import ConnectionForm
 from ...lie.group import Group
 from ...system.system import System
@@ -22,28 +23,78 @@ from .viscous import Rod, viscous_form
 from .wheels import Rolling, Wheel, kinematic_form
 
 _EXPLAINED = 16.0 * np.finfo(float).eps  # least own part of an inertia that is not singular
+_AT_ONCE = 8192  # shapes: few enough that work space stays in the cache
 _WHEELS = 1e-9  # least health of a form that is not symmetric
 
 
 @dataclass(frozen=True, eq=False)
 class ConnectionField:
-    """A connection at shapes x (..., m), the leading axes first in every array; read-only.
+    """A connection at shapes x (..., m), the leading axes first in every array.
 
-    local: (..., r, m), A.  metric: (..., m, m), M, or None without one.  exterior: (..., r, m, m),
-    ∂_αA_β − ∂_βA_α.  bracket: (..., r, m, m), [A_α, A_β].  curvature: exterior − bracket.
+    Each array is computed when it is first looked at, kept, and read-only.  Everything raises
+    SingularInertiaError, naming the first shape at which A is not defined.
     """
 
     connection: Connection = field(repr=False)
     x: Array
-    local: Array
-    metric: Array | None
-    exterior: Array
-    bracket: Array
 
     @property
+    def local(self) -> Array:
+        """A, (..., r, m)."""
+        return self._locals[0]
+
+    @property
+    def metric(self) -> Array:
+        """M, (..., m, m).  Raises InputError if the connection has no metric."""
+        found = self._locals[1]
+        if found is None:
+            raise InputError(f"{self.connection.form.what} give no metric on shape space")
+        return found
+
+    @cached_property
     def curvature(self) -> Array:
         """B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (..., r, m, m)."""
-        return np.asarray(self.exterior - self.bracket)
+        x, r, m = self._flat, self.connection.r, self.connection.m
+        out = np.empty((len(x), r, m, m))
+        for start in range(0, len(x), _AT_ONCE):
+            some = slice(start, start + _AT_ONCE)
+            health = self.connection.code.curvature(x[some], out[some])
+            self.connection.refuse_singular(x[some], health)
+        return self._shaped(out)
+
+    @property
+    def exterior(self) -> Array:
+        """∂_αA_β − ∂_βA_α, (..., r, m, m): the part that a commutative group has, too."""
+        return self._parts[0]
+
+    @property
+    def bracket(self) -> Array:
+        """[A_α, A_β], (..., r, m, m): curvature = exterior − bracket."""
+        return self._parts[1]
+
+    @cached_property
+    def _locals(self) -> tuple[Array, Array | None]:
+        x, r, m = self._flat, self.connection.r, self.connection.m
+        A = np.empty((len(x), r, m))
+        M = np.empty((len(x), m, m)) if self.connection.has_metric else None
+        for start in range(0, len(x), _AT_ONCE):
+            some = slice(start, start + _AT_ONCE)
+            A[some], metric, _ = self.connection.locals_at(x[some])
+            if M is not None and metric is not None:
+                M[some] = metric
+        return self._shaped(A), None if M is None else self._shaped(M)
+
+    @cached_property
+    def _parts(self) -> tuple[Array, Array]:
+        found = self.connection.curvatures_at(self._flat)
+        return self._shaped(found.exterior), self._shaped(found.bracket)
+
+    @property
+    def _flat(self) -> Array:
+        return self.x.reshape(-1, self.connection.m)
+
+    def _shaped(self, array: Array) -> Array:
+        return read_only(array.reshape(*self.x.shape[:-1], *array.shape[1:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +127,8 @@ class Connection:
         """Return the connection of a robot at low Reynolds number, where drag rules.
 
         drag: of links by name, a Rod, or a symmetric tensor (6, 6) from twists to what resists
-        them [N s/m, N s, N m s], in the link's frame about its origin.  The metric M is half of
-        what is dissipated: path length is in √(W s).
+        them [N s/m, N s, N m s], in the link's frame about its origin.  With the metric
+        M, ẋᵀ M ẋ is the power that is dissipated [W].
         """
         return replace(cls.of(viscous_form(system, drag)), system=system)
 
@@ -163,28 +214,13 @@ class Connection:
 
     def curvature(self, x: ArrayLike) -> Array:
         """B(x), (r, m, m), antisymmetric in the last two axes; errors as of `local`."""
-        x = self._one(x)
-        found = self.code.curvatures(x)
-        self.refuse_singular(x, found.health)
+        found = self.curvatures_at(self._one(x))
         return read_only((found.exterior - found.bracket)[0])
 
     def grid(self, shapes: ArrayLike) -> ConnectionField:
-        """Return everything at shapes (..., m); errors as of `local`, naming the first shape."""
+        """Return the connection at shapes (..., m), as a field over the leading axes."""
         x = vectors(shapes, self.m, f"shapes of {self.form.what}", self.joints).copy()
-        flat = x.reshape(-1, self.m)
-        A, M, _ = self.locals_at(flat)
-        curved = self.code.curvatures(flat)
-        self.refuse_singular(flat, curved.health)
-        lead = x.shape[:-1]
-
-        def shaped(array: Array) -> Array:
-            return read_only(array.reshape(*lead, *array.shape[1:]))
-
-        return ConnectionField(
-            connection=self, x=read_only(x), local=shaped(A),
-            metric=None if M is None else shaped(M),
-            exterior=shaped(curved.exterior), bracket=shaped(curved.bracket),
-        )  # fmt: skip
+        return ConnectionField(self, read_only(x))
 
     def velocity(self, x: ArrayLike, xdot: ArrayLike) -> Array:
         """ξ = −A ẋ at shapes and rates (..., m), (..., r); errors as of `local`."""
@@ -217,6 +253,12 @@ class Connection:
         found = self.code.locals(x)
         self.refuse_singular(x, found.health)
         return found.A, found.M, found.P
+
+    def curvatures_at(self, x: Array) -> Curvatures:
+        """Return the curvature in its two parts at shapes (N, m); errors as of `local`."""
+        found = self.code.curvatures(x)
+        self.refuse_singular(x, found.health)
+        return found
 
     def refuse_singular(self, x: Array, health: Array) -> None:
         """Raise SingularInertiaError, naming a shape, if one of (N, m) is singular."""

@@ -133,7 +133,7 @@ def _seen(
 
     return form_of(
         form.group, form.joints, form.units, what, values, reference,
-        symmetric=form.symmetric, locked=locked,
+        symmetric=form.symmetric, momentum=form.momentum, locked=locked,
     )  # fmt: skip
 
 

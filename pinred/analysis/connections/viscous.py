@@ -77,7 +77,10 @@ def viscous_form(system: System, drag: Mapping[str, Rod | ArrayLike]) -> Connect
 
 
 def tensor_form(system: System, tensors: list[Array], what: str, *, rotors: bool) -> ConnectionForm:
-    """Return the symmetric form of tensors (6, 6) of all bodies, in joint frames, root first."""
+    """Return the symmetric form of tensors (6, 6) of all bodies, in joint frames, root first.
+
+    rotors: whether they are inertias, beside which joints have their armature.
+    """
     own = tensors_of(system, tensors)
     armature = np.diag(np.array(system.model.armature)) if rotors else 0.0
 
@@ -89,5 +92,5 @@ def tensor_form(system: System, tensors: list[Array], what: str, *, rotors: bool
 
     return form_of(
         system.group, system.shape_names, system.units, what, values, reference,
-        symmetric=True, locked=lambda x: locked(system, x, own, rotors=rotors),
+        symmetric=True, momentum=rotors, locked=lambda x: locked(system, x, own, rotors=rotors),
     )  # fmt: skip

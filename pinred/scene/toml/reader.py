@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any, Literal, NoReturn
 import casadi as ca
 import numpy as np
 
-from ...common.errors import InputError, LoadError, PinredError
+from ...common.errors import InputError, PinredError
 from ...common.parameter import Parameter
 from ...forces.force import Force, Limit
 from ...forces.force_model import remembered_model
@@ -20,19 +19,17 @@ from ...forces.signals import Signal
 from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS, Method
 from ...reduction.tree.all_joints import joint_rates, joint_values
-from ...system.catalogue import bundled_robots
-from ...system.load import load
 from ...system.system import System
 from .. import forms
 from ..random_state import DURATION
 from ..scene import Engine, Scene
 from .csv_columns import read_text
+from .documents import parsed, robot_in
 from .force_kinds import FORCES
 from .keys import SCENE
 from .places import Place, naming, one_line, unknown
 from .signal_reader import SignalReader
 
-_LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+\s*\.\s*){50}""")
 _SECTIONS = {
     **dict.fromkeys(("x0", "xdot0", "xi0", "momentum", "seed", "q0", "v0", "keyframe"), "start"),
     **dict.fromkeys(("duration", "times", "rtol", "atol"), "run"),
@@ -63,24 +60,8 @@ def read_scene_file(path: str | Path) -> SceneFile:
     path = Path(path)
     text = read_text(path, "scene file")
     place = Place(str(path), text)
-    document = SCENE.read(_parsed(text, place), place)
+    document = SCENE.read(parsed(text, place, "a scene"), place)
     return _Builder(path.parent, place, document).built()
-
-
-def _parsed(text: str, place: Place) -> dict[str, Any]:
-    """Return the tables of a text.  Raises LoadError if it is not TOML."""
-    if _LONG_KEY.search(text):
-        raise LoadError(f"{place.file}: not a scene: a key of more than 50 parts")
-    try:
-        return tomllib.loads(text + "\n")  # so that every fault has its line
-    except tomllib.TOMLDecodeError as error:
-        said = re.fullmatch(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", str(error))
-        problem, where = said.groups() if said else (str(error), None)
-        raise LoadError(f"{place.file}, {where or 'at its end'}: not TOML: {problem}") from None
-    except RecursionError:
-        raise LoadError(f"{place.file}: not a scene: tables or lists nested too deep") from None
-    except ValueError:
-        raise LoadError(f"{place.file}: not TOML: a number of thousands of digits") from None
 
 
 class _Builder:
@@ -89,7 +70,7 @@ class _Builder:
     def __init__(self, folder: Path, place: Place, document: dict[str, Any]) -> None:
         self.folder, self.place, self.document = folder, place, document
         self.signals = SignalReader(folder)
-        self.system = self._load()
+        self.system = robot_in(document, folder, place)
         m, r = self.system.m, self.system.r
         self.parameters = self._parameters()
         self.symbols = (ca.SX.sym("t"), *(ca.SX.sym("s", n) for n in (m, m, r)))
@@ -125,25 +106,6 @@ class _Builder:
         except PinredError as error:
             self._explain(error, forces, prescribed)
         return SceneFile(scene, engine)
-
-    def _load(self) -> System:
-        robot, options = self.document["robot"], dict(self.document.get("load", {}))
-        if "meshes" in options:
-            given = options["meshes"]
-            folders = [given] if isinstance(given, str) else given
-            options["meshes"] = [self.folder / folder for folder in folders]
-        source: str | Path = robot
-        file = self.folder / robot
-        is_file = _is_file(file)
-        if robot not in bundled_robots() and (is_file or "/" in robot or Path(robot).suffix):
-            if not is_file:
-                (self.place / "robot").fail(f"no such file: {str(file)!r}")
-            source = file
-        try:
-            return load(source, **options)
-        except PinredError as error:
-            key = "load" if isinstance(error, InputError) else "robot"
-            raise type(error)((self.place / key).tell(one_line(error))) from None
 
     def _parameters(self) -> dict[str, Any]:
         """Return the names that formulas may use beside t, x, xdot and mu."""
@@ -281,10 +243,3 @@ def _method(given: str | dict[str, Any]) -> Method | Literal["auto"]:
     options = dict(given)
     name = options.pop("name")
     return "auto" if name == "auto" else METHODS[name](**options)
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # no name of a file at all
-        return False
