@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
 
+    from ...analysis.branches.follow import Branches
     from ...simulation.trajectory import Trajectory
     from ...verification.bench.work_precision import WorkPrecision
     from ...verification.report import Report
@@ -87,6 +88,12 @@ def plot(
 
 
 @overload
+def plot(
+    source: Branches, kind: Literal["branches"], *, joint: str | int | None = None
+) -> Figure: ...
+
+
+@overload
 def plot(source: Any, kind: str) -> Figure: ...
 
 
@@ -94,8 +101,8 @@ def plot(source: Any, kind: str) -> Figure: ...
 def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
     """Return the figure of a kind: the function of that name in pinred.plots.
 
-    source: what the function takes, a Trajectory for all but work_precision.  options: those
-    of the function; no kind takes all that are shown here.
+    source: what the function takes, a Trajectory for all but work_precision and branches.
+    options: those of the function; no kind takes all that are shown here.
     Raises InputError for a kind or option that there is not, listing those there are;
     MissingPackageError if matplotlib is not installed.
     """
