@@ -30,8 +30,8 @@ class Inspection:
     at: the reduction there.  curvature_norm: Frobenius norm of B.  flat: whether B vanishes at all
     shapes, as far as random ones show, so that closed paths of the shape move the base nowhere at
     zero momentum.  casimirs: functions of the body momentum that no energy changes, as formulas.
-    cyclic: joints on which neither inertia nor potential depends.  symmetries: what is conserved, in words.
-    skipped: what a simulation does not integrate, in words.
+    cyclic: joints on which neither inertia nor potential depends.  symmetries: what is conserved,
+    in words.  skipped: what a simulation does not integrate, in words.
     full_size, reduced_size: numbers integrated by a full simulation and by pinred.
     """
 
