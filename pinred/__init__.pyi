@@ -9,11 +9,19 @@ from . import signals as signals
 from .analysis.branches.follow import Branches as Branches
 from .analysis.branches.follow import BranchPoint as BranchPoint
 from .analysis.branches.follow import branches as branches
+from .analysis.connections.connection import Connection as Connection
+from .analysis.connections.connection import ConnectionField as ConnectionField
 from .analysis.equilibria.find import relative_equilibria as relative_equilibria
 from .analysis.equilibria.relative_equilibrium import Equilibria as Equilibria
 from .analysis.equilibria.relative_equilibrium import RelativeEquilibrium as RelativeEquilibrium
+from .analysis.gaits.gait import Gait as Gait
 from .analysis.inspection import Inspection as Inspection
 from .analysis.inspection import inspect as inspect
+from .analysis.phases.phase import Phase as Phase
+from .analysis.phases.phase import phase as phase
+from .analysis.phases.screw import Screw as Screw
+from .analysis.phases.slopes import PhaseSlopes as PhaseSlopes
+from .analysis.phases.slopes import phase_slopes as phase_slopes
 from .analysis.stability.along_motions import FloquetMultipliers as FloquetMultipliers
 from .analysis.stability.along_motions import LyapunovSpectrum as LyapunovSpectrum
 from .analysis.stability.along_motions import floquet as floquet
@@ -39,6 +47,7 @@ from .common.errors import StepSizeUnderflow as StepSizeUnderflow
 from .common.errors import SymmetryError as SymmetryError
 from .common.errors import TooManySteps as TooManySteps
 from .common.errors import UnsupportedOperationError as UnsupportedOperationError
+from .common.parameter import Parameter as Parameter
 from .integrators.methods import DOP853 as DOP853
 from .integrators.methods import RKMK4 as RKMK4
 from .integrators.methods import AdaptiveGauss as AdaptiveGauss

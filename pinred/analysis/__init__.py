@@ -1,1 +1,4 @@
-"""Questions about a robot beside its motions.  Imports `simulation` and what lies below it."""
+"""Questions about a robot beside its motions: connections, gaits, phases, inspection.
+
+Imports `simulation` and what lies below it.
+"""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from ..common.arrays import positive
 from ..common.errors import InputError
+from ..common.parameter import Parameter, checked_number
 from ..system.force import Force as Force
 from ..system.force import Symbols as Symbols
 from ..system.force import Terms as Terms
@@ -17,8 +19,8 @@ from ..system.force import entries as entries
 from ..system.force import finite as finite
 from .signals import Signal
 
-PerJoint: TypeAlias = float | Mapping[str, float]
-Reference: TypeAlias = Mapping[str, Signal | float]
+PerJoint: TypeAlias = float | Parameter | Mapping[str, float | Parameter]
+Reference: TypeAlias = Mapping[str, Signal | float | Parameter]
 
 
 class Named(Force):
@@ -39,13 +41,16 @@ class Limit:
     most: PerJoint
     smooth: bool = False
 
-    def apply(self, s: Symbols, torque: dict[int, Any], what: str) -> dict[int, Any]:
-        """Return the bounded torques."""
+    def apply(
+        self, s: Symbols, torque: dict[int, Any], number: Callable[[Any], Any], what: str
+    ) -> dict[int, Any]:
+        """Return the bounded torques; number: as for Force.terms."""
         import casadi as ca
 
         out = dict(torque)
         for k, bound in per_joint(self.most, torque, s, f"the limit of {what}").items():
-            most = positive(bound, f"the limit of {what} at '{s.every_name[k]}'")
+            told = f"the limit of {what} at '{s.every_name[k]}'"
+            most = number(checked_number(bound, partial(positive, what=told)))
             if self.smooth:
                 out[k] = most * ca.tanh(torque[k] / most)
             else:
@@ -54,7 +59,7 @@ class Limit:
 
 
 def motions(
-    reference: Reference, s: Symbols, number: Callable[[float], Any], what: str
+    reference: Reference, s: Symbols, number: Callable[[Any], Any], what: str
 ) -> dict[int, tuple[Any, Any, Any]]:
     """Return (x_d, ẋ_d, ẍ_d) of each joint of a reference."""
     import casadi as ca
@@ -67,10 +72,10 @@ def motions(
     return out
 
 
-def of_time(value: Any, s: Symbols, number: Callable[[float], Any], what: str) -> Any:
+def of_time(value: Any, s: Symbols, number: Callable[[Any], Any], what: str) -> Any:
     """Return a Signal or a number as an expression.  Raises InputError naming `what`."""
     if isinstance(value, Signal):
-        return value.casadi(s.t, s.within)
+        return value.written(s.t, s.within, number)
     return number(finite(value, what, "a Signal or a number"))
 
 
@@ -91,16 +96,24 @@ def checked_reference(reference: Any, what: str) -> None:
         raise InputError(f"{what} must have {{joint: Signal or number}}, got {reference!r}")
 
 
-def limited(limit: Limit | None, s: Symbols, torque: dict[int, Any], what: str) -> dict[int, Any]:
+def limited(
+    limit: Limit | None,
+    s: Symbols,
+    torque: dict[int, Any],
+    number: Callable[[Any], Any],
+    what: str,
+) -> dict[int, Any]:
     """Return torques within a limit, if there is one.  Raises InputError."""
     if limit is None:
         return torque
     if not isinstance(limit, Limit):
         raise InputError(f"limit of {what} must be a Limit, got {limit!r}")
-    return limit.apply(s, torque, what)
+    return limit.apply(s, torque, number, what)
 
 
-def per_joint(values: PerJoint, joints: Iterable[int], s: Symbols, what: str) -> dict[int, float]:
+def per_joint(
+    values: PerJoint, joints: Iterable[int], s: Symbols, what: str
+) -> dict[int, float | Parameter]:
     """Return the value of each joint, from one for all or one by name.  Raises InputError."""
     joints = list(joints)
     if not isinstance(values, Mapping):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -11,10 +12,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..common.arrays import Array, freeze
+from ..common.arrays import Array, freeze, read_only
 from ..common.casadi_calls import Numeric
 from ..common.errors import InputError
 from ..common.memo import once
+from ..common.parameter import Affine, Parameter, parameter_of
 from ..common.plain_names import brief
 from ..reduction.potential import spring_pair
 from ..reduction.tree.all_joints import joint_rates, joint_values
@@ -26,6 +28,7 @@ from .kinds import Controller, Damper, Friction, Spring
 from .signals import Constant, Expression, Signal
 from .written import terms_of
 
+_NEAR = 1e-2  # relative
 _REMEMBERED = 16  # models of one system
 _KINKS = {
     ca.OP_FABS, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO,
@@ -57,7 +60,8 @@ class Prescribed:
 class ForceModel:
     """The forces and prescribed joints of a scene.
 
-    numbers: (p,) the values in them that may change without another kernel.  held:
+    numbers: (p,) the values in them that may change without another kernel.  parameters: those in
+    them, and slopes, (p, parameters), ∂numbers/∂parameters, which are constants.  held:
     controllers, each with the place among the numbers of the torques that it holds.  key: a
     digest of the expressions.  within: the place among the numbers of the time that says which
     piece of a table counts.  joints: indices of the prescribed joints; signals: their motions;
@@ -74,6 +78,9 @@ class ForceModel:
         m, r = system.m, system.r
         self._values: list[float] = []
         self._names: list[ca.SX] = []
+        self._slopes: list[tuple[int, Parameter, float]] = []
+        self._slot_of: dict[Parameter, int] = {}
+        self._in_formulas: list[int] = []
         self.signals = tuple(prescribed.values())
         self.references = tuple(signal for force in forces for signal in force.signals)
         has_breaks = any(signal.breaks.size for signal in (*self.signals, *self.references))
@@ -97,7 +104,7 @@ class ForceModel:
                     f"prescribed['{name}'] must have a continuous rate, but {signal!r} has a kink "
                     "or a jump; use a Spline"
                 )
-        x = ca.vertcat(*(signal.casadi(s.t, s.within) for signal in self.signals))
+        x = ca.vertcat(*(each.written(s.t, s.within, self._number) for each in self.signals))
         xdot = ca.jacobian(x, s.t)
         xddot = ca.jacobian(xdot, s.t)
         self.held: list[tuple[Controller, slice]] = []
@@ -117,7 +124,8 @@ class ForceModel:
             terms = terms_of(force, s, self._number)
             self._check_symbols(s, terms, force.label)
             if isinstance(force, Controller):
-                self.held.append((force, slice(first, len(self._values))))
+                held = len(force.joints or s.names)
+                self.held.append((force, slice(first, first + held)))
             if terms.potential is not None:
                 potential = potential + terms.potential
             if terms.torque or terms.wrench is not None:
@@ -126,7 +134,11 @@ class ForceModel:
                 wrenches = ca.horzcat(wrenches, _wrench_column(terms, r))
                 self.has_wrench |= terms.wrench is not None
                 acted |= {_through(system, k)[0] for k in terms.torque}
-        self.numbers = np.array(self._values)
+        self.numbers = read_only(np.array(self._values))
+        self.parameters = self._checked_parameters()
+        self.slopes = np.zeros((len(self.numbers), len(self.parameters)))
+        for slot, parameter, slope in self._slopes:
+            self.slopes[slot, self.parameters.index(parameter)] = slope
         p = ca.vertcat(*self._names)
         state = [s.t, s.x, s.xdot, s.xi, s.mu, p]
         torque = ca.sum2(torques) - ca.gradient(potential, s.x)
@@ -144,6 +156,17 @@ class ForceModel:
         self.needs_time = bool(self.joints) or ca.depends_on(everything, s.t)
         text = self.acting_function.serialize() + self.prescribed_function.serialize()
         self.key = hashlib.sha256(f"{self.joints}{text}".encode()).hexdigest()
+
+    def with_values(self, values: Mapping[str, float]) -> ForceModel:
+        """Return this model with other values of parameters, {name: value}; it shares the rest."""
+        moved = np.array([values.get(each.name, each.value) for each in self.parameters])
+        moved -= [each.value for each in self.parameters]
+        if not moved.any():
+            return self
+        other = copy(self)
+        vars(other).pop("_once", None)  # what was made for these numbers
+        other.numbers = read_only(self.numbers + self.slopes @ moved)
+        return other
 
     def acting(
         self, t: float, x: Array, xdot: Array, xi: Array, mu: Array, numbers: Array
@@ -177,6 +200,13 @@ class ForceModel:
         numbers[self.within] = 0.5 * (t + later[0])
         return numbers
 
+    def random_numbers(self, rng: np.random.Generator) -> Array:
+        """Return numbers (p,) with which kernels are tried: any, in formulas near their own."""
+        numbers = rng.normal(size=len(self.numbers))
+        near = self._in_formulas
+        numbers[near] = self.numbers[near] * (1.0 + _NEAR * numbers[near])
+        return numbers
+
     def potential(self, x: Array, numbers: Array) -> float:
         """Return V(x) of the forces that have a potential [J]."""
         (value,) = self._potential(x, numbers)
@@ -198,16 +228,46 @@ class ForceModel:
         known = {symbol.element_hash() for symbol in ca.symvar(own)}
         given = [terms.potential, *terms.torque.values(), *(terms.wrench or [])]
         for symbol in ca.symvar(ca.SX(ca.vertcat(*(v for v in given if v is not None)))):
-            if symbol.element_hash() not in known:
+            if symbol.element_hash() in known:
+                continue
+            parameter = parameter_of(symbol)
+            if parameter is not None:
+                self._number(parameter)
+            else:
                 raise InputError(
                     f"{what} has a symbol '{symbol}' that is none of t, x, xdot and mu; "
                     "use those that the function is given"
                 )
 
-    def _number(self, value: float) -> ca.SX:
+    def _number(self, value: Any) -> ca.SX:
+        """Return the symbol of a number, of a Parameter, or of what is Affine in some."""
+        slot = len(self._values)
+        if isinstance(value, Parameter):
+            if value not in self._slot_of:
+                self._slot_of[value] = slot
+                self._slopes.append((slot, value, 1.0))
+                self._values.append(value.value)
+                self._names.append(value.symbol)
+            return self._names[self._slot_of[value]]
+        if isinstance(value, Affine):
+            self._in_formulas.append(slot)
+            self._slopes += [(slot, each, weight) for each, weight in value.weights.items()]
+            value = value.value
         self._values.append(value)
-        self._names.append(ca.SX.sym(f"p{len(self._names)}"))
+        self._names.append(ca.SX.sym(f"p{slot}"))
         return self._names[-1]
+
+    def _checked_parameters(self) -> tuple[Parameter, ...]:
+        """Return the parameters in all that is written.  Raises InputError for two of one name."""
+        found = list(dict.fromkeys(parameter for _, parameter, _ in self._slopes))
+        names = [parameter.name for parameter in found]
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise InputError(
+                f"two Parameters are called '{twice[0]}'; make one and use it in both places, or "
+                "give them names of their own"
+            )
+        return tuple(found)
 
 
 def remembered_model(
@@ -240,7 +300,10 @@ def remembered_model(
 
 
 def _same(signal: Signal) -> Hashable:
-    return signal if isinstance(signal, (Constant, Expression)) else id(signal)
+    simple = isinstance(signal, Expression) or (
+        isinstance(signal, Constant) and not isinstance(vars(signal)["_given"], Parameter)
+    )
+    return signal if simple else id(signal)
 
 
 def _force_model(

@@ -32,7 +32,7 @@ def required_torque(system: System, s: Symbols, accelerations: Mapping[int, ca.S
     p = momenta(system, s.x, v)
     transport = ca.jtimes(p, s.x, s.xdot)  # Ḣ v
     mu, eta = p[:r], ca.SX.sym("eta", r)
-    turned = ca.gradient(ca.dot(mu, bracket(system, s.xi, eta)), eta)  # ad*_ξ μ
+    turned = ca.gradient(ca.dot(mu, bracket(system.group, s.xi, eta)), eta)  # ad*_ξ μ
     pushed = momenta(system, s.x, ca.vertcat(ca.SX(r, 1), a))
     I = ca.jacobian(mu, s.xi)
     xidot = ca.solve(I, turned - transport[:r] - pushed[:r])

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..common.arrays import Array, as_floats, positive
 from ..common.errors import InputError
+from ..common.parameter import Parameter
 from ..system.passive import Damper as Damper
 from ..system.passive import Friction as Friction
 from ..system.passive import Spring as Spring
@@ -69,7 +70,7 @@ class PotentialEnergy(Named):
     def __post_init__(self) -> None:
         checked(self.name, "a function of x", self.function)
 
-    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:  # noqa: ARG002
+    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:  # noqa: ARG002
         """Return the potential."""
         return Terms(potential=scalar(self.function(s.x), f"V(x) of {self.name}"))
 
@@ -83,7 +84,7 @@ class Torque(Named):
     x["hinge"] and xdot["hinge"] are entries by joint, as x[0] is.
     """
 
-    function: Action | Mapping[str, Action | Signal | float]
+    function: Action | Mapping[str, Action | Signal | float | Parameter]
     limit: Limit | None = None
     name: str = "torque"
 
@@ -96,7 +97,7 @@ class Torque(Named):
         """The functions of time in it."""
         return signals_in(self.function.values()) if isinstance(self.function, Mapping) else ()
 
-    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         """Return the torques."""
         if isinstance(self.function, Mapping):
             torque = {
@@ -106,7 +107,7 @@ class Torque(Named):
         else:
             found = s.column(self.function(s.t, s.x, s.xdot, s.mu), self.name)
             torque = {k: scalar(v, f"{self.name} at '{s.every_name[k]}'") for k, v in found.items()}
-        return Terms(torque=limited(self.limit, s, torque, self.name))
+        return Terms(torque=limited(self.limit, s, torque, number, self.name))
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ class _Tracking(Named):
         return signals_in(self.reference.values())
 
     def _feedback(
-        self, s: Symbols, number: Callable[[float], Any], wanted: dict[int, tuple[Any, Any, Any]]
+        self, s: Symbols, number: Callable[[Any], Any], wanted: dict[int, tuple[Any, Any, Any]]
     ) -> dict[int, Any]:
         """Return kp (x_d − x) + kd (ẋ_d − ẋ) of each joint whose motion is wanted."""
         kp = per_joint(self.kp, wanted, s, f"kp of {self.name}")
@@ -147,11 +148,11 @@ class PD(_Tracking):
 
     name: str = "pd"
 
-    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         """Return the torques."""
         wanted = motions(self.reference, s, number, self.name)
         torque = self._feedback(s, number, wanted)
-        return Terms(torque=limited(self.limit, s, torque, self.name))
+        return Terms(torque=limited(self.limit, s, torque, number, self.name))
 
 
 @dataclass(frozen=True)
@@ -166,7 +167,7 @@ class ComputedTorque(_Tracking):
     name: str = "computed torque"
     last: ClassVar[bool] = True
 
-    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         """Return the torques.  Raises InputError if a joint that moves has no reference."""
         wanted = motions(self.reference, s, number, self.name)
         for k in wanted:
@@ -183,7 +184,7 @@ class ComputedTorque(_Tracking):
             accelerations[k] = wanted[k][2] + feedback
         every = s.required_torque(accelerations) - s.others
         torque = {k: every[k] for k in wanted}
-        return Terms(torque=limited(self.limit, s, torque, self.name))
+        return Terms(torque=limited(self.limit, s, torque, number, self.name))
 
 
 @dataclass(frozen=True)
@@ -194,7 +195,7 @@ class Wrench(Named):
     number or (t, x, xdot, mu) → expression; joints by name as in Torque.
     """
 
-    function: Action | Sequence[Action | Signal | float]
+    function: Action | Sequence[Action | Signal | float | Parameter]
     name: str = "wrench"
 
     def __post_init__(self) -> None:
@@ -206,7 +207,7 @@ class Wrench(Named):
         """The functions of time in it."""
         return () if callable(self.function) else signals_in(self.function)
 
-    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         """Return the wrench."""
         r = s.mu.numel()
         if callable(self.function):
@@ -245,10 +246,10 @@ class Controller(Named):
         if len(set(self.joints)) < len(self.joints):
             raise InputError(f"joints of {self.name} must differ, got {', '.join(self.joints)}")
 
-    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         """Return the torques that are held: numbers that are set anew at every sample."""
         torque = {s.joint(name, self.name): number(0.0) for name in self.joints or s.names}
-        return Terms(torque=limited(self.limit, s, torque, self.name))
+        return Terms(torque=limited(self.limit, s, torque, number, self.name))
 
     def sample(self, names: tuple[str, ...], t: float, x: Array, xdot: Array, mu: Array) -> Array:
         """Return the torques at one time, in the order of `joints`.  Raises InputError."""
@@ -274,7 +275,7 @@ class Controller(Named):
         return torque
 
 
-def _acting(value: Any, s: Symbols, number: Callable[[float], Any], what: str) -> Any:
+def _acting(value: Any, s: Symbols, number: Callable[[Any], Any], what: str) -> Any:
     """Return a Signal, a number or a function of the state as an expression."""
     if callable(value):
         return scalar(value(s.t, s.x, s.xdot, s.mu), what)

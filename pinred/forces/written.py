@@ -21,7 +21,7 @@ _INSTEAD = (
 )
 
 
-def terms_of(force: Force, s: Symbols, number: Callable[[float], Any]) -> Terms:
+def terms_of(force: Force, s: Symbols, number: Callable[[Any], Any]) -> Terms:
     """Return the action of a force.  Raises InputError, with what to write instead."""
     try:
         with warnings.catch_warnings():

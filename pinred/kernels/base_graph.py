@@ -7,7 +7,7 @@ from dataclasses import astuple, dataclass
 import casadi as ca
 
 from ..reduction.base_parts import BaseParts, root_of
-from ..reduction.tree.scalars import Scalar, Vec, add, cross, dot, mul, plus, sub
+from ..reduction.tree.scalars import Scalar, Vec, add, cross, dot, mul, plus, sub, total
 from ..system.system import System
 
 
@@ -33,7 +33,7 @@ class BaseGraph:
         self,
         system: System,
         parts: BaseParts,
-        weight: tuple[float, float, float] | None,
+        weight: Vec | None,
         *,
         lifted: bool = False,
     ) -> None:
@@ -41,7 +41,7 @@ class BaseGraph:
         self._lifted = lifted
         self._k, self._r, self._mass = system.group.linear, system.r, system.mass
         self._group, self.parts = system.group, parts
-        self._weight = None if weight is None else [float(w) for w in weight]
+        self._weight = weight
         self._root = root_of(system)
         names = ("attitude", "down", "momentum", "push")
         self.attitude, self.down, self.momentum, self.push = (
@@ -67,7 +67,7 @@ class BaseGraph:
         if self._weight is None:
             return None
         if self.parts.down:
-            size = float(sum(w * w for w in self._weight)) ** 0.5
+            size = ca.sqrt(total([mul(w, w) for w in self._weight]))
             return [mul(size, d) for d in self.down]
         return self._turned_back(self._weight)
 

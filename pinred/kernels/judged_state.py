@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..common.arrays import Array
 from ..reduction.inertia_split import mass_matrix_at
-from ..reduction.potential import falling
+from ..reduction.potential import acting_gravity, falling
 from ..system.inertias import moved_masses, radius_of_gyration
 
 if TYPE_CHECKING:
@@ -142,16 +142,19 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
     system, layout, forces = kernel.system, kernel.layout, kernel.forces
     r, m, k = system.r, system.m, system.group.linear
     group, parts = system.group, layout.base
-    model, gravity = system.model.copy(), np.array(kernel.structure.gravity or (0.0, 0.0, 0.0))
+    model, gravity = system.model.copy(), np.zeros(3)
+    if layout.gravity:
+        gravity = acting_gravity(system)
     model.gravity.linear = model.jointPlacements[1].rotation @ gravity
     pose = group.exp(rng.uniform(-1.0, 1.0, r))
     pose = pose if r > k else group.identity()
     x, v = rng.uniform(-2.0, 2.0, m), rng.normal(size=system.n)
     time = float(rng.uniform(*_span(forces)))
     driven = list(layout.prescribed)
-    numbers, accelerations = rng.normal(size=layout.numbers), np.zeros(len(driven))
+    numbers, accelerations = np.empty(0), np.zeros(len(driven))
     x, v = x * reach, v * reach
     if forces is not None:
+        numbers = forces.random_numbers(rng)
         numbers[forces.within] = time  # far beyond its piece a table means nothing
     if forces is not None and driven:
         given = forces.prescribed(time, numbers)
@@ -195,7 +198,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         mu=mu,
         pi=pi,
         y=np.concatenate([x[active], pi[active], x[cyclic], b, [time] * layout.clock]),
-        parameters=np.concatenate([spin, pi[cyclic], numbers]),
+        parameters=np.concatenate([spin, pi[cyclic], gravity[list(layout.gravity)], numbers]),
         driven=tuple(driven),
     )
 

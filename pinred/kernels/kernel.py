@@ -55,6 +55,14 @@ class Kernel:
     def _outputs(self) -> Callable[..., None]:
         return _SIGNATURE(self.outputs.address)
 
+    def random_parameters(self, rng: np.random.Generator) -> Array:
+        """Return parameters (p,) with which code made of this kernel is compared with it."""
+        parameters = rng.normal(size=self.layout.parameters)
+        if self.forces is not None:
+            first = self.layout.parameters - self.layout.numbers
+            parameters[first:] = self.forces.random_numbers(rng)
+        return parameters
+
     def evaluate_rate(self, y: Array, parameters: Array) -> Array:
         """Return dy/dt, (size,)."""
         return self._call(self._rate, y, parameters, self.layout.size)

@@ -15,8 +15,8 @@ from ..system.system import System
 class Structure:
     """The structure of a kernel: it decides, with the forces, which terms there are.
 
-    zero_momentum: of the base.  cyclic: indices of the cyclic joints.  gravity: (3,) the
-    part that acts on the shape or turns a pivoted base, in the root joint's fixed frame, or None.
+    zero_momentum: of the base.  cyclic: indices of the cyclic joints.  gravity: which axes of the
+    root joint's fixed frame the part of it has that acts on the shape or turns a pivoted base.
     base: whether the base is asked for.  lifted: whether a quaternion of any length
     stands for the angular momentum, μ = q̄ J q, which grows as the square of that length.
     Under this map (Cayley and Klein's) of ℝ⁴ to so(3)* the canonical bracket becomes that of
@@ -25,7 +25,7 @@ class Structure:
 
     zero_momentum: bool = True
     cyclic: tuple[int, ...] = ()
-    gravity: tuple[float, float, float] | None = None
+    gravity: tuple[int, ...] = ()
     base: bool = True
     lifted: bool = False
 
@@ -36,7 +36,7 @@ class Layout:
 
     active, cyclic, prescribed: indices of shape joints.  base: the parts of the base that
     are integrated, and its constants.  clock: 1 if the time is the last number of y, else 0.
-    numbers: how many numbers the forces have.
+    gravity: axes along which gravity is a parameter.  numbers: how many numbers the forces have.
     """
 
     active: tuple[int, ...]
@@ -46,6 +46,7 @@ class Layout:
     wanted: bool
     heavy: bool
     clock: int
+    gravity: tuple[int, ...]
     numbers: int
 
     @property
@@ -61,7 +62,12 @@ class Layout:
     @property
     def parameters(self) -> int:
         """Number of parameters."""
-        return self.base.spin + len(self.cyclic) + self.numbers
+        return self.gravity_at + len(self.gravity) + self.numbers
+
+    @property
+    def gravity_at(self) -> int:
+        """Index in the parameters of the first number of gravity."""
+        return self.base.spin + len(self.cyclic)
 
     @property
     def quaternion(self) -> int:
@@ -113,7 +119,7 @@ def outputs_of(system: System, layout: Layout) -> Outputs:
 def layout_of(system: System, structure: Structure, forces: ForceModel | None) -> Layout:
     """Return where things stand in y and in the parameters of a kernel of this structure."""
     prescribed = forces.joints if forces is not None else ()
-    heavy = system.group.is_pivot and structure.gravity is not None
+    heavy = system.group.is_pivot and bool(structure.gravity)
     parts = base_parts(
         system.group,
         wanted=structure.base or structure.lifted,
@@ -129,5 +135,6 @@ def layout_of(system: System, structure: Structure, forces: ForceModel | None) -
         wanted=structure.base,
         heavy=heavy,
         clock=int(forces is not None and forces.needs_time),
+        gravity=structure.gravity,
         numbers=len(forces.numbers) if forces is not None else 0,
     )

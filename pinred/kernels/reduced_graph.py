@@ -6,8 +6,8 @@ The graph contains nothing that a scene does not need.  The reduced state is
         integrated, and the time, if anything depends on it
 
 and the parameters are the angular momentum of the base where it is a constant, the momenta
-of the cyclic joints, and the numbers in the forces.  A joint is cyclic if nothing depends on
-its angle and nothing acts on it: then its momentum is constant.
+of the cyclic joints, gravity where it acts [m/s²], and the numbers in the forces.  A joint is
+cyclic if nothing depends on its angle and nothing acts on it: then its momentum is constant.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ class ReducedGraph:
         self._bodies = bodies_of(system)
         group, m = system.group, system.m
         self.layout = layout_of(system, structure, forces)
-        self._weight = _weight(system, structure)
+        self._gravity = [ca.SX.sym(f"g{axis}") for axis in structure.gravity]
+        self._weight = self._weight_of(structure)
         self.x = [ca.SX.sym(f"x{k}") for k in range(m)]
         self.pi = [ca.SX.sym(f"pi{k}") for k in range(m)]
         turned = self._weight if self.layout.heavy else None
@@ -96,7 +97,7 @@ class ReducedGraph:
     def parameters(self) -> ca.SX:
         """The parameters, (parameters,)."""
         constant = [self.pi[k] for k in self.layout.cyclic]
-        return _column(self.base.spin, constant, self._numbers)
+        return _column(self.base.spin, constant, self._gravity, self._numbers)
 
     def rate(self) -> ca.Function:
         """Return the vector field (y, parameters) → dy/dt."""
@@ -142,9 +143,8 @@ class ReducedGraph:
             value = self._forces.potential_function(_column(self.x), _column(self._numbers))
             energy = add(energy, _scalars(value)[0])
         if self._weight is not None:
-            constant = [float(w) for w in self._weight]
-            weight = self.base.body_weight() or constant
-            origin = dot(constant, root_of(self._system).origin.tolist())
+            weight = self.base.body_weight() or self._weight
+            origin = dot(self._weight, root_of(self._system).origin.tolist())
             energy = sub(energy, add(dot(weight, com), origin))
         return energy
 
@@ -161,6 +161,13 @@ class ReducedGraph:
         if self._lanes is not None:
             return self._lanes.function(name, inputs, value)
         return ca.Function(name, inputs, [ca.densify(value)], {"cse": True})
+
+    def _weight_of(self, structure: Structure) -> Vec | None:
+        """Return the weight m g that acts on the shape or turns a pivoted base, if there is one."""
+        weight: Vec = [0.0, 0.0, 0.0]
+        for axis, g in zip(structure.gravity, self._gravity, strict=True):
+            weight[axis] = mul(self._system.mass, g)
+        return weight if structure.gravity else None
 
     def com(self) -> Vec:
         """Return the centre of mass in the root body's own frame, from the joints' placements."""
@@ -196,8 +203,8 @@ class ReducedGraph:
         energy: Scalar = 0.0
         pairs = list(zip(acting, self.base.along(com), strict=False))  # the linear part
         weight = self.base.body_weight()
-        if weight is None and self._weight is not None:
-            weight = [float(w) for w in self._weight]
+        if weight is None:
+            weight = self._weight
         if weight is not None:
             pairs += [(mul(-1.0, w), c) for w, c in zip(weight, com, strict=True)]
         for load, c in pairs:
@@ -211,14 +218,6 @@ class ReducedGraph:
         names, values = _column([s for s, _ in loads]), _column([v for _, v in loads])
         (slope,) = ca.substitute([slope], [names, self._angles], [values, _column(self.x)])
         return [add(pidot[k], mul(-1.0, slope[k])) for k in range(m)]
-
-
-def _weight(system: System, structure: Structure) -> tuple[float, float, float] | None:
-    """Return the weight m g that acts on the shape or turns a pivoted base, if there is one."""
-    if structure.gravity is None:
-        return None
-    x, y, z = structure.gravity
-    return system.mass * x, system.mass * y, system.mass * z
 
 
 def _column(*parts: list[Scalar]) -> ca.SX:

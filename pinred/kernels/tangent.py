@@ -70,7 +70,7 @@ def _judge(kernel: Kernel, native: NativeCode) -> None:
     for trial in range(_TRIALS):
         reach = 0.9 ** max(0, trial - _NEEDED)
         y = reach * rng.normal(size=size)
-        parameters = reach * rng.normal(size=kernel.layout.parameters)
+        parameters = kernel.random_parameters(rng)
         found = _jacobian(native, y, parameters)
         rough, expected = (_differences(kernel, y, parameters, h) for h in (2.0 * _STEP, _STEP))
         rate = kernel.evaluate_rate(y, parameters)

@@ -35,7 +35,7 @@ def wide_rate(kernel: Kernel, lanes: int) -> NativeCode:
 def _judge(kernel: Kernel, native: NativeCode, lanes: int) -> None:
     """Compare every lane with the kernel at random states."""
     rng, size = np.random.default_rng(0), kernel.layout.size
-    parameters = rng.normal(size=kernel.layout.parameters)
+    parameters = kernel.random_parameters(rng)
     who = f"the kernel of '{kernel.system.name}' at {lanes} states at once"
     judged = np.zeros(lanes)
     for trial in range(_MOST):

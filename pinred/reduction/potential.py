@@ -22,6 +22,7 @@ from ..system.system import Indices, System
 Springs: TypeAlias = Mapping[str, tuple[float, float]]
 
 _SAMPLES = 8  # random configurations at which an invariance is tried
+_ROUND_OFF = 4e-16  # of the largest entry of a rotation
 _TOLERANCE = 1e-10  # of weight times size, the torque that counts as none
 
 
@@ -145,6 +146,23 @@ def shape_gravity(system: System) -> Potential:
     return system.workspace(
         shape_gravity, lambda: Potential(system, weight=not pivot_weight(system).any())
     )
+
+
+def acting_gravity(system: System) -> Array:
+    """Return the part of gravity that acts on the shape or turns a pivoted base, (3,) [m/s²].
+
+    In the root joint's fixed frame; entries that are round-off of a rotation are zero.  Raises
+    SymmetryError if gravity breaks the symmetry.
+    """
+    return system.workspace(acting_gravity, lambda: read_only(_acting_gravity(system)))
+
+
+def _acting_gravity(system: System) -> Array:
+    found = pivot_weight(system) / system.mass
+    direction = shape_gravity(system).direction
+    if direction is not None and not found.any():
+        found = np.array(direction)
+    return np.where(np.abs(found) <= _ROUND_OFF * np.linalg.norm(found), 0.0, found)
 
 
 def spring_pair(name: str, pair: Any) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -70,6 +71,7 @@ class Scene:
     passive: whether springs and dampers in the robot's file act (System.passive).  friction: the
     rate [rad/s | m/s] within which dry friction in the file turns round, τ = −most·tanh(ẋ/width);
     None leaves it out.
+    parameters: {name: value} of each Parameter in forces and signals that is to have another.
     outputs: "all", or "shape" to leave out the base.
     method: an integrator of pinred.integrators, or as text: "DOP853", "RKMK4(0.01)".  One with
     step control works to rtol and atol, or to its own tolerances if it has them: not both.
@@ -99,6 +101,7 @@ class Scene:
     prescribed: Mapping[str, Signal | float | str] = field(default_factory=dict)
     passive: bool = False
     friction: float | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
     outputs: WantedOutputs = "all"
     method: Method | str = "auto"
 
@@ -244,10 +247,13 @@ class Scene:
         self._keep("prescribed", prescribed)
         if not (self.springs or forces or own or prescribed):
             self._keep("_forces", None)
+            self._check_parameters(())
             return
         from ..forces.force_model import remembered_model  # needs CasADi
 
         model = remembered_model(self.system, self.springs, (*forces, *own), prescribed)
+        self._check_parameters([each.name for each in model.parameters])
+        model = model.with_values(self.parameters)
         for signal in (*model.signals, *model.references):
             first, last = signal.span
             if not first <= 0.0 <= self.end <= last:
@@ -262,6 +268,20 @@ class Scene:
                     f"{MOST_CALLS} times in {self.end:g} s"
                 )
         self._keep("_forces", model)
+
+    def _check_parameters(self, known: Sequence[str]) -> None:
+        """Keep the parameters as numbers.  Raises InputError for names that nothing has."""
+        if not isinstance(self.parameters, Mapping):
+            raise InputError(f"parameters must be {{name: value}}, got {brief(self.parameters)}")
+        values = {}
+        for name, value in self.parameters.items():
+            if name not in known:
+                raise InputError(
+                    f"parameters: no Parameter '{name}' in the forces and signals of the scene; "
+                    f"those are {listed(known, 60) or 'none'}"
+                )
+            values[name] = float(vector([value], 1, f"parameters['{name}']")[0])
+        self._keep("parameters", MappingProxyType(values))
 
     def _checked_times(self) -> Array:
         if self.times is None:

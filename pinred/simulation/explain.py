@@ -62,6 +62,6 @@ def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:
         lines.append(f"momenta of the cyclic joints, which are constant: {cyclic}")
     if not system.m:
         lines.append("shape: there is none")
-    elif plan.acting.gravity is None and forces is None:
+    elif not plan.acting.gravity.any() and forces is None:
         lines.append("potential: nothing acts on the shape")
     return lines

@@ -19,7 +19,7 @@ from ..forces.force_model import ForceModel, touched_by
 from ..integrators.methods import Method
 from ..kernels.layout import Layout, Structure, layout_of
 from ..reduction.cyclic_joints import cyclic_of
-from ..reduction.potential import pivot_weight, shape_gravity
+from ..reduction.potential import acting_gravity, pivot_weight
 from ..scene.scene import Scene
 from ..system.system import System
 from .choose_method import Choice, choose
@@ -51,8 +51,8 @@ class Acting:
 
     forces: all that acts besides gravity, and the prescribed joints; None if there is nothing.
     weight: (3,) m g in the root joint's fixed frame where it turns a pivoted base, else zero
-    [N].  gravity: (3,) what of it acts on the shape or turns the base, in that frame [m/s²], or
-    None.  momentum_changes: whether something acts on the angular momentum of the base.
+    [N].  gravity: (3,) what of it acts on the shape or turns the base, in that frame [m/s²].
+    momentum_changes: whether something acts on the angular momentum of the base.
     cyclic, driven, free: indices of the joints whose momentum is constant, of those that are
     prescribed, and of all others than these last.
     """
@@ -60,7 +60,7 @@ class Acting:
     system: System
     forces: ForceModel | None
     weight: Array
-    gravity: tuple[float, float, float] | None
+    gravity: Array
     momentum_changes: bool
     cyclic: tuple[int, ...]
     driven: tuple[int, ...]
@@ -89,8 +89,9 @@ class Acting:
         return once(self, (zero, base, lifted), lambda: self._kind(zero, base, lifted))
 
     def _kind(self, zero: bool, base: bool, lifted: bool) -> Kind:
+        axes = tuple(np.flatnonzero(self.gravity).tolist())
         structure = Structure(
-            zero_momentum=zero, cyclic=self.cyclic, gravity=self.gravity, base=base, lifted=lifted
+            zero_momentum=zero, cyclic=self.cyclic, gravity=axes, base=base, lifted=lifted
         )
         return Kind(self.system, self.forces, structure)
 
@@ -158,16 +159,12 @@ def _plan(scene: Scene) -> Plan:
 
 def _acting(system: System, forces: ForceModel | None) -> Acting:
     weight = pivot_weight(system)
-    gravity = shape_gravity(system).direction
-    if weight.any():
-        x, y, z = (weight / system.mass).tolist()
-        gravity = (x, y, z)
     driven = forces.joints if forces is not None else ()
     return Acting(
         system=system,
         forces=forces,
         weight=weight,
-        gravity=gravity,
+        gravity=acting_gravity(system),
         momentum_changes=bool(weight.any()) or (forces is not None and forces.has_wrench),
         cyclic=cyclic_of(system, touched_by(forces)),
         driven=driven,

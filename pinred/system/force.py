@@ -15,6 +15,7 @@ import numpy as np
 
 from ..common.errors import InputError
 from ..common.names import joint_index
+from ..common.parameter import Parameter
 from ..common.plain_names import brief
 
 if TYPE_CHECKING:
@@ -101,11 +102,11 @@ class Force(ABC):
         """The force's name in tables and messages."""
 
     @abstractmethod
-    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         """Return the action of the force.
 
-        number: turns a value that may change from scene to scene without another kernel
-        into a symbol.  Raises InputError for joints that are not there.
+        number: turns a value that may change from scene to scene without another kernel, or a
+        Parameter, into a symbol.  Raises InputError for joints that are not there.
         """
 
     @property
@@ -114,8 +115,10 @@ class Force(ABC):
         return ()
 
 
-def finite(value: Any, what: str, wanted: str = "a number") -> float:
-    """Return a value as a finite number.  Raises InputError naming `what`."""
+def finite(value: Any, what: str, wanted: str = "a number") -> Any:
+    """Return a value as a finite number, or as the Parameter it is.  Raises InputError."""
+    if isinstance(value, Parameter):
+        return value
     try:
         number = float(value)
     except OverflowError:
@@ -128,7 +131,7 @@ def finite(value: Any, what: str, wanted: str = "a number") -> float:
 
 
 def settle(force: Any, *names: str) -> None:
-    """Make fields of a force finite floats.  Raises InputError."""
+    """Make fields of a force finite floats, or Parameters.  Raises InputError."""
     for name in names:
         object.__setattr__(force, name, finite(getattr(force, name), f"{name} of a {force.label}"))
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from ..common.arrays import positive
 from ..common.errors import InputError
+from ..common.parameter import Parameter, checked_number, value_of
 from ..common.plain_names import plain
 from .force import Force, Symbols, Terms, finite, settle
 
@@ -22,10 +23,10 @@ class Spring(Force):
     """
 
     joint: str
-    stiffness: float
-    rest: float = 0.0
+    stiffness: float | Parameter
+    rest: float | Parameter = 0.0
     to: str | None = None
-    polynomial: tuple[float, ...] = ()
+    polynomial: tuple[float | Parameter, ...] = ()
 
     def __post_init__(self) -> None:
         settle(self, "stiffness", "rest")
@@ -36,7 +37,7 @@ class Spring(Force):
         """The kind of force and the joint, or both joints."""
         return between("spring", self.joint, self.to)
 
-    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         """Return the potential."""
         length = s.x[s.joint(self.joint, self.label)]
         if self.to is not None:
@@ -60,9 +61,9 @@ class Damper(Force):
     """
 
     joint: str
-    coefficient: float
+    coefficient: float | Parameter
     to: str | None = None
-    polynomial: tuple[float, ...] = ()
+    polynomial: tuple[float | Parameter, ...] = ()
 
     def __post_init__(self) -> None:
         settle(self, "coefficient")
@@ -73,7 +74,7 @@ class Damper(Force):
         """The kind of force and the joint, or both joints."""
         return between("damper", self.joint, self.to)
 
-    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         """Return the torques."""
         import casadi as ca
 
@@ -103,15 +104,16 @@ class Friction(Force):
     """
 
     joint: str
-    most: float
-    width: float | None = None
+    most: float | Parameter
+    width: float | Parameter | None = None
 
     def __post_init__(self) -> None:
         settle(self, "most")
-        if self.most < 0.0:
-            raise InputError(f"most of a {self.label} must not be negative, got {self.most:g}")
+        if value_of(self.most) < 0.0:
+            most = value_of(self.most)
+            raise InputError(f"most of a {self.label} must not be negative, got {most:g}")
         if self.width is not None:
-            width = positive(self.width, f"width of a {self.label}")
+            width = checked_number(self.width, lambda w: positive(w, f"width of a {self.label}"))
             object.__setattr__(self, "width", width)
 
     @property
@@ -123,7 +125,7 @@ class Friction(Force):
         """Return the same friction with a width [rad/s | m/s].  Raises InputError."""
         return replace(self, width=width)
 
-    def terms(self, s: Symbols, number: Callable[[float], Any]) -> Terms:
+    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         """Return the torque.  Raises InputError if there is no width."""
         import casadi as ca
 

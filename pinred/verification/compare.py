@@ -129,7 +129,9 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
         defect_bound=DEFECT * tolerance,
         drift_bound=drift,
         field_bound=CONSISTENT,
-        reference_bound=REFERENCE * tolerance * float(growth[max(ends.told - 1, 0)]),
+        reference_bound=min(
+            REFERENCE * tolerance * float(growth[max(ends.told - 1, 0)]), JUDGEABLE
+        ),
         growth=growth,
         told=ends.told,
         reasons=(*ends.reasons, *_at_rest(truth, size)),

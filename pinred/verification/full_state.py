@@ -74,6 +74,7 @@ class FullState:
         self._numbers = np.empty(0) if self._forces is None else self._forces.numbers.copy()
         self._model, self._data = system.model, pin.Data(system.model)
         self._r, self._m = system.r, system.model.njoints - 2
+        self._circles = [i for i, joint in enumerate(system.model.joints[2:]) if joint.nq == 2]
         self.ties = Ties(system)
         # Pinocchio 4.1 leaves the armature of slanted revolute joints out of the kinetic energy.
         self._weightless = system.model.copy()
@@ -176,7 +177,7 @@ class FullState:
         later = self._stops[self._stops > t]
         stop = float(later[0]) if later.size else t
         begin_stretch(self._scene, self._numbers, t, stop, lambda: self._sample(y))
-        return Hairer(self.rate, method, y, t, rtol, atol)
+        return Hairer(self.rate, method, y, t, rtol, atol, self._scene.end)
 
     def _sample(self, y: Array) -> Sample:
         """Return what forces see, by Pinocchio; the weight they do not see."""
@@ -226,9 +227,11 @@ class FullState:
         """Return Pinocchio's configuration of y, (nq,)."""
         root, x = y[: self._size], y[self._size : self._size + self._m]
         parts = [self._root.q(root)]
-        for i, angle in enumerate(x, start=2):
-            circle = self._model.joints[i].nq == 2
-            parts.append(np.array([np.cos(angle), np.sin(angle)] if circle else [angle]))
+        first = 0
+        for k in self._circles:
+            parts += [x[first:k], np.array([np.cos(x[k]), np.sin(x[k])])]
+            first = k + 1
+        parts.append(x[first:])
         return np.concatenate(parts)
 
     def distance(self, a: FullMotion, b: FullMotion) -> Distance:

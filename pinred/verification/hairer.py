@@ -18,6 +18,7 @@ from ..common.interrupts import held_interrupt
 
 _GO, _STOP = 1, -1  # what the loop is told after a step
 _MOST_STEPS = 10_000_000
+_LEAST = 1e-120  # change over a run; of the squares of less, Hairer's error estimate makes 0/0
 
 
 class Hairer:
@@ -31,9 +32,14 @@ class Hairer:
         t: float,
         rtol: float,
         atol: float,
+        end: float,
     ) -> None:
-        """Take the vector field dy/dt = rate(t, y), and y (n,) at the time t."""
+        """Take the vector field dy/dt = rate(t, y), and y (n,) at the time t.
+
+        end: the last time that is asked for; rates that move nothing until then are none.
+        """
         self._rate = rate
+        self._least = _LEAST / max(end - t, 1.0)
         self._raised: BaseException | None = None
         self._stopped: Callable[[], bool] = bool
         solver = ode(self._kept)
@@ -63,7 +69,8 @@ class Hairer:
         if self._raised is not None or self._stopped():
             return np.zeros_like(y)
         try:
-            return self._rate(t, y)
+            rate = self._rate(t, y)
+            return np.where(np.abs(rate) < self._least, 0.0, rate)
         except BaseException as error:  # whatever it is, it is raised again outside
             self._raised = error
             return np.zeros_like(y)

@@ -83,7 +83,9 @@ def _after(seconds: float) -> threading.Timer:
 def test_python_gets_it_too(method: str) -> None:
     """KeyboardInterrupt comes out of a run from Python, and the handler is as before."""
     before = signal.getsignal(signal.SIGINT)
-    fast = Hairer(lambda t, y: np.cos(1e6 * t) + 0.0 * y, method, np.ones(1), 0.0, 1e-12, 1e-14)
+    fast = Hairer(
+        lambda t, y: np.cos(1e6 * t) + 0.0 * y, method, np.ones(1), 0.0, 1e-12, 1e-14, 100.0
+    )
     timer = _after(0.2)
     began = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
@@ -102,12 +104,12 @@ def test_errors_come_out() -> None:
         return -y
 
     with pytest.raises(ZeroDivisionError, match="here"):
-        Hairer(rate, "dop853", np.ones(1), 0.0, 1e-10, 1e-12).integrate(1.0)
+        Hairer(rate, "dop853", np.ones(1), 0.0, 1e-10, 1e-12, 1.0).integrate(1.0)
 
 
 def test_hairer_without_interruption() -> None:
     """The exponential, against its closed form."""
-    y = Hairer(lambda _, y: -y, "dop853", np.ones(1), 0.0, 1e-13, 1e-15).integrate(1.0)
+    y = Hairer(lambda _, y: -y, "dop853", np.ones(1), 0.0, 1e-13, 1e-15, 1.0).integrate(1.0)
     assert y is not None
     assert y[0] == pytest.approx(np.exp(-1.0), rel=1e-12)
 

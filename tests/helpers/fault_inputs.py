@@ -59,6 +59,19 @@ bend = [2.0, 0.1]
 twist = { fourier = { cosines = [-0.4, 0.8, -0.4], period = 0.6 } }
 """
 
+_PLANNED = b"""robot = "falling_cat"
+[run]
+duration = 0.1
+[prescribed]
+twist = { KIND = { file = "plan.csv", columns = ["t", "x"] } }
+"""
+_PLAN = b"""t,x,other
+0.0,0.1,7
+0.03,0.2,8
+0.06,-0.1,9
+"0.1",1e-2,1
+"""
+
 
 @cache
 def _robot_files() -> tuple[bytes, ...]:
@@ -159,6 +172,20 @@ def scene(rng: Rng, folder: Path) -> str:
     path.write_bytes(mutated(rng, _SCENE))
     start = read_scene_file(path).scene.start
     return "" if np.isfinite(start.mu).all() else "the momentum is not finite"
+
+
+def signal(rng: Rng, folder: Path) -> str:
+    """The csv file of a planned joint, changed; the plan has to be finite."""
+    (folder / "plan.csv").write_bytes(mutated(rng, _PLAN))
+    path = folder / "scene.toml"
+    path.write_bytes(_PLANNED.replace(b"KIND", (b"spline", b"linear")[int(rng.integers(2))]))
+    scene = read_scene_file(path).scene
+    assert scene.force_model is not None
+    for t in (0.0, 0.05, 0.1):
+        given = scene.force_model.prescribed(t, scene.force_model.numbers)
+        if not np.isfinite(np.concatenate([given.x, given.xdot, given.xddot])).all():
+            return "the plan is not finite"
+    return ""
 
 
 def recording(rng: Rng, folder: Path) -> str:
@@ -268,5 +295,6 @@ KINDS: dict[str, Callable[[Rng, Path], str]] = {
     "recording": recording,
     "arguments": arguments,
     "options": options,
+    "signal": signal,
 }
 NUMBER = {kind: number for number, kind in enumerate(KINDS)}

@@ -54,6 +54,9 @@ _FLIPPED: dict[type[ast.cmpop], type[ast.cmpop]] = {
 _SWAPPED: dict[type[ast.operator], type[ast.operator]] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult,
 }  # fmt: skip
+_CHANGED = (
+    ast.Compare, ast.BoolOp, ast.BinOp, ast.Constant, ast.AugAssign, ast.Expr, ast.If, ast.Return,
+)  # fmt: skip
 _TYPED = (ast.AnnAssign, ast.arg, ast.FunctionDef)
 
 
@@ -71,7 +74,7 @@ def mutants(source: str) -> Iterator[Mutant]:
     tree = ast.parse(source)
     skipped = {id(node) for node in _unseen(tree)}
     for index, node in enumerate(ast.walk(tree)):
-        if id(node) in skipped:
+        if id(node) in skipped or not isinstance(node, _CHANGED):
             continue
         for number in range(3):
             changed = copy.deepcopy(tree)
@@ -164,9 +167,12 @@ def outcome(copied: Path, module: str, text: str, tests: list[str], seconds: flo
     own = target.read_text()
     target.write_text(text)
     with tempfile.TemporaryDirectory() as own_cache:
-        compiled = module.startswith(("integrators", "kernels", "lie", "reduction", "forces"))
-        cache = own_cache if compiled else str(copied.parent / "cache")
-        places = dict.fromkeys(("PINRED_CACHE_DIR", "NUMBA_CACHE_DIR"), cache)
+        shared = str(copied.parent / "cache")
+        kernels = module.startswith(("integrators", "kernels", "lie", "reduction", "forces"))
+        places = {
+            "PINRED_CACHE_DIR": own_cache if kernels else shared,
+            "NUMBA_CACHE_DIR": own_cache if module.startswith("integrators") else shared,
+        }
         command = [sys.executable, "-B", "-m", "pytest", "-q", "-x", "-m", "not slow", "-p",
                    "no:cacheprovider", *tests]  # fmt: skip
         with subprocess.Popen(

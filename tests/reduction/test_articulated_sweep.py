@@ -97,7 +97,8 @@ def test_reduced_rates_are_those_of_the_pinocchio_route(name: str, zero: bool) -
     y0, base = flow.y0, flow.base
     assert base.spin.any() != zero or not base.spin.size
     y = np.concatenate([y0[:m][active], y0[m : 2 * m][active], y0[:m][cyclic], y0[2 * m :]])
-    parameters = np.concatenate([base.spin, y0[m : 2 * m][cyclic], flow.numbers])
+    gravity = plan_of(scene).acting.gravity[list(layout.gravity)]
+    parameters = np.concatenate([base.spin, y0[m : 2 * m][cyclic], gravity, flow.numbers])
     assert (len(y), len(parameters)) == (layout.size, layout.parameters)
     rate = flow.rate(0.0, y0)
     expected = np.concatenate(

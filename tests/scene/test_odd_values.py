@@ -138,6 +138,18 @@ def test_equal_steps_that_are_far_too_long(cat: pinred.System) -> None:
     with pytest.raises(pinred.IntegrationError, match=r"turns by .* rad within one step of 1 s"):
         pinred.simulate(cat, method="RKMK4(1.0)", duration=3.0)
     assert pinred.simulate(cat, method="RKMK4(0.01)", duration=0.1).run.steps == 10
+    assert cat.initial is not None
+    start: dict[str, Any] = {
+        "x0": [cat.initial.x] * 2,
+        "xdot0": cat.initial.xdot,
+        "xi0": cat.initial.xi,
+    }
+    many = pinred.simulate_many(cat, **start, method="RKMK4(1.0)", duration=3.0)
+    assert [failure.member for failure in many.failures] == [0, 1]
+    assert "cannot follow" in many.failures[0].reason
+    with pytest.raises(pinred.IntegrationError, match=r"turns by .* rad within one step of 1 s"):
+        many[0]
+    assert not pinred.simulate_many(cat, seeds=[0], method="RKMK4(0.01)", duration=0.1).failures
 
 
 @pytest.mark.parametrize("mass", [1e-30, 1e-40])

@@ -71,7 +71,7 @@ def test_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
         return call
 
-    for name in ("choose", "stops_of", "cyclic_of", "shape_gravity", "layout_of"):
+    for name in ("choose", "stops_of", "cyclic_of", "acting_gravity", "layout_of"):
         monkeypatch.setattr(plan, name, counting(name))
     system = pinred.load("satellite_two_arms")
     joint = system.shape_names[0]

@@ -107,7 +107,7 @@ def test_almost_no_gravity(size: float) -> None:
     """Gravity across a rail: nothing at 1e-300, a potential at a millionth; ABA either way."""
     system = pinred.load("cartpole", gravity=(0.0, 0.0, -size))
     scene = pinred.Scene(system=system, x0=[1.0], xdot0=[0.5], xi0=[0.3], duration=2.0)
-    assert (CompiledFlow(plan_of(scene)).kernel.structure.gravity is not None) == (size == 1e-6)
+    assert (CompiledFlow(plan_of(scene)).kernel.structure.gravity != ()) == (size == 1e-6)
     for engine in ENGINES:
         traj = pinred.simulate(scene, engine=engine)
         q, _ = aba.integrate(system.model, traj.q[0], traj.v[0], traj.t[::50])

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from false_alarms import judged
+from random_scenes import FAR, TINY
+
+import pinred
 
 
 @pytest.mark.slow
@@ -13,3 +17,26 @@ def test_a_right_motion_does_not_fail(seed: int) -> None:
     """One scene of each of a dozen trees; tests/helpers/false_alarms.py runs any number."""
     alarm = judged(seed)
     assert alarm.verdict in ("PASSED", "CANNOT TELL"), f"{alarm.about}: {alarm.said}"
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("robot", ["planar_chain5", "reaction_wheel_satellite", "rigid_body"])
+@pytest.mark.parametrize(("speed", "offset"), [(TINY, 0.0), (1.0, FAR)])
+def test_extremes_do_not_fail(robot: str, speed: float, offset: float) -> None:
+    """Squares of rates that are no numbers any more, and places with round-off of micrometres."""
+    rng = np.random.default_rng(4)
+    system = pinred.load(robot)
+    pose = np.array(system.group.exp(rng.uniform(-1.0, 1.0, system.r)))
+    pose[: system.group.linear] += offset
+    report = pinred.compare(
+        pinred.simulate(
+            system,
+            x0=rng.uniform(-1.0, 1.0, system.m),
+            xdot0=speed * rng.normal(size=system.m),
+            xi0=speed * rng.normal(size=system.r),
+            pose0=pose,
+            duration=0.5,
+        )
+    )
+    expected = "CANNOT TELL" if speed == TINY else "PASSED"
+    assert str(report.verdict) == expected, str(report)

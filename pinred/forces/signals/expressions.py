@@ -63,7 +63,7 @@ _SHOWN = 72  # characters of a line in a message
 _LISTED = 12  # entries of a name in a message
 
 
-def parse(text: str, names: Names) -> ca.SX:
+def parse(text: str, names: Names, number: Callable[[float], Any] | None = None) -> ca.SX:
     """Return the scalar expression that `text` stands for.
 
     text: numbers, + - * / ** and brackets; comparisons, chained ones too, which are 1 or 0;
@@ -72,12 +72,14 @@ def parse(text: str, names: Names) -> ca.SX:
     each a scalar (`t`), a sequence or a column of scalars (`x[0]`), or a mapping of them
     (`x['hinge']`, or `x[0]` for its first).  A given name takes precedence over pi and e.
 
+    number: turns the numbers in the text into symbols, if given; those in exponents stay.
+
     Of `where`, only the chosen branch counts, even if the other one is NaN there.
 
     Raises InputError, with the place of the fault and the names allowed, if the text is
     anything else, is not finite (1e999, 1/0), or is longer than LONGEST characters.
     """
-    reader = _Reader(text, names)
+    reader = _Reader(text, names, number)
     done: dict[ast.expr, ca.SX] = {}
     for node in reader.nodes():
         done[node] = reader.value(node, [done[part] for part in reader.parts(node)])
@@ -87,7 +89,7 @@ def parse(text: str, names: Names) -> ca.SX:
 class _Reader:
     """A text that is being read, and the names it may use."""
 
-    def __init__(self, text: str, names: Names) -> None:
+    def __init__(self, text: str, names: Names, number: Callable[[float], Any] | None) -> None:
         if not isinstance(text, str):
             raise InputError(f"an expression must be text, like '0.3*sin(2*t)', got {text!r}")
         if len(text) > LONGEST:
@@ -98,6 +100,8 @@ class _Reader:
         self.text = text.replace("\r\n", "\n").replace("\r", "\n").strip()
         self.lines = self.text.split("\n")
         self.names = names
+        self._symbol = number
+        self._exponents: set[ast.expr] = set()  # and all their parts
 
     def nodes(self) -> list[ast.expr]:
         """Return all nodes of the text, each after its parts, from left to right."""
@@ -108,6 +112,10 @@ class _Reader:
             if depth > DEEPEST:
                 self._fail(_TOO_DEEP, node)
             ordered.append(node)
+            if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow):
+                self._exponents.add(node.right)
+            if node in self._exponents:
+                self._exponents |= set(self.parts(node))
             waiting += [(part, depth + 1) for part in self.parts(node)]
         return ordered[::-1]
 
@@ -136,7 +144,9 @@ class _Reader:
 
         match node:
             case ast.Constant():
-                result = ca.SX(self._number(node))
+                value = self._number(node)
+                free = self._symbol is not None and node not in self._exponents
+                result = ca.SX(self._symbol(value) if free and self._symbol else value)
             case ast.Name():
                 result = self._name(node)
             case ast.Subscript():

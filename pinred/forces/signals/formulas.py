@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, positive, read_only
 from ...common.errors import InputError
+from ...common.parameter import Affine, Numbers, Parameter, parameters_in, value_of
 from .expressions import parse
 from .signal import Signal, finite_list, number
 
@@ -23,19 +24,24 @@ if TYPE_CHECKING:
 class Constant(Signal):
     """A constant: the same number at all times."""
 
-    level: float
+    level: float | Parameter
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "_given", self.level)
         object.__setattr__(self, "level", number(self.level, "the value of a Constant"))
 
-    def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:  # noqa: ARG002
+    def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:
         """Return the number."""
+        return self.written(t, within, value_of)
+
+    def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:  # noqa: ARG002
+        """Return the number as an input."""
         import casadi as ca
 
-        return ca.SX(self.level)
+        return ca.SX(number(vars(self)["_given"]))
 
     def _numbers(self, t: Array, order: int) -> Array:
-        return np.full(t.shape, 0.0 if order else self.level)
+        return np.full(t.shape, 0.0 if order else value_of(self.level))
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +51,17 @@ class Fourier(Signal):
     cosines, sines: (n,) the aₖ and the bₖ, as many as needed of each, up to 1000.  period [s].
     """
 
-    mean: float
-    cosines: ArrayLike
-    sines: ArrayLike
-    period: float
+    mean: float | Parameter
+    cosines: Numbers
+    sines: Numbers
+    period: float | Parameter
 
     def __post_init__(self) -> None:
+        given = {name: getattr(self, name) for name in ("mean", "cosines", "sines", "period")}
+        object.__setattr__(self, "_given", given)
         object.__setattr__(self, "mean", number(self.mean, "mean of a Fourier"))
-        object.__setattr__(self, "period", positive(self.period, "period of a Fourier"))
+        period = positive(value_of(self.period), "period of a Fourier")
+        object.__setattr__(self, "period", period)
         size = 0.0
         for name in ("cosines", "sines"):
             array = read_only(finite_list(getattr(self, name), f"{name} of a Fourier"))
@@ -61,18 +70,29 @@ class Fourier(Signal):
                 size += float(np.abs(array) @ self._frequencies(array.size) ** 2)
         if not math.isfinite(size):
             raise InputError(
-                f"the acceleration of a Fourier with period {self.period:g} s overflows"
+                f"the acceleration of a Fourier with period {value_of(self.period):g} s overflows"
             )
 
-    def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:  # noqa: ARG002
+    def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:
         """Return the series at `t`."""
+        return self.written(t, within, value_of)
+
+    def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:  # noqa: ARG002
+        """Return the series at `t`, its coefficients and its frequency as inputs."""
         import casadi as ca
 
-        cosines, sines = self._coefficients
-        result = ca.SX(self.mean)
-        for array, wave in ((cosines, ca.cos), (sines, ca.sin)):
-            for size, frequency in zip(array, self._frequencies(array.size), strict=True):
-                result += float(size) * wave(float(frequency) * t)
+        given = vars(self)["_given"]
+        if isinstance(given["period"], Parameter):
+            angle = 2.0 * np.pi / number(given["period"]) * t
+        else:
+            angle = number(2.0 * np.pi / value_of(self.period)) * t
+        result = ca.SX(number(given["mean"]))
+        for name, wave in (("cosines", ca.cos), ("sines", ca.sin)):
+            sizes: list[Any] = vars(self)[name].tolist()
+            for k, parameter in parameters_in(given[name]):
+                sizes[k] = parameter
+            for k, size in enumerate(sizes, start=1):
+                result += number(size) * wave(k * angle)
         return result
 
     @property
@@ -82,10 +102,10 @@ class Fourier(Signal):
     def _frequencies(self, count: int) -> Array:
         """Return 2πk/period of the first harmonics, (count,) [rad/s]."""
         with np.errstate(over="ignore"):
-            return np.asarray(2 * np.pi * np.arange(1, count + 1) / self.period)
+            return np.asarray(2 * np.pi * np.arange(1, count + 1) / value_of(self.period))
 
     def _numbers(self, t: Array, order: int) -> Array:
-        result = np.full(t.shape, 0.0 if order else self.mean)
+        result = np.full(t.shape, 0.0 if order else value_of(self.mean))
         for array, shift in zip(self._coefficients, (order, order - 1), strict=True):
             frequencies = self._frequencies(array.size)
             angles = t[..., None] * frequencies
@@ -119,6 +139,10 @@ class Expression(Signal):
     def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:  # noqa: ARG002
         """Return the formula at `t`."""
         return parse(self.text, {"t": t})
+
+    def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:  # noqa: ARG002
+        """Return the formula at `t`, with its numbers (but for exponents) as inputs."""
+        return parse(self.text, {"t": t}, lambda value: number(Affine(value)))
 
     @cached_property
     def _function(self) -> ca.Function:

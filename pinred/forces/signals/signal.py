@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, as_floats, read_only, vector
 from ...common.errors import InputError, ShapeError
+from ...common.parameter import value_of, values_of
 
 if TYPE_CHECKING:
     import casadi as ca
@@ -33,6 +35,14 @@ class Signal(ABC):
         Outside the span, the first or last piece goes on; a scene checks the span when it is
         built.
         """
+
+    def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:  # noqa: ARG002
+        """Return the function at `t` as `casadi` does, with its coefficients as inputs.
+
+        number: turns a coefficient (a number, a Parameter, or what is Affine in some) into a
+        symbol.  A Signal that does not define it has its coefficients in the kernel.
+        """
+        return self.casadi(t, within)
 
     @abstractmethod
     def _numbers(self, t: Array, order: int) -> Array:
@@ -88,17 +98,17 @@ class Signal(ABC):
         return numbers
 
 
-def number(value: ArrayLike, what: str) -> float:
-    """Return `value` as a finite float."""
-    array = as_floats(value, what)
+def number(value: Any, what: str) -> float:
+    """Return `value` as a finite float; of a Parameter, its value."""
+    array = as_floats(value_of(value), what)
     if array.ndim or not np.isfinite(array):
         raise InputError(f"{what} must be one finite number, got {value!r}")
     return float(array)
 
 
 def finite_list(value: ArrayLike, what: str) -> Array:
-    """Return a copy of `value`, a finite vector of at most MOST entries."""
-    array = as_floats(value, what)
+    """Return a copy of `value`, finite and of at most MOST entries; of Parameters, the values."""
+    array = as_floats(values_of(value), what)
     if array.ndim != 1:
         raise ShapeError(f"{what} must be a list of numbers, got shape {array.shape}")
     if array.size > MOST:

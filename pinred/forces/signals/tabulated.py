@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, read_only, vector
 from ...common.errors import InputError, ShapeError
+from ...common.parameter import Affine, Numbers, Parameter, parameters_in, value_of, values_of
 from .signal import Signal, finite_list
 
 if TYPE_CHECKING:
@@ -30,7 +32,7 @@ class _Table(Signal):
     """
 
     times: ArrayLike
-    values: ArrayLike
+    values: Numbers
 
     _least: ClassVar[int] = 2  # entries
     _smoothness: ClassVar[int]
@@ -40,7 +42,8 @@ class _Table(Signal):
         times = finite_list(self.times, f"times of a {kind}")
         if times.size < self._least:
             raise ShapeError(f"a {kind} needs at least {self._least} entries, got {times.size}")
-        values = vector(self.values, times.size, f"values of a {kind}").copy()
+        object.__setattr__(self, "_given", dict(parameters_in(self.values)))
+        values = vector(values_of(self.values), times.size, f"values of a {kind}").copy()
         with np.errstate(over="ignore"):
             late = np.flatnonzero(np.diff(times) <= 0)
         if late.size:
@@ -88,6 +91,10 @@ class _Table(Signal):
         return self._smoothness
 
     def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:
+        """Return the polynomial of the piece that holds `within`, or else `t`, at `t`."""
+        return self.written(t, within, value_of)
+
+    def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:
         """Return the polynomial of the piece that holds `within`, or else `t`, at `t`.
 
         Its coefficients are picked, each times 1 if its piece holds the time and times 0 if
@@ -95,15 +102,39 @@ class _Table(Signal):
         """
         import casadi as ca
 
-        starts, coefficients = vars(self)["_starts"], vars(self)["_coefficients"]
-        begun = ca.SX(starts[1:]) <= (t if within is None else within)
+        starts, coefficients = vars(self)["_starts"], self._numbered_pieces()
+        begins = [number(start) for start in starts.tolist()]
+        now = t if within is None else within
+        begun = ca.vertcat(ca.SX(0, 1), *(begin <= now for begin in begins[1:]))
         here = ca.vertcat(1, begun) - ca.vertcat(begun, 0)
-        picked = ca.mtimes(ca.DM(np.vstack([starts, coefficients])), here)
-        since = t - picked[0]
-        result = picked[1]
-        for k in range(2, 1 + len(coefficients)):
-            result = result * since + picked[k]
+        since = t - ca.dot(ca.SX(ca.vertcat(*begins)), here)
+        result = ca.SX(0)
+        for row in coefficients:
+            picked = ca.dot(ca.SX(ca.vertcat(*(number(each) for each in row))), here)
+            result = result * since + picked
         return result
+
+    def _numbered_pieces(self) -> list[list[float | Affine]]:
+        """Return the coefficients of the pieces; those that follow from Parameters, as such."""
+        rows: list[list[float | Affine]] = vars(self)["_coefficients"].tolist()
+        given: dict[int, Parameter] = vars(self)["_given"]
+        if not given:
+            return rows
+        times, values = vars(self)["times"], vars(self)["values"]
+        base = np.where(np.isin(np.arange(values.size), list(given)), 0.0, values)
+        at_zero = self._pieces(times, base)
+        # Coefficients are linear in the values, of which each parameter may be several.
+        units = {each: np.zeros(values.size) for each in given.values()}
+        for k, each in given.items():
+            units[each][k] = 1.0
+        weights = {each: self._pieces(times, unit) for each, unit in units.items()}
+        return [
+            [
+                Affine(float(at_zero[i, j]), {p: float(w[i, j]) for p, w in weights.items()})
+                for j in range(len(row))
+            ]
+            for i, row in enumerate(rows)
+        ]
 
     def _numbers(self, t: Array, order: int) -> Array:
         numbers: Array = self._curve(t, order)

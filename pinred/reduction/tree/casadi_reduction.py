@@ -43,6 +43,6 @@ def _curvature(system: System, x: ca.SX, A: ca.SX) -> ca.SX:
     columns = []
     for a in range(m):
         for b in range(m):
-            turned = bracket(system, A[:, a], A[:, b])
+            turned = bracket(system.group, A[:, a], A[:, b])
             columns.append(dA[b][:, a] - dA[a][:, b] - turned)
     return ca.horzcat(*columns)

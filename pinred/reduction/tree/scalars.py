@@ -141,9 +141,9 @@ def times(m: Sym, v: Vec) -> Vec:
     return [dot([m[INDEX[i][j]] for j in range(3)], v) for i in range(3)]
 
 
-def solve_ldl(A: list[list[Scalar]], b: list[Scalar]) -> list[Scalar]:
-    """Return A⁻¹ b for a symmetric positive definite A, by LDLᵀ."""
-    n = len(b)
+def factor_ldl(A: list[list[Scalar]]) -> tuple[list[list[Scalar]], list[Scalar], list[Scalar]]:
+    """Return L, below its diagonal of ones, D and 1/D of A = L D Lᵀ, A symmetric and positive."""
+    n = len(A)
     L = [[0.0 for _ in range(n)] for _ in range(n)]
     inverse: list[Scalar] = []
     scaled = [[A[i][j] for j in range(n)] for i in range(n)]
@@ -155,6 +155,18 @@ def solve_ldl(A: list[list[Scalar]], b: list[Scalar]) -> list[Scalar]:
             for k in range(j + 1, i + 1):
                 scaled[i][k] = sub(scaled[i][k], mul(L[i][j], scaled[k][j]))
                 scaled[k][i] = scaled[i][k]
+    return L, [scaled[j][j] for j in range(n)], inverse
+
+
+def solve_ldl(A: list[list[Scalar]], b: list[Scalar]) -> list[Scalar]:
+    """Return A⁻¹ b for a symmetric positive definite A, by LDLᵀ."""
+    L, _, inverse = factor_ldl(A)
+    return solve_factored(L, inverse, b)
+
+
+def solve_factored(L: list[list[Scalar]], inverse: list[Scalar], b: list[Scalar]) -> list[Scalar]:
+    """Return A⁻¹ b for A = L D Lᵀ, of L and 1/D."""
+    n = len(b)
     y = list(b)
     for i in range(n):
         y[i] = sub(y[i], total([mul(L[i][j], y[j]) for j in range(i)]))

@@ -174,6 +174,9 @@ SCENE = Table(
             "dry friction in the file acts, with this width of its smooth law [rad/s | m/s]",
             default="it does not",
         ),
+        "parameters": Key(
+            ByName(NUMBER), "names with numbers, which the formulas of forces may use"
+        ),
         "prescribed": Key(ByName(SIGNAL), "joints that follow a plan, each a signal"),
         "forces": Key(ListOf(FORCE), "what acts"),
     },

@@ -13,10 +13,11 @@ import casadi as ca
 import numpy as np
 
 from ...common.errors import InputError, LoadError, PinredError
+from ...common.parameter import Parameter
 from ...forces.force import Force, Limit
 from ...forces.force_model import remembered_model
 from ...forces.signals import Signal
-from ...forces.signals.expressions import parse
+from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS, Method
 from ...reduction.tree.all_joints import joint_rates, joint_values
 from ...system.catalogue import bundled_robots
@@ -90,6 +91,7 @@ class _Builder:
         self.signals = SignalReader(folder)
         self.system = self._load()
         m, r = self.system.m, self.system.r
+        self.parameters = self._parameters()
         self.symbols = (ca.SX.sym("t"), *(ca.SX.sym("s", n) for n in (m, m, r)))
 
     def built(self) -> SceneFile:
@@ -142,6 +144,15 @@ class _Builder:
         except PinredError as error:
             key = "load" if isinstance(error, InputError) else "robot"
             raise type(error)((self.place / key).tell(one_line(error))) from None
+
+    def _parameters(self) -> dict[str, Any]:
+        """Return the names that formulas may use beside t, x, xdot and mu."""
+        place, found = self.place / "parameters", {}
+        for name, value in self.document.get("parameters", {}).items():
+            if not name.isidentifier() or name in ("t", "x", "xdot", "mu", *FUNCTIONS):
+                (place / name).fail("must be a name of letters and digits that is not taken")
+            found[name] = Parameter(name, value)
+        return found
 
     def _start(self) -> dict[str, Any]:
         start, place = dict(self.document.get("start", {})), self.place / "start"
@@ -199,14 +210,19 @@ class _Builder:
     def _potential(self, text: str, place: Place) -> Callable[[Any], Any]:
         """Return the function of x that a formula is."""
         with naming(place):
-            parse(text, {"x": self._shape(self.symbols[1])})
-        return lambda x: parse(text, {"x": self._shape(x)})
+            parse(text, {"x": self._shape(self.symbols[1])} | self._symbols())
+        return lambda x: parse(text, {"x": self._shape(x)} | self._symbols())
 
     def _names(self, t: Any, x: Any, xdot: Any, mu: Any) -> dict[str, Any]:
         """Return the names that formulas may use."""
         momenta = [mu[k] for k in range(self.system.r)]
         rates = self._shape(xdot, joint_rates)
-        return {"t": t, "x": self._shape(x), "xdot": rates, "mu": momenta}
+        own = {"t": t, "x": self._shape(x), "xdot": rates, "mu": momenta}
+        return own | self._symbols()
+
+    def _symbols(self) -> dict[str, Any]:
+        """Return the symbols of the parameters."""
+        return {name: parameter.symbol for name, parameter in self.parameters.items()}
 
     def _shape(
         self, x: Any, on_joints: Callable[[System, list[Any]], list[Any]] = joint_values

@@ -170,10 +170,12 @@ class CompiledFlows:
         pieces += [start.about[:, : parts.momentum], np.zeros((N, parts.push + layout.clock))]
         self.y0 = np.concatenate(pieces, axis=1)
         spin, before = parts.spin, parts.spin + len(cyclic)
-        self.parameters = np.empty((N, before + len(plan.numbers)))
+        self.parameters = np.empty((N, layout.parameters))
         self.parameters[:, :spin] = start.fixed[:, :spin]
         self.parameters[:, spin:before] = start.pi[:, cyclic]
-        self.parameters[:, before:] = plan.numbers
+        after = before + len(layout.gravity)
+        self.parameters[:, before:after] = plan.acting.gravity[list(layout.gravity)]
+        self.parameters[:, after:] = plan.numbers
         k = plan.system.group.linear
         self.line = np.empty((N, 3 * k))
         self.line[:, :k], self.line[:, k : 2 * k] = start.c0, start.v0

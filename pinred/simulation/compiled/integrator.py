@@ -21,6 +21,7 @@ from ...integrators.integrate import integrate_checked
 from ...integrators.integrate_many import STATUS
 from ...integrators.integrate_many import integrate_many as _integrate_many
 from ...integrators.methods import Method
+from ...kernels.kernel import Kernel
 from ...reduction.lost_inertia import lost_inertia
 from ...scene.scene import Scene
 from ...system.joints import joint_units
@@ -67,6 +68,11 @@ def integrate_many(
             name = CompiledFlow.of(flows, k).entry_name(int(found.entry[k]))
             reason = f"{name} is {reason}"
         failures.append((int(k), float(found.end[k]), reason))
+    failed = {k for k, _, _ in failures}
+    for k, states in enumerate(found.y):
+        wild = None if k in failed else _wild(kernel, plan, states, plan.scene.report_times)
+        if wild:
+            failures.append((k, plan.scene.end, wild))
     return ManyRuns(found.y, failures)
 
 
@@ -122,7 +128,9 @@ def integrator(
             )
         except IntegrationError as stop:
             raise _explained(stop, flow, scene, start) from None
-        _refuse_wild(flow, plan, found.states)
+        wild = _wild(flow.kernel, plan, found.states, found.knots)
+        if wild:
+            raise IntegrationError(wild)
         knots = _refined(found.knots + start, parts)
         knots[-1] = end  # whatever round-off says
 
@@ -137,26 +145,31 @@ def integrator(
     return run
 
 
-def _refuse_wild(flow: CompiledFlow, plan: Plan, states: Array) -> None:
-    """Refuse a run of equal steps in one of which a joint turns many times.
+def _wild(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
+    """Return what is wrong with a run of equal steps in one of which a joint turns many times.
 
     Nothing controls the error of such steps, and no method follows a joint so far in one.  Joints
-    whose momentum is constant, as of wheels, may turn as fast as they like.
+    whose momentum is constant, as of wheels, may turn as fast as they like.  Where
+    states are more than a step apart, the mean of their steps counts.
     """
     step = getattr(plan.method, "step", None)
-    active = list(flow.kernel.layout.active)
+    active = list(kernel.layout.active)
     if step is None or not active:
-        return
-    turned = np.abs(np.diff(states[:, : len(active)], axis=0)).max(axis=0, initial=0.0)
+        return ""
+    ends = np.unique(np.searchsorted(times, np.arange(0.0, times[-1], step)))
+    ends = np.append(ends[ends < len(times) - 1], len(times) - 1)
+    steps = np.maximum(np.diff(times[ends]) / step, 1.0)
+    turned = np.abs(np.diff(states[ends, : len(active)], axis=0)) / steps[:, None]
     names, units = plan.system.shape_names, joint_units(plan.system.model)
-    for k, most in zip(active, turned, strict=True):
+    for k, most in zip(active, turned.max(axis=0, initial=0.0), strict=True):
         joint = plan.system.joint_number(names[k])
         if units[joint] == "rad" and not most < _WILD:
-            raise IntegrationError(
+            return (
                 f"joint {quoted(names[k])} of '{plan.system.name}' turns by {most:.1e} rad within "
                 f"one step of {step:g} s, which {plan.method.name} cannot follow; take shorter "
                 "steps, or a method with step control"
             )
+    return ""
 
 
 def _refined(knots: Array, parts: int) -> Array:

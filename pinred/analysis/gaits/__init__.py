@@ -1,0 +1,1 @@
+"""Gaits: closed paths in shape space as values."""

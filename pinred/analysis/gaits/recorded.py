@@ -1,0 +1,58 @@
+"""Recorded joint data that is one cycle of a gait.
+
+A .csv file has a line of names and then a line for each time: `t`, then the joints.  A .npz file
+has the arrays `t` (T,) and `x` (T, m), as a saved Trajectory does.  The last line repeats the
+first, one period later.
+"""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from ...common.arrays import Array, as_floats
+from ...common.errors import InputError, LoadError
+from ...common.plain_names import quoted_path
+
+_CLOSED = 1e-6  # of what a joint moves; what recorded data may miss, and is then closed
+
+
+def points_in(path: Path) -> tuple[Array, Array]:
+    """Return times (T,) and shapes (T, m), the last of which is the first.
+
+    Raises LoadError for a file that cannot be read, InputError for data that is no closed path.
+    """
+    name = quoted_path(path)
+    if path.suffix not in (".csv", ".npz"):
+        raise InputError(f"joint data is read from .csv or .npz files, got {name}")
+    try:
+        t, x = _csv(path) if path.suffix == ".csv" else _npz(path)
+    except (OSError, ValueError, KeyError) as error:
+        raise LoadError(f"cannot read joint data from {name}: {error}") from None
+    if t.ndim != 1 or x.ndim != 2 or len(t) != len(x) or len(t) < 4:
+        raise InputError(f"{name} must hold times (T,) and shapes (T, m), T at least 4")
+    if not (np.isfinite(t).all() and np.isfinite(x).all() and (np.diff(t) > 0.0).all()):
+        raise InputError(f"times in {name} must increase, and all numbers be finite")
+    gap = np.abs(x[-1] - x[0])
+    extent = np.ptp(x, axis=0)
+    if (gap > _CLOSED * max(float(extent.max()), 1e-300)).any():
+        raise InputError(
+            f"the data in {name} is no closed path: it begins at {x[0]} and ends at {x[-1]}"
+        )
+    return t, x
+
+
+def _csv(path: Path) -> tuple[Array, Array]:
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.reader(file))
+    if not rows or not rows[0] or rows[0][0].strip() != "t":
+        raise ValueError("the first line must be t and the names of the joints")
+    data = as_floats([row for row in rows[1:] if row], "the lines")
+    return data[:, 0], data[:, 1:]
+
+
+def _npz(path: Path) -> tuple[Array, Array]:
+    with np.load(path, allow_pickle=False) as file:
+        return as_floats(file["t"], "t"), as_floats(file["x"], "x")

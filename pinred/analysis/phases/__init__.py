@@ -1,0 +1,1 @@
+"""Phases: what a gait, or a free motion, does to the body."""

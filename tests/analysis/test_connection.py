@@ -1,0 +1,98 @@
+"""Connection.mechanical by machine code against Pinocchio's reduction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from nearness import close
+from strategies import Case, cases
+
+import pinred
+from pinred.kernels.connection import judge
+from pinred.kernels.connection.form import ConnectionForm
+
+
+@settings(max_examples=8)
+@given(case=cases(most=5))
+def test_it_is_the_reduction(case: Case) -> None:
+    """A, M, B and −A ẋ are those that Pinocchio's CRBA and RNEA derivatives give."""
+    A, at = pinred.Connection.mechanical(case.system), pinred.Reduction(case.system).at(case.x)
+    size = 1.0 + float(np.abs(at.curvature).max(initial=0.0))
+    close(A.local(case.x), at.local_connection, 1e-11 * size)
+    close(A.metric(case.x), at.reduced_metric, 1e-11 * size)
+    close(A.curvature(case.x), at.curvature, 1e-10 * size)
+    close(A.locked(case.x), at.locked_inertia, 1e-12 * size)
+    close(A.velocity(case.x, case.xdot), -at.local_connection @ case.xdot, 1e-11 * size)
+
+
+def test_a_grid_is_the_same_point_by_point() -> None:
+    """Leading axes come first; the two parts of the curvature make up the whole."""
+    system = pinred.load("falling_cat")
+    A, red = pinred.Connection.mechanical(system), pinred.Reduction(system)
+    shapes = np.random.default_rng(3).uniform(-1.0, 1.0, (3, 4, system.m))
+    field = A.grid(shapes)
+    assert field.local.shape == (3, 4, 6, 3)
+    assert field.metric is not None
+    at = red.at(shapes[2, 1])
+    close(field.local[2, 1], at.local_connection, 1e-14)
+    close(field.metric[2, 1], at.reduced_metric, 1e-14)
+    close(field.curvature[2, 1], at.curvature, 1e-13)
+    close(field.exterior[2, 1], np.swapaxes(at.dA, 1, 2) - at.dA, 1e-13)
+
+
+@pytest.mark.parametrize("name", ["falling_cat", "three_rods"])
+def test_slopes_are_those_of_the_reduction(name: str) -> None:
+    """The derivatives of ξ and ẋᵀ M ẋ by x and ẋ, from Pinocchio's exact dA and dM."""
+    system = pinred.load(name)
+    rng = np.random.default_rng(4)
+    x, xdot = rng.uniform(-1.0, 1.0, system.m), rng.normal(size=system.m)
+    at = pinred.Reduction(system).at(x)
+    (found,) = pinred.Connection.mechanical(system).horizontal_slopes(x[None], xdot[None])
+    r, m = system.r, system.m
+    close(found[:r, :m], -np.einsum("iba,b->ia", at.dA, xdot), 1e-13)
+    close(found[:r, m:], -at.local_connection, 1e-13)
+    close(found[r, :m], np.einsum("bca,b,c->a", at.dM, xdot, xdot), 1e-13)
+    close(found[r, m:], 2.0 * at.reduced_metric @ xdot, 1e-13)
+
+
+@pytest.mark.parametrize(
+    ("what", "call"),
+    [
+        ("A", lambda A, x: A.local(x)),
+        ("velocity", lambda A, x: A.velocity(x, x)),
+        ("curvature", lambda A, x: A.curvature(x)),
+        ("slope", lambda A, x: A.horizontal_slopes(x[None], x[None])),
+    ],
+)
+def test_code_that_disagrees_never_runs(what: str, call: object) -> None:
+    """A reference that differs by 1e-4 in one number is seen by each of the four judges."""
+    system = pinred.load("three_rods")
+    own = pinred.Connection.mechanical(system).form
+
+    def wrong(x: np.ndarray) -> np.ndarray:
+        G = own.reference(x).copy()
+        G[2, 3] *= 1.0 + 1e-4 * (1.0 + np.sin(x[0]))
+        G[3, 2] = G[2, 3]
+        return G
+
+    form = ConnectionForm(**{**vars(own), "reference": wrong})
+    with pytest.raises(pinred.KernelMismatch, match=what):
+        call(pinred.Connection.of(form), np.array([0.3, 0.4]))  # type: ignore[operator]
+
+
+def test_the_judge_looks_at_healthy_shapes() -> None:
+    """The trial shapes exist: a judge without any would pass everything."""
+    form = pinred.Connection.mechanical(pinred.load("falling_cat")).form
+    assert len(list(judge._shapes(form))) == 2
+
+
+def test_wrong_shapes_are_refused() -> None:
+    """By name, with the joints."""
+    A = pinred.Connection.mechanical(pinred.load("three_rods"))
+    with pytest.raises(pinred.ShapeError, match="alpha1, alpha2"):
+        A.local([1.0, 2.0, 3.0])
+    with pytest.raises(pinred.ShapeError, match="must be finite"):
+        A.grid([[np.nan, 0.0]])
+    with pytest.raises(pinred.InputError, match="differ in shape"):
+        A.velocity(np.zeros((2, 2)), np.zeros(2))

@@ -1,0 +1,230 @@
+"""Phases of gaits: closed forms, published numbers, and SciPy over Pinocchio's mass matrix."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from lifts import by_pinocchio, random_gait
+from nearness import close
+from scipy.integrate import quad, solve_ivp
+from strategies import groups, make_case, seeds
+from textbook import DELTA, I1, I2, J2, M2, D, M
+
+import pinred
+from pinred.common.arrays import Array
+
+Gait = pinred.Gait
+CIRCLE = Gait.fourier([0.0, 0.0], [[1.0, 0.0]], [[0.0, 1.0]])
+TRIANGLE = [[-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]
+
+
+def mechanical(name: str) -> pinred.Connection:
+    """The mechanical connection of a bundled robot."""
+    return pinred.Connection.mechanical(pinred.load(name))
+
+
+def test_elroys_beanie() -> None:
+    """Without momentum it comes back; with it, the base turns by μT/I, whatever the beanie does."""
+    A = mechanical("elroys_beanie")
+    gait = Gait.fourier([0.3], [[0.5]], [[-0.4]], period=2.5)
+    close(pinred.phase(A, gait).pose, [0.0], 1e-14)
+    p = pinred.phase(A, gait, [0.7])
+    close(p.pose, [0.7 * 2.5 / (I1 + I2)], 1e-14)
+    close(p.dynamic, p.pose, 1e-14)
+    close(p.geometric, [0.0], 1e-14)
+    close(p.cycles(7), 7.0 * p.pose, 1e-13)
+    half = 0.5 * gait.period  # on the way, the base has turned by −A Δx + μt/I
+    k = int(np.argmin(np.abs(p.times - half)))
+    moved = gait.at(p.times[k])[0] - gait.at(0.0)[0]
+    close(p.path[k], -I2 / (I1 + I2) * moved + 0.7 * p.times[k] / (I1 + I2), 1e-13)
+
+
+def test_coupled_planar_bodies() -> None:
+    """A does not depend on the shape: on the way, the pose is exp(−A (x − x0))."""
+    A = mechanical("coupled_planar")
+    gait = Gait.fourier([0.3], [[0.5]], [[-0.4]], period=2.5)
+    p = pinred.phase(A, gait)
+    close(p.pose, np.zeros(3), 1e-14)
+    local = np.array([0.0, -J2 * M2 * D / DELTA, J2 * M / DELTA])
+    moved = gait.at(p.times)[0] - gait.at(0.0)[0]
+    close(p.path, A.group.exp(-moved * local), 1e-13)
+
+
+def test_three_rods_turn() -> None:
+    """The triangle loop, by the line integral of A; and by the surface integral of B."""
+    A = mechanical("three_rods")
+    p = pinred.phase(A, Gait.waypoints(TRIANGLE))
+    assert p.pose[2] == pytest.approx(0.033787199534, abs=5e-13)
+    # The rotations of the plane commute, so that the angle is −∬ B over the triangle.
+    x, w = np.polynomial.legendre.leggauss(24)
+    u, v = np.meshgrid(x, x, indexing="ij")
+    shapes = np.stack([u, -1.0 + 0.5 * (v + 1.0) * (1.0 - u)], axis=-1)  # below the diagonal
+    weights = np.multiply.outer(w, w) * 0.5 * (1.0 - u)
+    B = A.grid(shapes).curvature[..., 2, 0, 1]
+    assert -float((weights * B).sum()) == pytest.approx(p.pose[2], abs=1e-12)
+    assert np.hypot(*p.pose[:2]) < 1.0
+
+
+def test_circles_do_not_turn_three_rods() -> None:
+    """The angle of the curvature is odd: loops that are symmetric about the straight shape."""
+    assert abs(pinred.phase(mechanical("three_rods"), CIRCLE).pose[2]) < 1e-15
+
+
+@settings(max_examples=12)
+@given(group=groups, joints=st.integers(1, 4), seed=seeds, moving=st.booleans())
+def test_against_pinocchio(group: str, joints: int, seed: int, moving: bool) -> None:
+    """Random trees on every group, with momentum and without: SciPy's DOP853 over CRBA."""
+    case = make_case(group, joints, seed)
+    gait = random_gait(case.rng, joints, harmonics=1)
+    mu = case.rng.normal(size=case.system.r) if moving else np.zeros(case.system.r)
+    p = pinred.phase(pinred.Connection.mechanical(case.system), gait, mu)
+    expected = by_pinocchio(case.system, gait, mu)
+    apart = p.group.error(expected, p.pose)
+    size = 1.0 + float(np.linalg.norm(p.path, axis=1).max())
+    assert apart.rotation <= p.error.rotation + 1e-9
+    assert apart.translation <= p.error.translation + 1e-9 * size
+    if group in ("SO2", "SE2", "RxSE2"):  # whole turns count
+        assert p.pose[-1] == pytest.approx(expected[-1], abs=1e-8)
+
+
+@pytest.mark.parametrize("make", [Gait.waypoints, Gait.spline])
+def test_gaits_with_corners(make: object) -> None:
+    """Piece by piece, between the corners."""
+    system = pinred.load("falling_cat")
+    gait = make([[0.5, 0.0, 0.2], [-0.5, 0.7, 0.1], [0.1, -0.6, -0.9]])  # type: ignore[operator]
+    mu = np.array([0.02, -0.01, 0.03, 0.01, 0.02, -0.01])
+    p = pinred.phase(pinred.Connection.mechanical(system), gait, mu)
+    apart = p.group.error(by_pinocchio(system, gait, mu), p.pose)
+    assert apart.rotation < 1e-10
+    assert apart.translation < 1e-10
+
+
+def test_the_bound_holds() -> None:
+    """On 200 random gaits, against samples eight times as fine."""
+    A = mechanical("falling_cat")
+    rng = np.random.default_rng(8)
+    for _ in range(200):
+        gait = random_gait(rng, 3)
+        rough = pinred.phase(A, gait, tolerance=1e-4)
+        fine = pinred.phase(A, gait, tolerance=1e-12)
+        assert fine.samples >= 2 * rough.samples or fine.error.rotation < 1e-12
+        apart = A.group.error(fine.pose, rough.pose)
+        assert apart.rotation <= rough.error.rotation + fine.error.rotation
+        assert apart.translation <= rough.error.translation + fine.error.translation
+
+
+def test_parts_compose() -> None:
+    """G = dynamic · geometric, where the dynamic part obeys ḋ = d Ad_h I⁻¹ μ by itself."""
+    system = pinred.load("coupled_spatial")
+    A, group, red = pinred.Connection.mechanical(system), system.group, pinred.Reduction(system)
+    gait = random_gait(np.random.default_rng(2), 3, harmonics=1)
+    mu = np.array([0.1, -0.2, 0.3, 0.4, 0.1, -0.3])
+    p = pinred.phase(A, gait, mu)
+    whole = group.compose(p.dynamic, p.geometric)
+    assert group.error(whole, p.pose).rotation < 1e-14
+    close(group.error(pinred.phase(A, gait).pose, p.geometric).rotation, 0.0, 1e-10)
+
+    # d obeys its own equation: integrate (h, d) as one, the second by d = g h⁻¹ along the way.
+    def rate(t: float, y: Array) -> Array:
+        h, d = group.normalize(y[:7]), group.normalize(y[7:])
+        x, xdot = gait.at(t)
+        split = red.split(x)
+        own = np.linalg.solve(split.locked_inertia, group.Ad(group.compose(d, h)).T @ mu)
+        return np.concatenate(
+            [group.rate(h, -split.local_connection @ xdot), group.rate(d, group.Ad(h) @ own)]
+        )
+
+    start = np.tile(group.identity(), 2)
+    out = solve_ivp(rate, (0.0, gait.period), start, method="DOP853", rtol=1e-12, atol=1e-13)
+    apart = group.error(group.normalize(out.y[7:, -1]), p.dynamic)
+    assert apart.rotation < 1e-10
+    assert apart.translation < 1e-10
+
+
+def test_cycles() -> None:
+    """Powers without momentum; with it, the momentum turns with the body from cycle to cycle."""
+    system = pinred.load("falling_cat")
+    A, group = pinred.Connection.mechanical(system), system.group
+    gait = random_gait(np.random.default_rng(5), 3, harmonics=1)
+    p = pinred.phase(A, gait)
+    five = by_pinocchio(system, Gait(gait.arcs * 5), np.zeros(6))
+    assert group.error(five, p.cycles(5)).rotation < 1e-9
+    undone = group.compose(p.cycles(5), p.cycles(-5))
+    assert group.error(group.identity(), undone).rotation < 1e-14
+    mu = np.array([0.02, -0.01, 0.03, 0.01, 0.02, -0.01])
+    moving = pinred.phase(A, gait, mu)
+    three = by_pinocchio(system, Gait(gait.arcs * 3), mu)
+    apart = group.error(three, moving.cycles(3))
+    assert apart.rotation < 1e-9
+    assert apart.translation < 1e-9
+    # The conserved spatial momentum says what the body momentum is at the end.
+    J = group.spatial_momentum(moving.pose, moving.end_momentum)
+    close(J, mu, 1e-14)
+    with pytest.raises(pinred.InputError, match="not negative"):
+        moving.cycles(-1)
+
+
+def test_the_simulation_agrees() -> None:
+    """The flow with all joints prescribed, which shares no quadrature with the phase."""
+    system = pinred.load("falling_cat")
+    gait = Gait.fourier([0.2, 0.0, -0.1], [[0.3, 0.0, 0.2]], [[0.0, 0.4, 0.1]])
+    mu = np.array([0.02, -0.01, 0.03, 0.01, 0.02, -0.01])
+    plans = {
+        name: f"{mean} + {c}*cos(2*pi*t) + {s}*sin(2*pi*t)"
+        for name, mean, c, s in zip(
+            system.shape_names, [0.2, 0.0, -0.1], [0.3, 0.0, 0.2], [0.0, 0.4, 0.1], strict=True
+        )
+    }
+    traj = pinred.simulate(
+        system, prescribed=plans, momentum=mu, duration=1.0, rtol=1e-12, atol=1e-12
+    )
+    p = pinred.phase(pinred.Connection.mechanical(system), gait, mu)
+    apart = system.group.error(traj.pose[-1], p.pose)
+    assert apart.rotation < 1e-9
+    assert apart.translation < 1e-9
+
+
+def test_screws() -> None:
+    """A planar body that turns and moves runs on a circle, one in space on a helix."""
+    A = pinred.Connection.mechanical(pinred.load("planar_chain5"))
+    p = pinred.phase(A, random_gait(np.random.default_rng(1), 5))
+    assert p.screw.angle == pytest.approx(p.pose[2], abs=1e-14)
+    centre = p.screw.point[:2]
+    for n in (1, 2, 5):
+        assert np.linalg.norm(p.cycles(n)[:2] - centre) == pytest.approx(p.screw.radius, rel=1e-9)
+    B = pinred.Connection.mechanical(pinred.load("satellite_two_arms"))
+    q = pinred.phase(B, random_gait(np.random.default_rng(1), 6))
+    foot = q.screw.point
+    far = q.pose[:3] - foot
+    along = float(far @ q.screw.axis)
+    assert along == pytest.approx(q.screw.slide, abs=1e-12)
+    assert np.linalg.norm(far - along * q.screw.axis) == pytest.approx(q.screw.radius, abs=1e-12)
+
+
+def test_length_is_that_of_the_metric() -> None:
+    """∫√(ẋᵀ M ẋ) dt by SciPy over Pinocchio's reduced metric."""
+    system = pinred.load("three_rods")
+    red = pinred.Reduction(system)
+
+    def speed(t: float) -> float:
+        x, xdot = CIRCLE.at(t)
+        return float(np.sqrt(xdot @ red.reduced_metric(x) @ xdot))
+
+    expected = quad(speed, 0.0, 1.0, epsabs=1e-12, limit=200)[0]
+    p = pinred.phase(pinred.Connection.mechanical(system), CIRCLE, tolerance=1e-12)
+    assert p.length == pytest.approx(expected, abs=1e-9)
+
+
+def test_refusals() -> None:
+    """What does not belong together, and tolerances out of reach."""
+    A = mechanical("three_rods")
+    with pytest.raises(pinred.InputError, match=r"moves 1 joints, but .* has 2: alpha1, alpha2"):
+        pinred.phase(A, Gait.fourier([0.0], [[1.0]], [[0.0]]))
+    with pytest.raises(pinred.ShapeError, match="momentum"):
+        pinred.phase(A, CIRCLE, [1.0])
+    with pytest.raises(pinred.InputError, match="tolerance"):
+        pinred.phase(A, CIRCLE, tolerance=0.0)
+    with pytest.raises(pinred.InputError, match="whole number"):
+        pinred.phase(A, CIRCLE).cycles(1.5)  # type: ignore[arg-type]

@@ -1,0 +1,115 @@
+"""Parameters: numbers with names in forces and signals."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import pinred
+from pinred import InputError, Parameter
+from pinred.forces import PD, Damper, Friction, Limit, PotentialEnergy, Spring, Torque
+from pinred.signals import Constant, Fourier, Hold, Linear, Spline
+
+CAT = pinred.load("falling_cat")
+
+
+def end(forces: Any = (), prescribed: Any = None, **options: Any) -> Any:
+    """Return the state at the end of a short motion."""
+    traj = pinred.simulate(
+        CAT, duration=0.5, forces=forces, prescribed=prescribed or {}, **options
+    )  # fmt: skip
+    return np.concatenate([traj.x[-1], traj.xdot[-1], traj.pose[-1]])
+
+
+def two(k: Any) -> list[Any]:
+    """Return a table that begins and ends with one value."""
+    return [k, 0.2, k]
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda k: {"forces": [Spring("bend", k, 0.1)]},
+        lambda k: {"forces": [Spring("bend", 1.0, k, polynomial=(0.1, k))]},
+        lambda k: {"forces": [Damper("bend", k, polynomial=(k,)), Friction("sway", k, k)]},
+        lambda k: {"forces": [PD({"bend": k}, kp={"bend": k}, kd=k, limit=Limit(k))]},
+        lambda k: {"forces": [Torque(lambda *s: {"bend": k * s[1][0] - s[1][1] / k + k**2})]},
+        lambda k: {"forces": [Torque({"bend": k, "sway": lambda *_: ca.sin(k) - (1.0 - k)})]},
+        lambda k: {"forces": [PotentialEnergy(lambda x: k * ca.cos(x["bend"]))]},
+        lambda k: {"forces": [Torque({"bend": Hold([0.0, 0.2], [k, 0.1])})]},
+        lambda k: {"forces": [Torque({"bend": Linear([0.0, 0.2, 1.0], [k, 0.1, k])})]},
+        lambda k: {"prescribed": {"bend": Constant(k)}},
+        lambda k: {"prescribed": {"bend": Fourier(k, [0.1, k], [k], k)}},
+        lambda k: {"prescribed": {"bend": Spline([0.0, 0.3, 1.0], two(k), end="periodic")}},
+    ],
+)
+def test_a_parameter_is_its_number(make: Any) -> None:
+    """Each stands wherever a number does, and gives the motion that the number would."""
+    number = end(**make(0.7))
+    np.testing.assert_allclose(end(**make(Parameter("k", 0.7))), number, rtol=1e-7, atol=1e-9)
+    other = end(**make(Parameter("k", 0.5)), parameters={"k": 0.7})
+    np.testing.assert_allclose(other, number, rtol=1e-7, atol=1e-9)
+    assert np.abs(end(**make(Parameter("k", 0.5))) - number).max() > 1e-6
+
+
+def test_signals_show_the_value() -> None:
+    """A signal evaluated by itself has the values of its parameters."""
+    plan = Fourier(Parameter("mean", 0.3), [Parameter("a", 0.5)], [], 2.0)
+    assert plan.value(0.0) == 0.8
+    values: list[float | Parameter] = [Parameter("a", 0.5), 1.0]
+    assert Spline([0.0, 1.0], values).value(0.5) == 0.75
+
+
+def test_refusals() -> None:
+    """Names and values that cannot be are refused with the names that can."""
+    with pytest.raises(InputError, match="name of a Parameter must be text, got 3"):
+        Parameter(3, 1.0)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="'k' must be a finite number, got nan"):
+        Parameter("k", float("nan"))
+    with pytest.raises(InputError, match="'k' must be a finite number, got 'a'"):
+        Parameter("k", "a")  # type: ignore[arg-type]
+    one, two = Parameter("k", 1.0), Parameter("k", 1.0)
+    with pytest.raises(InputError, match="two Parameters are called 'k'"):
+        end([Spring("bend", one), Damper("bend", two)])
+    with pytest.raises(InputError, match=r"no Parameter 'gian' .*; those are gain"):
+        end([Spring("bend", Parameter("gain", 1.0))], parameters={"gian": 2.0})
+    with pytest.raises(InputError, match="those are none"):
+        end(parameters={"gain": 2.0})
+    with pytest.raises(InputError, match=r"parameters\['gain'\] must be finite"):
+        end([Spring("bend", Parameter("gain", 1.0))], parameters={"gain": np.inf})
+    with pytest.raises(InputError, match="parameters must be"):
+        end(parameters=["gain"])
+    with pytest.raises(InputError, match="must not be negative, got -1"):
+        Friction("bend", Parameter("most", -1.0), 0.1)
+
+
+def test_copies() -> None:
+    """A copy in another process is a parameter of the same name and value."""
+    gain = Parameter("gain", 2.0)
+    _ = gain.symbol
+    for other in (pickle.loads(pickle.dumps(gain)), copy.deepcopy(gain)):
+        assert (other.name, other.value) == ("gain", 2.0)
+        assert other.symbol.element_hash() != gain.symbol.element_hash()
+
+
+def test_files_have_parameters(tmp_path: Any) -> None:
+    """A scene file may name numbers for its formulas."""
+    path = tmp_path / "scene.toml"
+    text = """robot = "falling_cat"
+[parameters]
+gain = 2.0
+[[forces]]
+kind = "torque"
+function = { bend = "-gain*x['bend']" }
+"""
+    path.write_text(text)
+    scene = pinred.load_scene(path)
+    assert [each.name for each in scene.force_model.parameters] == ["gain"]  # type: ignore[union-attr]
+    path.write_text(text.replace("gain = 2.0", "t = 2.0"))
+    with pytest.raises(pinred.InputError, match="t: must be a name"):
+        pinred.load_scene(path)
