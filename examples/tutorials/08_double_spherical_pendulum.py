@@ -74,7 +74,7 @@ assert max(undecided.damped_growth.values()) > 0.0
 # J² = −V″/(½ (1/I)″) in some direction: the smallest eigenvalue by differences of I and V.
 
 # %%
-branches = pinred.branches(pendulum, momentum=(0.155, 0.24), starts=60)
+branches = pinred.branches(pendulum, momentum=(0.155, 0.24), starts=40, step=0.2)
 print(branches)
 red, h = pinred.Reduction(pendulum), 1e-3
 
