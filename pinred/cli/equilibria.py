@@ -71,6 +71,8 @@ def run(options: argparse.Namespace) -> int:
     from ..analysis.equilibria.find import relative_equilibria
 
     found = relative_equilibria(system, momentum=momenta[0], **given)
+    for note in {each.problem.scene.left_out for each in found} - {""}:
+        print(note)
     print(found)
     return 0 if options.play is None else _play(options, found)
 
