@@ -27,9 +27,6 @@ from .analysis.equilibria.relative_equilibrium import RelativeEquilibrium as Rel
 from .analysis.floating_arm import FloatingArm as FloatingArm
 from .analysis.floating_arm import Singularity as Singularity
 from .analysis.floating_arm import Workspace as Workspace
-from .analysis.floating_arm import FloatingArm as FloatingArm
-from .analysis.floating_arm import Singularity as Singularity
-from .analysis.floating_arm import Workspace as Workspace
 from .analysis.frames.corrected import CorrectedIntegral as CorrectedIntegral
 from .analysis.frames.corrected import corrected_integral as corrected_integral
 from .analysis.frames.flatness import Flatness as Flatness

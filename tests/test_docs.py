@@ -29,6 +29,24 @@ def test_readme_examples_run(code: str, capsys: pytest.CaptureFixture[str]) -> N
     assert "verdict: PASSED" in capsys.readouterr().out
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["theory.md", "equilibria.md"])
+def test_code_of_documents_runs(name: str) -> None:
+    """All blocks of code in a row, with what they assert."""
+    text = (ROOT / "docs" / name).read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert blocks
+    exec(compile("\n".join(blocks), name, "exec"), {})
+
+
+def test_formulas_are_closed() -> None:
+    """Every displayed formula ends, and inline ones have both of their marks."""
+    text = (ROOT / "docs/theory.md").read_text(encoding="utf-8")
+    assert text.count("```") % 2 == 0
+    inside = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    assert inside.count("$`") == inside.count("`$") > 10
+
+
 def test_ten_lines_are_ten_lines() -> None:
     """The first example is what its heading says, but for its imports."""
     assert len(CODE[0].strip().splitlines()) <= 12

@@ -98,9 +98,9 @@ def test_form(path: Path) -> None:
     assert f"tutorials/{path.name}" in (ROOT / "docs/tutorials.md").read_text(encoding="utf-8")
 
 
-def test_there_are_nine() -> None:
-    """Numbered from 1 to 6."""
-    assert [int(path.name[:2]) for path in PATHS] == list(range(1, 10))
+def test_they_are_numbered() -> None:
+    """From 1 on, none left out."""
+    assert [int(path.name[:2]) for path in PATHS] == list(range(1, len(PATHS) + 1))
 
 
 def test_elroys_beanie(tell: Callable[[str], Told]) -> None:
@@ -294,3 +294,25 @@ def test_as_a_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(pictures) == 2
     assert all("image/png" in data for data in pictures)
     assert "".join(output.get("text", "") for output in outputs).count("verdict: PASSED") == 1
+
+
+def test_steady_spins(tell: Callable[[str], Told]) -> None:
+    """λ = √(1·0.5/2.5) at Ω = 1; a wheel on the middle axis ends it."""
+    told = tell("07")
+    growth = np.sqrt(0.2)
+    assert told.numbers(r"grows by N 1/s, by hand N 1/s") == pytest.approx(2 * [growth], abs=1e-8)
+    assert told.numbers("measured in a simulation: N") == pytest.approx([growth], rel=1e-3)
+    rows = re.findall(r"wheel of ([\d.]+) N m s: (\w+) ", told.text)
+    assert [verdict for _, verdict in rows] == 4 * ["unstable"] + ["stable"]
+    assert told.text.count("verdict: PASSED") == 1
+
+
+def test_double_spherical_pendulum(tell: Callable[[str], Told]) -> None:
+    """Published frequencies; the straight one's pitchforks, by the second derivative of 1/I."""
+    told = tell("08")
+    assert "14 relative equilibria found at momentum 2" in told.text
+    (row,) = re.findall(r"\nfrequencies \[(.*?)\]", told.text)
+    expected = [4.16816, 5.13036, 8.30001]
+    np.testing.assert_allclose(np.array(row.split(), float), expected, atol=1e-5)
+    assert told.numbers("largest acceleration by ABA.*: N") == pytest.approx([0.0], abs=1e-11)
+    assert told.numbers("follows it to N of") == pytest.approx([0.0], abs=1e-2)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
 from ..reduction.at_a_shape import ReducedShape, Reduction
+from ..reduction.casimirs import casimirs
 from ..reduction.cyclic_joints import cyclic_joints
 from ..reduction.potential import pivot_weight
 from ..scene.passive import passive_left_out
@@ -18,20 +19,27 @@ from ..simulation.explain import skipped
 from ..simulation.plan import plan_of
 from ..system.system import System, checked_system
 
+_SHAPES = 3  # random ones at which a curvature would show
+_NOTHING = 1e-11  # of the terms that the curvature is made of
+
 
 @dataclass(frozen=True)
 class Inspection:
     """A system at one shape.
 
-    at: the reduction there.  curvature_norm: Frobenius norm of B.  cyclic: joints on which
-    neither inertia nor potential depends.  symmetries: what is conserved, in words.
-    skipped: what a simulation does not integrate, in words.
+    at: the reduction there.  curvature_norm: Frobenius norm of B.  flat: whether B vanishes at all
+    shapes, as far as random ones show, so that closed paths of the shape move the base nowhere at
+    zero momentum.  casimirs: functions of the body momentum that no energy changes, as formulas.
+    cyclic: joints on which neither inertia nor potential depends.  symmetries: what is conserved,
+    in words.  skipped: what a simulation does not integrate, in words.
     full_size, reduced_size: numbers integrated by a full simulation and by pinred.
     """
 
     system: System
     at: ReducedShape
     curvature_norm: float
+    flat: bool
+    casimirs: tuple[str, ...]
     cyclic: tuple[str, ...]
     symmetries: tuple[str, ...]
     skipped: tuple[str, ...]
@@ -51,6 +59,8 @@ class Inspection:
             *(_wrapped("followers", [*map(str, system.couplings)]) if system.couplings else []),
             f"gravity     ({', '.join(f'{g:g}' for g in system.gravity)}) m/s²",
             *_wrapped("symmetries", self.symmetries),
+            *_wrapped("Casimirs", [", ".join(self.casimirs)] if self.casimirs else []),
+            f"connection  {'flat' if self.flat else 'curved'}",
             *_wrapped("skipped", self.skipped),
             *(_wrapped("left out", left_out) if left_out else []),
             *(_wrapped("keyframes", [", ".join(system.keyframes)]) if system.keyframes else []),
@@ -71,6 +81,8 @@ class Inspection:
         size = "" if self.reduced_size is None else f" → {self.reduced_size}"
         facts = [
             *(("symmetry", text) for text in self.symmetries),
+            *(("Casimir", text) for text in self.casimirs),
+            ("connection", "flat" if self.flat else "curved"),
             *(("skipped", text) for text in self.skipped),
             *(("follower", str(each)) for each in system.couplings),
             *(("left out", text) for text in _left_out(system)),
@@ -112,12 +124,27 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
         system=system,
         at=at,
         curvature_norm=float(np.linalg.norm(at.curvature)),
+        flat=_flat(red),
+        casimirs=tuple(map(str, casimirs(system))),
         cyclic=cyclic,
         symmetries=tuple(_symmetries(system, cyclic, broken)),
         skipped=(*not_needed, "meshes: not read"),
         full_size=system.model.nq + system.model.nv,
         reduced_size=size,
     )
+
+
+def _flat(red: Reduction) -> bool:
+    """Return whether the curvature vanishes at random shapes, relative to its terms."""
+    rng = np.random.default_rng(0)
+    for x in rng.uniform(-np.pi, np.pi, (_SHAPES if red.system.m > 1 else 0, red.system.m)):
+        at = red.at(x)
+        turned = np.einsum("aij,jb->iab", red.group.ad(at.local_connection.T), at.local_connection)
+        # A joint that slides changes A by metres a metre, and by the size of A itself.
+        terms = max(float(np.abs(part).max()) for part in (at.dA, turned, at.local_connection))
+        if float(np.abs(at.curvature).max()) > _NOTHING * terms:
+            return False
+    return True
 
 
 def _left_out(system: System) -> list[str]:

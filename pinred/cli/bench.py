@@ -34,6 +34,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     sub = command("evaluations", _evaluations, "evaluations that an error costs, by many methods")
     sub.add_argument("scenes", nargs="*", metavar="SCENE", help="four if none is named")
     command("scaling", _scaling, "one evaluation of chains of 5 to 100 joints")
+    command("floquet", _floquet, "Floquet multipliers by three routes, against their closed form")
     sub = command("many", _many, "simulate_many on one and two threads, and its memory")
     sub.add_argument("robot", nargs="?", default="solo12", metavar="ROBOT", help="(solo12)")
     sub.add_argument("--members", metavar="N", type=int, default=1000, help="trajectories (1000)")
@@ -90,6 +91,21 @@ def _scaling(options: argparse.Namespace) -> int:
         for k in range(len(each.joints))
     ]
     _write(folder, "scaling", rows)
+    return 0
+
+
+def _floquet(options: argparse.Namespace) -> int:
+    folder = _folder(options.out)
+    from ..verification.bench.floquet import ROUTES, bench_floquet
+
+    found = bench_floquet(progress=True)
+    print("\n\n".join(map(str, found)))
+    rows: list[Row] = [
+        {"robot": each.robot, "route": name, "wall": wall, "error": error}
+        for each in found
+        for name, wall, error in zip(ROUTES, each.wall, each.error, strict=True)
+    ]
+    _write(folder, "floquet", rows)
     return 0
 
 

@@ -24,6 +24,7 @@ from .terminal import showing_all
 _LONGEST = 4000  # characters of a message
 COMMANDS = {  # name of the command and of its file: what it does
     "inspect": "show group, joints, I, A, M and what will be skipped",
+    "equilibria": "find steady motions, judge their stability, follow them over the momentum",
     "compare": "simulate the reduced equations and judge them by full ABA",
     "simulate": "simulate the reduced equations and write the motion",
     "run": "simulate what a scene file says",

@@ -124,8 +124,8 @@ def scene_of(options: argparse.Namespace) -> Scene:
         system,
         options.seed,
         duration=options.time,
-        springs=_springs(options.spring),
-        prescribed=_prescribed(options.prescribed),
+        springs=springs_in(options.spring),
+        prescribed=prescribed_in(options.prescribed),
         passive=options.passive,
         friction=options.friction,
         outputs=options.outputs,
@@ -185,7 +185,8 @@ def by_joint_in(text: str, option: str) -> list[float] | dict[str, float]:
     return out
 
 
-def _springs(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
+def springs_in(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return the springs that options of the form JOINT=STIFFNESS,REST name."""
     springs = {}
     for entry in entries:
         name, _, text = entry.partition("=")
@@ -198,7 +199,8 @@ def _springs(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
     return springs
 
 
-def _prescribed(entries: Sequence[str]) -> dict[str, float | str]:
+def prescribed_in(entries: Sequence[str]) -> dict[str, float | str]:
+    """Return the plans that options of the form JOINT=PLAN name."""
     plans: dict[str, float | str] = {}
     for entry in entries:
         name, _, text = entry.partition("=")

@@ -114,6 +114,11 @@ def _source(options: argparse.Namespace, kinds: list[str]) -> Any:
     """Return the source of a plot: that of a file, a scene or a robot."""
     source, suffix = options.source, Path(options.source).suffix
     measured = "work_precision" in kinds
+    if "branches" in kinds:
+        raise InputError(
+            "branches are followed by `pinred equilibria ROBOT --momentum LOW,HIGH`, "
+            "which draws them with --out"
+        )
     if measured and (suffix != ".csv" or len(kinds) > 1):
         raise InputError(
             "work_precision is drawn alone, of accuracy.csv; "

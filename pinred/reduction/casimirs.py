@@ -146,7 +146,8 @@ def _null_space(matrix: Array) -> Array:
         others = np.arange(len(basis)) != done
         basis[others] -= np.outer(basis[others, column], basis[done])
         done += 1
-    return np.asarray(np.where(np.abs(basis) < _NOTHING, 0.0, basis))
+    whole = np.round(basis)
+    return np.asarray(np.where(np.abs(basis - whole) < _NOTHING, whole, basis))
 
 
 def _formula(coefficients: Array, monomials: Sequence[str]) -> str:

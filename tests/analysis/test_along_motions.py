@@ -103,7 +103,7 @@ def test_directions_grow_as_two_motions_part_by_aba() -> None:
 @pytest.mark.slow
 def test_lyapunov_spectrum() -> None:
     """They add up to zero to 1e-8 and come in pairs to 2 %; the largest is ABA's to 10 %."""
-    traj = wild(60.0)
+    traj = wild(40.0)
     found = pinred.lyapunov(traj)
     assert len(found.exponents) == 6
     assert abs(found.exponents.sum()) < 1e-8
@@ -111,7 +111,7 @@ def test_lyapunov_spectrum() -> None:
     assert np.abs(found.exponents + found.exponents[::-1]).max() < 0.02 * largest
     assert found.history.shape == (len(found.times), 6)
     assert "1/s" in str(found)
-    assert parted_by_aba(traj, 60.0) == pytest.approx(largest, rel=0.1)
+    assert parted_by_aba(traj, 40.0) == pytest.approx(largest, rel=0.1)
 
 
 def parted_by_aba(traj: pinred.Trajectory, end: float, every: float = 0.5) -> float:

@@ -142,7 +142,7 @@ def test_rigid_bodies_have_straight_branches() -> None:
 def test_bundled_pendulum() -> None:
     """A fold at J = 0.908178: there are two equilibria more beyond it."""
     pendulum = pinred.load("double_spherical_pendulum")
-    found = pinred.branches(pendulum, momentum=(0.9, 0.915), starts=60, step=0.1)
+    found = pinred.branches(pendulum, momentum=(0.9, 0.915), starts=40, step=0.2)
     (fold,) = found.folds
     assert fold.momentum == pytest.approx(0.9081782824, rel=1e-9)
     before, after = (len(pinred.relative_equilibria(pendulum, momentum=J)) for J in (0.9, 0.915))

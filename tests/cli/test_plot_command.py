@@ -117,7 +117,10 @@ def test_measurements_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Pa
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("falling_cat", "--kind", "shapes", "--out", "a.png"), "the kinds are base, curvature"),
+        (
+            ("falling_cat", "--kind", "shapes", "--out", "a.png"),
+            "the kinds are base, branches, curvature",
+        ),
         (("falling_cat", "--kind", "shape,", "--out", "a.png"), "no plot of kind ''"),
         (("falling_cat", "--kind", "shape", "--out", "a.jpg"), "must be .png or .pdf or .svg"),
         (("falling_cat", "--kind", "shape", "--out", "no/a.png"), "no folder"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.typing import ArrayLike
 from textbook import DELTA, I1, I2, J1, J2, M1, M2, D, M
@@ -116,6 +117,66 @@ def test_signs_and_factors_of_the_shape_equation() -> None:
         twisted = system.group.bracket(omega, red.local_connection(x)[:, k])
         assert terms.coadjoint[k] == pytest.approx(-mu @ twisted, abs=1e-12)
         assert min(abs(metric), abs(inertia), abs(float(mu @ twisted))) > 1e-6
+
+
+def test_sign_of_the_curvature_and_factor_of_the_momentum_line() -> None:
+    """By ABA on the falling cat: ⟨μ, B_αβ⟩ ẋ^β with +, and (ẋ⌟dI) Ω with 1, not ½."""
+    system = pinred.load("falling_cat")
+    red, model = pinred.Reduction(system), system.model
+    x, xdot, xi = rng.normal(size=system.m), rng.normal(size=system.m), rng.normal(size=6)
+    at = red.at(x)
+    omega = red.locked_velocity(x, xdot, xi)
+    q, v = system.q(system.group.identity(), x), system.v(xi, xdot)
+    a = pin.aba(model, model.createData(), q, v, np.zeros(system.n))
+    terms = lagrange_poincare(red, x, xdot, omega).shape
+    left = at.reduced_metric @ a[6:] + at.dM @ xdot @ xdot
+    size = np.abs(left).max()
+    assert np.abs(left - terms.total).max() < 1e-12 * size
+    assert np.abs(left - (terms.total - 2.0 * terms.curvature)).max() > 1e-2 * size
+    interior = np.einsum("iba,i,b->a", at.curvature, at.locked_inertia @ omega, xdot)
+    bar(terms.curvature, -interior)  # −⟨μ, B(ẋ, ·)⟩
+    omegadot = a[:6] + at.local_connection @ a[6:] + at.dA @ xdot @ xdot
+    coadjoint = system.group.coadjoint(xi, at.locked_inertia @ omega)
+    left, dragged = at.locked_inertia @ omegadot, at.dI @ xdot @ omega
+    size = np.abs(left).max()
+    assert np.abs(left - (coadjoint - dragged)).max() < 1e-12 * size
+    assert np.abs(left - (coadjoint - 0.5 * dragged)).max() > 1e-3 * size
+
+
+def test_horizontal_distribution_of_coupled_bodies() -> None:
+    """(0, I2 m2 d/Δ, −I2 m/Δ, 1) has no momentum by Pinocchio; 𝒜 at a pose that is turned."""
+    system = pinred.load("coupled_planar")
+    red, model = pinred.Reduction(system), system.model
+    lift = red.horizontal_lift([0.4], [1.0])
+    bar(lift.xi, [0.0, J2 * M2 * D / DELTA, -J2 * M / DELTA])
+    bar(DELTA, 3.75)
+    pose = np.array([0.3, -0.8, 1.1])
+    q = system.q(pose, [0.4])
+    data = model.createData()
+    momentum = pin.computeCentroidalMomentum(model, data, q, system.v(lift.xi, lift.xdot))
+    bar(momentum.vector, np.zeros(6))
+    # Ad_g (v, ω) = (R v + ω (y, −x), ω).
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    a, w = -J2 * M2 * D / DELTA, J2 * M / DELTA
+    form = red.connection_form(pose, [0.4])
+    bar(form[:, 3], [-s * a + pose[1] * w, c * a - pose[0] * w, w])
+    v = np.array([0.4, -0.2, 0.7, 1.3])
+    h = pin.computeCentroidalMomentum(model, data, q, v)
+    about_origin = np.cross(data.com[0], h.linear) + h.angular
+    J = red.locked_inertia_in_space(pose, [0.4]) @ form @ v
+    bar(J, [h.linear[0], h.linear[1], about_origin[2]])
+
+
+def test_the_beanies_momentum_by_aba() -> None:
+    """With a stretched spring θ̈1 = −A θ̈2 is not zero; Ω̇ is."""
+    system = pinred.load("elroys_beanie")
+    model, torque = system.model, np.array([0.0, -3.0 * 0.7])
+    a = pin.aba(model, model.createData(), system.q([0.2], [0.9]), np.array([0.5, -0.4]), torque)
+    A = I2 / (I1 + I2)
+    bar(a[1], torque[1] * (I1 + I2) / (I1 * I2))
+    bar(a[0], -A * a[1])
+    assert abs(a[0]) > 0.5
+    bar(a[0] + A * a[1], 0.0)
 
 
 def test_stretched_chain() -> None:

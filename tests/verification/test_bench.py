@@ -129,3 +129,17 @@ def test_commands_refuse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         main(["bench"])
     assert stop.value.code == 2
     assert capsys.readouterr().err.startswith("pinred: error: ")
+
+
+def test_floquet_routes_agree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each route comes to the closed form as near as it can; the command prints and writes them."""
+    assert main(["bench", "floquet", "--out", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    with (tmp_path / "floquet.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 6
+    bounds = {"pinred.floquet": 1e-11, "differences of pinred.simulate": 1e-2}
+    for row in rows:
+        assert float(row["error"]) < bounds.get(row["route"], 1e-8)
+        assert float(row["wall"]) > 0.0
+        assert row["robot"] in out

@@ -22,7 +22,7 @@ from ..stability.second_variation import weights
 
 FLAT = 1e-7  # of the largest curvature; below it a direction is flat
 _NEWTON = 8
-_ARRIVED = 1e-13
+_NEAR = 1e-7
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Curve:
             change = -np.linalg.lstsq(matrix, right, rcond=1e-13)[0]
             point = point.moved(change[None, :-1])
             J += change[-1] * self.unit
-            if np.linalg.norm(change) <= _ARRIVED * 10:
+            if np.linalg.norm(change) <= _NEAR:  # whose square is round-off
                 break
         e = self.energy(point, J)
         if not residuals(e)[0] <= 1e-10 or np.linalg.norm(self._gone(here, point, J)) > 2.0 * h:

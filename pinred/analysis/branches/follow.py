@@ -227,8 +227,13 @@ class _Follower:
                     out.append(end)
                 break
             if searched and there.index != here.index:
-                for found in bifurcations_between(self._curve, here, there, h):
+                between = bifurcations_between(self._curve, here, there, h)
+                for found in between:
                     self._take(found, number)
+                through = [each for each in between if each.kind == "pitchfork"]
+                if through and here.tangent[-1] * there.tangent[-1] < 0.0:
+                    out.append(through[0].at)  # behind it lies the mirror image
+                    break
             out.append(there)
             if len(out) > 3 and self._close(first, there, 1.2 * h) and sign > 0.0:
                 break

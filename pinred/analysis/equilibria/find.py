@@ -26,6 +26,7 @@ from .search import critical_points, minima, polished, residuals, starting_point
 MANY_JOINTS = 6  # active ones, from which on all that is promised is the minimum
 _STARTS = {True: 100, False: 1000}  # with many joints, and with few
 _MINIMISATIONS = 24
+_ROUND_OFF = 1e-14  # rad, and of a direction; less is none
 _SAME_ENERGY = 1e-8  # of the size of the energies, within one family
 
 
@@ -159,8 +160,9 @@ def _tidy(problem: Problem, points: Points) -> Points:
     for i, k in enumerate(problem.active):
         if problem.system.units[k] == "rad" and k not in touched and _periodic(problem, k):
             x[:, i] -= 2.0 * np.pi * np.ceil(x[:, i] / (2.0 * np.pi) - 0.5 - 1e-12)
-            x[np.abs(x[:, i]) < 1e-13, i] = 0.0
-    return Points(x, points.n)
+            x[np.abs(x[:, i]) < _ROUND_OFF, i] = 0.0
+    n = np.where(np.abs(points.n) < _ROUND_OFF, 0.0, points.n)
+    return Points(x, n)
 
 
 def _periodic(problem: Problem, k: int) -> bool:

@@ -186,7 +186,7 @@ class Equilibria(Sequence[RelativeEquilibrium]):
         return iter(self.entries)
 
     def __str__(self) -> str:
-        head = f"{self.system.name}: {len(self)} relative equilibria found at momentum "
+        head = f"{self.system.name or 'robot'}: {len(self)} relative equilibria found at momentum "
         head += f"{self.momentum:g}, from {self.arrived} of {self.starts} starts"
         rows = [["", "amended V [J]", "verdict", "growth [1/s]", "frequencies [rad/s]", "shape"]]
         rows += [[str(k), *row] for k, row in enumerate(map(_row, self))]

@@ -110,15 +110,10 @@ def lyapunov(
             history[k] = sums / ((k + 1) * step)
             if done is not None:
                 done((k + 1) / count)
-    order = np.argsort(-history[-1])
-    history = history[:, order]
-    half = history[count // 2 :]
-    return LyapunovSpectrum(
-        np.array(history[-1], dtype=float),
-        step * np.arange(1, count + 1),
-        history,
-        np.ptp(half, axis=0),
-    )
+    history = history[:, np.argsort(-history[-1])]
+    half, times = history[count // 2 :], step * np.arange(1.0, count + 1.0)
+    spread = np.asarray(half.max(axis=0) - half.min(axis=0), dtype=float)
+    return LyapunovSpectrum(history[-1].copy(), np.asarray(times), history, spread)
 
 
 def floquet(traj: Trajectory, *, period: float | None = None) -> FloquetMultipliers:

@@ -18,6 +18,7 @@ import numpy as np
 
 from ...common.arrays import Array, freeze
 from ...lie.rotations import hat
+from ...reduction.inertia_split import mass_matrix
 from ...reduction.tree.second_derivatives import inertia_derivatives
 from ..equilibria.amended_energy import AmendedEnergy, Points, tangents
 from ..equilibria.problem import Problem
@@ -140,10 +141,9 @@ def symmetry_axis(I: Array, c: Array) -> Array | None:
 def weights(problem: Problem, point: Points) -> Array:
     """Return W with W² the inverse of a metric on the unknowns: the kinetic one, and of turns."""
     ma, system = len(problem.active), problem.system
-    d = inertia_derivatives(system, problem.shapes(point.x))
     rows = [*range(system.r), *(system.r + k for k in problem.cyclic)]
     active = [system.r + k for k in problem.active]
-    H = d.H[0]
+    H = mass_matrix(system, problem.shapes(point.x)[0])
     K, side = H[np.ix_(rows, rows)], H[np.ix_(rows, active)]
     metric = np.zeros((problem.unknowns, problem.unknowns))
     metric[:ma, :ma] = H[np.ix_(active, active)] - side.T @ np.linalg.solve(K, side)

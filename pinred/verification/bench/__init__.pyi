@@ -7,6 +7,8 @@ from .accuracy import Effort as Effort
 from .accuracy import bench_accuracy as bench_accuracy
 from .evaluations import Evaluations as Evaluations
 from .evaluations import bench_evaluations as bench_evaluations
+from .floquet import FloquetTiming as FloquetTiming
+from .floquet import bench_floquet as bench_floquet
 from .kernel_timing import KernelTiming as KernelTiming
 from .kernel_timing import bench_kernels as bench_kernels
 from .own_methods import own_method as own_method

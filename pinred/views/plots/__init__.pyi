@@ -1,5 +1,6 @@
 """Every name and where it stands: for type checkers, and for the first use of a name."""
 
+from .branch_diagram import branches as branches
 from .by_kind import options_of as options_of
 from .by_kind import plot as plot
 from .connection_field import field as field

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
 
+    from ...analysis.branches.follow import Branches
     from ...analysis.connections.connection import Connection
     from ...analysis.gaits.gait import Gait
     from ...analysis.phases.phase import Phase
@@ -105,6 +106,12 @@ def plot(
 
 
 @overload
+def plot(
+    source: Branches, kind: Literal["branches"], *, joint: str | int | None = None
+) -> Figure: ...
+
+
+@overload
 def plot(source: Phase, kind: Literal["cycles"], *, count: int = 5) -> Figure: ...
 
 
@@ -116,9 +123,9 @@ def plot(source: Any, kind: str) -> Figure: ...
 def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
     """Return the figure of a kind: the function of that name in pinred.plots.
 
-    source: what the function takes: a Connection for field, a Phase for cycles, a Trajectory for
-    all others but work_precision.  options: those of the function; no kind takes all that are
-    shown here.
+    source: what the function takes: a Connection for field, a Phase for cycles, Branches for
+    branches, a Trajectory for all others but work_precision.  options: those of the function; no
+    kind takes all that are shown here.
     Raises InputError for a kind or option that there is not, listing those there are;
     MissingPackageError if matplotlib is not installed.
     """

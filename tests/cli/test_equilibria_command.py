@@ -1,0 +1,91 @@
+"""`pinred equilibria`: tables, diagrams, playback of modes, and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import commands
+import numpy as np
+import pytest
+
+import pinred
+from pinred import plots
+from pinred.cli.main import main
+
+
+def test_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+    """The same as Python prints."""
+    assert main(["equilibria", "rigid_body", "--momentum", "1", "--starts", "20"]) == 0
+    found = pinred.relative_equilibria(pinred.load("rigid_body"), momentum=1.0, starts=20)
+    assert capsys.readouterr().out == f"{found}\n"
+
+
+def test_momenta_of_wheels_and_springs(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each option is that of Python."""
+    arguments = ("--momentum", "0.5", "--starts", "30", "--cyclic", "wheel_x=0.3,wheel_y=-0.2")
+    spring = ("--spring", "panel_hinge=0.5,0.2", "--seed", "3")
+    assert main(["equilibria", "reaction_wheel_satellite", *arguments, *spring]) == 0
+    found = pinred.relative_equilibria(
+        pinred.load("reaction_wheel_satellite"), momentum=0.5, starts=30, seed=3,
+        cyclic={"wheel_x": 0.3, "wheel_y": -0.2}, springs={"panel_hinge": (0.5, 0.2)},
+    )  # fmt: skip
+    assert capsys.readouterr().out == f"{found}\n"
+
+
+@pytest.mark.slow
+def test_a_diagram_and_a_mode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Branches as a figure; the motion on a mode as a page."""
+    figure, page = tmp_path / "cart.png", tmp_path / "mode.html"
+    ends = ("--momentum", "-1,1", "--starts", "8", "--out", str(figure))
+    assert main(["equilibria", "cartpole", *ends]) == 0
+    assert "2 branches of relative equilibria" in capsys.readouterr().out
+    assert figure.stat().st_size > 5000
+    shown = ("--play", "0", "--mode", "0", "--time", "0.5", "--out", str(page), "--starts", "8")
+    assert main(["equilibria", "cartpole", "--momentum", "0", *shown]) == 0
+    assert "playing 0, pole_pivot=0: stable" in capsys.readouterr().out
+    assert page.stat().st_size > 1e5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--momentum", "1,2,3"), "takes J, or LOW,HIGH"),
+        (("--momentum", "x"), "numbers separated by commas"),
+        (("--momentum", "1", "--mode", "0"), "--mode goes with --play"),
+        (("--momentum", "1", "--out", "a.png"), "--out goes with a range"),
+        (("--momentum", "1,2", "--play", "0"), "for one momentum"),
+        (("--momentum", "1,2", "--joint", "bend"), "--joint is of the diagram"),
+        (("--momentum", "1", "--cyclic", "0.3"), "JOINT=MOMENTUM"),
+        (("--momentum", "1", "--cyclic", "bend=0.3"), "no momentum of its own"),
+        (("--momentum", "1", "--play", "0", "--out", "a.csv"), "must be .html"),
+        (("--momentum", "1", "--starts", "2", "--play", "99"), "counted from 0; got 99"),
+        ((), "--momentum"),
+    ],
+)
+def test_bad_input_is_one_line(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
+) -> None:
+    """Whatever is wrong: one line that says what, exit code 2."""
+    assert words in commands.refused(capsys, "equilibria", "falling_cat", *arguments)
+
+
+def test_the_numbers_of_a_diagram() -> None:
+    """Each branch over its momenta, full where it is stable; a joint's coordinate in its place."""
+    found = pinred.branches(pinred.load("cartpole"), momentum=(-1.0, 1.0), starts=8, step=0.5)
+    figure = plots.branches(found)
+    (axes,) = figure.axes
+    assert axes.get_xlabel() == "momentum [N·s]"
+    assert axes.get_ylabel() == "amended potential [J]"
+    lines = {str(line.get_label()): line for line in axes.lines}
+    data = lines["stable"].get_xydata()
+    wanted = [(p.momentum, p.amended_potential) for p in found.branch(0)]
+    np.testing.assert_array_equal(np.asarray(data), wanted)
+    assert "index odd: unstable" in lines
+    (axes,) = pinred.plot(found, "branches", joint="pole_pivot").axes
+    assert axes.get_ylabel() == "pole_pivot [rad]"
+    with pytest.raises(pinred.InputError, match="pole_pivot"):
+        plots.branches(found, joint="pile")
+    with pytest.raises(pinred.InputError, match="from 0 to 0"):
+        plots.branches(found, joint=1)
+    with pytest.raises(pinred.InputError, match="takes what pinred"):
+        plots.branches(pinred.load("cartpole"))  # type: ignore[arg-type]
