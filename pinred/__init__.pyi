@@ -43,6 +43,8 @@ from .scene.toml.keys import scene_schema as scene_schema
 from .scene.toml.reader import load_scene as load_scene
 from .simulation.balances import EnergyBalance as EnergyBalance
 from .simulation.balances import MomentumBalance as MomentumBalance
+from .simulation.flow_map.flow import Flow as Flow
+from .simulation.flow_map.flow import flow as flow
 from .simulation.recording import Recording as Recording
 from .simulation.recording import read_recording as read_recording
 from .simulation.simulate import simulate as simulate

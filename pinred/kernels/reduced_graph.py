@@ -44,7 +44,7 @@ class ReducedGraph:
         lanes: if given, limbs of one build are computed at once, and the Functions are for
         `compile_object` with the marks of `lanes` alone.
         """
-        self._system, self._forces, self._lanes = system, forces, lanes
+        self.system, self.forces, self._lanes = system, forces, lanes
         self._bodies = bodies_of(system)
         group, m = system.group, system.m
         self.layout = layout_of(system, structure, forces)
@@ -117,7 +117,7 @@ class ReducedGraph:
         The time is not repeated where it is the last number of y.  c0, v0, g: (k,) start,
         velocity and fall of the centre of mass, in the root joint's fixed frame.
         """
-        system, k = self._system, self._system.group.linear
+        system, k = self.system, self.system.group.linear
         com, places = self.com(), [self.x[j] for j in self.layout.prescribed]
         momenta = [self._driven_pi.get(j, self.pi[j]) for j in range(system.m)]
         about = self._mu[k:]
@@ -139,21 +139,21 @@ class ReducedGraph:
     def _potential(self, com: Vec) -> Scalar:
         """Return V(x), and the potential energy of a pivoted body's weight."""
         energy: Scalar = 0.0
-        if self._forces is not None:
-            value = self._forces.potential_function(_column(self.x), _column(self._numbers))
+        if self.forces is not None:
+            value = self.forces.potential_function(_column(self.x), _column(self._numbers))
             energy = add(energy, _scalars(value)[0])
         if self._weight is not None:
             weight = self.base.body_weight() or self._weight
-            origin = dot(self._weight, root_of(self._system).origin.tolist())
+            origin = dot(self._weight, root_of(self.system).origin.tolist())
             energy = sub(energy, add(dot(weight, com), origin))
         return energy
 
     def _q(self, pose: list[Scalar]) -> list[Scalar]:
         """Return Pinocchio's configuration."""
-        y, q = [*pose, *joint_values(self._system, self.x)], [0.0] * self._system.model.nq
-        for i, at in self._system.plain:
+        y, q = [*pose, *joint_values(self.system, self.x)], [0.0] * self.system.model.nq
+        for i, at in self.system.plain:
             q[at] = y[i]
-        for i, at in self._system.angles:
+        for i, at in self.system.angles:
             q[at], q[at + 1] = ca.cos(y[i]), ca.sin(y[i])
         return q
 
@@ -166,28 +166,28 @@ class ReducedGraph:
         """Return the weight m g that acts on the shape or turns a pivoted base, if there is one."""
         weight: Vec = [0.0, 0.0, 0.0]
         for axis, g in zip(structure.gravity, self._gravity, strict=True):
-            weight[axis] = mul(self._system.mass, g)
+            weight[axis] = mul(self.system.mass, g)
         return weight if structure.gravity else None
 
     def com(self) -> Vec:
         """Return the centre of mass in the root body's own frame, from the joints' placements."""
-        return centre_of_mass(self._bodies, joint_values(self._system, self.x))
+        return centre_of_mass(self._bodies, joint_values(self.system, self.x))
 
     def _given(self) -> list[Scalar]:
         """Return positions and then rates of the prescribed joints."""
-        if self._forces is None or not self.layout.prescribed:
+        if self.forces is None or not self.layout.prescribed:
             return []
-        x, xdot, _ = self._forces.prescribed_function(self._t, _column(self._numbers))
+        x, xdot, _ = self.forces.prescribed_function(self._t, _column(self._numbers))
         return _scalars(x) + _scalars(xdot)
 
     def _acting(self, mu: list[Scalar]) -> tuple[list[Scalar], list[Scalar]]:
         """Return torques (m,) and the wrench, (r,) or none, of the forces."""
-        if self._forces is None:
-            return [0.0] * self._system.m, []
+        if self.forces is None:
+            return [0.0] * self.system.m, []
         columns = (self.x, self.xdot, self.xi, mu, self._numbers)
         state = [_column(list(column)) for column in columns]
-        torque, wrench = self._forces.acting_function(self._t, *state)
-        on_base = _scalars(wrench) if self._forces.has_wrench else []
+        torque, wrench = self.forces.acting_function(self._t, *state)
+        on_base = _scalars(wrench) if self.forces.has_wrench else []
         return _scalars(torque), on_base
 
     def _with_loads(self, pidot: list[Scalar], acting: list[Scalar]) -> list[Scalar]:
@@ -196,8 +196,8 @@ class ReducedGraph:
         The weight pulls at the centre of mass; a force on the base moves the frame of the
         centre of mass, in which the shape is pushed the other way.
         """
-        m = self._system.m
-        angles = joint_values(self._system, ca.vertsplit(self._angles) if m else [])
+        m = self.system.m
+        angles = joint_values(self.system, ca.vertsplit(self._angles) if m else [])
         com = centre_of_mass(self._bodies, angles)
         loads: list[tuple[Scalar, Scalar]] = []  # of each coordinate of c: name and value
         energy: Scalar = 0.0

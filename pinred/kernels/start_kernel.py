@@ -86,7 +86,7 @@ def start_kernel(system: System, given: TwistOrMomentum) -> StartKernel:
         key = cache_key(model_bytes(system), f"start from {given}")
         code = cache.get(key)
         if code is None:
-            code = compile_object(_graph(system, given), _NAME)
+            code = compile_object(start_graph(system, given), _NAME)
             cache.put(key, code)
         kernel = StartKernel(system, load_object(code, _NAME))
         with telling_scale(system):
@@ -96,7 +96,8 @@ def start_kernel(system: System, given: TwistOrMomentum) -> StartKernel:
     return once(system, (StartKernel, given), make)
 
 
-def _graph(system: System, given: TwistOrMomentum) -> ca.Function:
+def start_graph(system: System, given: TwistOrMomentum) -> ca.Function:
+    """Return the start as a Function of (pose, x, ẋ, ξ or μ)."""
     group, m, r = system.group, system.m, system.r
     k = group.linear
     pose, x, xdot = ca.SX.sym("pose", group.size), ca.SX.sym("x", m), ca.SX.sym("xdot", m)

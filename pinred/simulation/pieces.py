@@ -101,7 +101,7 @@ class Motion:
             int(k): self._flow.states(t[which == k], y[which == k], self._pieces[k].numbers)
             for k in np.unique(which)
         }
-        return _joined([parts[k] for k in sorted(parts)], np.argsort(which, kind="stable"))
+        return joined([parts[k] for k in sorted(parts)], np.argsort(which, kind="stable"))
 
     def numbers(self, t: Array) -> list[Array]:
         """Return the numbers (p,) in the forces at each of times (T,)."""
@@ -168,7 +168,7 @@ def follow(plan: Plan, flow: Flow, integrate: Integrate) -> Motion:
     return Motion(flow, pieces, varies=varies)
 
 
-def _joined(parts: Sequence[State | ShapeState], order: Indices) -> State | ShapeState:
+def joined(parts: Sequence[State | ShapeState], order: Indices) -> State | ShapeState:
     """Return the states of all parts; order: (T,) where each row of them belongs."""
     kind = type(parts[0])
     back = np.argsort(order, kind="stable")

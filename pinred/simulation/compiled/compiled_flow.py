@@ -43,10 +43,20 @@ class CompiledFlow:
         flow._take(flows, member)
         return flow
 
+    @classmethod
+    def made(cls, kernel: Kernel, y0: Array, parameters: Array, line: Array) -> CompiledFlow:
+        """Return the flow of a kernel from a reduced state (k,); see CompiledFlows."""
+        flow = cls.__new__(cls)
+        flow._keep(kernel, y0, parameters, line)
+        return flow
+
     def _take(self, flows: CompiledFlows, member: int) -> None:
-        self._system, self.kernel = flows.kernel.system, flows.kernel
-        self.y0, self.parameters = flows.y0[member], flows.parameters[member]
-        self._line = flows.line[member]
+        row = (flows.y0[member], flows.parameters[member], flows.line[member])
+        self._keep(flows.kernel, *row)
+
+    def _keep(self, kernel: Kernel, y0: Array, parameters: Array, line: Array) -> None:
+        self._system, self.kernel = kernel.system, kernel
+        self.y0, self.parameters, self._line = y0, parameters, line
         layout = self.kernel.layout
         self.numbers = self.parameters[layout.parameters - layout.numbers :]
 

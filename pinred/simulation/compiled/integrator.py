@@ -121,7 +121,7 @@ def integrator(
                 layout.canonical,
             )
         except IntegrationError as stop:
-            raise _explained(stop, flow, scene, start) from None
+            raise explained(stop, flow, scene, start) from None
         _refuse_wild(flow, plan, found.states)
         knots = _refined(found.knots + start, parts)
         knots[-1] = end  # whatever round-off says
@@ -165,7 +165,7 @@ def _refined(knots: Array, parts: int) -> Array:
     return np.asarray(np.interp(np.arange(parts * (len(knots) - 1) + 1) / parts, steps, knots))
 
 
-def _explained(
+def explained(
     stop: IntegrationError, flow: CompiledFlow, scene: Scene, start: float
 ) -> IntegrationError:
     """Return a failure in terms of the robot."""
