@@ -157,7 +157,7 @@ class ForceModel:
         text = self.acting_function.serialize() + self.prescribed_function.serialize()
         self.key = hashlib.sha256(f"{self.joints}{text}".encode()).hexdigest()
 
-    def with_values(self, values: Mapping[str, float]) -> ForceModel:
+    def with_values(self, values: Mapping[str, Any]) -> ForceModel:
         """Return this model with other values of parameters, {name: value}; it shares the rest."""
         moved = np.array([values.get(each.name, each.value) for each in self.parameters])
         moved -= [each.value for each in self.parameters]

@@ -36,10 +36,12 @@ class BaseGraph:
         weight: Vec | None,
         *,
         lifted: bool = False,
+        mass: Scalar = None,
     ) -> None:
-        """Make the symbols.  lifted: see Structure."""
+        """Make the symbols.  lifted: see Structure.  mass: of the system, if it is not its own."""
         self._lifted = lifted
-        self._k, self._r, self._mass = system.group.linear, system.r, system.mass
+        self._k, self._r = system.group.linear, system.r
+        self._mass = system.mass if mass is None else mass
         self._group, self.parts = system.group, parts
         self._weight = weight
         self._root = root_of(system)

@@ -17,6 +17,7 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.memo import once
 from ..reduction.base_parts import into_body
+from ..reduction.tree.free_bodies import NUMBERS
 from ..system.system import System
 from .base_graph import rotated
 from .differentiable import Differentiable, call_value
@@ -92,12 +93,17 @@ def _begin_graph(graph: ReducedGraph, given: TwistOrMomentum) -> ca.Function:
         whole, [0, group.size, group.size + m, group.size + 2 * m, group.size + 2 * m + r]
     )
     if layout.prescribed and forces is not None:
-        numbers = ca.vertcat(ca.SX(0, 1), *_entries(constants)[len(layout.gravity) :])
+        numbers = ca.vertcat(
+            ca.SX(0, 1), *_entries(constants)[constants.numel() - layout.numbers :]
+        )
         planned, rates, _ = forces.prescribed_function(0.0, numbers)
         x, xdot = ca.SX(x), ca.SX(xdot)
         for i, j in enumerate(layout.prescribed):
             x[j], xdot[j] = planned[i], rates[i]
-    found = start_graph(system, given)(ca.vertcat(pose, x, xdot, motion), 0.0)
+    first = len(layout.gravity)
+    inertias = _entries(constants)[first : first + NUMBERS * len(layout.free)]
+    state, rest = ca.vertcat(pose, x, xdot, motion), ca.vertcat(ca.SX(0, 1), *inertias)
+    found = start_graph(system, given, layout.free)(state, rest if inertias else 0.0)
     turns = r - k
     pi, about, fixed, c0, v0 = ca.vertsplit(
         found, [0, m, m + turns, m + 2 * turns, m + 2 * turns + k, m + 2 * turns + 2 * k]

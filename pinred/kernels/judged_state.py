@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from ..common.arrays import Array
 from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import acting_gravity, falling
+from ..reduction.tree.free_bodies import free_numbers
 from ..system.inertias import moved_masses, radius_of_gyration
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
     from ..system.system import System
     from .kernel import Kernel
+    from .layout import Structure
 
 
 @dataclass(frozen=True)
@@ -177,6 +179,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         potential = np.array([forces.potential(x, numbers)])
         if not np.isfinite(np.concatenate([acting.torque, acting.wrench, potential])).all():
             return None
+    acts, bodies = gravity[list(layout.gravity)], free_numbers(system, layout.free)
     return JudgedState(
         system=system,
         model=model,
@@ -198,9 +201,34 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         mu=mu,
         pi=pi,
         y=np.concatenate([x[active], pi[active], x[cyclic], b, [time] * layout.clock]),
-        parameters=np.concatenate([spin, pi[cyclic], gravity[list(layout.gravity)], numbers]),
+        parameters=np.concatenate([spin, pi[cyclic], acts, bodies, numbers]),
         driven=tuple(driven),
     )
+
+
+def with_other_inertias(system: System, structure: Structure) -> System:
+    """Return the system with other, physical inertias of the bodies that are free.
+
+    Those that a cyclic joint carries are made heavier and no more: it has to stay cyclic.
+    """
+    rng, changed, model = np.random.default_rng(1), {}, system.model
+    carried = {system.joints[k] for k in structure.cyclic}
+    for i in range(2, model.njoints):
+        if model.parents[i] in carried:
+            carried.add(i)
+    for i in structure.free:
+        own = model.inertias[i + 1]
+        if i + 1 in carried:
+            factor = rng.uniform(1.2, 1.5)
+            changed[i + 1] = pin.Inertia(factor * own.mass, own.lever, factor * own.inertia)
+            continue
+        reach = radius_of_gyration(own) + 1e-3 * float(np.linalg.norm(own.lever))
+        A = reach * rng.normal(size=(3, 3))
+        spread = own.mass * A @ A.T
+        moments = own.inertia + np.trace(spread) * np.eye(3) - spread
+        lever = own.lever + reach * rng.normal(size=3)
+        changed[i + 1] = pin.Inertia(own.mass * rng.uniform(0.5, 1.5), lever, moments)
+    return system.with_inertias(changed)
 
 
 def _with_known_momentum(kernel: Kernel, H: Array, v: Array) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from ..forces.force_model import ForceModel
 from ..reduction.base_parts import BaseParts, base_parts
+from ..reduction.tree.free_bodies import NUMBERS
 from ..system.system import System
 
 
@@ -17,7 +18,8 @@ class Structure:
 
     zero_momentum: of the base.  cyclic: indices of the cyclic joints.  gravity: which axes of the
     root joint's fixed frame the part of it has that acts on the shape or turns a pivoted base.
-    base: whether the base is asked for.  lifted: whether a quaternion of any length
+    base: whether the base is asked for.  free: indices of the bodies, 0 for the root, whose mass,
+    centre and moments are parameters.  lifted: whether a quaternion of any length
     stands for the angular momentum, μ = q̄ J q, which grows as the square of that length.
     Under this map (Cayley and Klein's) of ℝ⁴ to so(3)* the canonical bracket becomes that of
     Lie and Poisson, so that a symplectic method for (x, π, q) is a Poisson map of (x, π, μ).
@@ -28,6 +30,7 @@ class Structure:
     gravity: tuple[int, ...] = ()
     base: bool = True
     lifted: bool = False
+    free: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,8 @@ class Layout:
 
     active, cyclic, prescribed: indices of shape joints.  base: the parts of the base that
     are integrated, and its constants.  clock: 1 if the time is the last number of y, else 0.
-    gravity: axes along which gravity is a parameter.  numbers: how many numbers the forces have.
+    gravity: axes along which gravity is a parameter.  free: bodies whose inertias are.  numbers:
+    how many numbers the forces have.
     """
 
     active: tuple[int, ...]
@@ -47,6 +51,7 @@ class Layout:
     heavy: bool
     clock: int
     gravity: tuple[int, ...]
+    free: tuple[int, ...]
     numbers: int
 
     @property
@@ -62,7 +67,12 @@ class Layout:
     @property
     def parameters(self) -> int:
         """Number of parameters."""
-        return self.gravity_at + len(self.gravity) + self.numbers
+        return self.bodies_at + NUMBERS * len(self.free) + self.numbers
+
+    @property
+    def bodies_at(self) -> int:
+        """Index in the parameters of the first number of a body."""
+        return self.gravity_at + len(self.gravity)
 
     @property
     def gravity_at(self) -> int:
@@ -136,5 +146,6 @@ def layout_of(system: System, structure: Structure, forces: ForceModel | None) -
         heavy=heavy,
         clock=int(forces is not None and forces.needs_time),
         gravity=structure.gravity,
+        free=structure.free,
         numbers=len(forces.numbers) if forces is not None else 0,
     )

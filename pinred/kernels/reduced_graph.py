@@ -6,8 +6,9 @@ The graph contains nothing that a scene does not need.  The reduced state is
         integrated, and the time, if anything depends on it
 
 and the parameters are the angular momentum of the base where it is a constant, the momenta
-of the cyclic joints, gravity where it acts [m/s²], and the numbers in the forces.  A joint is
-cyclic if nothing depends on its angle and nothing acts on it: then its momentum is constant.
+of the cyclic joints, gravity where it acts [m/s²], the inertias of bodies that are free, and the
+numbers in the forces.  A joint is cyclic if nothing depends on its angle and nothing acts on it:
+then its momentum is constant.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from ..reduction.base_parts import root_of
 from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..reduction.tree.articulated_sweep import sweep
 from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.free_bodies import NUMBERS, total_mass, with_free
 from ..reduction.tree.limbs import Lanes
 from ..reduction.tree.momenta import centre_of_mass
 from ..reduction.tree.scalars import Scalar, Vec, add, dot, mul, sub
@@ -45,7 +47,10 @@ class ReducedGraph:
         `compile_object` with the marks of `lanes` alone.
         """
         self.system, self.forces, self._lanes = system, forces, lanes
-        self._bodies = bodies_of(system)
+        inertias = [ca.SX.sym(f"Y{k}") for k in range(NUMBERS * len(structure.free))]
+        self._inertias = inertias
+        self._bodies = with_free(bodies_of(system), structure.free, inertias)
+        self._mass = total_mass(self._bodies) if structure.free else system.mass
         group, m = system.group, system.m
         self.layout = layout_of(system, structure, forces)
         self._gravity = [ca.SX.sym(f"g{axis}") for axis in structure.gravity]
@@ -53,7 +58,9 @@ class ReducedGraph:
         self.x = [ca.SX.sym(f"x{k}") for k in range(m)]
         self.pi = [ca.SX.sym(f"pi{k}") for k in range(m)]
         turned = self._weight if self.layout.heavy else None
-        self.base = BaseGraph(system, self.layout.base, turned, lifted=structure.lifted)
+        self.base = BaseGraph(
+            system, self.layout.base, turned, lifted=structure.lifted, mass=self._mass
+        )
         self._t = ca.SX.sym("t")
         prescribed = self.layout.prescribed
         self._numbers = [ca.SX.sym(f"p{k}") for k in range(self.layout.numbers)]
@@ -97,7 +104,7 @@ class ReducedGraph:
     def parameters(self) -> ca.SX:
         """The parameters, (parameters,)."""
         constant = [self.pi[k] for k in self.layout.cyclic]
-        return _column(self.base.spin, constant, self._gravity, self._numbers)
+        return _column(self.base.spin, constant, self._gravity, self._inertias, self._numbers)
 
     def rate(self) -> ca.Function:
         """Return the vector field (y, parameters) → dy/dt."""
@@ -166,7 +173,7 @@ class ReducedGraph:
         """Return the weight m g that acts on the shape or turns a pivoted base, if there is one."""
         weight: Vec = [0.0, 0.0, 0.0]
         for axis, g in zip(structure.gravity, self._gravity, strict=True):
-            weight[axis] = mul(self.system.mass, g)
+            weight[axis] = mul(self._mass, g)
         return weight if structure.gravity else None
 
     def com(self) -> Vec:

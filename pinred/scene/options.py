@@ -34,6 +34,6 @@ class SceneOptions(TypedDict, total=False):
     prescribed: Mapping[str, Signal | float | str]
     passive: bool
     friction: float | None
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, ArrayLike]
     outputs: WantedOutputs
     method: Method | str

@@ -18,6 +18,7 @@ from ..common.plain_names import brief, listed, one_of
 from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method
+from ..system.body_parameters import Bodies
 from ..system.system import System, checked_system
 from . import forms
 from .angles import refuse_vague
@@ -71,7 +72,10 @@ class Scene:
     passive: whether springs and dampers in the robot's file act (System.passive).  friction: the
     rate [rad/s | m/s] within which dry friction in the file turns round, τ = −most·tanh(ẋ/width);
     None leaves it out.
-    parameters: {name: value} of each Parameter in forces and signals that is to have another.
+    parameters: {name: value} of Parameters in forces and signals that are to have another, and of
+    bodies, by a link or joint: "hand.mass", "hand.com", "hand.inertia" (xx, xy, xz, yy, yz, zz
+    about the centre), "hand.payload.mass" and "hand.payload.at", a point mass on it, or
+    "hand.log_cholesky"; those bodies' inertias are inputs of the kernel.
     outputs: "all", or "shape" to leave out the base.
     method: an integrator of pinred.integrators, or as text: "DOP853", "RKMK4(0.01)".  One with
     step control works to rtol and atol, or to its own tolerances if it has them: not both.
@@ -101,12 +105,13 @@ class Scene:
     prescribed: Mapping[str, Signal | float | str] = field(default_factory=dict)
     passive: bool = False
     friction: float | None = None
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, ArrayLike] = field(default_factory=dict)
     outputs: WantedOutputs = "all"
     method: Method | str = "auto"
 
     def __post_init__(self) -> None:
         checked_system(self.system, "a scene")
+        self._vary_bodies()
         given = [name for name in _STATE if getattr(self, name) is not None]
         for name, (what, others) in _STAND_FOR.items():
             if getattr(self, name) is None:
@@ -205,6 +210,17 @@ class Scene:
         return model
 
     @property
+    def varied_bodies(self) -> Bodies | None:
+        """The bodies whose inertias are among the parameters; None if there are none."""
+        found: Bodies | None = vars(self)["_bodies"]
+        return found
+
+    @property
+    def free_bodies(self) -> tuple[int, ...]:
+        """Their indices, 0 for the root."""
+        return () if self.varied_bodies is None else self.varied_bodies.free
+
+    @property
     def own_forces(self) -> tuple[Force, ...]:
         """What acts of the springs, dampers and friction in the robot's file."""
         return acting_passive(self.system, passive=self.passive, friction=self.friction)
@@ -223,6 +239,17 @@ class Scene:
 
     def _keep(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
+
+    def _vary_bodies(self) -> None:
+        """Give bodies the inertias among the parameters; the system is then one that has them."""
+        if not isinstance(self.parameters, Mapping):
+            raise InputError(f"parameters must be {{name: value}}, got {brief(self.parameters)}")
+        nominal = self.system.nominal
+        bodies = Bodies(nominal, list(self.parameters))
+        self._keep("_bodies", bodies if bodies.free else None)
+        values = bodies.checked(self.parameters)
+        self._keep("_values", values)
+        self._keep("system", bodies.system(values) if bodies.free else nominal)
 
     def _check_forces(self) -> None:
         """Write the forces down, if there are any."""
@@ -271,16 +298,20 @@ class Scene:
 
     def _check_parameters(self, known: Sequence[str]) -> None:
         """Keep the parameters as numbers.  Raises InputError for names that nothing has."""
-        if not isinstance(self.parameters, Mapping):
-            raise InputError(f"parameters must be {{name: value}}, got {brief(self.parameters)}")
-        values = {}
+        values: dict[str, Any] = {}
         for name, value in self.parameters.items():
+            if name in vars(self)["_values"]:
+                found: Array = vars(self)["_values"][name]
+                values[name] = read_only(found) if found.size > 1 else float(found[0])
+                continue
             if name not in known:
                 raise InputError(
                     f"parameters: no Parameter '{name}' in the forces and signals of the scene; "
                     f"those are {listed(known, 60) or 'none'}"
                 )
-            values[name] = float(vector([value], 1, f"parameters['{name}']")[0])
+            values[name] = float(
+                vector(np.ravel(as_floats(value, name)), 1, f"parameters['{name}']")[0]
+            )
         self._keep("parameters", MappingProxyType(values))
 
     def _checked_times(self) -> Array:

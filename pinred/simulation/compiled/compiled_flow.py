@@ -14,6 +14,7 @@ from ...kernels.start_kernel import Starts, start_kernel
 from ...kernels.tangent import tangent_of
 from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import into_body, root_of
+from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
 from ...system.system import Indices
 from ..entry_name import entry_name
@@ -185,7 +186,9 @@ class CompiledFlows:
         self.parameters[:, spin:before] = start.pi[:, cyclic]
         after = before + len(layout.gravity)
         self.parameters[:, before:after] = plan.acting.gravity[list(layout.gravity)]
-        self.parameters[:, after:] = plan.numbers
+        bodies = free_numbers(plan.system, layout.free)
+        self.parameters[:, after : after + len(bodies)] = bodies
+        self.parameters[:, after + len(bodies) :] = plan.numbers
         k = plan.system.group.linear
         self.line = np.empty((N, 3 * k))
         self.line[:, :k], self.line[:, k : 2 * k] = start.c0, start.v0

@@ -20,7 +20,7 @@ from ...system.system import System
 from ..plan import plan_of
 from ..simulate import as_scene
 from ..state import ShapeState, State
-from .inputs import Inputs, motion_of
+from .inputs import Inputs, motion_of, with_varied
 from .runs import Course, Run
 
 _ROWS: tuple[Outcome, ...] = get_args(Outcome)
@@ -170,7 +170,7 @@ def flow(
     Raises InputError for scenes that have none: with Controllers, which are functions of Python,
     or with methods other than DOP853, Tsit5, Gauss and AdaptiveGauss.
     """
-    made = as_scene(scene, options, "flow")
+    made = with_varied(as_scene(scene, options, "flow"), wrt)
     over_times = made.times is not None
     if not over_times:
         made = replace(made, times=np.array([made.end]))

@@ -3,28 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from ...common.arrays import Array, vector
+from ...common.arrays import Array, as_floats, vector
 from ...common.errors import InputError, ShapeError
 from ...common.names import nearest
 from ...common.plain_names import brief, listed
 from ...kernels.kernel import Kernel
+from ...reduction.tree.body_frames import bodies_of
+from ...reduction.tree.free_bodies import NUMBERS, frame_map, free_numbers
 from ...scene import forms
 from ...scene.scene import Scene
+from ...system.body_parameters import Bodies
 
 STATE = ("x0", "xdot0", "pose0", "xi0", "momentum")
 
 
 @dataclass(frozen=True)
 class Given:
-    """Inputs as columns.  state: (pose, x, ẋ, ξ or μ).  constants: parameters from gravity on."""
+    """Inputs as columns.
+
+    state: (pose, x, ẋ, ξ or μ).  constants: parameters from gravity on.  inertial: values of
+    parameters of bodies that were given.
+    """
 
     state: Array
     constants: Array
+    inertial: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
 
 class Inputs:
@@ -56,16 +65,29 @@ class Inputs:
             at += size
         state = np.concatenate([own.pose[0], own.x[0], own.xdot[0], own.motion[0]])
         numbers = np.empty(0) if model is None else model.numbers
-        self.own = Given(state, np.concatenate([gravity[list(layout.gravity)], numbers]))
-        self._numbers_at = len(layout.gravity)
-        self._values = {
-            each.name: float(scene.parameters.get(each.name, each.value))
-            for each in self._parameters
+        bodies = free_numbers(system, layout.free)
+        self.own = Given(state, np.concatenate([gravity[list(layout.gravity)], bodies, numbers]))
+        self._bodies_at = len(layout.gravity)
+        self._numbers_at = self._bodies_at + len(bodies)
+        self._bodies, self._body_values = scene.varied_bodies, {}
+        self._maps: dict[int, Array] = {}
+        if self._bodies is not None:
+            self._body_values = self._bodies.checked(
+                {each.name: scene.parameters[each.name] for each in self._bodies.parameters}
+            )
+            frames = bodies_of(system)
+            self._maps = {i: frame_map(frames[i]) for i in self._bodies.free}
+        self._values = {each.name: each.value for each in self._parameters}
+        self._values |= {
+            name: float(np.ravel(as_floats(value, name))[0])
+            for name, value in scene.parameters.items()
+            if name in self._values
         }
-        self.known = (*self._place, *self._values)
+        self.known = (*self._place, *self._values, *self._body_values)
         self.names = tuple(checked_names(wrt, self.known))
         sizes = {name: place.stop - place.start for name, place in self._place.items()}
         sizes["pose0"] = system.r
+        sizes |= {name: len(value) for name, value in self._body_values.items()}
         self.sizes = {name: sizes.get(name, 1) for name in self.names}
 
     def given(self, values: Mapping[str, Any]) -> Given:
@@ -74,8 +96,15 @@ class Inputs:
             return self.own
         system = self._scene.system
         state, constants = self.own.state.copy(), self.own.constants.copy()
+        inertial = self._body_values.keys() & values.keys()
+        if inertial and self._bodies is not None:
+            now = self._bodies.checked(self._body_values | {k: values[k] for k in inertial})
+            for i in self._bodies.free:
+                constants[self._of_body(i)] = self._maps[i] @ self._bodies.dynamic(i, now)[0]
         for name, value in values.items():
             place = self._place.get(name)
+            if name in inertial:
+                continue
             if place is None:
                 if name not in self._values:
                     checked_names([name], self.known)
@@ -92,7 +121,7 @@ class Inputs:
                     state[place] = vector(value, place.stop - place.start, name)
         if not np.isfinite(state).all():
             raise ShapeError(f"the inputs of a flow must be finite, got {brief(dict(values))}")
-        return Given(state, constants)
+        return Given(state, constants, MappingProxyType({k: values[k] for k in inertial}))
 
     def directions(self, along: Mapping[str, Any], at: Given) -> tuple[Array, Array]:
         """Return the columns (…, 1) of state and constants along directions by name."""
@@ -120,7 +149,7 @@ class Inputs:
         out, first = {}, 0
         for name, size in self.sizes.items():
             part = rows[..., first : first + size]
-            out[name] = part if name in self._place else part[..., 0]
+            out[name] = part if name in self._place or size > 1 else part[..., 0]
             first += size
         return out
 
@@ -128,7 +157,13 @@ class Inputs:
         size = self.sizes[name]
         state, constants = np.zeros((len(at.state), size)), np.zeros((len(at.constants), size))
         place = self._place.get(name)
-        if place is None:
+        if name in self._body_values and self._bodies is not None:
+            now = self._bodies.checked(self._body_values | dict(at.inertial))
+            for i in self._bodies.free:
+                slopes = self._bodies.dynamic(i, now)[1]
+                if name in slopes:
+                    constants[self._of_body(i)] = self._maps[i] @ slopes[name]
+        elif place is None:
             k = [each.name for each in self._parameters].index(name)
             constants[self._numbers_at :, 0] = self._slopes[:, k]
         elif name == "pose0":
@@ -139,11 +174,38 @@ class Inputs:
             state[place] = np.eye(size)
         return state, constants
 
+    def _of_body(self, body: int) -> slice:
+        """Return the place of a body's numbers among the constants."""
+        first = self._bodies_at + NUMBERS * self._scene.free_bodies.index(body)
+        return slice(first, first + NUMBERS)
+
     def _set(self, constants: Array, name: str, value: Any) -> None:
         number = float(vector(np.ravel(value), 1, name)[0])
         k = [each.name for each in self._parameters].index(name)
         moved = number - self._values[name]
         constants[self._numbers_at :] += self._slopes[:, k] * moved
+
+
+def with_varied(scene: Scene, names: Sequence[str]) -> Scene:
+    """Return a scene with parameters of bodies among the names as its own, at their values.
+
+    Raises InputError for bodies that are not there, and for forces that rely on the inertias.
+    """
+    bodies = Bodies(scene.system.nominal, [names] if isinstance(names, str) else list(names))
+    new = {k: v for k, v in bodies.own().items() if k not in scene.parameters}
+    if new:
+        scene = replace(scene, parameters={**scene.parameters, **new})
+    knowing = [force.label for force in _listed(scene.forces) if force.last]
+    if scene.free_bodies and knowing:
+        raise InputError(
+            f"{knowing[0]} relies on the robot's inertias, which the flow varies; use PD, or a "
+            "Torque of your own"
+        )
+    return scene
+
+
+def _listed(forces: Any) -> tuple[Any, ...]:
+    return tuple(forces) if isinstance(forces, (list, tuple)) else (forces,)
 
 
 def motion_of(scene: Scene) -> str:
