@@ -35,9 +35,8 @@ def rate_of(kernel: Kernel) -> Differentiable:
     """Return the vector field (y, parameters) → dy/dt."""
 
     def make() -> Differentiable:
-        return Differentiable(
-            kernel, "rate", ReducedGraph.rate, partial(_sample, kernel), _unjudged
-        )
+        sample = partial(_sample, kernel)
+        return Differentiable(kernel, "rate", ReducedGraph.rate, sample, _unjudged, limbs=True)
 
     return once(kernel, rate_of, make)
 
