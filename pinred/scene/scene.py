@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
@@ -151,6 +151,11 @@ class Scene:
         self._keep("_times", read_only(self._checked_times()))
         self._check_forces()
         self._keep("_given", self._resolve())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        options = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        options |= {"system": self.system.nominal, "parameters": dict(self.parameters)}
+        return _scene_of, (options,)
 
     def _repr_html_(self) -> str:
         from ..common.html import card, line, numbers, table
@@ -370,6 +375,11 @@ class Scene:
         given = model.prescribed(0.0, model.numbers_from(0.0, self.end))
         x[:, joints], xdot[:, joints] = given.x, given.xdot
         return x, xdot
+
+
+def _scene_of(options: dict[str, Any]) -> Scene:
+    """Return a scene that was pickled."""
+    return Scene(**options)
 
 
 def checked_keyframe(system: System, name: str) -> str:

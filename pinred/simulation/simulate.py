@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, Unpack
 
 from ..common.errors import InputError
@@ -92,4 +93,4 @@ def _followed(
     motion = follow(plan, flow, integrate)
     wall = time.perf_counter() - began
     run = Run(engine, method, motion.steps, motion.evaluations, wall)
-    return Trajectory(plan.scene, motion, run)
+    return Trajectory(plan.scene, motion, run, partial(simulate, plan.scene, engine=engine))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError
@@ -148,3 +149,15 @@ class OverTime(ABC):
     def energy(self) -> Array:
         """Total energy, (T,) [J]; without the base, that about the centre of mass."""
         return self.outputs.energy
+
+    def to_xarray(self) -> Any:
+        """Return an xarray.Dataset over t, with joints and coordinates by name (needs xarray)."""
+        from .labelled import dataset
+
+        return dataset(self.outputs, self.system)
+
+    def to_pandas(self) -> Any:
+        """Return a pandas.DataFrame over t, columns such as "x.elbow" (needs pandas)."""
+        from .labelled import frame
+
+        return frame(self.outputs, self.system)

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats
-from ..common.errors import InputError, ShapeError
+from ..common.errors import InputError, NotCopyable, ShapeError
 from .plan import Plan, plan_of
 from .state import OverTime, ShapeState, State, with_base
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ..scene.scene import Scene
+    from ..scene.scene import Engine, Scene
     from ..system.system import System
     from .balances import EnergyBalance, MomentumBalance
     from .pieces import Motion
@@ -31,7 +32,7 @@ class Run:
     evaluations: of the vector field.  wall: seconds.
     """
 
-    engine: str
+    engine: Engine
     method: str
     steps: int
     evaluations: int
@@ -41,11 +42,30 @@ class Run:
 class Trajectory(OverTime):
     """The motion of a scene.  Fields of State over the report times; call it for any time."""
 
-    def __init__(self, scene: Scene, motion: Motion, run: Run) -> None:
-        """Take the scene, its motion, and what the run cost."""
+    def __init__(
+        self,
+        scene: Scene,
+        motion: Motion,
+        run: Run,
+        again: Callable[[], Trajectory] | None = None,
+    ) -> None:
+        """Take the scene, its motion, what the run cost, and what integrates it once more."""
         self.scene = scene
-        self.motion = motion
         self.run = run
+        self._motion: Motion | None = motion
+        self._again = again
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _trajectory_of, (self.scene, self.run, self.outputs, self._again)
+
+    @property
+    def motion(self) -> Motion:
+        """The motion at all times; of a trajectory that was pickled, it is integrated again."""
+        if self._motion is None:
+            if self._again is None:
+                raise NotCopyable("this motion was made by hand, and is not integrated again")
+            self._motion = self._again().motion
+        return self._motion
 
     @property
     def system(self) -> System:
@@ -167,3 +187,14 @@ class Trajectory(OverTime):
         from .trajectory_files import save
 
         save(self, path)
+
+
+def _trajectory_of(
+    scene: Scene, run: Run, outputs: State | ShapeState, again: Callable[[], Trajectory] | None
+) -> Trajectory:
+    """Return a trajectory that was pickled, with the states at its report times."""
+    trajectory = Trajectory.__new__(Trajectory)
+    trajectory.scene, trajectory.run, trajectory._again = scene, run, again
+    trajectory._motion = None
+    vars(trajectory)["outputs"] = type(outputs)(**vars(outputs))  # read-only once more
+    return trajectory

@@ -127,6 +127,13 @@ class System:
         for key, value in derived.items():
             object.__setattr__(self, key, value)
 
+    def __getstate__(self) -> dict[str, Any]:
+        # What was made for this system in this process, as kernels are, is made anew elsewhere.
+        return {name: value for name, value in vars(self).items() if name != "_once"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+
     def __repr__(self) -> str:
         return f"System({self.name!r}, group={self.group.name}, r={self.r}, m={self.m})"
 

@@ -61,6 +61,9 @@ class Flow:
         self._size = at
         self._last: tuple[bytes, Run] | None = None
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _flow_of, (self.scene, self._inputs.names, self._rows, self._over_times)
+
     def __repr__(self) -> str:
         inputs = ", ".join(f"{name} ({size})" for name, size in self.inputs.items()) or "nothing"
         rows = ", ".join(f"{name} ({p.stop - p.start})" for name, p in self.outputs.items())
@@ -175,6 +178,11 @@ def flow(
     if not over_times:
         made = replace(made, times=np.array([made.end]))
     return Flow(made, wrt, of, over_times=over_times)
+
+
+def _flow_of(scene: Scene, wrt: Sequence[str], of: Sequence[Outcome], over_times: bool) -> Flow:
+    """Return a flow that was pickled: its kernels are found by their keys."""
+    return Flow(scene, wrt, of, over_times=over_times)
 
 
 def _stays_zero(scene: Scene, wrt: Sequence[str]) -> bool:
