@@ -11,8 +11,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..common.arrays import Array
+from ..forces.acting import BaseInSpace
 from ..reduction.inertia_split import mass_matrix_at
-from ..reduction.potential import acting_gravity, falling
+from ..reduction.potential import acting_gravity, falling, translations
 from ..reduction.tree.free_bodies import free_numbers
 from ..system.inertias import moved_masses, radius_of_gyration
 
@@ -68,6 +69,12 @@ class JudgedState:
         """Indices of the velocities that momenta decide, (f,)."""
         r = len(self.mu)
         return np.setdiff1d(np.arange(len(self.v)), [r + k for k in self.driven])
+
+    def in_space(self, v: Array) -> BaseInSpace:
+        """Return the base as seen from space, with a velocity (n,) relative to the CoM."""
+        return _in_space(
+            self.system, self.pose, self.line, self.pushed, self.time, self.com, self.H, v
+        )
 
     @cached_property
     def momentum_terms(self) -> Array:
@@ -174,8 +181,11 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
     pushed = rng.normal(size=parts.push)
     b = np.concatenate([pose[len(pose) - parts.attitude :], down, mu[r - parts.momentum :], pushed])
     active, cyclic = list(layout.active), list(layout.cyclic)
+    line = np.append(rng.normal(size=2 * k), falling(system))
+    com = np.array(data.Ycrb[1].lever)
     if forces is not None:
-        acting = forces.acting(time, x, v[r:], v[:r], mu, numbers)
+        base = _in_space(system, pose, line, pushed, time, com, H, v)
+        acting = forces.acting(time, x, v[r:], v[:r], mu, numbers, base)
         potential = np.array([forces.potential(x, numbers)])
         if not np.isfinite(np.concatenate([acting.torque, acting.wrench, potential])).all():
             return None
@@ -195,13 +205,15 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         numbers=numbers,
         down=down,
         pushed=pushed,
-        line=np.append(rng.normal(size=2 * k), falling(system)),
+        line=line,
         H=H,
-        com=np.array(data.Ycrb[1].lever),
+        com=com,
         mu=mu,
         pi=pi,
         y=np.concatenate([x[active], pi[active], x[cyclic], b, [time] * layout.clock]),
-        parameters=np.concatenate([spin, pi[cyclic], acts, bodies, numbers]),
+        parameters=np.concatenate(
+            [spin, pi[cyclic], acts, bodies, line[: layout.line], numbers]
+        ),
         driven=tuple(driven),
     )
 
@@ -229,6 +241,33 @@ def with_other_inertias(system: System, structure: Structure) -> System:
         lever = own.lever + reach * rng.normal(size=3)
         changed[i + 1] = pin.Inertia(own.mass * rng.uniform(0.5, 1.5), lever, moments)
     return system.with_inertias(changed)
+
+
+def _in_space(
+    system: System,
+    pose: Array,
+    line: Array,
+    pushed: Array,
+    time: float,
+    com: Array,
+    H: Array,
+    v: Array,
+) -> BaseInSpace:
+    """Return the base as seen from space, by Pinocchio's mass matrix and the group's own turns.
+
+    pose: its place is not read, for it follows the centre of mass.  com: (3,) in the body's frame.
+    v: (n,) relative to the centre of mass.
+    """
+    group, k = system.group, system.group.linear
+    c0, v0, fall = line.reshape(3, k)
+    c, velocity = c0 + v0 * time + 0.5 * fall * time**2, v0 + fall * time
+    if pushed.size:
+        c, velocity = c + pushed[:k], velocity + pushed[k:] / system.mass
+    attitude, whole = pose[k:], v.copy()
+    whole[:k] += group.turned_back(attitude, velocity)
+    place = c - group.turned(attitude, translations(system).T @ com)
+    there, mu = np.append(place, attitude), H[: system.r] @ whole
+    return BaseInSpace(there, whole[: system.r], mu, group.spatial_momentum(there, mu))
 
 
 def _with_known_momentum(kernel: Kernel, H: Array, v: Array) -> tuple[Array, Array]:

@@ -39,8 +39,9 @@ class Layout:
 
     active, cyclic, prescribed: indices of shape joints.  base: the parts of the base that
     are integrated, and its constants.  clock: 1 if the time is the last number of y, else 0.
-    gravity: axes along which gravity is a parameter.  free: bodies whose inertias are.  numbers:
-    how many numbers the forces have.
+    gravity: axes along which gravity is a parameter.  free: bodies whose inertias are.  line: how
+    many numbers say where the centre of mass begins, how fast, and how it falls, where forces see
+    that.  numbers: how many numbers the forces have.
     """
 
     active: tuple[int, ...]
@@ -52,6 +53,7 @@ class Layout:
     clock: int
     gravity: tuple[int, ...]
     free: tuple[int, ...]
+    line: int
     numbers: int
 
     @property
@@ -67,7 +69,7 @@ class Layout:
     @property
     def parameters(self) -> int:
         """Number of parameters."""
-        return self.bodies_at + NUMBERS * len(self.free) + self.numbers
+        return self.line_at + self.line + self.numbers
 
     @property
     def bodies_at(self) -> int:
@@ -78,6 +80,11 @@ class Layout:
     def gravity_at(self) -> int:
         """Index in the parameters of the first number of gravity."""
         return self.base.spin + len(self.cyclic)
+
+    @property
+    def line_at(self) -> int:
+        """Index in the parameters of the first number of the centre of mass's path."""
+        return self.bodies_at + NUMBERS * len(self.free)
 
     @property
     def quaternion(self) -> int:
@@ -130,9 +137,10 @@ def layout_of(system: System, structure: Structure, forces: ForceModel | None) -
     """Return where things stand in y and in the parameters of a kernel of this structure."""
     prescribed = forces.joints if forces is not None else ()
     heavy = system.group.is_pivot and bool(structure.gravity)
+    sees = forces is not None and (forces.sees_attitude or forces.sees_place)
     parts = base_parts(
         system.group,
-        wanted=structure.base or structure.lifted,
+        wanted=structure.base or structure.lifted or sees,
         heavy=heavy,
         wrench=forces is not None and forces.has_wrench,
         zero_momentum=structure.zero_momentum,
@@ -147,5 +155,6 @@ def layout_of(system: System, structure: Structure, forces: ForceModel | None) -
         clock=int(forces is not None and forces.needs_time),
         gravity=structure.gravity,
         free=structure.free,
+        line=3 * system.group.linear if forces is not None and forces.sees_place else 0,
         numbers=len(forces.numbers) if forces is not None else 0,
     )

@@ -6,9 +6,10 @@ The graph contains nothing that a scene does not need.  The reduced state is
         integrated, and the time, if anything depends on it
 
 and the parameters are the angular momentum of the base where it is a constant, the momenta
-of the cyclic joints, gravity where it acts [m/s²], the inertias of bodies that are free, and the
-numbers in the forces.  A joint is cyclic if nothing depends on its angle and nothing acts on it:
-then its momentum is constant.
+of the cyclic joints, gravity where it acts [m/s²], the inertias of bodies that are free, start,
+velocity and fall of the centre of mass where forces see these, and the numbers in the forces.
+A joint is cyclic if nothing depends on its angle and nothing acts on it: then its momentum is
+constant.
 """
 
 from __future__ import annotations
@@ -63,6 +64,7 @@ class ReducedGraph:
         )
         self._t = ca.SX.sym("t")
         prescribed = self.layout.prescribed
+        self._line = [ca.SX.sym(f"line{k}") for k in range(self.layout.line)]
         self._numbers = [ca.SX.sym(f"p{k}") for k in range(self.layout.numbers)]
         self._angles = ca.vertcat(ca.SX(0, 1), *self.x)  # by which energies are differentiated
         given = self._given()
@@ -104,7 +106,8 @@ class ReducedGraph:
     def parameters(self) -> ca.SX:
         """The parameters, (parameters,)."""
         constant = [self.pi[k] for k in self.layout.cyclic]
-        return _column(self.base.spin, constant, self._gravity, self._inertias, self._numbers)
+        free = (*self._gravity, *self._inertias, *self._line)
+        return _column(self.base.spin, constant, list(free), self._numbers)
 
     def rate(self) -> ca.Function:
         """Return the vector field (y, parameters) → dy/dt."""
@@ -191,11 +194,20 @@ class ReducedGraph:
         """Return torques (m,) and the wrench, (r,) or none, of the forces."""
         if self.forces is None:
             return [0.0] * self.system.m, []
-        columns = (self.x, self.xdot, self.xi, mu, self._numbers)
+        columns = (self.x, self.xdot, self.xi, mu, self._numbers, *self._in_space(mu))
         state = [_column(list(column)) for column in columns]
         torque, wrench = self.forces.acting_function(self._t, *state)
         on_base = _scalars(wrench) if self.forces.has_wrench else []
         return _scalars(torque), on_base
+
+    def _in_space(self, mu: list[Scalar]) -> list[list[Scalar]]:
+        """Return pose, body twist, body and spatial momentum, if a force sees any of it."""
+        group, forces = self.system.group, self.forces
+        if forces is None or not (forces.sees_attitude or forces.sees_place):
+            return [[0.0] * group.size, *([0.0] * group.dim for _ in range(3))]
+        line = self._line or [0.0] * (3 * group.linear)
+        full = self.base.full(self.xi, mu, self.com(), self._t, line)
+        return [full.pose, full.xi, full.body_momentum, full.spatial_momentum]
 
     def _with_loads(self, pidot: list[Scalar], acting: list[Scalar]) -> list[Scalar]:
         """Add the forces of weight and wrench on the shape: −∂/∂x of F·c, in the body's frame.

@@ -293,6 +293,11 @@ class Scene:
                     f"{signal!r} is defined from {first:g} to {last:g} s, "
                     f"but the scene goes from 0 to {self.end:g} s"
                 )
+        if model.sees_base and self.outputs == "shape":
+            raise InputError(
+                "a force or controller sees the base in space, which outputs='shape' leaves out; "
+                "use outputs='all'"
+            )
         for controller, _ in model.held:
             if self.end / controller.period > MOST_CALLS:
                 raise InputError(

@@ -11,9 +11,9 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..system.system import Indices
+from .control import Control, ControlAction, Replay
 from .plan import Plan
 from .state import Sample, ShapeState, State
-from .stops import begin_stretch
 
 
 class Flow(Protocol):
@@ -68,12 +68,21 @@ Integrate = Callable[[float, float, Array], Piece]  # from start, end and state 
 class Motion:
     """A solved scene: full states at any time."""
 
-    def __init__(self, flow: Flow, pieces: Sequence[Piece], *, varies: bool = False) -> None:
+    def __init__(
+        self,
+        flow: Flow,
+        pieces: Sequence[Piece],
+        *,
+        varies: bool = False,
+        actions: Sequence[ControlAction] = (),
+    ) -> None:
         """Take the flow and its pieces, in order.
 
         varies: whether full states follow from reduced ones differently in each piece.
+        actions: those of controllers on the way.
         """
         self._flow, self._pieces, self._varies = flow, pieces, varies
+        self.actions = tuple(actions)
         self._ends = np.array([piece.end for piece in pieces])
 
     @property
@@ -90,6 +99,11 @@ class Motion:
     def knots(self) -> Array:
         """Times of the ends of all steps, (K,) [s]."""
         return np.unique(np.concatenate([piece.knots for piece in self._pieces]))
+
+    @property
+    def replay(self) -> Replay:
+        """The actions of the controllers, for another simulation."""
+        return Replay(self._ends, [piece.numbers for piece in self._pieces])
 
     def states(self, t: Array) -> State | ShapeState:
         """Return the full states at times (T,)."""
@@ -155,17 +169,18 @@ class Motion:
 def follow(plan: Plan, flow: Flow, integrate: Integrate) -> Motion:
     """Integrate a flow from stop to stop, setting the torques that controllers hold."""
     t, y = 0.0, flow.y0
+    control = Control(plan.scene)
     pieces: list[Piece] = []
-    for stop in plan.stops:
-        see = partial(flow.sample, t, y, flow.numbers)
-        begin_stretch(plan.scene, flow.numbers, t, stop, see)
-        piece = integrate(t, stop, y)
-        pieces.append(piece)
-        t = stop
-        if stop != plan.stops[-1]:
-            y = piece.at(np.array([stop]))[0]
+    for stop in plan.stops.tolist():
+        while t < stop:
+            until = control.begin(flow.numbers, t, stop, partial(flow.sample, t, y, flow.numbers))
+            piece = integrate(t, until, y)
+            pieces.append(piece)
+            t = until
+            if t != plan.stops[-1]:
+                y = piece.at(np.array([t]))[0]
     varies = bool(plan.acting.driven) and len(pieces) > 1
-    return Motion(flow, pieces, varies=varies)
+    return Motion(flow, pieces, varies=varies, actions=control.calls)
 
 
 def joined(parts: Sequence[State | ShapeState], order: Indices) -> State | ShapeState:

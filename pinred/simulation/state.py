@@ -8,6 +8,7 @@ from typing import Any
 
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError
+from ..forces.acting import BaseInSpace
 from ..system.system import System
 
 
@@ -17,6 +18,7 @@ class Sample:
 
     x, xdot: (m,).  xi, mu: (r,) body twist and body momentum; the linear part of μ is zero.
     weight: (3,) m g in the body's frame, where it turns a pivoted base, else zero [N].
+    base: the base as seen from space; None where it is left out.
     """
 
     x: Array
@@ -24,6 +26,7 @@ class Sample:
     xi: Array
     mu: Array
     weight: Array
+    base: BaseInSpace | None = None
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ..scene.scene import Engine, Scene
     from ..system.system import System
     from .balances import EnergyBalance, MomentumBalance
+    from .control import ControlAction
     from .pieces import Motion
 
 
@@ -90,6 +91,11 @@ class Trajectory(OverTime):
     def t(self) -> Array:
         """Report times, (T,) [s]."""
         return self.scene.report_times
+
+    @property
+    def actions(self) -> tuple[ControlAction, ...]:
+        """What the controllers were given and gave, call by call."""
+        return self.motion.actions
 
     @cached_property
     def energy_balance(self) -> EnergyBalance:

@@ -79,7 +79,7 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
     # Whatever times the scene reports, all of the motion is judged.
     times = np.union1d(traj.t, np.linspace(0.0, scene.end, SAMPLES))
     states = traj(times)
-    full = FullState(scene)
+    full = FullState(scene, traj.motion.replay)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     began = time.perf_counter()
     full.run(y0, np.array([scene.end]), rtol, atol)

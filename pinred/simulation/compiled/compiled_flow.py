@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import InputError
+from ...forces.acting import BaseInSpace
 from ...integrators.methods import Method
 from ...kernels.evaluate import evaluate
 from ...kernels.kernel import Kernel
@@ -66,7 +67,12 @@ class CompiledFlow:
         where, parameters = self.kernel.where, self._with(numbers)
         out = self.kernel.evaluate_outputs(t, y, parameters, self._line)
         weight = out[where.weight] if where.weight.stop > where.weight.start else np.zeros(3)
-        return Sample(out[where.x], out[where.xdot], out[where.xi], out[where.mu], weight)
+        base = None
+        if self.kernel.layout.wanted:
+            twist = out[where.v][: self._system.r]
+            momenta = out[where.body_momentum], out[where.spatial_momentum]
+            base = BaseInSpace(out[where.pose], twist, *momenta)
+        return Sample(out[where.x], out[where.xdot], out[where.xi], out[where.mu], weight, base)
 
     def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
         """Return the full states at times t (T,) of reduced states y (T, k).
@@ -188,11 +194,13 @@ class CompiledFlows:
         self.parameters[:, before:after] = plan.acting.gravity[list(layout.gravity)]
         bodies = free_numbers(plan.system, layout.free)
         self.parameters[:, after : after + len(bodies)] = bodies
-        self.parameters[:, after + len(bodies) :] = plan.numbers
+        after += len(bodies)
         k = plan.system.group.linear
         self.line = np.empty((N, 3 * k))
         self.line[:, :k], self.line[:, k : 2 * k] = start.c0, start.v0
         self.line[:, 2 * k :] = root_of(plan.system).g
+        self.parameters[:, after : after + layout.line] = self.line[:, : layout.line]
+        self.parameters[:, after + layout.line :] = plan.numbers
         finite_start(self.y0, self.parameters, self.line)
 
 
