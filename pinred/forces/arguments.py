@@ -67,6 +67,10 @@ def _counts(function: Callable[..., Any], what: str) -> tuple[int, int]:
 
 def called(function: Callable[..., Any], s: Symbols, what: str) -> Any:
     """Return what a function of the state gives, in the form that it has, with symbols."""
+    from .formula import Formula  # needs CasADi
+
+    if isinstance(function, Formula):
+        return function(s)
     if takes_state(function, what):
         return function(s.seen)
     return function(s.t, s.x, s.xdot, s.mu)

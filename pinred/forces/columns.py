@@ -95,4 +95,5 @@ def wrench_column(terms: Terms, r: int) -> ca.SX:
 def load_column(load: Load) -> ca.SX:
     """Return what a load is, (9,): its entries, with zeros to six, and its point."""
     padding = [0.0] * (6 - len(load.entries))
-    return ca.vertcat(*load.entries, *padding, *load.at)
+    column: ca.SX = ca.vertcat(*load.entries, *padding, *load.at)
+    return column

@@ -56,7 +56,8 @@ def link_frame(system: System, name: str, what: str) -> int:
 def of_load(system: System, s: Symbols, load: Load, what: str) -> OnCoordinates:
     """Return what a load is to the coordinates.  Raises InputError, naming `what`."""
     if load.link is None:
-        return OnCoordinates(ca.SX(system.m, 1), ca.vertcat(*_of_base(system, s, load.entries)))
+        column: ca.SX = ca.vertcat(*_of_base(system, s, load.entries))
+        return OnCoordinates(ca.SX(system.m, 1), column)
     frame = system.model.frames[link_frame(system, load.link, what)]
     r, m = system.r, system.m
     xi, xdot = ca.SX.sym("xi", r), ca.SX.sym("xdot", m)
@@ -85,10 +86,8 @@ def of_load(system: System, s: Symbols, load: Load, what: str) -> OnCoordinates:
     if load.frame == "body":
         force, moment = ([dot(row, vector) for row in turn] for vector in (force, moment))
     power = ca.SX(add(dot(force, v), dot(moment, w)))
-    return OnCoordinates(
-        ca.densify(ca.gradient(power, xdot)) if m else ca.SX(0, 1),
-        ca.densify(ca.gradient(power, xi)),
-    )
+    torque, wrench = (ca.SX(ca.gradient(power, v)) if v.numel() else v for v in (xdot, xi))
+    return OnCoordinates(torque, wrench)
 
 
 def _of_base(system: System, s: Symbols, entries: list[Scalar]) -> list[Scalar]:

@@ -205,7 +205,7 @@ class ReducedGraph:
         group, forces = self.system.group, self.forces
         if forces is None or not (forces.sees_attitude or forces.sees_place):
             return [[0.0] * group.size, *([0.0] * group.dim for _ in range(3))]
-        line = self._line or [0.0] * (3 * group.linear)
+        line: list[Scalar] = [*self._line] or [0.0] * (3 * group.linear)
         full = self.base.full(self.xi, mu, self.com(), self._t, line)
         return [full.pose, full.xi, full.body_momentum, full.spatial_momentum]
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method
+from .event import Event
 from .scene import WantedOutputs
 
 
@@ -35,5 +36,6 @@ class SceneOptions(TypedDict, total=False):
     passive: bool
     friction: float | None
     parameters: Mapping[str, ArrayLike]
+    events: Sequence[Event] | Event
     outputs: WantedOutputs
     method: Method | str

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, as_floats, dimensions, entries_of, positive, read_only, vector
+from ..common.arrays import Array, dimensions, entries_of, positive, read_only, vector
 from ..common.defaults import Default, is_given
-from ..common.errors import InputError, ShapeError
+from ..common.errors import InputError
 from ..common.plain_names import brief, listed, one_of
 from ..forces.force import Force
 from ..forces.signals import Signal
@@ -22,25 +22,28 @@ from ..system.body_parameters import Bodies
 from ..system.system import System, checked_system
 from . import forms
 from .angles import refuse_vague
+from .event import Event, checked_events, watched_of
 from .initial_state import GivenStates, Start, start_of
 from .passive import acting_passive, checked_passive, passive_left_out
-from .random_state import DURATION, random_state
+from .random_state import random_state
+from .report_times import EVEN_TIMES as EVEN_TIMES
+from .report_times import report_times
 from .tolerances import check_tolerances, with_tolerances
 
 if TYPE_CHECKING:
+    from ..common.parameter import Parameter
     from ..forces.force_model import ForceModel
+    from ..forces.watched import Watched
 
 Engine: TypeAlias = Literal["compiled", "pinocchio"]
 WantedOutputs: TypeAlias = Literal["all", "shape"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 OUTPUTS: tuple[WantedOutputs, ...] = get_args(WantedOutputs)
-EVEN_TIMES = 201  # report times, where the scene does not say
 TIGHTEST = 1e-14  # relative tolerance; below it round-off decides the step
 # Momenta are integrated, and rates are wanted: where a light joint sits beside heavy ones, a
 # small part of a large momentum is a ten times larger part of the light joint's rate.
 MOMENTUM_MARGIN = 10.0
 MOST_CALLS = 1_000_000  # of one controller; each ends a run of the integrator
-_COUNTS = np.arange(float(EVEN_TIMES))
 _STATE = ("x0", "xdot0", "xi0", "momentum", "q0", "v0")
 _STAND_FOR = {  # an option: what it is, and those that it stands for
     "seed": ("a whole random state", _STATE),
@@ -76,6 +79,8 @@ class Scene:
     bodies, by a link or joint: "hand.mass", "hand.com", "hand.inertia" (xx, xy, xz, yy, yz, zz
     about the centre), "hand.payload.mass" and "hand.payload.at", a point mass on it, or
     "hand.log_cholesky"; those bodies' inertias are inputs of the kernel.
+    events: moments to find (see Event); a terminal one ends the motion, and so the scene of the
+    Trajectory.
     outputs: "all", or "shape" to leave out the base.
     method: an integrator of pinred.integrators, or as text: "DOP853", "RKMK4(0.01)".  One with
     step control works to rtol and atol, or to its own tolerances if it has them: not both.
@@ -106,6 +111,7 @@ class Scene:
     passive: bool = False
     friction: float | None = None
     parameters: Mapping[str, ArrayLike] = field(default_factory=dict)
+    events: Sequence[Event] | Event = ()
     outputs: WantedOutputs = "all"
     method: Method | str = "auto"
 
@@ -148,7 +154,7 @@ class Scene:
             self._keep(name, forms.in_order(getattr(self, name), self.system, name))
         if self.duration is not None:
             self._keep("duration", positive(self.duration, "duration"))
-        self._keep("_times", read_only(self._checked_times()))
+        self._keep("_times", read_only(report_times(self.times, self.duration, self.system)))
         self._check_forces()
         self._keep("_given", self._resolve())
 
@@ -226,6 +232,18 @@ class Scene:
         return () if self.varied_bodies is None else self.varied_bodies.free
 
     @property
+    def events_given(self) -> tuple[Event, ...]:
+        """The events, in order."""
+        events: tuple[Event, ...] = vars(self)["events"]
+        return events
+
+    @property
+    def watched(self) -> Watched | None:
+        """The expressions of the events; None if there are none."""
+        watched: Watched | None = vars(self)["_watched"]
+        return watched
+
+    @property
     def own_forces(self) -> tuple[Force, ...]:
         """What acts of the springs, dampers and friction in the robot's file."""
         return acting_passive(self.system, passive=self.passive, friction=self.friction)
@@ -277,14 +295,15 @@ class Scene:
         }
         self._keep("forces", forces)
         self._keep("prescribed", prescribed)
+        watched = self._check_events()
         if not (self.springs or forces or own or prescribed):
             self._keep("_forces", None)
-            self._check_parameters(())
+            self._check_parameters([each.name for each in watched])
             return
         from ..forces.force_model import remembered_model  # needs CasADi
 
         model = remembered_model(self.system, self.springs, (*forces, *own), prescribed)
-        self._check_parameters([each.name for each in model.parameters])
+        self._check_parameters([each.name for each in (*model.parameters, *watched)])
         model = model.with_values(self.parameters)
         for signal in (*model.signals, *model.references):
             first, last = signal.span
@@ -306,6 +325,14 @@ class Scene:
                 )
         self._keep("_forces", model)
 
+    def _check_events(self) -> Sequence[Parameter]:
+        """Write the events down, if there are any; return the Parameters in them."""
+        events = checked_events(self.events)
+        self._keep("events", events)
+        watched = watched_of(self.system, events, base=self.outputs == "all")
+        self._keep("_watched", watched)
+        return () if watched is None else watched.parameters
+
     def _check_parameters(self, known: Sequence[str]) -> None:
         """Keep the parameters as numbers.  Raises InputError for names that nothing has."""
         values: dict[str, Any] = {}
@@ -323,24 +350,6 @@ class Scene:
                 vector(np.ravel(as_floats(value, name)), 1, f"parameters['{name}']")[0]
             )
         self._keep("parameters", MappingProxyType(values))
-
-    def _checked_times(self) -> Array:
-        if self.times is None:
-            own = self.system.initial.duration if self.system.initial else DURATION
-            last = own if self.duration is None else float(self.duration)
-            return _even_times(last)
-        times = np.atleast_1d(as_floats(self.times, "times")).copy()
-        end = np.inf if self.duration is None else float(self.duration)
-        if times.ndim != 1 or times.size == 0 or not np.isfinite(times).all():
-            raise ShapeError("times must be a vector of finite times")
-        if (np.diff(times) <= 0.0).any() or times[0] < 0.0 or times[-1] > end:
-            raise InputError(
-                f"times must increase from 0 or later to the duration at most ({end:g} s), "
-                f"got {times[0]:g} … {times[-1]:g}"
-            )
-        if self.duration is None:
-            positive(times[-1], "the last of times, which stands for the duration,")
-        return times
 
     def _resolve(self) -> GivenStates:
         system = self.system
@@ -412,12 +421,6 @@ def _listed_forces(given: Any) -> tuple[Any, ...]:
     if entries is None:
         raise InputError(f"forces must be a list of those of pinred.forces, got {brief(given)}")
     return tuple(entries)
-
-
-def _even_times(last: float) -> Array:
-    times: Array = _COUNTS * (last / _COUNTS[-1])
-    times[-1] = last
-    return times
 
 
 def _or_zero(value: Any, size: int, what: str, labels: Any = ()) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..system.system import System
     from .balances import EnergyBalance, MomentumBalance
     from .control import ControlAction
+    from .events import Crossings
     from .pieces import Motion
 
 
@@ -91,6 +92,19 @@ class Trajectory(OverTime):
     def t(self) -> Array:
         """Report times, (T,) [s]."""
         return self.scene.report_times
+
+    @cached_property
+    def events(self) -> Mapping[str, Crossings]:
+        """Crossings of the scene's events, by name."""
+        from .events import crossings
+
+        return crossings(self.scene, self.motion.found, self.motion.states)
+
+    @property
+    def ended_by(self) -> str | None:
+        """Name of the terminal event that ended the motion, and so its scene; None if none did."""
+        end = self.motion.ended_by
+        return None if end is None else self.scene.events_given[end.event].name
 
     @property
     def actions(self) -> tuple[ControlAction, ...]:
