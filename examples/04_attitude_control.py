@@ -2,8 +2,8 @@
 
 Both laws are quaternion feedback, τ = −kp sgn(q₄) q − kd ω, in the axes of the bus.  The wheels
 give it as a torque that sees the attitude, so that momentum stays constant.  The thrusters are
-either on or off: each axis fires twice a second, for a part of the time (pulse width), and its controller
-keeps a state of its own, the integral of the error, against the sunlight on the panel.
+either on or off: each axis fires twice a second, for a part of the time (pulse width), and its
+controller keeps a state of its own, the integral of the error, against sunlight on the panel.
 """
 
 from functools import partial
@@ -29,7 +29,7 @@ def feedback(s: SeenState) -> dict[str, ca.SX]:
     """Return the torques of the wheels: the bus is turned by what turns them, the other way."""
     q, omega = s.pose[3:], s.xi[3:]
     shorter = ca.sign(q[3])  # q and −q are one attitude
-    return {name: shorter * q[k] + 3.6 * omega[k] for k, name in enumerate(wheels)}
+    return {name: 3.0 * shorter * q[k] + 6.0 * omega[k] for k, name in enumerate(wheels)}
 
 
 def closeness(s: SeenState) -> ca.SX:
@@ -40,7 +40,7 @@ def closeness(s: SeenState) -> ca.SX:
 by_wheels = pinred.simulate(
     satellite,
     **start,
-    duration=25.0,
+    duration=20.0,
     forces=[Torque(feedback, name="wheels"), *hinge],
     events=[pinred.Event(closeness, "settled", direction=1)],
     explain=True,
@@ -50,13 +50,13 @@ print("momentum stays:", np.abs(by_wheels.spatial_momentum).max(), "N m s")
 print(pinred.compare(by_wheels))
 
 # --- thrusters -------------------------------------------------------------------------------
-PERIOD, MOST, LEAST = 0.5, 1.0, 0.005  # s, N m, s
+PERIOD, MOST, LEAST = 0.5, 2.0, 0.005  # s, N m, s
 
 
 def pulse(axis: int, t: float, integral: float, seen: SeenState) -> tuple[Command, float]:  # noqa: ARG001
-    """Return a pulse about one axis that gives the wanted impulse, and the integral of the error."""
+    """Return a pulse about one axis of the wanted impulse, and the integral of the error."""
     error = np.sign(seen.pose[6]) * seen.pose[3 + axis]
-    wanted = -error - 0.01 * integral - 3.6 * seen.xi[3 + axis]
+    wanted = -3.0 * error - 0.02 * integral - 6.0 * seen.xi[3 + axis]
     width = PERIOD * min(abs(wanted) / MOST, 1.0)
     wrench = np.zeros(6)
     wrench[3 + axis] = MOST * np.sign(wanted)

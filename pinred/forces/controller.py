@@ -140,13 +140,12 @@ class Controller(Named):
     def held(self, given: Any, names: tuple[str, ...], r: int, t: float) -> Held:
         """Return what it gave as numbers.  Raises InputError."""
         command = given if isinstance(given, Command) else Command(torque=given)
-        torque = self._torques(command.torque, names, t)
         if command.wrench is not None and not self.wrench:
             raise InputError(
                 f"{self.name} gave a wrench at t = {t:g} s; say so beforehand with "
                 "Controller(…, wrench=True), for momentum is then integrated"
             )
-        parts = [torque]
+        parts = [self._torques(command.torque, names, t)]
         if self.wrench:
             wrench = [0.0] * r if command.wrench is None else command.wrench
             parts.append(self._checked(wrench, r, "a wrench of {} finite entries", t))

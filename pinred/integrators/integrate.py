@@ -169,10 +169,11 @@ def integrate_checked(
     def so_far(*, complete: bool) -> Solution:
         steps = run["steps"].item()
         stored = read_only(states[: steps + 1])
+        told = len(times) if complete else run["next"].item()
         return Solution(
             method=method,
-            times=times,
-            y=read_only(out),
+            times=times[:told],
+            y=read_only(out[:told]),
             steps=steps,
             rejected=run["rejected"].item(),
             evaluations=run["evaluations"].item(),

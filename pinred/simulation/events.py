@@ -23,6 +23,7 @@ from .state import ShapeState, State
 
 _PARTS = 4  # of a step, at whose ends the expressions are looked at
 _SHOWN = 5  # times in a repr
+_ONE = 1e-12  # of the time: what round-off holds apart
 _EPS = 4.0 * float(np.finfo(float).eps)
 
 
@@ -154,21 +155,22 @@ class Watch:
 def ended(
     watch: Watch, piece: Piece, integrate: Callable[[float, float, Array], Piece]
 ) -> list[Piece]:
-    """Return the piece in which a terminal event lies, cut there.
+    """Return what there is of the piece in which a terminal event lies, up to there.
 
     The last step is made anew, to the event, so that the end is the end of a step.
     """
-    end = watch.end
-    assert end is not None
-    knots = piece.knots[piece.knots < end.t]
-    if end.t >= piece.knots[-1]:
+    if watch.end is None or watch.end.t >= piece.knots[-1]:
         return [piece]
-    y = piece.at(knots[-1:])[0]
-    last = integrate(float(knots[-1]), end.t, y)
-    if len(knots) == 1:
-        return [last]
-    steps = len(knots) - 1
-    return [replace(piece, knots=knots, steps=min(piece.steps, steps)), last]
+    end = watch.end.t
+    knots = piece.knots[piece.knots < end]
+    if not len(knots):
+        return []  # it lies where the piece begins
+    steps = min(piece.steps, len(knots) - 1)
+    if end - knots[-1] <= _ONE * end:
+        knots[-1] = end
+        return [replace(piece, knots=knots, steps=steps)] if steps else []
+    last = integrate(float(knots[-1]), end, piece.at(knots[-1:])[0])
+    return [replace(piece, knots=knots, steps=steps), last] if steps else [last]
 
 
 def crossings(
