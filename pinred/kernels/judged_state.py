@@ -211,9 +211,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         mu=mu,
         pi=pi,
         y=np.concatenate([x[active], pi[active], x[cyclic], b, [time] * layout.clock]),
-        parameters=np.concatenate(
-            [spin, pi[cyclic], acts, bodies, line[: layout.line], numbers]
-        ),
+        parameters=np.concatenate([spin, pi[cyclic], acts, bodies, line[: layout.line], numbers]),
         driven=tuple(driven),
     )
 

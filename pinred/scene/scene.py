@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, dimensions, entries_of, positive, read_only, vector
+from ..common.arrays import Array, as_floats, dimensions, entries_of, positive, read_only, vector
 from ..common.defaults import Default, is_given
 from ..common.errors import InputError
 from ..common.plain_names import brief, listed, one_of
@@ -22,6 +22,7 @@ from ..system.body_parameters import Bodies
 from ..system.system import System, checked_system
 from . import forms
 from .angles import refuse_vague
+from .controls import check_span
 from .event import Event, checked_events, watched_of
 from .initial_state import GivenStates, Start, start_of
 from .passive import acting_passive, checked_passive, passive_left_out
@@ -43,7 +44,6 @@ TIGHTEST = 1e-14  # relative tolerance; below it round-off decides the step
 # Momenta are integrated, and rates are wanted: where a light joint sits beside heavy ones, a
 # small part of a large momentum is a ten times larger part of the light joint's rate.
 MOMENTUM_MARGIN = 10.0
-MOST_CALLS = 1_000_000  # of one controller; each ends a run of the integrator
 _STATE = ("x0", "xdot0", "xi0", "momentum", "q0", "v0")
 _STAND_FOR = {  # an option: what it is, and those that it stands for
     "seed": ("a whole random state", _STATE),
@@ -164,27 +164,9 @@ class Scene:
         return _scene_of, (options,)
 
     def _repr_html_(self) -> str:
-        from ..common.html import card, line, numbers, table
+        from .card import scene_card
 
-        system, start = self.system, self.start
-        rows = zip(system.shape_names, start.x.tolist(), start.xdot.tolist(), strict=True)
-        forces: tuple[Force, ...] = vars(self)["forces"]
-        acting = [
-            *((f"spring {name}", str(spring)) for name, spring in self.springs.items()),
-            *((force.label, repr(force)) for force in forces),
-            *((f"{force.label}, of the file", repr(force)) for force in self.own_forces),
-            *((f"prescribed {name}", repr(plan)) for name, plan in self.prescribed.items()),
-        ]
-        method = self.integrator or self.method
-        return card(
-            f"Scene of {system.name}",
-            f"{self.end:g} s, {len(self.report_times)} times, rtol {self.rtol:g}, "
-            f"atol {self.atol:g}, {method}, outputs '{self.outputs}'",
-            table("start", ["joint", "x", "rate"], rows),
-            line(f"twist of the base: {numbers(start.xi)}"),
-            line(f"pose of the base: {numbers(start.pose)}"),
-            table("acting", ["", ""], acting),
-        )
+        return scene_card(self)
 
     @cached_property
     def start(self) -> Start:
@@ -305,24 +287,7 @@ class Scene:
         model = remembered_model(self.system, self.springs, (*forces, *own), prescribed)
         self._check_parameters([each.name for each in (*model.parameters, *watched)])
         model = model.with_values(self.parameters)
-        for signal in (*model.signals, *model.references):
-            first, last = signal.span
-            if not first <= 0.0 <= self.end <= last:
-                raise InputError(
-                    f"{signal!r} is defined from {first:g} to {last:g} s, "
-                    f"but the scene goes from 0 to {self.end:g} s"
-                )
-        if model.sees_base and self.outputs == "shape":
-            raise InputError(
-                "a force or controller sees the base in space, which outputs='shape' leaves out; "
-                "use outputs='all'"
-            )
-        for controller, _ in model.held:
-            if self.end / controller.period > MOST_CALLS:
-                raise InputError(
-                    f"a period of {controller.period:g} s would call {controller.name} more than "
-                    f"{MOST_CALLS} times in {self.end:g} s"
-                )
+        check_span(model, self.end, base=self.outputs == "all")
         self._keep("_forces", model)
 
     def _check_events(self) -> Sequence[Parameter]:
