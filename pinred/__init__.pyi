@@ -83,11 +83,15 @@ from .kernels.casadi_functions import casadi_functions as casadi_functions
 from .reduction.at_a_shape import ReducedShape as ReducedShape
 from .reduction.at_a_shape import Reduction as Reduction
 from .reduction.over_shapes import ShapeField as ShapeField
+from .scene.event import Event as Event
 from .scene.scene import Scene as Scene
 from .scene.toml.keys import scene_schema as scene_schema
 from .scene.toml.reader import load_scene as load_scene
 from .simulation.balances import EnergyBalance as EnergyBalance
 from .simulation.balances import MomentumBalance as MomentumBalance
+from .simulation.events import Crossings as Crossings
+from .simulation.flow_map.flow import Flow as Flow
+from .simulation.flow_map.flow import flow as flow
 from .simulation.recording import Recording as Recording
 from .simulation.recording import read_recording as read_recording
 from .simulation.simulate import simulate as simulate

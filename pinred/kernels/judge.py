@@ -215,7 +215,8 @@ def _acting(kernel: Kernel, at: JudgedState, v: Array) -> tuple[Array, Array]:
     system, forces = kernel.system, kernel.forces
     if forces is None:
         return np.zeros(system.m), np.zeros(system.r)
-    acting = forces.acting(at.time, at.x, v[system.r :], v[: system.r], at.mu, at.numbers)
+    xi, xdot = v[: system.r], v[system.r :]
+    acting = forces.acting(at.time, at.x, xdot, xi, at.mu, at.numbers, at.in_space(v))
     return acting.torque, acting.wrench
 
 

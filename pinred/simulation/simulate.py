@@ -5,7 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, Unpack
+
+import numpy as np
 
 from ..common.errors import InputError
 from ..common.plain_names import brief, one_of
@@ -14,7 +17,8 @@ from ..common.signatures import shows_fields
 from ..scene.options import SceneOptions
 from ..scene.scene import ENGINES, Engine, Scene
 from ..system.system import System, checked_system
-from .pieces import Flow, Integrate, follow
+from .piece import Flow, Integrate
+from .pieces import follow
 from .plan import Plan, plan_of
 from .trajectory import Run, Trajectory
 
@@ -92,4 +96,12 @@ def _followed(
     motion = follow(plan, flow, integrate)
     wall = time.perf_counter() - began
     run = Run(engine, method, motion.steps, motion.evaluations, wall)
-    return Trajectory(plan.scene, motion, run)
+    end = motion.ended_by
+    scene = plan.scene if end is None else _until(plan.scene, end.t)
+    return Trajectory(scene, motion, run, partial(simulate, plan.scene, engine=engine))
+
+
+def _until(scene: Scene, end: float) -> Scene:
+    """Return a scene that ends earlier, and reports its end."""
+    t = scene.report_times
+    return replace(scene, duration=end, times=np.append(t[t < end], end))

@@ -158,6 +158,8 @@ def simulate_many(
 
 def _refuse_stops(plan: Plan) -> None:
     """Raise InputError if a scene has to be integrated in pieces."""
+    if plan.scene.events_given:
+        raise InputError("simulate_many looks for no events; simulate one at a time")
     if plan.forces is not None and plan.forces.held:
         controller, _ = plan.forces.held[0]
         what = f"{controller.name} has to be called every {controller.period:g} s"

@@ -32,6 +32,7 @@ from .defect import Defects, defects
 from .distances import Distance, FullMotion, Size
 from .equations_of_motion import equation_errors
 from .full_state import FINEST, KICK, Audit, FullState
+from .measurements import measurement_error
 from .report import JUDGEABLE, Report
 
 TIGHTER = 100.0  # the reference's tolerance is this much below the one asked for
@@ -82,7 +83,7 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
     # Whatever times the scene reports, all of the motion is judged.
     times = np.union1d(traj.t, np.linspace(0.0, scene.end, SAMPLES))
     states = traj(times)
-    full = FullState(scene)
+    full = FullState(scene, traj.motion.replay)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     began = time.perf_counter()
     full.run(y0, np.array([scene.end]), rtol, atol)
@@ -125,7 +126,7 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
         defect=missed.worst,
         energy_drift=audit.energy,
         momentum_drift=audit.momentum,
-        field_error=audit.fields,
+        field_error=max(audit.fields, measurement_error(traj, full)),
         reference_error=float(between[: ends.told].max(initial=0.0)),
         equations_bound=EXACT,
         defect_bound=DEFECT * tolerance,

@@ -20,8 +20,8 @@ def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
 
     x: of all joints of the tree.
     """
-    mass: list[float] = [body.mass for body in bodies]
-    moment: list[Vec] = [[float(c) for c in body.moment] for body in bodies]
+    mass: list[Scalar] = [body.mass for body in bodies]
+    moment: list[Vec] = [list(body.moment) for body in bodies]
     for i in range(len(bodies) - 1, 0, -1):
         p, step = bodies[i].parent, step_of(bodies[i], x[i - 1])
         moved = plus(moment[i], [0.0, 0.0, mul(mass[i], step.slide)])
@@ -29,7 +29,7 @@ def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
             moved = turn.vector(moved)
         moved = plus(moved, [mul(mass[i], c) for c in step.shift])
         moment[p] = plus(moment[p], moved)
-        mass[p] += mass[i]
+        mass[p] = add(mass[p], mass[i])
     own = bodies[0].frame.rotation
     com = [mul(1.0 / mass[0], c) for c in moment[0]]
     return [total([mul(float(own[i, k]), com[k]) for k in range(3)]) for i in range(3)]
@@ -41,14 +41,17 @@ def momenta(
     v: ca.SX,
     tensors: Sequence[Articulated] | None = None,
     *,
+    bodies: list[Body] | None = None,
     rotors: bool = True,
 ) -> ca.SX:
     """Return the momenta H(x) v, (n,), of velocities v = (ξ, ẋ), in one sweep.
 
     tensors: of each body in its frame, root first, what stands in the place of its inertia (a
-    drag, say).  rotors: whether joints have their armature.
+    drag, say).  bodies: with other inertias than the system's, if given.  rotors: whether joints
+    have their armature.
     """
-    bodies, group, r = bodies_of(system), system.group, system.r
+    group, r = system.group, system.r
+    bodies = bodies_of(system) if bodies is None else bodies
     rates = joint_rates(system, [v[r + k] for k in range(system.m)])
     steps = steps_at(system, bodies, x)
     twists = twists_of(bodies, steps, in_space(group, v), rates)

@@ -8,19 +8,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
-import casadi as ca
 import numpy as np
 
 from ...common.errors import InputError, PinredError
 from ...common.parameter import Parameter
+from ...forces.columns import symbols_of
 from ...forces.force import Force, Limit
 from ...forces.force_model import remembered_model
+from ...forces.formula import NAMES, Formula
+from ...forces.link_loads import link_frame
 from ...forces.signals import Signal
 from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS, Method
-from ...reduction.tree.all_joints import joint_rates, joint_values
 from ...system.system import System
 from .. import forms
+from ..event import Event
 from ..random_state import DURATION
 from ..scene import Engine, Scene
 from .csv_columns import read_text
@@ -71,9 +73,8 @@ class _Builder:
         self.folder, self.place, self.document = folder, place, document
         self.signals = SignalReader(folder)
         self.system = robot_in(document, folder, place)
-        m, r = self.system.m, self.system.r
         self.parameters = self._parameters()
-        self.symbols = (ca.SX.sym("t"), *(ca.SX.sym("s", n) for n in (m, m, r)))
+        self.symbols, _ = symbols_of(self.system, None)
 
     def built(self) -> SceneFile:
         """Return the scene and the engine."""
@@ -98,7 +99,12 @@ class _Builder:
             self._force(entry, self.place / "forces" / k)
             for k, entry in enumerate(self.document.get("forces", []))
         ]
+        events = [
+            self._event(entry, self.place / "events" / k)
+            for k, entry in enumerate(self.document.get("events", []))
+        ]
         options = {**self._start(), **run, "springs": springs, "prescribed": prescribed}
+        options["events"] = events
         options |= {k: self.document[k] for k in ("passive", "friction") if k in self.document}
         try:
             scene = Scene(system=self.system, forces=forces, **options)
@@ -108,10 +114,10 @@ class _Builder:
         return SceneFile(scene, engine)
 
     def _parameters(self) -> dict[str, Any]:
-        """Return the names that formulas may use beside t, x, xdot and mu."""
+        """Return the names that formulas may use beside those of the state."""
         place, found = self.place / "parameters", {}
         for name, value in self.document.get("parameters", {}).items():
-            if not name.isidentifier() or name in ("t", "x", "xdot", "mu", *FUNCTIONS):
+            if not name.isidentifier() or name in (*NAMES, *FUNCTIONS):
                 (place / name).fail("must be a name of letters and digits that is not taken")
             found[name] = Parameter(name, value)
         return found
@@ -153,8 +159,13 @@ class _Builder:
         elif kind.function == "by joint":
             options["function"] = self._by_joint(options["function"], where, self._action)
         elif kind.function == "on the base":
-            given = options["function"]
-            if len(given) != self.system.r:
+            given, link = options["function"], options.get("link")
+            if link is not None:
+                with naming(place / "link"):
+                    link_frame(self.system, link, "link")
+                if len(given) not in (3, 6):
+                    where.fail(f"must have 3 or 6 entries on a link, got {len(given)}")
+            elif len(given) != self.system.r:
                 group = self.system.group.name
                 where.fail(f"must have {self.system.r} entries for {group}, got {len(given)}")
             options["function"] = [self._action(v, where / k) for k, v in enumerate(given)]
@@ -162,40 +173,39 @@ class _Builder:
             return kind.make(**options)
 
     def _action(self, value: Any, place: Place) -> Any:
-        """Return a number, a Signal, or the function of (t, x, ẋ, μ) that a formula is."""
-        if not isinstance(value, str):
-            return self.signals.value(value, place)
+        """Return a number, a Signal, or the formula of the state that a text is."""
+        return (
+            self._formula(value, place)
+            if isinstance(value, str)
+            else (self.signals.value(value, place))
+        )
+
+    def _formula(self, text: str, place: Place) -> Formula:
+        """Return a formula that has been read once.  Raises InputError."""
+        formula = Formula(text, self._symbols())
         with naming(place):
-            parse(value, self._names(*self.symbols))
-        return lambda *state: parse(value, self._names(*state))
+            formula(self.symbols)
+        return formula
+
+    def _event(self, entry: dict[str, Any], place: Place) -> Event:
+        options = dict(entry)
+        expression = self._formula(options.pop("function"), place / "function")
+        with naming(place):
+            return Event(expression, **options)
 
     def _potential(self, text: str, place: Place) -> Callable[[Any], Any]:
         """Return the function of x that a formula is."""
         with naming(place):
-            parse(text, {"x": self._shape(self.symbols[1])} | self._symbols())
+            parse(text, {"x": self._shape(self.symbols.x)} | self._symbols())
         return lambda x: parse(text, {"x": self._shape(x)} | self._symbols())
-
-    def _names(self, t: Any, x: Any, xdot: Any, mu: Any) -> dict[str, Any]:
-        """Return the names that formulas may use."""
-        momenta = [mu[k] for k in range(self.system.r)]
-        rates = self._shape(xdot, joint_rates)
-        own = {"t": t, "x": self._shape(x), "xdot": rates, "mu": momenta}
-        return own | self._symbols()
 
     def _symbols(self) -> dict[str, Any]:
         """Return the symbols of the parameters."""
         return {name: parameter.symbol for name, parameter in self.parameters.items()}
 
-    def _shape(
-        self, x: Any, on_joints: Callable[[System, list[Any]], list[Any]] = joint_values
-    ) -> dict[str, Any]:
-        """Return the entries of the shape or its rate by joint, those of followers included."""
-        system = self.system
-        own = {name: x[k] for k, name in enumerate(system.shape_names)}
-        if system.coupled is None:
-            return own
-        every = on_joints(system, list(own.values()))
-        return own | {name: ca.SX(every[system.joint_number(name)]) for name in system.followers}
+    def _shape(self, x: Any) -> dict[str, Any]:
+        """Return the entries of the shape by joint, those of followers included."""
+        return {name: x[k] for k, name in enumerate(self.symbols.every_name)}
 
     def _explain(
         self, error: PinredError, forces: list[Force], prescribed: Mapping[str, Signal]

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import InputError
+from ...forces.acting import BaseInSpace
 from ...integrators.methods import Method
 from ...kernels.evaluate import evaluate
 from ...kernels.kernel import Kernel
@@ -14,6 +15,7 @@ from ...kernels.start_kernel import Starts, start_kernel
 from ...kernels.tangent import tangent_of
 from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import into_body, root_of
+from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
 from ...system.system import Indices
 from ..entry_name import entry_name
@@ -43,10 +45,20 @@ class CompiledFlow:
         flow._take(flows, member)
         return flow
 
+    @classmethod
+    def made(cls, kernel: Kernel, y0: Array, parameters: Array, line: Array) -> CompiledFlow:
+        """Return the flow of a kernel from a reduced state (k,); see CompiledFlows."""
+        flow = cls.__new__(cls)
+        flow._keep(kernel, y0, parameters, line)
+        return flow
+
     def _take(self, flows: CompiledFlows, member: int) -> None:
-        self._system, self.kernel = flows.kernel.system, flows.kernel
-        self.y0, self.parameters = flows.y0[member], flows.parameters[member]
-        self._line = flows.line[member]
+        row = (flows.y0[member], flows.parameters[member], flows.line[member])
+        self._keep(flows.kernel, *row)
+
+    def _keep(self, kernel: Kernel, y0: Array, parameters: Array, line: Array) -> None:
+        self._system, self.kernel = kernel.system, kernel
+        self.y0, self.parameters, self._line = y0, parameters, line
         layout = self.kernel.layout
         self.numbers = self.parameters[layout.parameters - layout.numbers :]
 
@@ -55,7 +67,12 @@ class CompiledFlow:
         where, parameters = self.kernel.where, self._with(numbers)
         out = self.kernel.evaluate_outputs(t, y, parameters, self._line)
         weight = out[where.weight] if where.weight.stop > where.weight.start else np.zeros(3)
-        return Sample(out[where.x], out[where.xdot], out[where.xi], out[where.mu], weight)
+        base = None
+        if self.kernel.layout.wanted:
+            twist = out[where.v][: self._system.r]
+            momenta = out[where.body_momentum], out[where.spatial_momentum]
+            base = BaseInSpace(out[where.pose], twist, *momenta)
+        return Sample(out[where.x], out[where.xdot], out[where.xi], out[where.mu], weight, base)
 
     def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
         """Return the full states at times t (T,) of reduced states y (T, k).
@@ -175,11 +192,15 @@ class CompiledFlows:
         self.parameters[:, spin:before] = start.pi[:, cyclic]
         after = before + len(layout.gravity)
         self.parameters[:, before:after] = plan.acting.gravity[list(layout.gravity)]
-        self.parameters[:, after:] = plan.numbers
+        bodies = free_numbers(plan.system, layout.free)
+        self.parameters[:, after : after + len(bodies)] = bodies
+        after += len(bodies)
         k = plan.system.group.linear
         self.line = np.empty((N, 3 * k))
         self.line[:, :k], self.line[:, k : 2 * k] = start.c0, start.v0
         self.line[:, 2 * k :] = root_of(plan.system).g
+        self.parameters[:, after : after + layout.line] = self.line[:, : layout.line]
+        self.parameters[:, after + layout.line :] = plan.numbers
         finite_start(self.y0, self.parameters, self.line)
 
 

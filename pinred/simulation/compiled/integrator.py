@@ -17,7 +17,7 @@ from ...common.errors import (
     TooManySteps,
 )
 from ...common.plain_names import quoted
-from ...integrators.integrate import integrate_checked
+from ...integrators.integrate import Solution, integrate_checked
 from ...integrators.integrate_many import STATUS
 from ...integrators.integrate_many import integrate_many as _integrate_many
 from ...integrators.methods import Method
@@ -25,7 +25,7 @@ from ...kernels.kernel import Kernel
 from ...reduction.lost_inertia import lost_inertia
 from ...scene.scene import Scene
 from ...system.joints import joint_units
-from ..pieces import Integrate, Piece
+from ..piece import Integrate, Piece
 from ..plan import Plan
 from .compiled_flow import CompiledFlow, CompiledFlows
 
@@ -105,14 +105,30 @@ def integrator(
     # stages is too long for that.
     parts = max(1, method.order // 4) if method.lanes > 1 else 1
 
-    def run(start: float, end: float, y0: Array) -> Piece:
+    def run(
+        start: float, end: float, y0: Array, watch: Callable[[Piece], bool] | None = None
+    ) -> Piece:
         # The integrators' time begins at 0; what depends on the time has it in its state.
         whole = start == 0.0 and end == scene.end
         # Read-only as ever: to numba an array that is not is of another type.
         times = asked if whole else _NO_TIMES
         parameters = read_only(flow.parameters.copy())
+        numbers = parameters[len(parameters) - len(flow.numbers) :]
         done = progress and (lambda part: progress((start + part * (end - start)) / scene.end))
         y0 = y0 if y0.size else np.zeros(1)
+
+        def made(found: Solution, *, complete: bool) -> Piece:
+            knots = _refined(found.knots + start, parts)
+            if complete:
+                knots[-1] = end  # whatever round-off says
+
+            def at(t: Array) -> Array:
+                if t is asked and whole and complete:  # these have been asked for already
+                    return found.y
+                return found.at(np.clip(t - start, 0.0, found.knots[-1]))
+
+            return Piece(knots, at, numbers, found.steps, found.evaluations)
+
         try:
             found = integrate_checked(
                 method,
@@ -125,22 +141,14 @@ def integrator(
                 done,
                 flow.tangent,
                 layout.canonical,
+                watch and (lambda found: watch(made(found, complete=False))),
             )
         except IntegrationError as stop:
-            raise _explained(stop, flow, scene, start) from None
+            raise explained(stop, flow, scene, start) from None
         wild = _wild(flow.kernel, plan, found.states, found.knots)
         if wild:
             raise IntegrationError(wild)
-        knots = _refined(found.knots + start, parts)
-        knots[-1] = end  # whatever round-off says
-
-        def at(t: Array) -> Array:
-            if t is asked and whole:  # these have been asked for already
-                return found.y
-            return found.at(np.clip(t - start, 0.0, found.knots[-1]))
-
-        numbers = parameters[len(parameters) - len(flow.numbers) :]
-        return Piece(knots, at, numbers, found.steps, found.evaluations)
+        return made(found, complete=found.complete)
 
     return run
 
@@ -178,7 +186,7 @@ def _refined(knots: Array, parts: int) -> Array:
     return np.asarray(np.interp(np.arange(parts * (len(knots) - 1) + 1) / parts, steps, knots))
 
 
-def _explained(
+def explained(
     stop: IntegrationError, flow: CompiledFlow, scene: Scene, start: float
 ) -> IntegrationError:
     """Return a failure in terms of the robot."""
