@@ -18,14 +18,15 @@ def dataset(outputs: Any, system: System) -> Any:
     """
     xarray = _needed("xarray")
     labels = _labels(system)
-    variables, coordinates = {}, {"t": outputs.t}
+    variables: dict[str, Any] = {}
+    coordinates: dict[str, Any] = {"t": outputs.t}
     for name, values in vars(outputs).items():
         if name == "t":
             continue
         axis, names = labels.get(name, ("", ()))
         variables[name] = (("t", axis) if axis else ("t",), values)
         if axis:
-            coordinates[axis] = names
+            coordinates[axis] = list(names)
     attributes = {"robot": system.name, "group": system.group.name}
     return xarray.Dataset(variables, coordinates, attributes)
 

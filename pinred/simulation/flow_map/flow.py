@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, Unpack, get_args
+from typing import TYPE_CHECKING, Any, Unpack, get_args
 
 import numpy as np
 
@@ -23,6 +23,10 @@ from ..state import ShapeState, State
 from .inputs import Inputs, motion_of, with_varied
 from .runs import Course, Run
 
+if TYPE_CHECKING:
+    from .casadi_adapter import FlowCallback
+    from .columns import Columns
+
 _ROWS: tuple[Outcome, ...] = get_args(Outcome)
 _ALL: tuple[Outcome, ...] = ("x", "xdot", "pose", "xi")
 _SHAPE: tuple[Outcome, ...] = ("x", "xdot")
@@ -37,7 +41,8 @@ class Flow:
     differentiated in the body's coordinates of its tangent, g exp(η̂) at η = 0.
 
     inputs: names of the inputs with derivatives, and how many numbers each has.  outputs: the rows
-    of derivatives, by the names of State's fields.
+    of derivatives, by the names of State's fields.  over_times: whether it gives states over the
+    scene's times, or that at the end.
     """
 
     def __init__(
@@ -46,7 +51,7 @@ class Flow:
         """Prepare the flow.  Raises InputError for scenes or names that it cannot be made of."""
         self.scene = scene
         plan = plan_of(scene)
-        self._over_times = over_times
+        self.over_times = over_times
         self._course = Course(plan, zero_momentum=_stays_zero(scene, wrt))
         kernel = self._course.kernel
         self._inputs = Inputs(scene, kernel, plan.acting.gravity, wrt)
@@ -62,7 +67,7 @@ class Flow:
         self._last: tuple[bytes, Run] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _flow_of, (self.scene, self._inputs.names, self._rows, self._over_times)
+        return _flow_of, (self.scene, self._inputs.names, self._rows, self.over_times)
 
     def __repr__(self) -> str:
         inputs = ", ".join(f"{name} ({size})" for name, size in self.inputs.items()) or "nothing"
@@ -85,7 +90,7 @@ class Flow:
         Raises InputError, and IntegrationError as `simulate` does.
         """
         states = self._course.states(self._run(inputs))
-        return states if self._over_times else _last(states)
+        return states if self.over_times else _last(states)
 
     def jvp(self, along: Mapping[str, Any], /, **inputs: Any) -> Array:
         """Return the derivative of the outputs along directions of inputs, (…, rows).
@@ -116,6 +121,37 @@ class Flow:
         state, constants = self._inputs.basis(run.given)
         return self._inputs.by_name(by_state @ state + by_constants @ constants)
 
+    def own(self, name: str) -> Array:
+        """Return the scene's value of an input, (size,)."""
+        return self._inputs.value(name)
+
+    def columns(self) -> Columns:
+        """Return the flow between plain columns of numbers, in the order of `inputs`."""
+        from .columns import Columns
+
+        return Columns(self)
+
+    def casadi(self, name: str = "flow") -> FlowCallback:
+        """Return the flow as a CasADi Callback with its Jacobian; see `columns`.
+
+        The object has to live as long as what is made of it.
+        """
+        from .casadi_adapter import FlowCallback
+
+        return FlowCallback(self.columns(), name)
+
+    def jax(self) -> Callable[..., Any]:
+        """Return the flow as a function of JAX with reverse derivatives; see `columns`."""
+        from .jax_adapter import jax_function
+
+        return jax_function(self.columns())
+
+    def torch(self) -> Callable[..., Any]:
+        """Return the flow as a function of PyTorch with autograd; see `columns`."""
+        from .torch_adapter import torch_function
+
+        return torch_function(self.columns())
+
     def _run(self, inputs: Mapping[str, Any]) -> Run:
         """Return a run with these inputs: the last one, if they are the same."""
         given = self._inputs.given(inputs)
@@ -127,7 +163,7 @@ class Flow:
 
     def _covectors(self, covector: Any) -> Array:
         """Return a covector as (T, rows)."""
-        shape = (len(self.t), self._size) if self._over_times else (self._size,)
+        shape = (len(self.t), self._size) if self.over_times else (self._size,)
         if isinstance(covector, Mapping):
             whole = np.zeros(shape)
             for name, part in covector.items():
@@ -148,10 +184,10 @@ class Flow:
         if found.shape != shape:
             raise ShapeError(f"the covector must have shape {shape}, got {found.shape}")
         vector(found.ravel(), found.size, "the covector")
-        return found if self._over_times else found[None]
+        return found if self.over_times else found[None]
 
     def _shaped(self, rows: Array) -> Array:
-        return rows if self._over_times else rows[-1]
+        return rows if self.over_times else rows[-1]
 
 
 @shows_fields(Scene)

@@ -90,6 +90,13 @@ class Inputs:
         sizes |= {name: len(value) for name, value in self._body_values.items()}
         self.sizes = {name: sizes.get(name, 1) for name in self.names}
 
+    def value(self, name: str) -> Array:
+        """Return the scene's value of an input, (size,)."""
+        if name in self._body_values:
+            return self._body_values[name]
+        place = self._place.get(name)
+        return np.array([self._values[name]]) if place is None else self.own.state[place]
+
     def given(self, values: Mapping[str, Any]) -> Given:
         """Return the columns for these values; what is not given stays.  Raises InputError."""
         if not values:
