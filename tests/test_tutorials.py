@@ -255,6 +255,17 @@ def test_hand_that_stays_put(tell: Callable[[str], Told]) -> None:
     assert told.text.count("verdict: PASSED") == 1
 
 
+def test_identification(tell: Callable[[str], Told]) -> None:
+    """The payload and the damping are found to a few of their standard deviations."""
+    told = tell("12")
+    assert "verdict: PASSED" in told.text
+    for label in ("mass [kg]", "x [m]", "y [m]", "z [m]", "damping"):
+        found, spread, true = told.numbers(rf"{re.escape(label)} +N ± N +\(really N\)")
+        assert abs(found - true) < 4.0 * spread
+    (residual,) = told.numbers(r"residual N rad")
+    assert residual == pytest.approx(1e-3, rel=0.2)
+
+
 def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Figures are left out where they cannot be drawn; the rest runs."""
     for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
@@ -298,7 +309,7 @@ def test_as_a_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_steady_spins(tell: Callable[[str], Told]) -> None:
     """λ = √(1·0.5/2.5) at Ω = 1; a wheel on the middle axis ends it."""
-    told = tell("07")
+    told = tell("10")
     growth = np.sqrt(0.2)
     assert told.numbers(r"grows by N 1/s, by hand N 1/s") == pytest.approx(2 * [growth], abs=1e-8)
     assert told.numbers("measured in a simulation: N") == pytest.approx([growth], rel=1e-3)
@@ -309,7 +320,7 @@ def test_steady_spins(tell: Callable[[str], Told]) -> None:
 
 def test_double_spherical_pendulum(tell: Callable[[str], Told]) -> None:
     """Published frequencies; the straight one's pitchforks, by the second derivative of 1/I."""
-    told = tell("08")
+    told = tell("11")
     assert "14 relative equilibria found at momentum 2" in told.text
     (row,) = re.findall(r"\nfrequencies \[(.*?)\]", told.text)
     expected = [4.16816, 5.13036, 8.30001]

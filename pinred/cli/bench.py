@@ -33,6 +33,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     accuracy_command.add_arguments(sub)
     sub = command("evaluations", _evaluations, "evaluations that an error costs, by many methods")
     sub.add_argument("scenes", nargs="*", metavar="SCENE", help="four if none is named")
+    sub = command("flow", _flow, "calls, gradients and free inertias of flows")
+    sub.add_argument("robots", nargs="*", metavar="ROBOT", help="robots; four if none is named")
     command("scaling", _scaling, "one evaluation of chains of 5 to 100 joints")
     command("floquet", _floquet, "Floquet multipliers by three routes, against their closed form")
     sub = command("many", _many, "simulate_many on one and two threads, and its memory")
@@ -75,6 +77,18 @@ def _evaluations(options: argparse.Namespace) -> int:
         for error, count in zip(ERRORS, counts, strict=True)
     ]
     _write(folder, "evaluations", rows)
+    return 0
+
+
+def _flow(options: argparse.Namespace) -> int:
+    folder = _folder(options.out)
+    from ..verification.bench.flow_timing import FlowTiming, bench_flow
+
+    timings = bench_flow(options.robots, progress=True)
+    print(FlowTiming.header())
+    for timing in timings:
+        print(timing)
+    _write(folder, "flow", [dict(vars(timing)) for timing in timings])
     return 0
 
 

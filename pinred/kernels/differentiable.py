@@ -268,6 +268,15 @@ def call_value(address: int, a: Array, b: Array, out: Array) -> None:
 
 
 @compiled
+def repeat_adjoint(
+    address: int, a: Array, b: Array, covector: Array, out: Array, count: int
+) -> None:
+    """Evaluate an adjoint `count` times, to be timed."""
+    for _ in range(count):
+        call_adjoint(address, a, b, covector, out)
+
+
+@compiled
 def _call_forward(address: int, a: Array, b: Array, da: Array, db: Array, out: Array) -> None:
     call_slopes(address, a, b, da, db, out)
 

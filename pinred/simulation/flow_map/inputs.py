@@ -89,6 +89,12 @@ class Inputs:
         sizes["pose0"] = system.r
         sizes |= {name: len(value) for name, value in self._body_values.items()}
         self.sizes = {name: sizes.get(name, 1) for name in self.names}
+        self._spans, first = {}, 0
+        for name, size in self.sizes.items():
+            self._spans[name] = slice(first, first + size)
+            first += size
+        self._fixed = self._fixed_columns()
+        self._last: tuple[Given, tuple[Array, Array]] | None = None  # basis
 
     def value(self, name: str) -> Array:
         """Return the scene's value of an input, (size,)."""
@@ -104,6 +110,7 @@ class Inputs:
         system = self._scene.system
         state, constants = self.own.state.copy(), self.own.constants.copy()
         inertial = self._body_values.keys() & values.keys()
+        now: dict[str, Array] = {}
         if inertial and self._bodies is not None:
             now = self._bodies.checked(self._body_values | {k: values[k] for k in inertial})
             for i in self._bodies.free:
@@ -128,25 +135,51 @@ class Inputs:
                     state[place] = vector(value, place.stop - place.start, name)
         if not np.isfinite(state).all():
             raise ShapeError(f"the inputs of a flow must be finite, got {brief(dict(values))}")
-        return Given(state, constants, MappingProxyType({k: values[k] for k in inertial}))
+        return Given(state, constants, MappingProxyType(now))
 
     def directions(self, along: Mapping[str, Any], at: Given) -> tuple[Array, Array]:
         """Return the columns (…, 1) of state and constants along directions by name."""
-        state, constants = np.zeros((len(at.state), 1)), np.zeros((len(at.constants), 1))
+        whole = np.zeros((sum(self.sizes.values()), 1))
         for name, value in along.items():
             checked_names([name], self.names)
             direction = vector(np.atleast_1d(value), self.sizes[name], f"the direction of {name}")
-            both = self._columns(name, at)
-            state += (both[0] @ direction)[:, None]
-            constants += (both[1] @ direction)[:, None]
-        return state, constants
+            whole[self._spans[name], 0] = direction
+        state, constants = self.basis(at)
+        return state @ whole, constants @ whole
 
     def basis(self, at: Given) -> tuple[Array, Array]:
         """Return the columns (…, N) of state and constants along every number of the inputs."""
-        both = [self._columns(name, at) for name in self.names]
-        if not both:
-            return np.zeros((len(at.state), 0)), np.zeros((len(at.constants), 0))
-        return np.hstack([a for a, _ in both]), np.hstack([b for _, b in both])
+        if self._last is not None and self._last[0] is at:
+            return self._last[1]
+        state, constants = self._fixed
+        if "pose0" in self.sizes:
+            group, place = self._scene.system.group, self._place["pose0"]
+            state = state.copy()
+            rates = [group.rate(at.state[place], each) for each in np.eye(group.dim)]
+            state[place, self._spans["pose0"]] = np.transpose(rates)
+        if self._bodies is not None and self._body_values.keys() & self.sizes.keys():
+            constants = constants.copy()
+            now = {**self._body_values, **at.inertial}
+            for i in self._bodies.free:
+                for name, slope in self._bodies.dynamic(i, now)[1].items():
+                    if name in self.sizes:
+                        constants[self._of_body(i), self._spans[name]] = self._maps[i] @ slope
+        self._last = (at, (state, constants))
+        return state, constants
+
+    def _fixed_columns(self) -> tuple[Array, Array]:
+        """Return the columns of `basis` that are the same at all values of the inputs."""
+        count = sum(self.sizes.values())
+        state = np.zeros((len(self.own.state), count))
+        constants = np.zeros((len(self.own.constants), count))
+        parameters = [each.name for each in self._parameters]
+        for name, span in self._spans.items():
+            if name in parameters:
+                slopes = self._slopes[:, [parameters.index(name)]]
+                constants[self._numbers_at :, span] = slopes
+            elif name in self._place and name != "pose0":
+                state[self._place[name], span] = np.eye(self.sizes[name])
+        return state, constants
 
     def by_name(self, rows: Array) -> dict[str, Array]:
         """Return (…, N) numbers for each input, in the order of `basis`, by their names.
@@ -159,27 +192,6 @@ class Inputs:
             out[name] = part if name in self._place or size > 1 else part[..., 0]
             first += size
         return out
-
-    def _columns(self, name: str, at: Given) -> tuple[Array, Array]:
-        size = self.sizes[name]
-        state, constants = np.zeros((len(at.state), size)), np.zeros((len(at.constants), size))
-        place = self._place.get(name)
-        if name in self._body_values and self._bodies is not None:
-            now = self._bodies.checked(self._body_values | dict(at.inertial))
-            for i in self._bodies.free:
-                slopes = self._bodies.dynamic(i, now)[1]
-                if name in slopes:
-                    constants[self._of_body(i)] = self._maps[i] @ slopes[name]
-        elif place is None:
-            k = [each.name for each in self._parameters].index(name)
-            constants[self._numbers_at :, 0] = self._slopes[:, k]
-        elif name == "pose0":
-            group = self._scene.system.group
-            pose = at.state[place]
-            state[place] = np.transpose([group.rate(pose, each) for each in np.eye(size)])
-        else:
-            state[place] = np.eye(size)
-        return state, constants
 
     def _of_body(self, body: int) -> slice:
         """Return the place of a body's numbers among the constants."""

@@ -9,6 +9,8 @@ from .evaluations import Evaluations as Evaluations
 from .evaluations import bench_evaluations as bench_evaluations
 from .floquet import FloquetTiming as FloquetTiming
 from .floquet import bench_floquet as bench_floquet
+from .flow_timing import FlowTiming as FlowTiming
+from .flow_timing import bench_flow as bench_flow
 from .kernel_timing import KernelTiming as KernelTiming
 from .kernel_timing import bench_kernels as bench_kernels
 from .own_methods import own_method as own_method

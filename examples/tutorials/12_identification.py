@@ -88,6 +88,7 @@ for label, value, wide, true in zip(
     ["mass [kg]", "x [m]", "y [m]", "z [m]", "damping"], found.x, spread, truth, strict=True
 ):
     print(f"{label:10s} {value:9.4f} ± {wide:.4f}   (really {true:g})")
+np.testing.assert_allclose(found.x, truth, rtol=0.0, atol=4.0 * spread.max())
 print(f"residual {np.sqrt(np.mean(found.fun**2)):.2e} rad after {found.nfev} evaluations")
 
 # %% [markdown]
