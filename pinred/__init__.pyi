@@ -92,11 +92,11 @@ from .simulation.balances import MomentumBalance as MomentumBalance
 from .simulation.events import Crossings as Crossings
 from .simulation.flow_map.flow import Flow as Flow
 from .simulation.flow_map.flow import flow as flow
+from .simulation.members.trajectories import Failure as Failure
+from .simulation.members.trajectories import Trajectories as Trajectories
 from .simulation.recording import Recording as Recording
 from .simulation.recording import read_recording as read_recording
 from .simulation.simulate import simulate as simulate
-from .simulation.simulate_many import Failure as Failure
-from .simulation.simulate_many import Trajectories as Trajectories
 from .simulation.simulate_many import simulate_many as simulate_many
 from .simulation.state import ShapeState as ShapeState
 from .simulation.state import State as State

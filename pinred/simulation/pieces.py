@@ -71,7 +71,7 @@ class Motion:
 
     def states(self, t: Array) -> State | ShapeState:
         """Return the full states at times (T,)."""
-        y, last = self._reduced(t), self._pieces[-1].numbers
+        y, last = self.reduced(t), self._pieces[-1].numbers
         if not self._varies:
             return self._flow.states(t, y, last)
         which = self._which(t)
@@ -87,7 +87,7 @@ class Motion:
 
     def changes(self, t: Array) -> Changes:
         """Return reduced states and their rates at times (T,)."""
-        y, which = self._reduced(t), self._which(t)
+        y, which = self.reduced(t), self._which(t)
         rates = np.empty_like(y)
         for k in np.unique(which):
             some = which == k
@@ -111,7 +111,7 @@ class Motion:
 
     def samples(self, t: Array) -> list[tuple[Sample, Array]]:
         """Return what forces see at times (T,), and their numbers then."""
-        y, which = self._reduced(t), self._which(t)
+        y, which = self.reduced(t), self._which(t)
         return [
             (self._flow.sample(float(t[k]), y[k], numbers), numbers)
             for k, numbers in enumerate(self._pieces[j].numbers for j in which)
@@ -121,7 +121,8 @@ class Motion:
         """Return the piece of each time; where one ends, the next begins only after it."""
         return np.minimum(np.searchsorted(self._ends, t, side="left"), len(self._pieces) - 1)
 
-    def _reduced(self, t: Array) -> Array:
+    def reduced(self, t: Array) -> Array:
+        """Return the reduced states at times (T,), (T, k)."""
         if len(self._pieces) == 1:
             return self._pieces[0].at(t)
         y, which = np.empty((len(t), len(self._flow.y0))), self._which(t)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -18,9 +18,12 @@ from ..scene.options import SceneOptions
 from ..scene.scene import ENGINES, Engine, Scene
 from ..system.system import System, checked_system
 from .piece import Flow, Integrate
-from .pieces import follow
+from .pieces import Motion, follow
 from .plan import Plan, plan_of
 from .trajectory import Run, Trajectory
+
+if TYPE_CHECKING:
+    from .compiled.compiled_flow import CompiledFlow
 
 
 @shows_fields(Scene)
@@ -81,12 +84,27 @@ def _pinocchio(plan: Plan, progress: Progress | None) -> Trajectory:
 
 
 def _compiled(plan: Plan, progress: Progress | None) -> Trajectory:
+    return _followed(plan, *_ready(plan, progress), "compiled", plan.method.name)
+
+
+def motion_of_scene(scene: Scene) -> Motion:
+    """Return the motion of a scene by the compiled engine."""
+    plan = plan_of(scene)
+    return follow(plan, *_ready(plan, None))
+
+
+def trajectory_of(scene: Scene) -> Trajectory:
+    """Return the trajectory of a scene by the compiled engine."""
+    return _compiled(plan_of(scene), None)
+
+
+def _ready(plan: Plan, progress: Progress | None) -> tuple[CompiledFlow, Integrate]:
     from .compiled.compiled_flow import CompiledFlow
     from .compiled.integrator import integrator, prepare
 
     flow = CompiledFlow(plan)
     prepare(flow, plan)
-    return _followed(plan, flow, integrator(flow, plan, progress), "compiled", plan.method.name)
+    return flow, integrator(flow, plan, progress)
 
 
 def _followed(

@@ -19,15 +19,27 @@ from ..stepping.kernel_call import call
 from ..stepping.run_record import DONE, NOT_FINITE, TOO_MANY, UNDERFLOW, Run, Runs
 from ..stepping.state_rows import NEW, Y, unit_alone
 from ..stepping.step_loop import Batch
-from .lane_steps import READY_RATE, READY_Y
+from .lane_steps import (
+    READY_RATE,
+    READY_Y,
+    accept,
+    between,
+    finite,
+    first_step,
+    get,
+    next_step,
+    prepare,
+    put,
+    same,
+    unit,
+)
 from .vectors import bits, choose, take
 
 # Rows of the registers of lanes, as floats: time and next step [s]; whether the last trial was
 # rejected; counts; the next time to report [s] and its index; which number was not finite, −1
 # for none; whether there is a member in the lane, and which.
-(
-    TIME, STEP, AGAIN, STEPS, REJECTED, EVALUATIONS, NEXT_TIME, NEXT, ENTRY, LIVE, MEMBER, REGISTERS,
-) = range(12)  # fmt: skip
+TIME, STEP, AGAIN, STEPS, REJECTED, EVALUATIONS = range(6)
+NEXT_TIME, NEXT, ENTRY, LIVE, MEMBER, REGISTERS = range(6, 12)
 # Rows of the registers of what is ready: first step, member, number that is not finite; in the
 # first lane of the others, how many are ready and how many of them are in lanes.
 FIRST_STEP, READY_MEMBER, READY_ENTRY, COUNT, USED, READY_REGISTERS = range(6)
@@ -57,26 +69,22 @@ WIDTH, STAGES, OUT = 1, 1, 0
 BEGUN, AT_STEP, AT_END, AT_DENSE = 2.0, 1.0, 1.0, 0.0  # evaluations
 
 
-def fill_step(address: int, params: Array, work: Array, h: Any) -> int:
-    """Fill the rates of steps h, and row NEW."""
+def _of_tableau(*arguments: Any) -> Any:
     raise NotImplementedError
 
 
-fill_end = fill_errors = fill_dense = fill_step
-same = get = put = estimate = first_step = unit = finite = fill_step
-accept = next_step = prepare = between = fill_step
-make_ready = write = culprit = enter = fill_step
+fill_step = fill_end = fill_errors = fill_dense = estimate = _of_tableau
 
 
 # --- members come and go -------------------------------------------------------------------
 
 
-def make_ready_(run: Run, batch: Batch, queue: NDArray[np.int64], room: Room, most: int) -> int:
+def make_ready(run: Run, batch: Batch, queue: NDArray[np.int64], room: Room, most: int) -> int:
     """Take members from the queue, at most so many, and make them ready; return how many."""
     ready, params, own = room.ready, room.ready_params, room.ready_own
     size = batch.y0.shape[0]
-    first = take(queue, most)
-    count = min(most, size - first)
+    first: int = take(queue, most)
+    count: int = min(most, size - first)
     if count <= 0:
         own[COUNT, 0] = own[USED, 0] = 0.0
         return 0
@@ -101,23 +109,23 @@ def make_ready_(run: Run, batch: Batch, queue: NDArray[np.int64], room: Room, mo
     return count
 
 
-def enter_(
+def enter(
     run: Run, batch: Batch, queue: NDArray[np.int64], room: Room, lane: int, most: int
 ) -> bool:
     """Put the next member into a lane; return whether there is one."""
     work, own, ready, ready_own = room.work, room.own, room.ready, room.ready_own
     while True:
-        if ready_own[USED, 0] >= ready_own[COUNT, 0]:
-            if make_ready(run, batch, queue, room, most) == 0:
-                # The lane idles, with steps of length zero from a state that has finite rates.
-                own[LIVE, lane] = own[TIME, lane] = own[STEP, lane] = 0.0
-                own[NEXT_TIME, lane] = np.inf
-                for i in range(run.n):
-                    work[Y, i * WIDTH + lane] = batch.y0[0, i]
-                    work[BEGIN_RATE, i * WIDTH + lane] = 0.0
-                for i in range(batch.params.shape[1]):
-                    room.params[i * WIDTH + lane] = batch.params[0, i]
-                return False
+        used_up = ready_own[USED, 0] >= ready_own[COUNT, 0]
+        if used_up and make_ready(run, batch, queue, room, most) == 0:
+            # The lane idles: steps of length zero from a state whose numbers are finite.
+            own[LIVE, lane] = own[TIME, lane] = own[STEP, lane] = 0.0
+            own[NEXT_TIME, lane] = np.inf
+            for i in range(run.n):
+                work[Y, i * WIDTH + lane] = batch.y0[0, i]
+                work[BEGIN_RATE, i * WIDTH + lane] = 0.0
+            for i in range(batch.params.shape[1]):
+                room.params[i * WIDTH + lane] = batch.params[0, i]
+            return False
         k = int(ready_own[USED, 0])
         ready_own[USED, 0] += 1.0
         member = int(ready_own[READY_MEMBER, k])
@@ -144,20 +152,19 @@ def enter_(
         return True
 
 
-def write_(run: Run, batch: Batch, room: Room, lane: int, row: int) -> None:
+def write(run: Run, batch: Batch, room: Room, lane: int, row: int) -> None:
     """Write the state of a row down as that at the next time of a lane."""
     own = room.own
-    next = int(own[NEXT, lane])
-    out = batch.y[int(own[MEMBER, lane]), next]
+    j, count = int(own[NEXT, lane]), batch.times.shape[0]
+    out = batch.y[int(own[MEMBER, lane]), j]
     for i in range(run.n):
         out[i] = room.work[row, i * WIDTH + lane]
     unit_alone(out, run.quaternion)
-    next += 1
-    own[NEXT, lane] = next
-    own[NEXT_TIME, lane] = batch.times[next] if next < batch.times.shape[0] else np.inf
+    own[NEXT, lane] = j + 1
+    own[NEXT_TIME, lane] = batch.times[j + 1] if j + 1 < count else np.inf
 
 
-def culprit_(run: Run, work: Array, lane: int) -> int:
+def culprit(run: Run, work: Array, lane: int) -> int:
     """Return the entry that was the first not to be finite in a trial step, −1 for none."""
     for k in range(STAGES + 2):
         row = BEGIN_RATE
@@ -239,7 +246,9 @@ def lane_members(
         put(own, REJECTED, 0, rejected)
         put(own, EVALUATIONS, 0, counted)
         spent = steps + rejected >= float(run.max_steps)
-        over = bits((get(own, LIVE, 0) == 1.0) & ((t >= run.t_end) | spent | (0.1 * step <= _EPS * t)))
+        over = bits(
+            (get(own, LIVE, 0) == 1.0) & ((t >= run.t_end) | spent | (0.1 * step <= _EPS * t))
+        )
         for lane in range(WIDTH if over else 0):
             if (over >> lane) & 1:
                 leave(run, batch, own, lane)

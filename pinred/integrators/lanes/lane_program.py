@@ -20,7 +20,9 @@ from .vectors import Vector
 _FUSED = ("contract",)
 
 
-def lane_program(steps: Sequence[Sum | Rate], width: int) -> Callable[[int, Array, Array, Any], int]:
+def lane_program(
+    steps: Sequence[Sum | Rate], width: int
+) -> Callable[[int, Array, Array, Any], int]:
     """Return run(address, params, work, h), which does all steps and returns how many are calls.
 
     params, work: rows of lanes.  h: a vector.
@@ -90,5 +92,3 @@ class _Rows:
             if step.base is not None:
                 total = builder.fadd(load(step.base), total, flags=_FUSED)
             builder.store(total, place(step.out), align=8)
-
-

@@ -72,24 +72,23 @@ def make_lane_loop(name: str, order: int, tableau: Tableau, width: int) -> LaneL
     )
     told = f"{name}_{digest(order, tableau)}_{width}_lanes"
 
-    def made_of(function: Any, called: str, how: Callable[[Any], Any]) -> Any:
-        part = how(bound(function, f"{told}_{called}", **vars(made)))
-        setattr(made, called, part)
+    def made_of(function: Any, how: Callable[[Any], Any]) -> Any:
+        part = how(bound(function, f"{told}_{function.__name__}", **vars(made)))
+        setattr(made, function.__name__, part)
         return part
 
+    made_of(lane_steps.root, woven)
     one = len(tableau.errors) == 1
-    made_of(lane_steps.root, "root", woven)
-    made_of(lane_steps.one_error if one else lane_steps.two_errors, "estimate", woven)
-    for function in (
+    made.estimate = made_of(lane_steps.one_error if one else lane_steps.two_errors, woven)
+    in_place: tuple[Any, ...] = (
         lane_steps.first_step, lane_steps.unit, lane_steps.finite, lane_steps.accept,
-        lane_steps.next_step, lane_steps.prepare, lane_steps.between,
-    ):  # fmt: skip
-        made_of(function, function.__name__, woven)
-    made_of(lane_loop.write_, "write", woven)
-    made_of(lane_loop.make_ready_, "make_ready", compiled)
-    made_of(lane_loop.culprit_, "culprit", compiled)
-    made_of(lane_loop.enter_, "enter", compiled)
-    members = made_of(lane_loop.lane_members, "members", compiled)
+        lane_steps.next_step, lane_steps.prepare, lane_steps.between, lane_loop.write,
+    )  # fmt: skip
+    for function in in_place:
+        made_of(function, woven)
+    for function in (lane_loop.make_ready, lane_loop.culprit, lane_loop.enter):
+        made_of(function, compiled)
+    members = made_of(lane_loop.lane_members, compiled)
     return LaneLoop(width, members, steps.rows + 1)
 
 

@@ -9,47 +9,57 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from math import sqrt
 from types import SimpleNamespace
 from typing import Any
 
 from llvmlite import ir
+from numba import extending
 from numba.core import cgutils, types
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import lower_builtin, models, register_model
+from numba.core.typing import templates
 
 from ..stepping.compiling import make_intrinsic
+
+# numba says nothing of the types of these.
+signature: Any = templates.signature
+infer_global: Any = templates.infer_global
+lower_builtin: Any = extending.lower_builtin
+register_model: Any = extending.register_model
+insert_function: Any = cgutils.get_or_insert_function
+new_model: Any = extending.models.PrimitiveModel.__init__
 
 _DOUBLE, _BIT, _INT32 = ir.DoubleType(), ir.IntType(1), ir.IntType(32)
 
 
-class Vector(types.Type):  # type: ignore[misc]
+class Vector(types.Type):
     """A float64 in each lane, to numba."""
 
     def __init__(self, width: int) -> None:
+        """Take the number of lanes."""
         self.width = width
         super().__init__(name=f"pinred_vector{width}")
 
 
-class Mask(types.Type):  # type: ignore[misc]
+class Mask(types.Type):
     """A truth value in each lane, to numba."""
 
     def __init__(self, width: int) -> None:
+        """Take the number of lanes."""
         self.width = width
         super().__init__(name=f"pinred_mask{width}")
 
 
 @register_model(Vector)
-class _VectorModel(models.PrimitiveModel):  # type: ignore[misc]
+class _VectorModel(extending.models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Vector) -> None:
-        super().__init__(manager, kind, ir.VectorType(_DOUBLE, kind.width))
+        new_model(self, manager, kind, ir.VectorType(_DOUBLE, kind.width))
 
 
 @register_model(Mask)
-class _MaskModel(models.PrimitiveModel):  # type: ignore[misc]
+class _MaskModel(extending.models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Mask) -> None:
-        super().__init__(manager, kind, ir.VectorType(_BIT, kind.width))
+        new_model(self, manager, kind, ir.VectorType(_BIT, kind.width))
 
 
 # --- operators -----------------------------------------------------------------------------
@@ -83,7 +93,7 @@ def _operands(args: Any) -> int:
 def _binary(function: Any, result: type, emit: Callable[[Any, Any, Any], Any]) -> None:
     """Tell numba an operator on vectors, or on a vector and a number."""
 
-    class Typed(AbstractTemplate):  # type: ignore[misc]
+    class Typed(templates.AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002
             width = _operands(args)
             return signature(result(width), *args) if width else None
@@ -97,6 +107,14 @@ def _binary(function: Any, result: type, emit: Callable[[Any, Any, Any], Any]) -
         lower_builtin(function, *kinds)(lowered)
 
 
+def _arithmetic(builder: Any, x: Any, y: Any, name: str) -> Any:
+    return getattr(builder, name)(x, y, flags=_FUSED)
+
+
+def _comparison(builder: Any, x: Any, y: Any, sign: str) -> Any:
+    return builder.fcmp_ordered(sign, x, y)
+
+
 _FUSED = ("contract",)  # a multiplication and the addition of its product may be one instruction
 
 for _function, _name in (
@@ -104,20 +122,22 @@ for _function, _name in (
     (operator.truediv, "fdiv"),
 ):  # fmt: skip
     _binary(
-        _function, Vector, lambda b, x, y, name=_name: getattr(b, name)(x, y, flags=_FUSED)  # type: ignore[misc]
+        _function,
+        Vector,
+        partial(_arithmetic, name=_name),
     )
 for _function, _sign in (
     (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="),
     (operator.eq, "=="),
 ):  # fmt: skip
     # NaN compares as false.
-    _binary(_function, Mask, lambda b, x, y, sign=_sign: b.fcmp_ordered(sign, x, y))  # type: ignore[misc]
+    _binary(_function, Mask, partial(_comparison, sign=_sign))
 
 
 def _logical(function: Any, count: int, emit: Callable[..., Any]) -> None:
     """Tell numba an operator on truth values."""
 
-    class Typed(AbstractTemplate):  # type: ignore[misc]
+    class Typed(templates.AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002
             fits = len(args) == count and all(isinstance(a, Mask) for a in args)
             return signature(args[0], *args) if fits else None
@@ -138,7 +158,7 @@ _logical(operator.invert, 1, lambda b, x: b.not_(x))
 def _unary(function: Any, name: str) -> None:
     """Tell numba a function of one vector that LLVM has."""
 
-    class Typed(AbstractTemplate):  # type: ignore[misc]
+    class Typed(templates.AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002
             fits = len(args) == 1 and isinstance(args[0], Vector)
             return signature(args[0], args[0]) if fits else None
@@ -148,9 +168,7 @@ def _unary(function: Any, name: str) -> None:
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
         kind = args[0].type
         whole = f"{name}.v{kind.count}f64"
-        called = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(kind, [kind]), whole
-        )
+        called = insert_function(builder.module, ir.FunctionType(kind, [kind]), whole)
         return builder.call(called, args)
 
     lower_builtin(function, Vector)(lowered)

@@ -19,6 +19,7 @@ from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
 from ...system.system import Indices
 from ..entry_name import entry_name
+from ..own_numbers import OwnNumbers
 from ..plan import Plan
 from ..state import Sample, ShapeState, State
 from .kernel_of_plan import kernel_of
@@ -149,7 +150,13 @@ class CompiledFlows:
 
     @classmethod
     def several(
-        cls, plan: Plan, given: GivenStates, members: Indices, *, zero: bool
+        cls,
+        plan: Plan,
+        given: GivenStates,
+        members: Indices,
+        own: OwnNumbers | None = None,
+        *,
+        zero: bool,
     ) -> CompiledFlows:
         """Set up the flows of some members, a few at a time: memory beside them stays small."""
         parts = [members[k : k + _AT_ONCE] for k in range(0, len(members), _AT_ONCE)]
@@ -157,7 +164,8 @@ class CompiledFlows:
         for n, part in enumerate(parts):
             some = given[part]
             new = cls.__new__(cls)
-            new._begin(plan, some, _started(plan, some), zero=zero)
+            theirs = None if own is None else own[part]
+            new._begin(plan, some, _started(plan, some), theirs, zero=zero)
             if n == 0:
                 flows.kernel = new.kernel
                 for name in ("y0", "parameters", "line"):
@@ -168,7 +176,15 @@ class CompiledFlows:
                 getattr(flows, name)[rows] = getattr(new, name)
         return flows
 
-    def _begin(self, plan: Plan, given: GivenStates, start: Starts, *, zero: bool) -> None:
+    def _begin(
+        self,
+        plan: Plan,
+        given: GivenStates,
+        start: Starts,
+        own: OwnNumbers | None = None,
+        *,
+        zero: bool,
+    ) -> None:
         x, N = given.x, len(given.x)
         self.kernel = kernel_of(plan, zero_momentum=zero)
         layout = self.kernel.layout
@@ -182,8 +198,7 @@ class CompiledFlows:
         attitude = given.pose[:, plan.system.group.linear :]
         pieces = [x[:, active], start.pi[:, active], x[:, cyclic], attitude[:, : parts.attitude]]
         if parts.down:
-            weight = plan.acting.weight
-            pieces.append(into_body(attitude, weight / np.linalg.norm(weight)))
+            pieces.append(_down(plan, attitude, own))
         pieces += [start.about[:, : parts.momentum], np.zeros((N, parts.push + layout.clock))]
         self.y0 = np.concatenate(pieces, axis=1)
         spin, before = parts.spin, parts.spin + len(cyclic)
@@ -199,20 +214,42 @@ class CompiledFlows:
         self.line = np.empty((N, 3 * k))
         self.line[:, :k], self.line[:, k : 2 * k] = start.c0, start.v0
         self.line[:, 2 * k :] = root_of(plan.system).g
+        numbers = plan.numbers
+        if own is not None:
+            if own.gravity is not None and own.fall is not None:
+                self.parameters[:, before : before + len(layout.gravity)] = own.gravity[
+                    :, list(layout.gravity)
+                ]
+                self.line[:, 2 * k :] = own.fall
+            if own.numbers is not None:
+                numbers = own.numbers
         self.parameters[:, after : after + layout.line] = self.line[:, : layout.line]
-        self.parameters[:, after + layout.line :] = plan.numbers
+        self.parameters[:, after + layout.line :] = numbers
         finite_start(self.y0, self.parameters, self.line)
 
 
-def flows_of(plan: Plan, given: GivenStates) -> list[tuple[Indices, CompiledFlows]]:
+def _down(plan: Plan, attitude: Array, own: OwnNumbers | None) -> Array:
+    """Return the directions (N, 3) of a weight that turns a pivoted base, in the body's frame."""
+    weight = plan.acting.weight
+    if own is None or own.gravity is None:
+        return into_body(attitude, weight / np.linalg.norm(weight))
+    units = own.gravity / np.linalg.norm(own.gravity, axis=1)[:, None]
+    rows = [into_body(q[None], unit) for q, unit in zip(attitude, units, strict=True)]
+    return np.concatenate(rows)
+
+
+def flows_of(
+    plan: Plan, given: GivenStates, own: OwnNumbers | None = None
+) -> list[tuple[Indices, CompiledFlows]]:
     """Return the flows of many initial states (N, …): of members with momentum, and without.
 
-    Each with the indices of the members, sorted.
+    Each with the indices of the members, sorted.  own: numbers that the members have for
+    themselves.
     """
     still = without_momentum(plan, given)
     groups = [(np.flatnonzero(~still), False), (np.flatnonzero(still), True)]
     return [
-        (members, CompiledFlows.several(plan, given, members, zero=zero))
+        (members, CompiledFlows.several(plan, given, members, own, zero=zero))
         for members, zero in groups
         if members.size
     ]

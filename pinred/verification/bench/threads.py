@@ -13,7 +13,8 @@ from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
 from ...scene.random_state import random_state
-from ...simulation.simulate_many import Trajectories, simulate_many
+from ...simulation.members.trajectories import Trajectories
+from ...simulation.simulate_many import simulate_many
 from ...system.system import System
 from .timing import alternating
 
