@@ -68,9 +68,10 @@ def simulate_many(
         scenes = entries_of(system)
         if scenes is None:
             checked_system(system, "simulate_many")
-        given = [*options, *(name for name in ("members", "seeds") if locals()[name] is not None)]
-        if given:
-            raise InputError(f"a list of Scenes has all that is to be said; do not give {given[0]}")
+        given = {**options, "members": members, "seeds": seeds}
+        for name, value in given.items():
+            if value is not None:
+                raise InputError(f"a list of Scenes says all itself; do not give {name} beside it")
         if not scenes:
             raise InputError("simulate_many needs at least one member")
         found = of_scenes(scenes)

@@ -106,11 +106,13 @@ class Varied:
             raise InputError("simulate_many needs at least one member")
         return count
 
-    def scene(self, member: int) -> Scene:
-        """Return the scene of one member."""
+    def scene(self, member: int, *, common_parameters: bool = False) -> Scene:
+        """Return the scene of one member, perhaps with parameters as all members share them."""
         options: dict[str, Any] = {name: values[member] for name, values in self.states.items()}
         own = {name: float(values[member]) for name, values in self.parameters.items()}
-        options |= self.common | {"parameters": {**self.common["parameters"], **own}}
+        options |= self.common
+        if not common_parameters:
+            options["parameters"] = {**self.common["parameters"], **own}
         if self.seeds is not None:
             options["seed"] = self.seeds[member]
         base = self.base
@@ -122,8 +124,10 @@ class Varied:
 
     def members(self) -> Members:
         """Return the members in groups.  Raises InputError for scenes that make no sense."""
-        first = self.scene(0)  # checks all that is common
-        known = [] if first.force_model is None else [p.name for p in first.force_model.parameters]
+        # With parameters that all share, so that no number depends on who is the first.
+        template = self.scene(0, common_parameters=True)
+        model = template.force_model
+        known = [] if model is None else [each.name for each in model.parameters]
         for name in self.parameters:
             if name not in known:
                 hint = nearest(name, [*STATES, "gravity", *known])
@@ -131,9 +135,7 @@ class Varied:
                     f"members: nothing called {brief(name)} varies in these scenes; {hint}"
                     f"what may is {_WHAT}: {listed(known, 60) or 'none'}"
                 )
-        # Its parameters have the values that all members share, so that nothing depends on who
-        # is the first.
-        template = replace(first, parameters=self.common["parameters"])
+        first = self.scene(0)  # checks all that is common
         system = self.base.system if isinstance(self.base, Scene) else self.base
         template = replace(template, system=system) if self.gravity is not None else template
         numbers = self._numbers(template)
