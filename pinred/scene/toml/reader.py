@@ -20,7 +20,6 @@ from ...forces.link_loads import link_frame
 from ...forces.signals import Signal
 from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS, Method
-from ...system.system import System
 from .. import forms
 from ..event import Event
 from ..random_state import DURATION
