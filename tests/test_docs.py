@@ -163,3 +163,12 @@ def test_examples_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     """Every example runs from anywhere."""
     monkeypatch.chdir(tmp_path)
     exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), {"__name__": "__main__"})
+
+
+@pytest.mark.slow
+def test_flow_page_runs() -> None:
+    """The examples of docs/flow.md run as they stand, one after another."""
+    text = (ROOT / "docs/flow.md").read_text(encoding="utf-8")
+    names: dict[str, object] = {}
+    for code in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+        exec(compile(code, "docs/flow.md", "exec"), names)

@@ -57,7 +57,11 @@ def test_typed_options_are_the_fields(typed: type, kind: type) -> None:
     ("function", "kind", "own"),
     [
         (pinred.simulate, pinred.Scene, {"engine", "progress", "explain"}),
-        (pinred.simulate_many, pinred.Scene, {"threads", "seeds", "progress"}),
+        (
+            pinred.simulate_many,
+            pinred.Scene,
+            {"threads", "seeds", "progress", "members", "explain"},
+        ),
         (pinred.play, View, {"port", "show", "wait"}),
         (pinred.save_html, View, set()),
         (pinred.save_film, View, {"size", "progress"}),

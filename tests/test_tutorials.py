@@ -98,9 +98,9 @@ def test_form(path: Path) -> None:
     assert f"tutorials/{path.name}" in (ROOT / "docs/tutorials.md").read_text(encoding="utf-8")
 
 
-def test_there_are_eight() -> None:
-    """Numbered from 1 to 8."""
-    assert [int(path.name[:2]) for path in PATHS] == list(range(1, 9))
+def test_they_are_numbered() -> None:
+    """From 1 on, none left out."""
+    assert [int(path.name[:2]) for path in PATHS] == list(range(1, len(PATHS) + 1))
 
 
 def test_elroys_beanie(tell: Callable[[str], Told]) -> None:
@@ -223,6 +223,49 @@ def test_integrators(tell: Callable[[str], Told]) -> None:
     assert explicit > 30 * implicit
 
 
+def test_cat_in_one_formula(tell: Callable[[str], Told]) -> None:
+    """The bend that turns it over, and the phases of four bends, by the closed form."""
+    told = tell("07")
+    assert told.numbers("bent by N° it turns over") == pytest.approx([59.42646], abs=5e-6)
+    rows = re.findall(r"(\d+)° +([\d.]+) +([\d.]+)", told.text)
+    assert len(rows) == 4
+    for degrees, found, _ in rows:
+        half = np.radians(float(degrees)) / 2.0
+        c, s = np.cos(half), np.sin(half)
+        roll = 2.0 * np.pi * (0.25 * c / (0.25 * c**2 + s**2) - 1.0)
+        assert np.cos(float(found)) == pytest.approx(np.cos(roll), abs=1e-8)
+
+
+def test_trusted_height_function(tell: Callable[[str], Told]) -> None:
+    """Purcell's stroke as published; from a quarter off to half a per cent."""
+    told = tell("08")
+    moved = told.numbers("the circle moves it by N,")
+    assert moved == pytest.approx([0.0512808243], abs=1e-9)
+    assert told.numbers(r"middle +link: off by N %") == pytest.approx([26.6], abs=0.1)
+    (off,) = told.numbers("the volume is off by N %")
+    assert off < 0.5
+
+
+def test_hand_that_stays_put(tell: Callable[[str], Told]) -> None:
+    """Held, the hand strays by a hundredth of what it does with frozen joints."""
+    told = tell("09")
+    (way,) = told.numbers("with frozen joints the hand strays by N m")
+    (held,) = told.numbers("held, it strays by N m")
+    assert held < 0.01 * way
+    assert told.text.count("verdict: PASSED") == 1
+
+
+def test_identification(tell: Callable[[str], Told]) -> None:
+    """The payload and the damping are found to a few of their standard deviations."""
+    told = tell("12")
+    assert "verdict: PASSED" in told.text
+    for label in ("mass [kg]", "x [m]", "y [m]", "z [m]", "damping"):
+        found, spread, true = told.numbers(rf"{re.escape(label)} +N ± N +\(really N\)")
+        assert abs(found - true) < 4.0 * spread
+    (residual,) = told.numbers(r"residual N rad")
+    assert residual == pytest.approx(1e-3, rel=0.2)
+
+
 def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Figures are left out where they cannot be drawn; the rest runs."""
     for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
@@ -266,7 +309,7 @@ def test_as_a_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_steady_spins(tell: Callable[[str], Told]) -> None:
     """λ = √(1·0.5/2.5) at Ω = 1; a wheel on the middle axis ends it."""
-    told = tell("07")
+    told = tell("10")
     growth = np.sqrt(0.2)
     assert told.numbers(r"grows by N 1/s, by hand N 1/s") == pytest.approx(2 * [growth], abs=1e-8)
     assert told.numbers("measured in a simulation: N") == pytest.approx([growth], rel=1e-3)
@@ -277,7 +320,7 @@ def test_steady_spins(tell: Callable[[str], Told]) -> None:
 
 def test_double_spherical_pendulum(tell: Callable[[str], Told]) -> None:
     """Published frequencies; the straight one's pitchforks, by the second derivative of 1/I."""
-    told = tell("08")
+    told = tell("11")
     assert "14 relative equilibria found at momentum 2" in told.text
     (row,) = re.findall(r"\nfrequencies \[(.*?)\]", told.text)
     expected = [4.16816, 5.13036, 8.30001]

@@ -33,9 +33,14 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     accuracy_command.add_arguments(sub)
     sub = command("evaluations", _evaluations, "evaluations that an error costs, by many methods")
     sub.add_argument("scenes", nargs="*", metavar="SCENE", help="four if none is named")
+    sub = command("flow", _flow, "calls, gradients and free inertias of flows")
+    sub.add_argument("robots", nargs="*", metavar="ROBOT", help="robots; four if none is named")
     command("scaling", _scaling, "one evaluation of chains of 5 to 100 joints")
     command("floquet", _floquet, "Floquet multipliers by three routes, against their closed form")
-    sub = command("many", _many, "simulate_many on one and two threads, and its memory")
+    sub = command("many", _many, "trajectories per second of many members, by pinred and others")
+    sub.add_argument("scenes", nargs="*", metavar="SCENE", help="five if none is named")
+    sub.add_argument("--members", metavar="N", type=int, default=256, help="trajectories (256)")
+    sub = command("threads", _threads, "simulate_many on one and two threads, and its memory")
     sub.add_argument("robot", nargs="?", default="solo12", metavar="ROBOT", help="(solo12)")
     sub.add_argument("--members", metavar="N", type=int, default=1000, help="trajectories (1000)")
 
@@ -78,6 +83,18 @@ def _evaluations(options: argparse.Namespace) -> int:
     return 0
 
 
+def _flow(options: argparse.Namespace) -> int:
+    folder = _folder(options.out)
+    from ..verification.bench.flow_timing import FlowTiming, bench_flow
+
+    timings = bench_flow(options.robots, progress=True)
+    print(FlowTiming.header())
+    for timing in timings:
+        print(timing)
+    _write(folder, "flow", [dict(vars(timing)) for timing in timings])
+    return 0
+
+
 def _scaling(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
     from ..verification.bench.scaling import bench_scaling
@@ -111,23 +128,38 @@ def _floquet(options: argparse.Namespace) -> int:
 
 def _many(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
+    from ..verification.bench.many import bench_many
+
+    found = bench_many(options.scenes or None, members=options.members, progress=True)
+    print("\n\n".join(map(str, found)))
+    rows: list[Row] = [
+        {"problem": each.problem, "members": each.members, **vars(rate)}
+        for each in found
+        for rate in each.rates
+    ]
+    _write(folder, "many", rows)
+    return 0
+
+
+def _threads(options: argparse.Namespace) -> int:
+    folder = _folder(options.out)
     from ..system.load import load
-    from ..verification.bench.threads import bench_many
+    from ..verification.bench.threads import bench_threads
 
     system = load(options.robot, gravity=(0.0, 0.0, 0.0))
-    found = bench_many(system, members=options.members, progress=True)
+    found = bench_threads(system, members=options.members, progress=True)
     print(found)
     rows: list[Row] = [
         {"robot": found.robot, "members": found.members, "threads": k + 1, "wall": wall}
         for k, wall in enumerate(found.wall)
     ]
-    _write(folder, "many", rows)
+    _write(folder, "threads", rows)
     names = ("sizes", "results", "kept", "extra")
     memory: list[Row] = [
         {"robot": found.robot, **{name: getattr(found, name)[k] for name in names}}
         for k in range(len(found.sizes))
     ]
-    _write(folder, "many_memory", memory)
+    _write(folder, "threads_memory", memory)
     return 0
 
 

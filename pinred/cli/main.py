@@ -30,6 +30,8 @@ COMMANDS = {  # name of the command and of its file: what it does
     "run": "simulate what a scene file says",
     "plot": "draw a motion, or what bench accuracy measured",
     "play": "play a motion in a browser, or write it as a film",
+    "phase": "what a gait does to the body, cycle after cycle",
+    "field": "draw the connection of a robot over two joints",
     "robots": "list the robots that can be loaded by name",
     "cache": "show the compiled kernels kept on disk",
     "stress": "check the numbers where they are hard",

@@ -6,6 +6,7 @@ Nothing heavy is imported before they are asked for.
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from ..common.errors import InputError
 from ..common.plain_names import quoted
 
 if TYPE_CHECKING:
+    from ..scene.event import Event
     from ..scene.scene import Scene
     from ..system.system import System
 
@@ -26,7 +28,8 @@ STATE = {  # the initial state, by the names that Scene has for it: the form, an
     "q0": ("V1,V2,…", "Pinocchio's configuration instead of x0 and pose0"),
     "v0": ("V1,V2,…", "Pinocchio's velocity instead of xdot0, xi0 and momentum"),
 }
-VECTORS = ("--at", "--gravity", *(f"--{name}" for name in STATE))  # of numbers with commas
+# Options of numbers with commas.
+VECTORS = ("--at", "--gravity", "--limits", *(f"--{name}" for name in STATE))
 
 
 def one_of(names: Iterable[str], default: Any) -> str:
@@ -104,6 +107,11 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
         "--prescribed", metavar="J=PLAN", action="append", default=[],
         help="joint J follows a number or a formula in t, such as '0.4*sin(t)' [rad | m]",
     )  # fmt: skip
+    for name, text in (("event", "tell when"), ("until", "end where")):
+        sub.add_argument(
+            f"--{name}", metavar="[NAME=]FORMULA", action="append", default=[],
+            help=f"{text} a formula of the state crosses zero, such as 'x[0] - 0.5'",
+        )  # fmt: skip
 
 
 def scene_of(options: argparse.Namespace) -> Scene:
@@ -129,6 +137,7 @@ def scene_of(options: argparse.Namespace) -> Scene:
         friction=options.friction,
         outputs=options.outputs,
         method=_method(options),
+        events=[*_events(options.event, ends=False), *_events(options.until, ends=True)],
         keyframe=options.keyframe,
         **given,
     )
@@ -214,6 +223,18 @@ def prescribed_in(entries: Sequence[str]) -> dict[str, float | str]:
         except ValueError:
             plans[name] = text
     return plans
+
+
+def _events(entries: Sequence[str], *, ends: bool) -> list[Event]:
+    """Return the events of --event, or of --until, whose names are these if none are given."""
+    from ..scene.event import Event
+
+    found = []
+    for entry in entries:
+        named = re.fullmatch(r"\s*([A-Za-z]\w*)\s*=(?!=)(.*)", entry, re.DOTALL)
+        name, text = named.groups() if named else ("until" if ends else "event", entry)
+        found.append(Event(text, name, terminal=ends))
+    return found
 
 
 def _method(options: argparse.Namespace) -> str:

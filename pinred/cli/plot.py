@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".png", ".pdf", ".svg")
 SAMPLES = 501  # report times of a robot that is simulated here
+_OF_CONNECTIONS = {"field": "pinred field", "cycles": "pinred phase"}
 _NO_DATE: dict[str, dict[str, Any]] = {  # so that the same figure is the same file
     ".png": {},
     ".pdf": {"CreationDate": None},
@@ -35,7 +36,12 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         help="traj.npz, a scene.toml, a robot (`pinred robots`, or a URDF or MJCF file), "
         "or accuracy.csv of `pinred bench accuracy` for work_precision",
     )
-    sub.add_argument("--kind", metavar="K[,K]", required=True, help=", ".join(KINDS))
+    sub.add_argument(
+        "--kind",
+        metavar="K[,K]",
+        required=True,
+        help=", ".join(kind for kind in KINDS if kind not in _OF_CONNECTIONS),
+    )
     sub.add_argument(
         "--out", metavar="FILE", required=True,
         help=f"FILE{' or '.join(SUFFIXES)}; of several kinds, FILE_KIND.png",
@@ -55,6 +61,9 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Draw the figures and write them.  Returns 0."""
     kinds = options.kind.split(",")
+    for kind, command in _OF_CONNECTIONS.items():
+        if kind in kinds:
+            raise InputError(f"{kind} is no figure of a motion; `{command}` draws it")
     given = {
         name: getattr(options, name)
         for name in ("joints", "component", "value", "direction", "against")

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from ..scene.scene import Scene
     from ..simulation.trajectory import Trajectory
 
+_TIMES = 8  # of an event, in a summary
+
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
@@ -74,6 +76,7 @@ def summary(traj: Trajectory) -> str:
         ("steps", f"{run.steps} of {run.method} ({run.engine}), {run.evaluations} evaluations"),
         ("wall time [s]", f"{run.wall:.5f}"),
     ]
+    rows += [(f"event {name}", text) for name, text in told_events(traj)]
     if scene.left_out:
         rows.append(("left out", scene.left_out))
     if scene.outputs == "all":
@@ -82,6 +85,17 @@ def summary(traj: Trajectory) -> str:
         rows.append(("energy, momentum", "no balance: outputs = 'shape' leaves out the base"))
     width = max(len(name) for name, _ in rows)
     return "\n".join([_title(scene), *(f"  {name:<{width}}  {text}" for name, text in rows)])
+
+
+def told_events(traj: Trajectory) -> list[tuple[str, str]]:
+    """Return the names of the events, each with its times in words."""
+    out = []
+    for name, found in traj.events.items():
+        times = ", ".join(f"{t:.9g}" for t in found.t[:_TIMES])
+        more = f", … ({len(found)} in all)" if len(found) > _TIMES else ""
+        ends = "; the motion ends there" if name == traj.ended_by else ""
+        out.append((name, f"t = {times}{more} s{ends}" if times else "does not happen"))
+    return out
 
 
 def _title(scene: Scene) -> str:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from ..common.errors import InputError
 from .options import add_robot, add_scene, scene_of
+from .run import told_events
 from .written import written
 
 
@@ -38,5 +39,7 @@ def run(options: argparse.Namespace) -> int:
     traj.save(path)
     if scene.left_out:
         print(scene.left_out)
+    for name, text in told_events(traj):
+        print(f"event {name}: {text}")
     print(f"{traj}\n{written(path)}")
     return 0

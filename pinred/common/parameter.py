@@ -118,7 +118,7 @@ class Affine:
         return self.base + sum(weight * each.value for each, weight in self.weights.items())
 
 
-Numbers: TypeAlias = ArrayLike | Sequence[float | Parameter]
+Numbers: TypeAlias = ArrayLike | Sequence[Any]
 
 
 def value_of(number: Any) -> Any:

@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ..common.arrays import Array, freeze, read_only
+from ..common.arrays import Array, read_only
 from ..common.casadi_calls import Numeric
 from ..common.errors import InputError
 from ..common.memo import once
 from ..common.parameter import Affine, Parameter, parameter_of
 from ..common.plain_names import brief
 from ..reduction.potential import spring_pair
-from ..reduction.tree.all_joints import joint_rates, joint_values
-from ..system.coupling import following
+from ..system.force import Load
 from ..system.system import System
-from .by_name import Column
+from .acting import Acting, BaseInSpace, Prescribed
+from .columns import load_column, seen_of_base, symbols_of, through, torque_column, wrench_column
 from .force import Force, Symbols, Terms
 from .kinds import Controller, Damper, Friction, Spring
+from .link_loads import of_load
 from .signals import Constant, Expression, Signal
 from .written import terms_of
 
@@ -37,26 +38,6 @@ _KINKS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Acting:
-    """All that acts at one state.  torque: (m,) on the joints, −∂V/∂x included.  wrench: (r,)."""
-
-    torque: Array
-    wrench: Array
-
-
-@dataclass(frozen=True)
-class Prescribed:
-    """Positions, rates and accelerations of the prescribed joints, (k,) each."""
-
-    x: Array
-    xdot: Array
-    xddot: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
-
-
 class ForceModel:
     """The forces and prescribed joints of a scene.
 
@@ -67,7 +48,11 @@ class ForceModel:
     piece of a table counts.  joints: indices of the prescribed joints; signals: their motions;
     references: the functions of time in the forces.  touched: joints that something acts on,
     or whose position something depends on.  labels: of the forces that do work.
-    acting_function: (t, x, ẋ, ξ, μ, numbers) → (torque, wrench).  prescribed_function:
+    acting_on_base: labels of those that act on the base itself: its momentum is integrated.
+    sees_attitude, sees_place: whether forces depend on the base's attitude, and on where its centre
+    of mass is or how fast it moves.  loads: link and axes of each wrench that acts elsewhere.
+    acting_function: (t, x, ẋ, ξ, μ, numbers, pose, twist, μ and J of the base in space) →
+    (torque, wrench).  prescribed_function:
     (t, numbers) → (x, ẋ, ẍ) of the prescribed joints.  potential_function: (x, numbers) → V.
     """
 
@@ -76,6 +61,7 @@ class ForceModel:
     ) -> None:
         """Write all forces down.  Raises InputError for joints that are not there."""
         m, r = system.m, system.r
+        self._unseen = (np.zeros(system.group.size), *np.zeros((3, r)))
         self._values: list[float] = []
         self._names: list[ca.SX] = []
         self._slopes: list[tuple[int, Parameter, float]] = []
@@ -84,16 +70,8 @@ class ForceModel:
         self.signals = tuple(prescribed.values())
         self.references = tuple(signal for force in forces for signal in force.signals)
         has_breaks = any(signal.breaks.size for signal in (*self.signals, *self.references))
-        s = Symbols(
-            names=system.shape_names,
-            followers={name: following(name, system.couplings) for name in system.followers},
-            t=ca.SX.sym("t"),
-            x=_column(system, "x", joint_values),
-            xdot=_column(system, "xdot", joint_rates),
-            xi=ca.SX.sym("xi", r),
-            mu=ca.SX.sym("mu", r),
-            within=self._number(0.0) if has_breaks else None,
-        )
+        within = self._number(0.0) if has_breaks else None
+        s, base = symbols_of(system, within)
         self.within = slice(0, int(has_breaks))
         for name in prescribed:
             system.refuse_follower(name, "prescribed")
@@ -110,7 +88,9 @@ class ForceModel:
         self.held: list[tuple[Controller, slice]] = []
         self.labels: list[str] = []
         potential, torques, wrenches = ca.SX(0), ca.SX(m, 0), ca.SX(r, 0)
-        self.has_wrench = False
+        direct: list[ca.SX] = []
+        loads: list[Load] = []
+        self.acting_on_base: list[str] = []
         acted: set[int] = set()
         for force in sorted(forces, key=lambda force: force.last):
             if force.last:
@@ -124,40 +104,53 @@ class ForceModel:
             terms = terms_of(force, s, self._number)
             self._check_symbols(s, terms, force.label)
             if isinstance(force, Controller):
-                held = len(force.joints or s.names)
+                held = force.count(s.names, r)
                 self.held.append((force, slice(first, first + held)))
             if terms.potential is not None:
                 potential = potential + terms.potential
-            if terms.torque or terms.wrench is not None:
+            if terms.torque or terms.wrench is not None or terms.loads:
                 self.labels.append(force.label)
-                torques = ca.horzcat(torques, _torque_column(terms, system))
-                wrenches = ca.horzcat(wrenches, _wrench_column(terms, r))
-                self.has_wrench |= terms.wrench is not None
-                acted |= {_through(system, k)[0] for k in terms.torque}
+                torque, wrench = torque_column(terms, system), wrench_column(terms, r)
+                direct += [ca.vertcat(torque, wrench)]
+                for load in terms.loads:
+                    also = of_load(system, s, load, force.label)
+                    torque, wrench = torque + also.torque, wrench + also.wrench
+                    acted |= {k for k in range(m) if not also.torque[k].is_zero()}
+                loads += terms.loads
+                torques, wrenches = ca.horzcat(torques, torque), ca.horzcat(wrenches, wrench)
+                if terms.wrench is not None or terms.loads:
+                    self.acting_on_base.append(force.label)
+                acted |= {through(system, k)[0] for k in terms.torque}
         self.numbers = read_only(np.array(self._values))
         self.parameters = self._checked_parameters()
         self.slopes = np.zeros((len(self.numbers), len(self.parameters)))
         for slot, parameter, slope in self._slopes:
             self.slopes[slot, self.parameters.index(parameter)] = slope
         p = ca.vertcat(*self._names)
-        state = [s.t, s.x, s.xdot, s.xi, s.mu, p]
-        torque = ca.sum2(torques) - ca.gradient(potential, s.x)
-        wrench = ca.sum2(wrenches)
+        state = [s.t, s.x, s.xdot, s.xi, s.mu, p, *base]
+        forward: ca.SX = -ca.gradient(potential, s.x)
+        torque, wrench = ca.sum2(torques) + forward, ca.sum2(wrenches)
         self.prescribed_function = _function("prescribed", [s.t, p], [x, xdot, xddot])
         self.acting_function = _function("acting", state, [torque, wrench])
         self._acting = Numeric(self.acting_function)
         self._prescribed = Numeric(self.prescribed_function)
         self._each = Numeric(_function("each", state, [torques, wrenches]))
+        self.loads = tuple((load.link, load.frame) for load in loads)
+        alone = ca.sum2(ca.horzcat(ca.SX(m + r, 0), *direct)) + ca.vertcat(forward, ca.SX(r, 1))
+        columns = [alone[:m], alone[m:], ca.horzcat(ca.SX(9, 0), *map(load_column, loads))]
+        self._apart = Numeric(_function("apart", state, columns))
         self.potential_function = _function("potential", [s.x, p], [potential])
         self._potential = Numeric(self.potential_function)
         everything = ca.vertcat(torque, wrench)
         depends = ca.which_depends(ca.vertcat(everything, potential), s.x, 1) if m else []
         self.touched = acted | set(self.joints) | {k for k in range(m) if depends[k]}
-        self.needs_time = bool(self.joints) or ca.depends_on(everything, s.t)
+        self.sees_attitude, self.sees_place = seen_of_base(system, everything, base)
+        timed = self.sees_place or ca.depends_on(everything, s.t)
+        self.needs_time = bool(self.joints) or timed
         text = self.acting_function.serialize() + self.prescribed_function.serialize()
         self.key = hashlib.sha256(f"{self.joints}{text}".encode()).hexdigest()
 
-    def with_values(self, values: Mapping[str, float]) -> ForceModel:
+    def with_values(self, values: Mapping[str, Any]) -> ForceModel:
         """Return this model with other values of parameters, {name: value}; it shares the rest."""
         moved = np.array([values.get(each.name, each.value) for each in self.parameters])
         moved -= [each.value for each in self.parameters]
@@ -168,12 +161,59 @@ class ForceModel:
         other.numbers = read_only(self.numbers + self.slopes @ moved)
         return other
 
+    @property
+    def has_wrench(self) -> bool:
+        """Whether something acts on the base itself."""
+        return bool(self.acting_on_base)
+
+    @property
+    def sees_base(self) -> bool:
+        """Whether a force, or a controller, sees where the base is or how it moves in space."""
+        controllers = (controller for controller, _ in self.held)
+        return self.sees_attitude or self.sees_place or any(c.sees_base for c in controllers)
+
     def acting(
-        self, t: float, x: Array, xdot: Array, xi: Array, mu: Array, numbers: Array
+        self,
+        t: float,
+        x: Array,
+        xdot: Array,
+        xi: Array,
+        mu: Array,
+        numbers: Array,
+        base: BaseInSpace | None = None,
     ) -> Acting:
-        """Return all that acts at one state; arguments as in Symbols, numbers (p,)."""
-        torque, wrench = self._acting(t, x, xdot, xi, mu, numbers)
+        """Return all that acts at one state; arguments as in Symbols, numbers (p,).
+
+        base: what forces see of it besides, None if they do not.
+        """
+        seen = self._of_base(base)
+        torque, wrench = self._acting(t, x, xdot, xi, mu, numbers, *seen)
         return Acting(torque[:, 0], wrench[:, 0])
+
+    def acting_apart(
+        self,
+        t: float,
+        x: Array,
+        xdot: Array,
+        xi: Array,
+        mu: Array,
+        numbers: Array,
+        base: BaseInSpace | None,
+    ) -> tuple[Acting, Array]:
+        """Return what acts but for the loads, and these, (9, L): entries (6,) and point (3,).
+
+        They are not moved to the coordinates: for who does that by other means.
+        """
+        seen = self._of_base(base)
+        torque, wrench, loads = self._apart(t, x, xdot, xi, mu, numbers, *seen)
+        return Acting(torque[:, 0], wrench[:, 0]), loads
+
+    def _of_base(self, base: BaseInSpace | None) -> tuple[Array, ...]:
+        if base is not None:
+            return base.pose, base.xi, base.mu, base.J
+        if self.sees_attitude or self.sees_place:
+            raise InputError("these forces see the base; give base= with its pose and momenta")
+        return self._unseen
 
     def prescribed(self, t: float, numbers: Array) -> Prescribed:
         """Return the motion of the prescribed joints at a time."""
@@ -213,21 +253,30 @@ class ForceModel:
         return float(value[0, 0])
 
     def powers(
-        self, t: float, x: Array, xdot: Array, xi: Array, mu: Array, numbers: Array, twist: Array
+        self,
+        t: float,
+        x: Array,
+        xdot: Array,
+        xi: Array,
+        mu: Array,
+        numbers: Array,
+        twist: Array,
+        base: BaseInSpace | None,
     ) -> Array:
         """Return the power of each force that does work, (len(labels),) [W].
 
         twist: (r,) the full body twist of the base, not that relative to the centre of mass.
         """
-        torques, wrenches = self._each(t, x, xdot, xi, mu, numbers)
+        seen = self._of_base(base)
+        torques, wrenches = self._each(t, x, xdot, xi, mu, numbers, *seen)
         return np.asarray(torques.T @ xdot + wrenches.T @ twist)
 
     def _check_symbols(self, s: Symbols, terms: Terms, what: str) -> None:
         """Raise InputError if a force contains a symbol that it was not given."""
-        own = ca.vertcat(s.t, s.x, s.xdot, s.xi, s.mu, *self._names)
+        seen = (s.seen.pose, s.seen.xi, s.seen.mu, s.seen.J)
+        own = ca.vertcat(s.t, s.x, s.xdot, s.xi, s.mu, *seen, *self._names)
         known = {symbol.element_hash() for symbol in ca.symvar(own)}
-        given = [terms.potential, *terms.torque.values(), *(terms.wrench or [])]
-        for symbol in ca.symvar(ca.SX(ca.vertcat(*(v for v in given if v is not None)))):
+        for symbol in ca.symvar(ca.SX(ca.vertcat(*terms.expressions))):
             if symbol.element_hash() in known:
                 continue
             parameter = parameter_of(symbol)
@@ -334,38 +383,6 @@ def _required_torque(system: System, s: Symbols, accelerations: Mapping[int, ca.
 def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
     dense = [ca.densify(value) for value in outputs]
     return ca.Function(name, inputs, dense, {"cse": True})
-
-
-def _column(system: System, what: str, on_joints: Callable[..., list[Any]]) -> Column:
-    """Return the symbols of the shape or its rate, with the expressions of what follows it."""
-    symbols = ca.SX.sym(what, system.m)
-    if system.coupled is None:
-        return Column(symbols, system.shape_names, what)
-    every = on_joints(system, ca.vertsplit(symbols))
-    followers = [ca.SX(every[system.joint_number(name)]) for name in system.followers]
-    return Column(symbols, (*system.shape_names, *system.followers), what, followers)
-
-
-def _torque_column(terms: Terms, system: System) -> ca.SX:
-    column = ca.SX(system.m, 1)
-    for k, value in sorted(terms.torque.items()):
-        i, ratio = _through(system, k)
-        column[i] = value if k < system.m else column[i] + ratio * value
-    return column
-
-
-def _through(system: System, k: int) -> tuple[int, float]:
-    """Return the shape coordinate on which what acts on a joint acts, and by what factor."""
-    if k < system.m or system.coupled is None:
-        return k, 1.0
-    j = system.joint_number(system.followers[k - system.m])
-    return int(system.coupled.of[j]), float(system.coupled.ratio[j])
-
-
-def _wrench_column(terms: Terms, r: int) -> ca.SX:
-    entries: list[Any] = terms.wrench if terms.wrench is not None else [0.0] * r
-    column: ca.SX = ca.vertcat(*entries)
-    return column
 
 
 def touched_by(forces: ForceModel | None) -> frozenset[int]:

@@ -7,18 +7,20 @@ A force that has a potential gives it, and its torques −∂V/∂x follow; the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar
 
-import numpy as np
-
-from ..common.arrays import Array, as_floats, positive
 from ..common.errors import InputError
 from ..common.parameter import Parameter
+from ..system.force import SeenState as SeenState
 from ..system.passive import Damper as Damper
 from ..system.passive import Friction as Friction
 from ..system.passive import Spring as Spring
+from .arguments import Action as Action
+from .arguments import acting_value, called
+from .controller import Command as Command
+from .controller import Controller as Controller
 from .force import Force as Force
 from .force import Limit as Limit
 from .force import (
@@ -29,19 +31,19 @@ from .force import (
     Terms,
     checked,
     checked_reference,
-    entries,
     limited,
     motions,
-    of_time,
     per_joint,
     scalar,
     signals_in,
 )
 from .signals import Signal
+from .wrench import Wrench as Wrench
 
 __all__ = [
     "PD",
     "Action",
+    "Command",
     "ComputedTorque",
     "Controller",
     "Damper",
@@ -49,12 +51,11 @@ __all__ = [
     "Friction",
     "Limit",
     "PotentialEnergy",
+    "SeenState",
     "Spring",
     "Torque",
     "Wrench",
 ]
-
-Action: TypeAlias = Callable[[Any, Any, Any, Any], Any]
 
 
 @dataclass(frozen=True)
@@ -77,11 +78,13 @@ class PotentialEnergy(Named):
 
 @dataclass(frozen=True)
 class Torque(Named):
-    """Torques at the joints, τ(t, x, ẋ, μ) [N·m | N].
+    """Torques at the joints, τ(t, x, ẋ, μ) or τ(s) of the whole state [N·m | N].
 
     function: (t, x, xdot, mu) → {joint: expression} or m expressions, called once with SX
     symbols (of Symbols' meaning); or {joint: Signal, number or (t, x, xdot, mu) → expression}.
     x["hinge"] and xdot["hinge"] are entries by joint, as x[0] is.
+    A function of one argument is given a SeenState instead of the four, with pose, twist and
+    momenta of the base (see arguments.py): momentum stays constant all the same.
     """
 
     function: Action | Mapping[str, Action | Signal | float | Parameter]
@@ -101,11 +104,11 @@ class Torque(Named):
         """Return the torques."""
         if isinstance(self.function, Mapping):
             torque = {
-                s.joint(name, self.name): _acting(value, s, number, f"{self.name}['{name}']")
+                s.joint(name, self.name): acting_value(value, s, number, f"{self.name}['{name}']")
                 for name, value in self.function.items()
             }
         else:
-            found = s.column(self.function(s.t, s.x, s.xdot, s.mu), self.name)
+            found = s.column(called(self.function, s, self.name), self.name)
             torque = {k: scalar(v, f"{self.name} at '{s.every_name[k]}'") for k, v in found.items()}
         return Terms(torque=limited(self.limit, s, torque, number, self.name))
 
@@ -185,98 +188,3 @@ class ComputedTorque(_Tracking):
         every = s.required_torque(accelerations) - s.others
         torque = {k: every[k] for k in wanted}
         return Terms(torque=limited(self.limit, s, torque, number, self.name))
-
-
-@dataclass(frozen=True)
-class Wrench(Named):
-    """A wrench on the base at its origin, in its own frame: thrusters.  [linear; angular].
-
-    function: (t, x, xdot, mu) → r expressions, called once; or r entries, each a Signal, a
-    number or (t, x, xdot, mu) → expression; joints by name as in Torque.
-    """
-
-    function: Action | Sequence[Action | Signal | float | Parameter]
-    name: str = "wrench"
-
-    def __post_init__(self) -> None:
-        wanted = "a function of (t, x, xdot, mu) or a list of Signals or numbers"
-        checked(self.name, wanted, self.function, Sequence, np.ndarray)
-
-    @property
-    def signals(self) -> Iterable[Signal]:
-        """The functions of time in it."""
-        return () if callable(self.function) else signals_in(self.function)
-
-    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the wrench."""
-        r = s.mu.numel()
-        if callable(self.function):
-            found = entries(self.function(s.t, s.x, s.xdot, s.mu), r, self.name)
-            return Terms(wrench=[scalar(v, f"{self.name}[{i}]") for i, v in enumerate(found)])
-        found = entries(self.function, r, self.name)
-        return Terms(
-            wrench=[_acting(v, s, number, f"{self.name}[{i}]") for i, v in enumerate(found)]
-        )
-
-
-@dataclass(frozen=True)
-class Controller(Named):
-    """Torques from any Python function, called every `period` seconds and held in between.
-
-    function: (t, x, xdot, mu), the numbers of Symbols, → {joint: torque} or m torques.
-    x["hinge"] and xdot["hinge"] are entries by joint, as x[0] is; arrays made of them are plain.
-    joints: those whose torques it gives; all if None.  It must not remember earlier calls:
-    `compare` runs the motion again, several times.
-    """
-
-    function: Callable[[float, Any, Any, Array], Any]
-    period: float
-    joints: tuple[str, ...] | None = None
-    limit: Limit | None = None
-    name: str = "controller"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "period", positive(self.period, f"the period of {self.name}"))
-        checked(self.name, "a function of (t, x, xdot, mu)", self.function)
-        if self.joints is None:
-            return
-        if isinstance(self.joints, str) or not isinstance(self.joints, Sequence):
-            raise InputError(f"joints of {self.name} must be a list of names, got {self.joints!r}")
-        object.__setattr__(self, "joints", tuple(self.joints))
-        if len(set(self.joints)) < len(self.joints):
-            raise InputError(f"joints of {self.name} must differ, got {', '.join(self.joints)}")
-
-    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the torques that are held: numbers that are set anew at every sample."""
-        torque = {s.joint(name, self.name): number(0.0) for name in self.joints or s.names}
-        return Terms(torque=limited(self.limit, s, torque, number, self.name))
-
-    def sample(self, names: tuple[str, ...], t: float, x: Array, xdot: Array, mu: Array) -> Array:
-        """Return the torques at one time, in the order of `joints`.  Raises InputError."""
-        from .by_name import Vector  # needs CasADi
-
-        shape, rate = Vector.of(x, names, "x"), Vector.of(xdot, names, "xdot")
-        given = self.function(t, shape, rate, mu.copy())
-        wanted = self.joints or names
-        if isinstance(given, Mapping):
-            unknown = [name for name in given if name not in wanted]
-            if unknown:
-                raise InputError(
-                    f"{self.name} gave a torque for '{unknown[0]}' at t = {t:g} s; "
-                    f"its joints are {', '.join(wanted)}"
-                )
-            given = [given.get(name, 0.0) for name in wanted]
-        torque = as_floats(given, f"what {self.name} gave at t = {t:g} s")
-        if torque.shape != (len(wanted),) or not np.isfinite(torque).all():
-            raise InputError(
-                f"{self.name} must give {len(wanted)} finite torques ({', '.join(wanted)}), "
-                f"but gave {given!r} at t = {t:g} s"
-            )
-        return torque
-
-
-def _acting(value: Any, s: Symbols, number: Callable[[Any], Any], what: str) -> Any:
-    """Return a Signal, a number or a function of the state as an expression."""
-    if callable(value):
-        return scalar(value(s.t, s.x, s.xdot, s.mu), what)
-    return of_time(value, s, number, what)

@@ -36,8 +36,7 @@ def terms_of(force: Force, s: Symbols, number: Callable[[Any], Any]) -> Terms:
         if isinstance(error, FutureWarning):
             said = "a function of NumPy was called on a CasADi symbol"
         raise InputError(f"{force.label}: {type(error).__name__}: {said}; {_INSTEAD}") from error
-    given = [terms.potential, *terms.torque.values(), *(terms.wrench or [])]
-    if any(_lost(value) for value in given if value is not None):
+    if any(_lost(value) for value in terms.expressions):
         raise InputError(
             f"{force.label} is not a number at any time, as what Python's math makes of "
             f"symbols is: {_INSTEAD}"

@@ -47,7 +47,8 @@ class Solution:
 
     times: (T,) [s].  y: (T, n).  steps, rejected, evaluations: what it cost.
     knots: (K,) times of the ends of all steps [s].  states: (K, n) there; a quaternion in
-    them has the length that the step has left, `at` gives it length one.
+    them has the length that the step has left, `at` gives it length one.  complete: whether the
+    run came to its end, and was not stopped before by who watched it.
     The kernel has to stay in memory as long as `at` is called.
     """
 
@@ -59,6 +60,7 @@ class Solution:
     evaluations: int
     knots: Array
     states: Array
+    complete: bool
     _stored: Array = field(repr=False)
     _params: Array = field(repr=False)
     _run: Runs = field(repr=False)
@@ -147,10 +149,12 @@ def integrate_checked(
     progress: Progress | None,
     tangent: Tangent | None = None,
     canonical: Canonical = (0, 0),
+    watch: Callable[[Solution], bool] | None = None,
 ) -> Solution:
     """Integrate as `integrate` does, with arguments that are known to be right.
 
-    params and times are not changed by anybody afterwards.
+    params and times are not changed by anybody afterwards.  watch: is given what there is now and
+    then, and before a failure, and says whether to stop there; then the Solution is not complete.
     """
     n = y0.shape[0]
     stepper = method.stepper()
@@ -161,9 +165,31 @@ def integrate_checked(
     work[Y, :n] = y0
     out = np.empty((len(times), n))
     knots, states = np.empty(_FIRST_KNOTS), np.empty((_FIRST_KNOTS, stepper.kept * n))
+
+    def so_far(*, complete: bool) -> Solution:
+        steps = run["steps"].item()
+        stored = read_only(states[: steps + 1])
+        told = len(times) if complete else run["next"].item()
+        return Solution(
+            method=method,
+            times=times[:told],
+            y=read_only(out[:told]),
+            steps=steps,
+            rejected=run["rejected"].item(),
+            evaluations=run["evaluations"].item(),
+            knots=read_only(knots[: steps + 1]),
+            states=stored[:, :n],
+            complete=complete,
+            _stored=stored,
+            _params=params,
+            _run=run,
+        )
+
     status = -1
     while status != DONE:
         status = stepper.loops.advance(run, params, work, times, out, knots, states)
+        if status != DONE and watch is not None and run["steps"] and watch(so_far(complete=False)):
+            return so_far(complete=False)
         if status == FULL:
             knots, states = _doubled(knots), _doubled(states)
         elif status == WANTED:
@@ -173,21 +199,7 @@ def integrate_checked(
             raise failure(status, run, work[Y, :n].copy())
         if progress is not None:
             progress(run["t"].item() / end)
-    steps = run["steps"].item()
-    stored = read_only(states[: steps + 1])
-    return Solution(
-        method=method,
-        times=times,
-        y=read_only(out),
-        steps=steps,
-        rejected=run["rejected"].item(),
-        evaluations=run["evaluations"].item(),
-        knots=read_only(knots[: steps + 1]),
-        states=stored[:, :n],
-        _stored=stored,
-        _params=params,
-        _run=run,
-    )
+    return so_far(complete=True)
 
 
 def begun_by(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from threading import Lock
 
@@ -96,6 +97,47 @@ def integrate_many(
     `integrate`.  progress: called with the part of the members that is done.
     A run that fails has a status and leaves the others alone.  Raises InputError.
     """
+    asked = checked_batch(address, params, y0, t_end, times, quaternion, threads)
+    batch, size = asked.batch, len(asked.batch.y0)
+    n = asked.batch.y0.shape[1]
+    stepper = method.stepper()
+    unbegun = begun_by(method, address, n, asked.end, quaternion, canonical)
+    if stepper.needs_tangent:
+        give_tangent(tangent, method, unbegun)
+    lock = Lock()
+
+    def share(first: int, last: int) -> None:
+        run, work = copied(unbegun), stepper.work(n)
+        while (first := stepper.loops.members(batch, unbegun, run, work, first, last)) < last:
+            with lock:  # what makes a kernel is not for several threads
+                give_tangent(tangent, method, run)
+            work = stepper.widened(n, work)
+
+    bounds = np.linspace(0, size, min(size, asked.threads * _SHARES_PER_THREAD) + 1).astype(int)
+    shares = [partial(share, int(a), int(b)) for a, b in pairwise(bounds)]
+    over_threads(shares, asked, progress)
+    return solutions(method, batch)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Many runs as they were asked for.  end: time [s].  threads: how many work on the batch."""
+
+    batch: Batch
+    end: float
+    threads: int
+
+
+def checked_batch(
+    address: int,
+    params: ArrayLike,
+    y0: ArrayLike,
+    t_end: float,
+    times: ArrayLike,
+    quaternion: int,
+    threads: int | None,
+) -> Asked:
+    """Return what `integrate_many` was asked for, with room for the results.  Raises InputError."""
     end = positive(t_end, "t_end")
     check_kernel(address)
     start = read_only(np.ascontiguousarray(as_floats(y0, "y0")).view())
@@ -109,11 +151,6 @@ def integrate_many(
         threads = len(os.sched_getaffinity(0))
     if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
         raise InputError(f"threads must be a whole number above zero, got {threads!r}")
-
-    stepper = method.stepper()
-    unbegun = begun_by(method, address, n, end, quaternion, canonical)
-    if stepper.needs_tangent:
-        give_tangent(tangent, method, unbegun)
     outcomes = np.zeros(size, OUTCOME)
     outcomes["status"] = PAUSED
     batch = Batch(
@@ -126,24 +163,21 @@ def integrate_many(
         no_times=np.empty(0),
         no_knots=np.empty((0, n)),
     )
-    lock = Lock()
+    return Asked(batch, end, min(threads, max(size, 1)))
 
-    def share(first: int, last: int) -> None:
-        run, work = copied(unbegun), stepper.work(n)
-        while (first := stepper.loops.members(batch, unbegun, run, work, first, last)) < last:
-            with lock:  # what makes a kernel is not for several threads
-                give_tangent(tangent, method, run)
-            work = stepper.widened(n, work)
 
-    threads = min(threads, max(size, 1))
-    bounds = np.linspace(0, size, min(size, threads * _SHARES_PER_THREAD) + 1).astype(int)
-    with ThreadPoolExecutor(threads) as pool:
-        futures = [pool.submit(share, int(a), int(b)) for a, b in pairwise(bounds)]
+def over_threads(
+    shares: Sequence[Callable[[], None]], asked: Asked, progress: Callable[[float], None] | None
+) -> None:
+    """Do shares of the work on several threads, and tell how many members are done."""
+    batch = asked.batch
+    with ThreadPoolExecutor(asked.threads) as pool:
+        futures = [pool.submit(share) for share in shares]
         try:
             look = None if progress is None else _LOOK
             ended, running = wait(futures, look, FIRST_EXCEPTION)
             while running and progress is not None and not any(f.exception() for f in ended):
-                progress(float(np.mean(outcomes["status"] != PAUSED)))
+                progress(float(np.mean(batch.outcomes["status"] != PAUSED)))
                 ended, running = wait(futures, look, FIRST_EXCEPTION)
             for future in ended:
                 future.result()
@@ -151,9 +185,14 @@ def integrate_many(
             batch.stop[0] = 1  # the threads see it at their next pause
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def solutions(method: Method, batch: Batch) -> Solutions:
+    """Return the solutions of a batch that has been worked on."""
+    outcomes = batch.outcomes
     return Solutions(
         method=method,
-        times=asked,
+        times=batch.times,
         y=batch.y,
         status=outcomes["status"].copy(),
         end=outcomes["t"].copy(),

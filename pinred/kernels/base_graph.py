@@ -36,10 +36,12 @@ class BaseGraph:
         weight: Vec | None,
         *,
         lifted: bool = False,
+        mass: Scalar = None,
     ) -> None:
-        """Make the symbols.  lifted: see Structure."""
+        """Make the symbols.  lifted: see Structure.  mass: of the system, if it is not its own."""
         self._lifted = lifted
-        self._k, self._r, self._mass = system.group.linear, system.r, system.mass
+        self._k, self._r = system.group.linear, system.r
+        self._mass = system.mass if mass is None else mass
         self._group, self.parts = system.group, parts
         self._weight = weight
         self._root = root_of(system)
@@ -112,7 +114,7 @@ class BaseGraph:
 
     def turned_angular(self, v: list[Scalar]) -> list[Scalar]:
         """Return an angular part in the fixed frame."""
-        return _rotated(self.attitude, v, 1.0) if len(v) == 3 else list(v)
+        return rotated(self.attitude, v, 1.0) if len(v) == 3 else list(v)
 
     def full(
         self, xi: list[Scalar], mu: list[Scalar], com: Vec, t: Scalar, line: list[Scalar]
@@ -157,7 +159,7 @@ class BaseGraph:
 
     def _turned_back(self, v: list[Scalar]) -> list[Scalar]:
         """Return an angular part, or any (3,), in the body's frame."""
-        return _rotated(self.attitude, v, -1.0) if len(v) == 3 else list(v)
+        return rotated(self.attitude, v, -1.0) if len(v) == 3 else list(v)
 
     def turned(self, v: list[Scalar]) -> list[Scalar]:
         """Return a linear part in the fixed frame."""
@@ -176,7 +178,7 @@ class BaseGraph:
         return self._turned_back(v) if self._group.turns == 3 else list(v)
 
 
-def _rotated(q: list[Scalar], v: list[Scalar], sign: float) -> list[Scalar]:
+def rotated(q: list[Scalar], v: list[Scalar], sign: float) -> list[Scalar]:
     """Return R v, or Rᵀ v for sign −1, by a quaternion (x, y, z, w) of any length."""
     u, w = [mul(sign, c) for c in q[:3]], q[3]
     scale = 2.0 / (sum(c * c for c in u) + w * w)

@@ -31,7 +31,10 @@ def derived_code(
     def native() -> NativeCode:
         forces = None if kernel.forces is None else kernel.forces.key
         whole = asdict(kernel.structure) | {"forces": forces} | kind
-        cache, key = ObjectCache(), cache_key(model_bytes(kernel.system), json.dumps(whole))
+        cache, key = (
+            ObjectCache(),
+            cache_key(model_bytes(kernel.system, kernel.structure.free), json.dumps(whole)),
+        )
         code = cache.get(key)
         if code is None:
             code = make(ReducedGraph(kernel.system, kernel.structure, kernel.forces))

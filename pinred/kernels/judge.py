@@ -168,7 +168,7 @@ def _judge_acceleration(
     active, a = list(layout.active), len(layout.active)
     pidot = np.zeros(system.m)
     pidot[active] = rate[a : 2 * a]
-    pidot[active] += (H[:k, r:].T @ wrench[:k] / system.mass)[active]
+    pidot += H[:k, r:].T @ wrench[:k] / system.mass
     # Far from the world's origin Pinocchio's Coriolis matrix has round-off of the distance.
     near = model.copy()
     near.jointPlacements[1] = pin.SE3.Identity()
@@ -215,7 +215,8 @@ def _acting(kernel: Kernel, at: JudgedState, v: Array) -> tuple[Array, Array]:
     system, forces = kernel.system, kernel.forces
     if forces is None:
         return np.zeros(system.m), np.zeros(system.r)
-    acting = forces.acting(at.time, at.x, v[system.r :], v[: system.r], at.mu, at.numbers)
+    xi, xdot = v[: system.r], v[system.r :]
+    acting = forces.acting(at.time, at.x, xdot, xi, at.mu, at.numbers, at.in_space(v))
     return acting.torque, acting.wrench
 
 

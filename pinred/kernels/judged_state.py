@@ -11,14 +11,17 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..common.arrays import Array
+from ..forces.acting import BaseInSpace
 from ..reduction.inertia_split import mass_matrix_at
-from ..reduction.potential import acting_gravity, falling
+from ..reduction.potential import acting_gravity, falling, translations
+from ..reduction.tree.free_bodies import free_numbers
 from ..system.inertias import moved_masses, radius_of_gyration
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
     from ..system.system import System
     from .kernel import Kernel
+    from .layout import Structure
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,12 @@ class JudgedState:
         """Indices of the velocities that momenta decide, (f,)."""
         r = len(self.mu)
         return np.setdiff1d(np.arange(len(self.v)), [r + k for k in self.driven])
+
+    def in_space(self, v: Array) -> BaseInSpace:
+        """Return the base as seen from space, with a velocity (n,) relative to the CoM."""
+        return _in_space(
+            self.system, self.pose, self.line, self.pushed, self.time, self.com, self.H, v
+        )
 
     @cached_property
     def momentum_terms(self) -> Array:
@@ -172,11 +181,15 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
     pushed = rng.normal(size=parts.push)
     b = np.concatenate([pose[len(pose) - parts.attitude :], down, mu[r - parts.momentum :], pushed])
     active, cyclic = list(layout.active), list(layout.cyclic)
+    line = np.append(rng.normal(size=2 * k), falling(system))
+    com = np.array(data.Ycrb[1].lever)
     if forces is not None:
-        acting = forces.acting(time, x, v[r:], v[:r], mu, numbers)
+        base = _in_space(system, pose, line, pushed, time, com, H, v)
+        acting = forces.acting(time, x, v[r:], v[:r], mu, numbers, base)
         potential = np.array([forces.potential(x, numbers)])
         if not np.isfinite(np.concatenate([acting.torque, acting.wrench, potential])).all():
             return None
+    acts, bodies = gravity[list(layout.gravity)], free_numbers(system, layout.free)
     return JudgedState(
         system=system,
         model=model,
@@ -192,15 +205,67 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         numbers=numbers,
         down=down,
         pushed=pushed,
-        line=np.append(rng.normal(size=2 * k), falling(system)),
+        line=line,
         H=H,
-        com=np.array(data.Ycrb[1].lever),
+        com=com,
         mu=mu,
         pi=pi,
         y=np.concatenate([x[active], pi[active], x[cyclic], b, [time] * layout.clock]),
-        parameters=np.concatenate([spin, pi[cyclic], gravity[list(layout.gravity)], numbers]),
+        parameters=np.concatenate([spin, pi[cyclic], acts, bodies, line[: layout.line], numbers]),
         driven=tuple(driven),
     )
+
+
+def with_other_inertias(system: System, structure: Structure) -> System:
+    """Return the system with other, physical inertias of the bodies that are free.
+
+    Those that a cyclic joint carries are made heavier and no more: it has to stay cyclic.
+    """
+    rng, changed, model = np.random.default_rng(1), {}, system.model
+    carried = {system.joints[k] for k in structure.cyclic}
+    for i in range(2, model.njoints):
+        if model.parents[i] in carried:
+            carried.add(i)
+    for i in structure.free:
+        own = model.inertias[i + 1]
+        if i + 1 in carried:
+            factor = rng.uniform(1.2, 1.5)
+            changed[i + 1] = pin.Inertia(factor * own.mass, own.lever, factor * own.inertia)
+            continue
+        reach = radius_of_gyration(own) + 1e-3 * float(np.linalg.norm(own.lever))
+        A = reach * rng.normal(size=(3, 3))
+        spread = own.mass * A @ A.T
+        moments = own.inertia + np.trace(spread) * np.eye(3) - spread
+        lever = own.lever + reach * rng.normal(size=3)
+        changed[i + 1] = pin.Inertia(own.mass * rng.uniform(0.5, 1.5), lever, moments)
+    return system.with_inertias(changed)
+
+
+def _in_space(
+    system: System,
+    pose: Array,
+    line: Array,
+    pushed: Array,
+    time: float,
+    com: Array,
+    H: Array,
+    v: Array,
+) -> BaseInSpace:
+    """Return the base as seen from space, by Pinocchio's mass matrix and the group's own turns.
+
+    pose: its place is not read, for it follows the centre of mass.  com: (3,) in the body's frame.
+    v: (n,) relative to the centre of mass.
+    """
+    group, k = system.group, system.group.linear
+    c0, v0, fall = line.reshape(3, k)
+    c, velocity = c0 + v0 * time + 0.5 * fall * time**2, v0 + fall * time
+    if pushed.size:
+        c, velocity = c + pushed[:k], velocity + pushed[k:] / system.mass
+    attitude, whole = pose[k:], v.copy()
+    whole[:k] += group.turned_back(attitude, velocity)
+    place = c - group.turned(attitude, translations(system).T @ com)
+    there, mu = np.append(place, attitude), H[: system.r] @ whole
+    return BaseInSpace(there, whole[: system.r], mu, group.spatial_momentum(there, mu))
 
 
 def _with_known_momentum(kernel: Kernel, H: Array, v: Array) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..forces.force_model import ForceModel
+from ..reduction.tree.free_bodies import free_numbers
 from ..system.system import System
 from .layout import Layout, Outputs, Structure, outputs_of
 from .machine.native import NativeCode
@@ -57,7 +58,10 @@ class Kernel:
 
     def random_parameters(self, rng: np.random.Generator) -> Array:
         """Return parameters (p,) with which code made of this kernel is compared with it."""
-        parameters = rng.normal(size=self.layout.parameters)
+        layout = self.layout
+        parameters = rng.normal(size=layout.parameters)
+        bodies = free_numbers(self.system, layout.free)
+        parameters[layout.bodies_at : layout.bodies_at + len(bodies)] = bodies
         if self.forces is not None:
             first = self.layout.parameters - self.layout.numbers
             parameters[first:] = self.forces.random_numbers(rng)

@@ -8,6 +8,7 @@ from typing import Any
 
 from ..forces.force_model import ForceModel
 from ..reduction.base_parts import BaseParts, base_parts
+from ..reduction.tree.free_bodies import NUMBERS
 from ..system.system import System
 
 
@@ -17,7 +18,8 @@ class Structure:
 
     zero_momentum: of the base.  cyclic: indices of the cyclic joints.  gravity: which axes of the
     root joint's fixed frame the part of it has that acts on the shape or turns a pivoted base.
-    base: whether the base is asked for.  lifted: whether a quaternion of any length
+    base: whether the base is asked for.  free: indices of the bodies, 0 for the root, whose mass,
+    centre and moments are parameters.  lifted: whether a quaternion of any length
     stands for the angular momentum, μ = q̄ J q, which grows as the square of that length.
     Under this map (Cayley and Klein's) of ℝ⁴ to so(3)* the canonical bracket becomes that of
     Lie and Poisson, so that a symplectic method for (x, π, q) is a Poisson map of (x, π, μ).
@@ -28,6 +30,7 @@ class Structure:
     gravity: tuple[int, ...] = ()
     base: bool = True
     lifted: bool = False
+    free: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,9 @@ class Layout:
 
     active, cyclic, prescribed: indices of shape joints.  base: the parts of the base that
     are integrated, and its constants.  clock: 1 if the time is the last number of y, else 0.
-    gravity: axes along which gravity is a parameter.  numbers: how many numbers the forces have.
+    gravity: axes along which gravity is a parameter.  free: bodies whose inertias are.  line: how
+    many numbers say where the centre of mass begins, how fast, and how it falls, where forces see
+    that.  numbers: how many numbers the forces have.
     """
 
     active: tuple[int, ...]
@@ -47,6 +52,8 @@ class Layout:
     heavy: bool
     clock: int
     gravity: tuple[int, ...]
+    free: tuple[int, ...]
+    line: int
     numbers: int
 
     @property
@@ -62,12 +69,22 @@ class Layout:
     @property
     def parameters(self) -> int:
         """Number of parameters."""
-        return self.gravity_at + len(self.gravity) + self.numbers
+        return self.line_at + self.line + self.numbers
+
+    @property
+    def bodies_at(self) -> int:
+        """Index in the parameters of the first number of a body."""
+        return self.gravity_at + len(self.gravity)
 
     @property
     def gravity_at(self) -> int:
         """Index in the parameters of the first number of gravity."""
         return self.base.spin + len(self.cyclic)
+
+    @property
+    def line_at(self) -> int:
+        """Index in the parameters of the first number of the centre of mass's path."""
+        return self.bodies_at + NUMBERS * len(self.free)
 
     @property
     def quaternion(self) -> int:
@@ -120,9 +137,10 @@ def layout_of(system: System, structure: Structure, forces: ForceModel | None) -
     """Return where things stand in y and in the parameters of a kernel of this structure."""
     prescribed = forces.joints if forces is not None else ()
     heavy = system.group.is_pivot and bool(structure.gravity)
+    sees = forces is not None and (forces.sees_attitude or forces.sees_place)
     parts = base_parts(
         system.group,
-        wanted=structure.base or structure.lifted,
+        wanted=structure.base or structure.lifted or sees,
         heavy=heavy,
         wrench=forces is not None and forces.has_wrench,
         zero_momentum=structure.zero_momentum,
@@ -136,5 +154,7 @@ def layout_of(system: System, structure: Structure, forces: ForceModel | None) -
         heavy=heavy,
         clock=int(forces is not None and forces.needs_time),
         gravity=structure.gravity,
+        free=structure.free,
+        line=3 * system.group.linear if forces is not None and forces.sees_place else 0,
         numbers=len(forces.numbers) if forces is not None else 0,
     )

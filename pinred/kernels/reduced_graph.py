@@ -6,8 +6,10 @@ The graph contains nothing that a scene does not need.  The reduced state is
         integrated, and the time, if anything depends on it
 
 and the parameters are the angular momentum of the base where it is a constant, the momenta
-of the cyclic joints, gravity where it acts [m/s²], and the numbers in the forces.  A joint is
-cyclic if nothing depends on its angle and nothing acts on it: then its momentum is constant.
+of the cyclic joints, gravity where it acts [m/s²], the inertias of bodies that are free, start,
+velocity and fall of the centre of mass where forces see these, and the numbers in the forces.
+A joint is cyclic if nothing depends on its angle and nothing acts on it: then its momentum is
+constant.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from ..reduction.base_parts import root_of
 from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..reduction.tree.articulated_sweep import sweep
 from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.free_bodies import NUMBERS, total_mass, with_free
 from ..reduction.tree.limbs import Lanes
 from ..reduction.tree.momenta import centre_of_mass
 from ..reduction.tree.scalars import Scalar, Vec, add, dot, mul, sub
@@ -44,8 +47,11 @@ class ReducedGraph:
         lanes: if given, limbs of one build are computed at once, and the Functions are for
         `compile_object` with the marks of `lanes` alone.
         """
-        self._system, self._forces, self._lanes = system, forces, lanes
-        self._bodies = bodies_of(system)
+        self.system, self.forces, self._lanes = system, forces, lanes
+        inertias = [ca.SX.sym(f"Y{k}") for k in range(NUMBERS * len(structure.free))]
+        self._inertias = inertias
+        self._bodies = with_free(bodies_of(system), structure.free, inertias)
+        self._mass = total_mass(self._bodies) if structure.free else system.mass
         group, m = system.group, system.m
         self.layout = layout_of(system, structure, forces)
         self._gravity = [ca.SX.sym(f"g{axis}") for axis in structure.gravity]
@@ -53,9 +59,12 @@ class ReducedGraph:
         self.x = [ca.SX.sym(f"x{k}") for k in range(m)]
         self.pi = [ca.SX.sym(f"pi{k}") for k in range(m)]
         turned = self._weight if self.layout.heavy else None
-        self.base = BaseGraph(system, self.layout.base, turned, lifted=structure.lifted)
+        self.base = BaseGraph(
+            system, self.layout.base, turned, lifted=structure.lifted, mass=self._mass
+        )
         self._t = ca.SX.sym("t")
         prescribed = self.layout.prescribed
+        self._line = [ca.SX.sym(f"line{k}") for k in range(self.layout.line)]
         self._numbers = [ca.SX.sym(f"p{k}") for k in range(self.layout.numbers)]
         self._angles = ca.vertcat(ca.SX(0, 1), *self.x)  # by which energies are differentiated
         given = self._given()
@@ -97,7 +106,8 @@ class ReducedGraph:
     def parameters(self) -> ca.SX:
         """The parameters, (parameters,)."""
         constant = [self.pi[k] for k in self.layout.cyclic]
-        return _column(self.base.spin, constant, self._gravity, self._numbers)
+        free = (*self._gravity, *self._inertias, *self._line)
+        return _column(self.base.spin, constant, list(free), self._numbers)
 
     def rate(self) -> ca.Function:
         """Return the vector field (y, parameters) → dy/dt."""
@@ -117,7 +127,7 @@ class ReducedGraph:
         The time is not repeated where it is the last number of y.  c0, v0, g: (k,) start,
         velocity and fall of the centre of mass, in the root joint's fixed frame.
         """
-        system, k = self._system, self._system.group.linear
+        system, k = self.system, self.system.group.linear
         com, places = self.com(), [self.x[j] for j in self.layout.prescribed]
         momenta = [self._driven_pi.get(j, self.pi[j]) for j in range(system.m)]
         about = self._mu[k:]
@@ -139,21 +149,21 @@ class ReducedGraph:
     def _potential(self, com: Vec) -> Scalar:
         """Return V(x), and the potential energy of a pivoted body's weight."""
         energy: Scalar = 0.0
-        if self._forces is not None:
-            value = self._forces.potential_function(_column(self.x), _column(self._numbers))
+        if self.forces is not None:
+            value = self.forces.potential_function(_column(self.x), _column(self._numbers))
             energy = add(energy, _scalars(value)[0])
         if self._weight is not None:
             weight = self.base.body_weight() or self._weight
-            origin = dot(self._weight, root_of(self._system).origin.tolist())
+            origin = dot(self._weight, root_of(self.system).origin.tolist())
             energy = sub(energy, add(dot(weight, com), origin))
         return energy
 
     def _q(self, pose: list[Scalar]) -> list[Scalar]:
         """Return Pinocchio's configuration."""
-        y, q = [*pose, *joint_values(self._system, self.x)], [0.0] * self._system.model.nq
-        for i, at in self._system.plain:
+        y, q = [*pose, *joint_values(self.system, self.x)], [0.0] * self.system.model.nq
+        for i, at in self.system.plain:
             q[at] = y[i]
-        for i, at in self._system.angles:
+        for i, at in self.system.angles:
             q[at], q[at + 1] = ca.cos(y[i]), ca.sin(y[i])
         return q
 
@@ -166,29 +176,38 @@ class ReducedGraph:
         """Return the weight m g that acts on the shape or turns a pivoted base, if there is one."""
         weight: Vec = [0.0, 0.0, 0.0]
         for axis, g in zip(structure.gravity, self._gravity, strict=True):
-            weight[axis] = mul(self._system.mass, g)
+            weight[axis] = mul(self._mass, g)
         return weight if structure.gravity else None
 
     def com(self) -> Vec:
         """Return the centre of mass in the root body's own frame, from the joints' placements."""
-        return centre_of_mass(self._bodies, joint_values(self._system, self.x))
+        return centre_of_mass(self._bodies, joint_values(self.system, self.x))
 
     def _given(self) -> list[Scalar]:
         """Return positions and then rates of the prescribed joints."""
-        if self._forces is None or not self.layout.prescribed:
+        if self.forces is None or not self.layout.prescribed:
             return []
-        x, xdot, _ = self._forces.prescribed_function(self._t, _column(self._numbers))
+        x, xdot, _ = self.forces.prescribed_function(self._t, _column(self._numbers))
         return _scalars(x) + _scalars(xdot)
 
     def _acting(self, mu: list[Scalar]) -> tuple[list[Scalar], list[Scalar]]:
         """Return torques (m,) and the wrench, (r,) or none, of the forces."""
-        if self._forces is None:
-            return [0.0] * self._system.m, []
-        columns = (self.x, self.xdot, self.xi, mu, self._numbers)
+        if self.forces is None:
+            return [0.0] * self.system.m, []
+        columns = (self.x, self.xdot, self.xi, mu, self._numbers, *self._in_space(mu))
         state = [_column(list(column)) for column in columns]
-        torque, wrench = self._forces.acting_function(self._t, *state)
-        on_base = _scalars(wrench) if self._forces.has_wrench else []
+        torque, wrench = self.forces.acting_function(self._t, *state)
+        on_base = _scalars(wrench) if self.forces.has_wrench else []
         return _scalars(torque), on_base
+
+    def _in_space(self, mu: list[Scalar]) -> list[list[Scalar]]:
+        """Return pose, body twist, body and spatial momentum, if a force sees any of it."""
+        group, forces = self.system.group, self.forces
+        if forces is None or not (forces.sees_attitude or forces.sees_place):
+            return [[0.0] * group.size, *([0.0] * group.dim for _ in range(3))]
+        line: list[Scalar] = [*self._line] or [0.0] * (3 * group.linear)
+        full = self.base.full(self.xi, mu, self.com(), self._t, line)
+        return [full.pose, full.xi, full.body_momentum, full.spatial_momentum]
 
     def _with_loads(self, pidot: list[Scalar], acting: list[Scalar]) -> list[Scalar]:
         """Add the forces of weight and wrench on the shape: −∂/∂x of F·c, in the body's frame.
@@ -196,8 +215,8 @@ class ReducedGraph:
         The weight pulls at the centre of mass; a force on the base moves the frame of the
         centre of mass, in which the shape is pushed the other way.
         """
-        m = self._system.m
-        angles = joint_values(self._system, ca.vertsplit(self._angles) if m else [])
+        m = self.system.m
+        angles = joint_values(self.system, ca.vertsplit(self._angles) if m else [])
         com = centre_of_mass(self._bodies, angles)
         loads: list[tuple[Scalar, Scalar]] = []  # of each coordinate of c: name and value
         energy: Scalar = 0.0

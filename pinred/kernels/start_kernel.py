@@ -22,6 +22,7 @@ from ..reduction.potential import translations
 from ..reduction.tree.all_joints import joint_values
 from ..reduction.tree.articulated_sweep import sweep
 from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.free_bodies import NUMBERS, total_mass, with_free
 from ..reduction.tree.momenta import centre_of_mass, momenta
 from ..reduction.tree.scalars import Scalar
 from ..system.system import System
@@ -86,7 +87,7 @@ def start_kernel(system: System, given: TwistOrMomentum) -> StartKernel:
         key = cache_key(model_bytes(system), f"start from {given}")
         code = cache.get(key)
         if code is None:
-            code = compile_object(_graph(system, given), _NAME)
+            code = compile_object(start_graph(system, given), _NAME)
             cache.put(key, code)
         kernel = StartKernel(system, load_object(code, _NAME))
         with telling_scale(system):
@@ -96,27 +97,33 @@ def start_kernel(system: System, given: TwistOrMomentum) -> StartKernel:
     return once(system, (StartKernel, given), make)
 
 
-def _graph(system: System, given: TwistOrMomentum) -> ca.Function:
+def start_graph(system: System, given: TwistOrMomentum, free: tuple[int, ...] = ()) -> ca.Function:
+    """Return the start as a Function of (pose, x, ẋ, ξ or μ) and of the numbers of free bodies."""
+    numbers = ca.SX.sym("numbers", NUMBERS * len(free))
+    bodies = with_free(bodies_of(system), free, ca.vertsplit(numbers) if free else [])
+    mass = total_mass(bodies) if free else system.mass
     group, m, r = system.group, system.m, system.r
     k = group.linear
     pose, x, xdot = ca.SX.sym("pose", group.size), ca.SX.sym("x", m), ca.SX.sym("xdot", m)
     motion = ca.SX.sym("motion", r)
-    base = BaseGraph(system, BaseParts(attitude=group.size - k), None)
+    base = BaseGraph(system, BaseParts(attitude=group.size - k), None, mass=mass)
     joints = joint_values(system, ca.vertsplit(x) if m else [])
-    com = centre_of_mass(bodies_of(system), joints)
-    p = momenta(system, x, ca.vertcat(motion, xdot))
+    com = centre_of_mass(bodies, joints)
+    p = momenta(system, x, ca.vertcat(motion, xdot), bodies=bodies)
     mu = ca.vertsplit(p[:r] if given == "xi" else motion)
     about = base.about(com, mu)
-    velocity = [P / system.mass for P in mu[:k]]
+    velocity = [P / mass for P in mu[:k]]
     if given == "xi":
         carried = ca.vertcat(*velocity, ca.SX(r - k + m, 1))
         pi: list[Scalar] = (
-            ca.vertsplit((p - momenta(system, x, ca.densify(carried)))[r:]) if m else []
+            ca.vertsplit((p - momenta(system, x, ca.densify(carried), bodies=bodies))[r:])
+            if m
+            else []
         )
     else:
         armature = float(system.model.armature[0])
         found = sweep(
-            bodies_of(system), joints, [0.0] * m, [0.0] * k + about, group.axes, armature,
+            bodies, joints, [0.0] * m, [0.0] * k + about, group.axes, armature,
             dict(enumerate(ca.vertsplit(xdot))) if m else {}, coupled=system.coupled,
         )  # fmt: skip
         pi = found.pi
@@ -129,7 +136,9 @@ def _graph(system: System, given: TwistOrMomentum) -> ca.Function:
     if attitude:
         out = ca.substitute(out, ca.vertcat(*base.attitude), ca.vertcat(*attitude))
     inputs = ca.vertcat(pose, x, xdot, motion)
-    return ca.Function(_NAME, [inputs, ca.SX.sym("none")], [ca.densify(out)], {"cse": True})
+    return ca.Function(
+        _NAME, [inputs, numbers if free else ca.SX.sym("none")], [ca.densify(out)], {"cse": True}
+    )
 
 
 def _judge(kernel: StartKernel, given: TwistOrMomentum) -> None:

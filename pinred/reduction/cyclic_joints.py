@@ -23,15 +23,19 @@ _NO_DEPENDENCE = 1e-12  # of a joint's own kinetic energy at usual rates
 _ROUND_OFF = 2e-14  # of what its subtree would have at the end of the robot
 
 
-def cyclic_joints(red: Reduction, touched: Collection[int] = ()) -> tuple[int, ...]:
+def cyclic_joints(
+    red: Reduction, touched: Collection[int] = (), *, pushed: bool = False
+) -> tuple[int, ...]:
     """Return the indices of the joints that leave mass matrix and potential unchanged.
 
     touched: joints that something else acts on, or whose position something depends on.  Where
     gravity turns a pivoted base, its centre of mass must not move with the joint; where gravity
     breaks the symmetry otherwise, there is no potential on the shape, and no joint is cyclic.
+    pushed: whether a force acts on the base: momenta are those in the frame of the centre of
+    mass, in which it changes that of what moves this along the group.
     """
     system = red.system
-    r, m = system.r, system.m
+    r, m, k = system.r, system.m, system.group.linear
     rng = np.random.default_rng(0)
     depends = np.zeros(m, dtype=bool)
     depends[list(touched)] = True
@@ -47,6 +51,9 @@ def cyclic_joints(red: Reduction, touched: Collection[int] = ()) -> tuple[int, .
         for derivative, rates in ((at.dI, b * b.T), (dIA, b * s.T), (at.dM, s * s.T)):
             forces = np.abs(derivative) * rates[:, :, None] * unit[r:]
             depends |= (forces > none).reshape(-1, m).any(axis=0)
+        if pushed:
+            carried = np.abs(at.mass_matrix[:k, r:]) * unit[:k, None] * unit[r:]
+            depends |= (carried > none).any(axis=0)
         weight = float(np.linalg.norm(system.gravity))
         if heavy:
             moved = system.mass * np.abs(slope).max(axis=0)
@@ -90,6 +97,9 @@ def _nothing(system: System, data: pin.Data, H: Array) -> tuple[Array, Array]:
     return unit, np.maximum(_NO_DEPENDENCE * own, _ROUND_OFF * terms)
 
 
-def cyclic_of(system: System, touched: frozenset[int]) -> tuple[int, ...]:
+def cyclic_of(system: System, touched: frozenset[int], *, pushed: bool) -> tuple[int, ...]:
     """Return the cyclic joints of a system that are not touched; found once."""
-    return system.workspace((cyclic_of, touched), lambda: cyclic_joints(Reduction(system), touched))
+    return system.workspace(
+        (cyclic_of, touched, pushed),
+        lambda: cyclic_joints(Reduction(system), touched, pushed=pushed),
+    )

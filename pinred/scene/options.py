@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method
+from .event import Event
 from .scene import WantedOutputs
 
 
@@ -34,6 +35,7 @@ class SceneOptions(TypedDict, total=False):
     prescribed: Mapping[str, Signal | float | str]
     passive: bool
     friction: float | None
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, ArrayLike]
+    events: Sequence[Event] | Event
     outputs: WantedOutputs
     method: Method | str

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
@@ -13,33 +13,37 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats, dimensions, entries_of, positive, read_only, vector
 from ..common.defaults import Default, is_given
-from ..common.errors import InputError, ShapeError
+from ..common.errors import InputError
 from ..common.plain_names import brief, listed, one_of
 from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method
+from ..system.body_parameters import Bodies
 from ..system.system import System, checked_system
 from . import forms
 from .angles import refuse_vague
+from .controls import check_span
+from .event import Event, checked_events, watched_of
 from .initial_state import GivenStates, Start, start_of
 from .passive import acting_passive, checked_passive, passive_left_out
-from .random_state import DURATION, random_state
+from .random_state import random_state
+from .report_times import EVEN_TIMES as EVEN_TIMES
+from .report_times import report_times
 from .tolerances import check_tolerances, with_tolerances
 
 if TYPE_CHECKING:
+    from ..common.parameter import Parameter
     from ..forces.force_model import ForceModel
+    from ..forces.watched import Watched
 
 Engine: TypeAlias = Literal["compiled", "pinocchio"]
 WantedOutputs: TypeAlias = Literal["all", "shape"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 OUTPUTS: tuple[WantedOutputs, ...] = get_args(WantedOutputs)
-EVEN_TIMES = 201  # report times, where the scene does not say
 TIGHTEST = 1e-14  # relative tolerance; below it round-off decides the step
 # Momenta are integrated, and rates are wanted: where a light joint sits beside heavy ones, a
 # small part of a large momentum is a ten times larger part of the light joint's rate.
 MOMENTUM_MARGIN = 10.0
-MOST_CALLS = 1_000_000  # of one controller; each ends a run of the integrator
-_COUNTS = np.arange(float(EVEN_TIMES))
 _STATE = ("x0", "xdot0", "xi0", "momentum", "q0", "v0")
 _STAND_FOR = {  # an option: what it is, and those that it stands for
     "seed": ("a whole random state", _STATE),
@@ -71,7 +75,12 @@ class Scene:
     passive: whether springs and dampers in the robot's file act (System.passive).  friction: the
     rate [rad/s | m/s] within which dry friction in the file turns round, τ = −most·tanh(ẋ/width);
     None leaves it out.
-    parameters: {name: value} of each Parameter in forces and signals that is to have another.
+    parameters: {name: value} of Parameters in forces and signals that are to have another, and of
+    bodies, by a link or joint: "hand.mass", "hand.com", "hand.inertia" (xx, xy, xz, yy, yz, zz
+    about the centre), "hand.payload.mass" and "hand.payload.at", a point mass on it, or
+    "hand.log_cholesky"; those bodies' inertias are inputs of the kernel.
+    events: moments to find (see Event); a terminal one ends the motion, and so the scene of the
+    Trajectory.
     outputs: "all", or "shape" to leave out the base.
     method: an integrator of pinred.integrators, or as text: "DOP853", "RKMK4(0.01)".  One with
     step control works to rtol and atol, or to its own tolerances if it has them: not both.
@@ -101,12 +110,14 @@ class Scene:
     prescribed: Mapping[str, Signal | float | str] = field(default_factory=dict)
     passive: bool = False
     friction: float | None = None
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, ArrayLike] = field(default_factory=dict)
+    events: Sequence[Event] | Event = ()
     outputs: WantedOutputs = "all"
     method: Method | str = "auto"
 
     def __post_init__(self) -> None:
         checked_system(self.system, "a scene")
+        self._vary_bodies()
         given = [name for name in _STATE if getattr(self, name) is not None]
         for name, (what, others) in _STAND_FOR.items():
             if getattr(self, name) is None:
@@ -143,32 +154,19 @@ class Scene:
             self._keep(name, forms.in_order(getattr(self, name), self.system, name))
         if self.duration is not None:
             self._keep("duration", positive(self.duration, "duration"))
-        self._keep("_times", read_only(self._checked_times()))
+        self._keep("_times", read_only(report_times(self.times, self.duration, self.system)))
         self._check_forces()
         self._keep("_given", self._resolve())
 
-    def _repr_html_(self) -> str:
-        from ..common.html import card, line, numbers, table
+    def __reduce__(self) -> tuple[Any, ...]:
+        options = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        options |= {"system": self.system.nominal, "parameters": dict(self.parameters)}
+        return _scene_of, (options,)
 
-        system, start = self.system, self.start
-        rows = zip(system.shape_names, start.x.tolist(), start.xdot.tolist(), strict=True)
-        forces: tuple[Force, ...] = vars(self)["forces"]
-        acting = [
-            *((f"spring {name}", str(spring)) for name, spring in self.springs.items()),
-            *((force.label, repr(force)) for force in forces),
-            *((f"{force.label}, of the file", repr(force)) for force in self.own_forces),
-            *((f"prescribed {name}", repr(plan)) for name, plan in self.prescribed.items()),
-        ]
-        method = self.integrator or self.method
-        return card(
-            f"Scene of {system.name}",
-            f"{self.end:g} s, {len(self.report_times)} times, rtol {self.rtol:g}, "
-            f"atol {self.atol:g}, {method}, outputs '{self.outputs}'",
-            table("start", ["joint", "x", "rate"], rows),
-            line(f"twist of the base: {numbers(start.xi)}"),
-            line(f"pose of the base: {numbers(start.pose)}"),
-            table("acting", ["", ""], acting),
-        )
+    def _repr_html_(self) -> str:
+        from .card import scene_card
+
+        return scene_card(self)
 
     @cached_property
     def start(self) -> Start:
@@ -205,6 +203,29 @@ class Scene:
         return model
 
     @property
+    def varied_bodies(self) -> Bodies | None:
+        """The bodies whose inertias are among the parameters; None if there are none."""
+        found: Bodies | None = vars(self)["_bodies"]
+        return found
+
+    @property
+    def free_bodies(self) -> tuple[int, ...]:
+        """Their indices, 0 for the root."""
+        return () if self.varied_bodies is None else self.varied_bodies.free
+
+    @property
+    def events_given(self) -> tuple[Event, ...]:
+        """The events, in order."""
+        events: tuple[Event, ...] = vars(self)["events"]
+        return events
+
+    @property
+    def watched(self) -> Watched | None:
+        """The expressions of the events; None if there are none."""
+        watched: Watched | None = vars(self)["_watched"]
+        return watched
+
+    @property
     def own_forces(self) -> tuple[Force, ...]:
         """What acts of the springs, dampers and friction in the robot's file."""
         return acting_passive(self.system, passive=self.passive, friction=self.friction)
@@ -223,6 +244,17 @@ class Scene:
 
     def _keep(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
+
+    def _vary_bodies(self) -> None:
+        """Give bodies the inertias among the parameters; the system is then one that has them."""
+        if not isinstance(self.parameters, Mapping):
+            raise InputError(f"parameters must be {{name: value}}, got {brief(self.parameters)}")
+        nominal = self.system.nominal
+        bodies = Bodies(nominal, list(self.parameters))
+        self._keep("_bodies", bodies if bodies.free else None)
+        values = bodies.checked(self.parameters)
+        self._keep("_values", values)
+        self._keep("system", bodies.system(values) if bodies.free else nominal)
 
     def _check_forces(self) -> None:
         """Write the forces down, if there are any."""
@@ -245,61 +277,44 @@ class Scene:
         }
         self._keep("forces", forces)
         self._keep("prescribed", prescribed)
+        watched = self._check_events()
         if not (self.springs or forces or own or prescribed):
             self._keep("_forces", None)
-            self._check_parameters(())
+            self._check_parameters([each.name for each in watched])
             return
         from ..forces.force_model import remembered_model  # needs CasADi
 
         model = remembered_model(self.system, self.springs, (*forces, *own), prescribed)
-        self._check_parameters([each.name for each in model.parameters])
+        self._check_parameters([each.name for each in (*model.parameters, *watched)])
         model = model.with_values(self.parameters)
-        for signal in (*model.signals, *model.references):
-            first, last = signal.span
-            if not first <= 0.0 <= self.end <= last:
-                raise InputError(
-                    f"{signal!r} is defined from {first:g} to {last:g} s, "
-                    f"but the scene goes from 0 to {self.end:g} s"
-                )
-        for controller, _ in model.held:
-            if self.end / controller.period > MOST_CALLS:
-                raise InputError(
-                    f"a period of {controller.period:g} s would call {controller.name} more than "
-                    f"{MOST_CALLS} times in {self.end:g} s"
-                )
+        check_span(model, self.end, base=self.outputs == "all")
         self._keep("_forces", model)
+
+    def _check_events(self) -> Sequence[Parameter]:
+        """Write the events down, if there are any; return the Parameters in them."""
+        events = checked_events(self.events)
+        self._keep("events", events)
+        watched = watched_of(self.system, events, base=self.outputs == "all")
+        self._keep("_watched", watched)
+        return () if watched is None else watched.parameters
 
     def _check_parameters(self, known: Sequence[str]) -> None:
         """Keep the parameters as numbers.  Raises InputError for names that nothing has."""
-        if not isinstance(self.parameters, Mapping):
-            raise InputError(f"parameters must be {{name: value}}, got {brief(self.parameters)}")
-        values = {}
+        values: dict[str, Any] = {}
         for name, value in self.parameters.items():
+            if name in vars(self)["_values"]:
+                found: Array = vars(self)["_values"][name]
+                values[name] = read_only(found) if found.size > 1 else float(found[0])
+                continue
             if name not in known:
                 raise InputError(
                     f"parameters: no Parameter '{name}' in the forces and signals of the scene; "
                     f"those are {listed(known, 60) or 'none'}"
                 )
-            values[name] = float(vector([value], 1, f"parameters['{name}']")[0])
-        self._keep("parameters", MappingProxyType(values))
-
-    def _checked_times(self) -> Array:
-        if self.times is None:
-            own = self.system.initial.duration if self.system.initial else DURATION
-            last = own if self.duration is None else float(self.duration)
-            return _even_times(last)
-        times = np.atleast_1d(as_floats(self.times, "times")).copy()
-        end = np.inf if self.duration is None else float(self.duration)
-        if times.ndim != 1 or times.size == 0 or not np.isfinite(times).all():
-            raise ShapeError("times must be a vector of finite times")
-        if (np.diff(times) <= 0.0).any() or times[0] < 0.0 or times[-1] > end:
-            raise InputError(
-                f"times must increase from 0 or later to the duration at most ({end:g} s), "
-                f"got {times[0]:g} … {times[-1]:g}"
+            values[name] = float(
+                vector(np.ravel(as_floats(value, name)), 1, f"parameters['{name}']")[0]
             )
-        if self.duration is None:
-            positive(times[-1], "the last of times, which stands for the duration,")
-        return times
+        self._keep("parameters", MappingProxyType(values))
 
     def _resolve(self) -> GivenStates:
         system = self.system
@@ -341,6 +356,11 @@ class Scene:
         return x, xdot
 
 
+def _scene_of(options: dict[str, Any]) -> Scene:
+    """Return a scene that was pickled."""
+    return Scene(**options)
+
+
 def checked_keyframe(system: System, name: str) -> str:
     """Return the name of a keyframe if the robot has it.  Raises InputError."""
     if not one_of(name, system.keyframes):
@@ -366,12 +386,6 @@ def _listed_forces(given: Any) -> tuple[Any, ...]:
     if entries is None:
         raise InputError(f"forces must be a list of those of pinred.forces, got {brief(given)}")
     return tuple(entries)
-
-
-def _even_times(last: float) -> Array:
-    times: Array = _COUNTS * (last / _COUNTS[-1])
-    times[-1] = last
-    return times
 
 
 def _or_zero(value: Any, size: int, what: str, labels: Any = ()) -> Array:

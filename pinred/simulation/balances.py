@@ -101,7 +101,7 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
         out = np.empty((len(t), len(labels)))
         for k, (s, numbers) in enumerate(seen):
             out[k, : len(forces.labels)] = forces.powers(
-                float(t[k]), s.x, s.xdot, s.xi, s.mu, numbers, full.xi[k]
+                float(t[k]), s.x, s.xdot, s.xi, s.mu, numbers, full.xi[k], s.base
             )
         if forces.joints:
             drive = driving_torques(plan, t, seen)
@@ -127,7 +127,7 @@ def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalan
             out[k] = axes.T @ (parts @ placement.rotation).ravel()
         if forces is not None and plan.acting.wrench:
             body = [
-                forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers).wrench
+                forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers, s.base).wrench
                 for time, (s, numbers) in zip(t, motion.samples(t), strict=True)
             ]
             out += system.group.spatial_momentum(full.pose, np.array(body))

@@ -35,7 +35,7 @@ def driving_torques(plan: Plan, t: Array, seen: list[tuple[Sample, Array]]) -> A
     driven, free = np.array(plan.acting.driven), np.array(plan.acting.free, dtype=np.intp)
     out = np.empty((len(t), len(driven)))
     for k, (time, (s, numbers)) in enumerate(zip(t, seen, strict=True)):
-        acting = forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers)
+        acting = forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers, s.base)
         at = red.at(s.x)
         torque = acting.torque - gravity.gradient(s.x)
         wrench = acting.wrench.copy()

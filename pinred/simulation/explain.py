@@ -12,11 +12,32 @@ def explain(plan: Plan) -> str:
     """Return what the compiled engine skips and how many numbers it integrates, as lines."""
     lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=_begins_without(plan))]
     lines.append(f"integrated: {integrated(plan)}")
+    lines += seen_and_integrated(plan)
     if note := large_angles(plan.scene.given.x[0], plan.system):
         lines.append(f"note: {note}")
     if plan.scene.left_out:
         lines.append(f"left out: {plan.scene.left_out}")
     return "\n".join([*lines, f"method: {plan.method.name} ({plan.choice.why})"])
+
+
+def seen_and_integrated(plan: Plan) -> list[str]:
+    """Return what forces see of the base, and why momentum is integrated or constant."""
+    forces = plan.forces
+    if forces is None:
+        return []
+    lines = []
+    what = [
+        *(["attitude"] if forces.sees_attitude else []),
+        *(["place or speed"] if forces.sees_place else []),
+    ]
+    if what:
+        lines.append(f"seen by forces: {' and '.join(what)} of the base")
+    if forces.acting_on_base:
+        labels = ", ".join(dict.fromkeys(forces.acting_on_base))
+        lines.append(f"integrated for wrenches: momentum, which {labels} changes")
+    elif what and not plan.acting.momentum_changes:
+        lines.append("constant: momentum, for torques do not change it, whatever they see")
+    return lines
 
 
 def integrated(plan: Plan) -> str:

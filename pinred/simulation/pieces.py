@@ -2,55 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
 from ..common.arrays import Array
 from ..system.system import Indices
+from .control import Control, ControlAction, Replay
+from .events import Found, Watch, ended
+from .piece import Flow, Integrate, Piece
 from .plan import Plan
 from .state import Sample, ShapeState, State
-from .stops import begin_stretch
-
-
-class Flow(Protocol):
-    """The flow of a scene on one of the routes: see ReducedFlow and CompiledFlow."""
-
-    y0: Array
-    numbers: Array
-
-    def sample(self, t: float, y: Array, numbers: Array) -> Sample:
-        """Return what forces see at one time.  numbers: those in the forces then."""
-
-    def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
-        """Return the full states at times (T,) of reduced states (T, k)."""
-
-    def rates(self, t: Array, y: Array, numbers: Array) -> Array:
-        """Return dy/dt (T, k) at times (T,) of reduced states (T, k)."""
-
-
-@dataclass(frozen=True)
-class Piece:
-    """One run of an integrator.
-
-    knots: (K,) times of the ends of its steps, or of parts of long ones, from its start on [s].
-    at: from times (T,) within to reduced states (T, k).  numbers: those in the forces, during
-    it.
-    """
-
-    knots: Array
-    at: Callable[[Array], Array]
-    numbers: Array
-    steps: int
-    evaluations: int
-
-    @property
-    def end(self) -> float:
-        """The time at which it ends [s]."""
-        return float(self.knots[-1])
 
 
 @dataclass(frozen=True)
@@ -62,18 +26,27 @@ class Changes:
     rates: Array
 
 
-Integrate = Callable[[float, float, Array], Piece]  # from start, end and state there
-
-
 class Motion:
     """A solved scene: full states at any time."""
 
-    def __init__(self, flow: Flow, pieces: Sequence[Piece], *, varies: bool = False) -> None:
+    def __init__(
+        self,
+        flow: Flow,
+        pieces: Sequence[Piece],
+        *,
+        varies: bool = False,
+        actions: Sequence[ControlAction] = (),
+        watch: Watch | None = None,
+    ) -> None:
         """Take the flow and its pieces, in order.
 
         varies: whether full states follow from reduced ones differently in each piece.
+        actions: those of controllers on the way.  watch: what has looked for events.
         """
         self._flow, self._pieces, self._varies = flow, pieces, varies
+        self.actions = tuple(actions)
+        self.found: list[Found] = [] if watch is None else watch.found
+        self.ended_by = None if watch is None else watch.end
         self._ends = np.array([piece.end for piece in pieces])
 
     @property
@@ -91,9 +64,14 @@ class Motion:
         """Times of the ends of all steps, (K,) [s]."""
         return np.unique(np.concatenate([piece.knots for piece in self._pieces]))
 
+    @property
+    def replay(self) -> Replay:
+        """The actions of the controllers, for another simulation."""
+        return Replay(self._ends, [piece.numbers for piece in self._pieces])
+
     def states(self, t: Array) -> State | ShapeState:
         """Return the full states at times (T,)."""
-        y, last = self._reduced(t), self._pieces[-1].numbers
+        y, last = self.reduced(t), self._pieces[-1].numbers
         if not self._varies:
             return self._flow.states(t, y, last)
         which = self._which(t)
@@ -101,7 +79,7 @@ class Motion:
             int(k): self._flow.states(t[which == k], y[which == k], self._pieces[k].numbers)
             for k in np.unique(which)
         }
-        return _joined([parts[k] for k in sorted(parts)], np.argsort(which, kind="stable"))
+        return joined([parts[k] for k in sorted(parts)], np.argsort(which, kind="stable"))
 
     def numbers(self, t: Array) -> list[Array]:
         """Return the numbers (p,) in the forces at each of times (T,)."""
@@ -109,7 +87,7 @@ class Motion:
 
     def changes(self, t: Array) -> Changes:
         """Return reduced states and their rates at times (T,)."""
-        y, which = self._reduced(t), self._which(t)
+        y, which = self.reduced(t), self._which(t)
         rates = np.empty_like(y)
         for k in np.unique(which):
             some = which == k
@@ -133,7 +111,7 @@ class Motion:
 
     def samples(self, t: Array) -> list[tuple[Sample, Array]]:
         """Return what forces see at times (T,), and their numbers then."""
-        y, which = self._reduced(t), self._which(t)
+        y, which = self.reduced(t), self._which(t)
         return [
             (self._flow.sample(float(t[k]), y[k], numbers), numbers)
             for k, numbers in enumerate(self._pieces[j].numbers for j in which)
@@ -143,7 +121,8 @@ class Motion:
         """Return the piece of each time; where one ends, the next begins only after it."""
         return np.minimum(np.searchsorted(self._ends, t, side="left"), len(self._pieces) - 1)
 
-    def _reduced(self, t: Array) -> Array:
+    def reduced(self, t: Array) -> Array:
+        """Return the reduced states at times (T,), (T, k)."""
         if len(self._pieces) == 1:
             return self._pieces[0].at(t)
         y, which = np.empty((len(t), len(self._flow.y0))), self._which(t)
@@ -155,20 +134,32 @@ class Motion:
 def follow(plan: Plan, flow: Flow, integrate: Integrate) -> Motion:
     """Integrate a flow from stop to stop, setting the torques that controllers hold."""
     t, y = 0.0, flow.y0
+    control, watched = Control(plan.scene), plan.scene.watched
+    watch = None if watched is None else Watch(plan.scene, flow, watched)
+    stopping = watch.look if watch is not None and watch.may_end else None
     pieces: list[Piece] = []
-    for stop in plan.stops:
-        see = partial(flow.sample, t, y, flow.numbers)
-        begin_stretch(plan.scene, flow.numbers, t, stop, see)
-        piece = integrate(t, stop, y)
-        pieces.append(piece)
-        t = stop
-        if stop != plan.stops[-1]:
-            y = piece.at(np.array([stop]))[0]
+    for stop in plan.stops.tolist():
+        while t < stop:
+            until = control.begin(flow.numbers, t, stop, partial(flow.sample, t, y, flow.numbers))
+            piece = integrate(t, until, y, stopping)
+            if watch is not None and watch.look(piece):
+                pieces += ended(watch, piece, integrate)
+                return _motion(plan, flow, pieces, control, watch)
+            pieces.append(piece)
+            t = until
+            if t != plan.stops[-1]:
+                y = piece.at(np.array([t]))[0]
+    return _motion(plan, flow, pieces, control, watch)
+
+
+def _motion(
+    plan: Plan, flow: Flow, pieces: Sequence[Piece], control: Control, watch: Watch | None
+) -> Motion:
     varies = bool(plan.acting.driven) and len(pieces) > 1
-    return Motion(flow, pieces, varies=varies)
+    return Motion(flow, pieces, varies=varies, actions=control.calls, watch=watch)
 
 
-def _joined(parts: Sequence[State | ShapeState], order: Indices) -> State | ShapeState:
+def joined(parts: Sequence[State | ShapeState], order: Indices) -> State | ShapeState:
     """Return the states of all parts; order: (T,) where each row of them belongs."""
     kind = type(parts[0])
     back = np.argsort(order, kind="stable")

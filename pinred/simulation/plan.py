@@ -21,6 +21,7 @@ from ..kernels.layout import Layout, Structure, layout_of
 from ..reduction.cyclic_joints import cyclic_of
 from ..reduction.potential import acting_gravity, pivot_weight
 from ..scene.scene import Scene
+from ..system.body_parameters import Bodies
 from ..system.system import System
 from .choose_method import Choice, choose
 from .stops import stops_of
@@ -76,22 +77,30 @@ class Acting:
         """Whether gravity turns a pivoted base."""
         return bool(self.weight.any())
 
-    def kind(self, *, zero_momentum: bool, base: bool, symplectic: bool) -> Kind:
+    def kind(
+        self, *, zero_momentum: bool, base: bool, symplectic: bool, free: tuple[int, ...] = ()
+    ) -> Kind:
         """Return the terms there are, made once.
 
         zero_momentum: whether the angular momentum is exactly zero.  base: whether somebody asks
-        for the base.  symplectic: whether the integrator is.
+        for the base.  symplectic: whether the integrator is.  free: bodies whose inertias vary.
         """
         zero = zero_momentum and not self.momentum_changes
         # A constant angular momentum that turns in the body is a quaternion to symplectic methods.
         constant = self.system.group.turns == 3 and not (zero or self.momentum_changes)
         lifted = symplectic and constant
-        return once(self, (zero, base, lifted), lambda: self._kind(zero, base, lifted))
+        key = (zero, base, lifted, free)
+        return once(self, key, lambda: self._kind(*key))
 
-    def _kind(self, zero: bool, base: bool, lifted: bool) -> Kind:
+    def _kind(self, zero: bool, base: bool, lifted: bool, free: tuple[int, ...]) -> Kind:
         axes = tuple(np.flatnonzero(self.gravity).tolist())
         structure = Structure(
-            zero_momentum=zero, cyclic=self.cyclic, gravity=axes, base=base, lifted=lifted
+            zero_momentum=zero,
+            cyclic=self.cyclic,
+            gravity=axes,
+            base=base,
+            lifted=lifted,
+            free=free,
         )
         return Kind(self.system, self.forces, structure)
 
@@ -137,7 +146,10 @@ class Plan:
     def kind(self, *, zero_momentum: bool) -> Kind:
         """Return the terms there are if the angular momentum is exactly zero, or if it is not."""
         return self.acting.kind(
-            zero_momentum=zero_momentum, base=self.wanted, symplectic=self.method.symplectic
+            zero_momentum=zero_momentum,
+            base=self.wanted,
+            symplectic=self.method.symplectic,
+            free=self.scene.free_bodies,
         )
 
 
@@ -152,21 +164,30 @@ def plan_of(scene: Scene) -> Plan:
 def _plan(scene: Scene) -> Plan:
     system, forces = scene.system, scene.force_model
     # A force model belongs to one system.
-    acting = once(system if forces is None else forces, Acting, lambda: _acting(system, forces))
+    bodies = scene.varied_bodies
+    key = (Acting, *(bodies.parameters if bodies is not None else ()))
+    owner = system if forces is None else forces
+    acting = once(owner, key, lambda: _acting(system, forces, bodies))
     numbers = _NONE if forces is None else read_only(forces.numbers_from(0.0, scene.end))
     return Plan(scene, acting, read_only(stops_of(scene)), numbers)
 
 
-def _acting(system: System, forces: ForceModel | None) -> Acting:
+def _acting(system: System, forces: ForceModel | None, bodies: Bodies | None) -> Acting:
     weight = pivot_weight(system)
     driven = forces.joints if forces is not None else ()
+    pushed = forces is not None and forces.has_wrench
+    cyclic = cyclic_of(system, touched_by(forces), pushed=pushed)
+    if bodies is not None:  # a joint that another value would not leave cyclic is none
+        other = bodies.system(bodies.perturbed(np.random.default_rng(0)))
+        always = cyclic_of(other, touched_by(forces), pushed=pushed)
+        cyclic = tuple(k for k in cyclic if k in always)
     return Acting(
         system=system,
         forces=forces,
         weight=weight,
         gravity=acting_gravity(system),
-        momentum_changes=bool(weight.any()) or (forces is not None and forces.has_wrench),
-        cyclic=cyclic_of(system, touched_by(forces)),
+        momentum_changes=bool(weight.any()) or pushed,
+        cyclic=cyclic,
         driven=driven,
         free=tuple(k for k in range(system.m) if k not in driven),
     )

@@ -5,7 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Unpack
+from functools import partial
+from typing import TYPE_CHECKING, Any, Unpack
+
+import numpy as np
 
 from ..common.errors import InputError
 from ..common.plain_names import brief, one_of
@@ -14,9 +17,13 @@ from ..common.signatures import shows_fields
 from ..scene.options import SceneOptions
 from ..scene.scene import ENGINES, Engine, Scene
 from ..system.system import System, checked_system
-from .pieces import Flow, Integrate, follow
+from .piece import Flow, Integrate
+from .pieces import Motion, follow
 from .plan import Plan, plan_of
 from .trajectory import Run, Trajectory
+
+if TYPE_CHECKING:
+    from .compiled.compiled_flow import CompiledFlow
 
 
 @shows_fields(Scene)
@@ -77,12 +84,27 @@ def _pinocchio(plan: Plan, progress: Progress | None) -> Trajectory:
 
 
 def _compiled(plan: Plan, progress: Progress | None) -> Trajectory:
+    return _followed(plan, *_ready(plan, progress), "compiled", plan.method.name)
+
+
+def motion_of_scene(scene: Scene) -> Motion:
+    """Return the motion of a scene by the compiled engine."""
+    plan = plan_of(scene)
+    return follow(plan, *_ready(plan, None))
+
+
+def trajectory_of(scene: Scene) -> Trajectory:
+    """Return the trajectory of a scene by the compiled engine."""
+    return _compiled(plan_of(scene), None)
+
+
+def _ready(plan: Plan, progress: Progress | None) -> tuple[CompiledFlow, Integrate]:
     from .compiled.compiled_flow import CompiledFlow
     from .compiled.integrator import integrator, prepare
 
     flow = CompiledFlow(plan)
     prepare(flow, plan)
-    return _followed(plan, flow, integrator(flow, plan, progress), "compiled", plan.method.name)
+    return flow, integrator(flow, plan, progress)
 
 
 def _followed(
@@ -92,4 +114,12 @@ def _followed(
     motion = follow(plan, flow, integrate)
     wall = time.perf_counter() - began
     run = Run(engine, method, motion.steps, motion.evaluations, wall)
-    return Trajectory(plan.scene, motion, run)
+    end = motion.ended_by
+    scene = plan.scene if end is None else _until(plan.scene, end.t)
+    return Trajectory(scene, motion, run, partial(simulate, plan.scene, engine=engine))
+
+
+def _until(scene: Scene, end: float) -> Scene:
+    """Return a scene that ends earlier, and reports its end."""
+    t = scene.report_times
+    return replace(scene, duration=end, times=np.append(t[t < end], end))

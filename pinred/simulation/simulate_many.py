@@ -1,262 +1,200 @@
-"""simulate_many(): one kind of scene from many initial states, over threads."""
+"""simulate_many(): many motions of one system, as many at once as there are lanes, over threads."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..common.arrays import Array, as_floats, dimensions, entries_of, vectors
-from ..common.errors import InputError, IntegrationError, ShapeError
+from ..common.arrays import Array, entries_of
+from ..common.errors import InputError, IntegrationError
 from ..common.plain_names import brief
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
-from ..scene import forms
-from ..scene.angles import refuse_vague
-from ..scene.initial_state import GivenStates
 from ..scene.options import SceneOptions
-from ..scene.random_state import random_state
 from ..scene.scene import Scene, checked_seed
 from ..system.system import System, checked_system
-from .plan import Plan, plan_of
-from .simulate import as_scene
-from .state import ShapeState, State, with_base
+from .members.groups import Group, Members, of_scenes
+from .members.trajectories import Batch, Failure, Trajectories
+from .members.varied import Varied
+from .plan import Plan
+from .simulate import trajectory_of
+from .trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from .compiled.compiled_flow import CompiledFlow
-
-_VARYING = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
-_BY_JOINT = ("x0", "xdot0")
-_OF_Q = (("pose0", "pose"), ("x0", "x"))
-_OF_V = (("xi0", "xi"), ("xdot0", "xdot"))
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A member that did not come to its end.  time: the last it reached [s]."""
-
-    member: int
-    time: float
-    reason: str
-
-
-class Trajectories:
-    """Motions of one system from many initial states; `trajectories[i]` are the states of one.
-
-    t: (T,) [s].  y: (N, T, k) reduced states, NaN at times that a member has not reached, and
-    past the end of those that need fewer numbers.
-    failures: the members that did not come to their end.
-    """
-
-    def __init__(self, t: Array, y: Array, batches: Sequence[Batch], failures: Sequence[Failure]):
-        """Take the report times, reduced states, what makes full ones of them, and failures."""
-        self.t, self.y, self.failures = t, y, tuple(failures)
-        self._batches = tuple(batches)
-        self._failed = {failure.member: failure for failure in failures}
-
-    def __len__(self) -> int:
-        return len(self.y)
-
-    def __repr__(self) -> str:
-        return f"Trajectories({len(self)} of {len(self.t)} times, {len(self.failures)} failed)"
-
-    def _repr_html_(self) -> str:
-        from ..common.html import card, table
-
-        rows = [(str(f.member), f.time, f.reason) for f in self.failures]
-        return card(
-            "Trajectories",
-            f"{len(self)} of {len(self.t)} times to {self.t[-1]:g} s, {len(self.failures)} failed",
-            table("members that did not come to their end", ["member", "t [s]", "reason"], rows),
-        )
-
-    def __getitem__(self, member: int) -> State:
-        """Return the states of one member, over the report times.
-
-        Raises IntegrationError if it did not come to its end, InputError if the base was left
-        out.
-        """
-        return with_base(self.outputs(member), "these members")
-
-    def outputs(self, member: int) -> State | ShapeState:
-        """Return what the scenes ask for of one member, over the report times.
-
-        Raises IntegrationError if it did not come to its end.
-        """
-        member = range(len(self))[member]
-        if member in self._failed:
-            failure = self._failed[member]
-            raise IntegrationError(
-                f"member {member} stopped at t = {failure.time:g} s: {failure.reason}"
-            )
-        for batch in self._batches:
-            k = int(np.searchsorted(batch.members, member))
-            if k < len(batch.members) and batch.members[k] == member:
-                flow = batch.flow(k)
-                return flow.states(self.t, self.y[member, :, : flow.y0.size], flow.numbers)
-        raise IndexError(member)
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Members that share a kernel.  members: their indices, sorted.  flow: of the k-th of them."""
-
-    members: NDArray[np.intp]
-    flow: Callable[[int], CompiledFlow]
+    from .compiled.compiled_flow import CompiledFlows
+    from .compiled.integrator import ManyRuns
 
 
 @shows_fields(Scene)
 def simulate_many(
-    system: System,
+    system: System | Scene | Sequence[Scene],
     *,
-    threads: int | None = None,
+    members: Mapping[str, Any] | None = None,
     seeds: Sequence[int] | None = None,
+    threads: int | None = None,
     progress: Progress | bool | None = None,
+    explain: bool = False,
     **options: Unpack[SceneOptions],
 ) -> Trajectories:
-    """Simulate one system from many initial states, with one kernel, over threads.
+    """Simulate many motions of one system, with one kernel, in lanes and over threads.
 
+    system: a System; or a Scene, whose options then stand where none are given; or a list of
+        Scenes of one System with the same times, which are the members.
     options: those of Scene; of x0, xdot0, xi0, momentum, pose0, q0 and v0, what has a leading
-        axis (N, …) differs between members, and the rest is common.  By name, that is
-        {joint: (N,) values}, beside which numbers are common.
+        axis (N, …) differs between members, and of parameters={name: …}, what has (N,) values; the
+        rest is common.  By joint, that is {joint: (N,) values}, beside which numbers are common.
+    members: {name: (N, …) values} of the same, of Parameters, and of gravity, (N, 3) in the world
+        frame [m/s²].
     seeds: (N,) one random state each instead.  threads: as many as processors if None.
     progress: as in `simulate`; the part of the members that is done.
+    explain: print how the members run.
 
-    The numbers are bit for bit those of `simulate` one at a time.  A member that fails is
-    reported in `failures` and disturbs no other.
-    Raises InputError or ShapeError for scenes that make no sense, and for those that have
-    to be integrated in pieces: with controllers, or tables that have breaks.
+    With DOP853 and Tsit5, eight members run at once, sixteen of small robots, each with steps of
+    its own.  A member's numbers are the same to the bit beside any others, in any order and on any
+    number of threads.  They are those of `simulate` within round-off times the stretch of the flow;
+    with other methods they are those of `simulate` to the bit.  Where `simulate` would choose
+    AdaptiveGauss, members are given to DOP853, which costs less of many.  Members with controllers
+    or with tables that have breaks run one by one, as in `simulate`.
+    A member that fails is reported in `failures` and disturbs no other.
+    Raises InputError or ShapeError for scenes that make no sense.
     """
-    checked_system(system, "simulate_many")
-    if seeds is not None:
-        drawn = entries_of(seeds)
-        if drawn is None:
-            raise InputError(f"seeds must be a list of whole numbers, got {brief(seeds)}")
-        seeds = [checked_seed(seed) for seed in drawn]
-    given = {
-        name: forms.in_order(value, system, name) if name in _BY_JOINT else value
-        for name, value in options.items()
-    }
-    common, varying, count = _members(given, seeds)
-    if not count:
-        raise InputError("simulate_many needs at least one member")
-    # The first member as a scene of its own: it checks all that is common.
-    first = {name: values[0] for name, values in varying.items()}
-    if seeds is not None:
-        first["seed"] = seeds[0]
-    scene = as_scene(system, common | first, "simulate_many")
-    plan = plan_of(scene)
-    _refuse_stops(plan)
-    starts = _given(scene, varying, count) if seeds is None else _drawn(scene, seeds)
-    with shown(progress, f"simulating {count} of {system.name}") as done:
-        return _run(plan, starts, threads, done)
+    if isinstance(system, (System, Scene)):
+        found = Varied(system, options, members, _checked(seeds)).members()
+    else:
+        scenes = entries_of(system)
+        if scenes is None:
+            checked_system(system, "simulate_many")
+        given = {**options, "members": members, "seeds": seeds}
+        for name, value in given.items():
+            if value is not None:
+                raise InputError(f"a list of Scenes says all itself; do not give {name} beside it")
+        if not scenes:
+            raise InputError("simulate_many needs at least one member")
+        found = of_scenes(scenes)
+    if explain:
+        print(_explained(found))
+    name = found.groups[0].plan.system.name
+    with shown(progress, f"simulating {found.count} of {name}") as done:
+        return _run(found, threads, done)
 
 
-def _refuse_stops(plan: Plan) -> None:
-    """Raise InputError if a scene has to be integrated in pieces."""
+def _checked(seeds: Sequence[int] | None) -> list[int] | None:
+    if seeds is None:
+        return None
+    drawn = entries_of(seeds)
+    if drawn is None:
+        raise InputError(f"seeds must be a list of whole numbers, got {brief(seeds)}")
+    return [checked_seed(seed) for seed in drawn]
+
+
+def _in_pieces(plan: Plan) -> str:
+    """Return why members of a plan run one by one, if they do."""
+    if plan.scene.events_given:
+        return "events are looked for"
     if plan.forces is not None and plan.forces.held:
         controller, _ = plan.forces.held[0]
-        what = f"{controller.name} has to be called every {controller.period:g} s"
-    elif len(plan.stops) > 1:
-        what = f"a function of time is not smooth at t = {plan.stops[0]:g} s"
-    else:
-        return
-    raise InputError(
-        f"simulate_many integrates from start to end at once, but {what}; simulate one at a "
-        "time, or use functions of time without breaks (Fourier, Expression)"
-    )
+        return f"{controller.name} has to be called every {controller.period:g} s"
+    if len(plan.stops) > 1:
+        return f"a function of time is not smooth at t = {plan.stops[0]:g} s"
+    return ""
 
 
-def _members(
-    options: Mapping[str, Any], seeds: Sequence[int] | None
-) -> tuple[dict[str, Any], dict[str, Array], int]:
-    """Return the options that are common, those that vary, (N, …), and N."""
-    if seeds is not None:
-        if "seed" in options:
-            raise InputError("give seeds or seed, not both")
-        return dict(options), {}, len(seeds)
-    varying = {}
-    for name in _VARYING:
-        if options.get(name) is not None and dimensions(options[name]) == 2:
-            varying[name] = as_floats(options[name], name)
-    sizes = {name: len(values) for name, values in varying.items()}
-    if len(set(sizes.values())) != 1:
-        found = ", ".join(f"{name}: {size}" for name, size in sizes.items()) or "none"
-        raise ShapeError(
-            f"at least one of {', '.join(_VARYING)} must have shape (N, …), all with the same N; "
-            f"the lengths are {found}"
-        )
-    common = {name: value for name, value in options.items() if name not in varying}
-    return common, varying, next(iter(sizes.values()))
+def _explained(found: Members) -> str:
+    """Return how members run, a line for each group."""
+    from .compiled.compiled_flow import flows_of
+    from .compiled.integrator import lanes_of
+
+    lines = []
+    for group in found.groups:
+        plan = group.plan
+        if why := _in_pieces(plan):
+            lines.append(f"{len(group.members)} members one by one, {plan.method.name}: {why}")
+            continue
+        for members, flows in flows_of(plan, group.given, group.own):
+            lanes = lanes_of(plan.method, flows.kernel)
+            how = f"{lanes} at once in lanes" if lanes else "one after another"
+            lines.append(
+                f"{len(members)} members {how}, {plan.method.name}, "
+                f"{flows.kernel.layout.size} numbers each"
+            )
+    return "\n".join(lines)
 
 
-def _given(scene: Scene, varying: dict[str, Array], count: int) -> GivenStates:
-    """Return the initial states of all members: the first one's where they do not vary."""
-    system, own = scene.system, scene.given
-    varying = dict(varying)
-    if "q0" in varying:
-        places = [forms.configuration(q, system) for q in varying.pop("q0")]
-        varying |= {name: np.array([getattr(p, key) for p in places]) for name, key in _OF_Q}
-    if "v0" in varying:
-        motions = [forms.velocity(v, system) for v in varying.pop("v0")]
-        varying |= {name: np.array([getattr(v, key) for v in motions]) for name, key in _OF_V}
-    sizes = {"x0": system.m, "xdot0": system.m, "xi0": system.r, "momentum": system.r}
+class _Results:
+    """What has become of members so far."""
 
-    def rows(name: str, first: Array | None) -> Array | None:
-        if name in varying:
-            return vectors(varying[name], sizes[name], name)
-        return None if first is None else np.repeat(first, count, axis=0)
+    def __init__(self, count: int, progress: Progress | None) -> None:
+        self.count, self.done, self._progress = count, 0, progress
+        self.batches: list[Batch] = []
+        self.y: list[Array] = []  # of each batch
+        self.single: dict[int, Trajectory] = {}
+        self.failures: list[Failure] = []
 
-    x, xdot = rows("x0", own.x), rows("xdot0", own.xdot)
-    assert x is not None
-    assert xdot is not None
-    pose = np.repeat(own.pose, count, axis=0)
-    if "pose0" in varying:
-        pose = np.array([system.group.pose(each) for each in varying["pose0"]])
-    refuse_vague(np.abs(x).max(axis=0), system)
-    x, xdot = scene.with_prescribed(x, xdot)
-    return GivenStates(pose, x, xdot, rows("xi0", own.xi), rows("momentum", own.mu))
+    def tell(self, part: float, share: int) -> None:
+        """Tell how much of the whole is done, of which so many members are at work."""
+        if self._progress is not None:
+            self._progress((self.done + share * part) / self.count)
 
 
-def _drawn(scene: Scene, seeds: Sequence[int]) -> GivenStates:
-    """Return the random initial states of seeds."""
-    states = [random_state(scene.system, seed) for seed in seeds]
-    x, xdot, xi = (np.array([getattr(s, name) for s in states]) for name in ("x", "xdot", "xi"))
-    x, xdot = scene.with_prescribed(x, xdot)
-    return GivenStates(np.repeat(scene.given.pose, len(states), axis=0), x, xdot, xi, None)
-
-
-def _run(
-    plan: Plan, given: GivenStates, threads: int | None, progress: Progress | None
-) -> Trajectories:
-    from .compiled.compiled_flow import CompiledFlow, flows_of
+def _run(found: Members, threads: int | None, progress: Progress | None) -> Trajectories:
+    from .compiled.compiled_flow import flows_of
     from .compiled.integrator import integrate_many
 
-    t, count = plan.scene.report_times, len(given.x)
-    kinds = flows_of(plan, given)  # members without momentum have a kernel of their own
-    runs, before = [], 0
-    for members, flows in kinds:
-        done = progress and partial(_part, progress, before / count, len(members) / count)
-        runs.append(integrate_many(flows, plan, threads, done))
-        before += len(members)
-    y = runs[0].y  # the results are there once, if all members are of one kind
-    if len(runs) > 1:
-        y = np.full((count, len(t), max(run.y.shape[2] for run in runs)), np.nan)
-        for (members, _), run in zip(kinds, runs, strict=True):
-            y[members, :, : run.y.shape[2]] = run.y
-    failures = [
-        Failure(int(members[k]), time, reason)
-        for (members, _), run in zip(kinds, runs, strict=True)
-        for k, time, reason in run.failures
+    results = _Results(found.count, progress)
+    for group in found.groups:
+        if _in_pieces(group.plan):
+            _one_by_one(found, group, results)
+            continue
+        # Members without momentum have a kernel of their own.
+        for some, flows in flows_of(group.plan, group.given, group.own):
+            told = partial(results.tell, share=len(some)) if progress is not None else None
+            began = time.perf_counter()
+            runs = integrate_many(flows, group.plan, threads, told)
+            wall = (time.perf_counter() - began) / len(some)
+            _keep(results, group, some, flows, runs, wall)
+    failures = sorted(results.failures, key=lambda failure: failure.member)
+    y = _together(found, results)
+    return Trajectories(found.scene_of, y, results.batches, results.single, failures)
+
+
+def _keep(
+    results: _Results, group: Group, some: Any, flows: CompiledFlows, runs: ManyRuns, wall: float
+) -> None:
+    members, method = group.members[some], group.plan.method.name
+    results.batches.append(Batch(members, flows, method, runs.steps, runs.evaluations, wall))
+    results.y.append(runs.y)
+    results.failures += [Failure(int(members[k]), at, why) for k, at, why in runs.failures]
+    results.done += len(members)
+
+
+def _one_by_one(found: Members, group: Group, results: _Results) -> None:
+    """Run members that stop on their way."""
+    for member in group.members.tolist():
+        try:
+            results.single[member] = trajectory_of(found.scene_of(member))
+        except IntegrationError as error:
+            time = getattr(error, "time", float("nan"))
+            results.failures.append(Failure(member, time, str(error)))
+        results.done += 1
+        results.tell(0.0, 0)
+
+
+def _together(found: Members, results: _Results) -> Array:
+    """Return the reduced states of all members, (N, T, k)."""
+    if len(results.batches) == 1 and not results.single and len(results.y[0]) == found.count:
+        return results.y[0]  # they are there once
+    times = found.scene_of(0).report_times
+    parts = [(batch.members, y) for batch, y in zip(results.batches, results.y, strict=True)]
+    parts += [
+        (np.array([member]), traj.motion.reduced(times)[None])
+        for member, traj in results.single.items()
     ]
-    batches = [Batch(members, partial(CompiledFlow.of, flows)) for members, flows in kinds]
-    return Trajectories(t, y, batches, sorted(failures, key=lambda failure: failure.member))
-
-
-def _part(progress: Progress, before: float, share: float, part: float) -> None:
-    """Tell how much of the whole is done, of which a share is at work."""
-    progress(before + share * part)
+    most = max((y.shape[2] for _, y in parts), default=0)
+    whole = np.full((found.count, len(times), most), np.nan)
+    for members, y in parts:
+        whole[members, :, : y.shape[2]] = y
+    return whole

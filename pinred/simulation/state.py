@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError
+from ..forces.acting import BaseInSpace
 from ..system.system import System
 
 
@@ -16,6 +18,7 @@ class Sample:
 
     x, xdot: (m,).  xi, mu: (r,) body twist and body momentum; the linear part of μ is zero.
     weight: (3,) m g in the body's frame, where it turns a pivoted base, else zero [N].
+    base: the base as seen from space; None where it is left out.
     """
 
     x: Array
@@ -23,6 +26,7 @@ class Sample:
     xi: Array
     mu: Array
     weight: Array
+    base: BaseInSpace | None = None
 
 
 @dataclass(frozen=True)
@@ -148,3 +152,15 @@ class OverTime(ABC):
     def energy(self) -> Array:
         """Total energy, (T,) [J]; without the base, that about the centre of mass."""
         return self.outputs.energy
+
+    def to_xarray(self) -> Any:
+        """Return an xarray.Dataset over t, with joints and coordinates by name (needs xarray)."""
+        from .labelled import dataset
+
+        return dataset(self.outputs, self.system)
+
+    def to_pandas(self) -> Any:
+        """Return a pandas.DataFrame over t, columns such as "x.elbow" (needs pandas)."""
+        from .labelled import frame
+
+        return frame(self.outputs, self.system)

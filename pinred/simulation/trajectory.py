@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats
-from ..common.errors import InputError, ShapeError
+from ..common.errors import InputError, NotCopyable, ShapeError
 from .plan import Plan, plan_of
 from .state import OverTime, ShapeState, State, with_base
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ..scene.scene import Scene
+    from ..scene.scene import Engine, Scene
     from ..system.system import System
     from .balances import EnergyBalance, MomentumBalance
+    from .control import ControlAction
+    from .events import Crossings
     from .pieces import Motion
 
 
@@ -31,7 +34,7 @@ class Run:
     evaluations: of the vector field.  wall: seconds.
     """
 
-    engine: str
+    engine: Engine
     method: str
     steps: int
     evaluations: int
@@ -41,11 +44,30 @@ class Run:
 class Trajectory(OverTime):
     """The motion of a scene.  Fields of State over the report times; call it for any time."""
 
-    def __init__(self, scene: Scene, motion: Motion, run: Run) -> None:
-        """Take the scene, its motion, and what the run cost."""
+    def __init__(
+        self,
+        scene: Scene,
+        motion: Motion,
+        run: Run,
+        again: Callable[[], Trajectory] | None = None,
+    ) -> None:
+        """Take the scene, its motion, what the run cost, and what integrates it once more."""
         self.scene = scene
-        self.motion = motion
         self.run = run
+        self._motion: Motion | None = motion
+        self._again = again
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _trajectory_of, (self.scene, self.run, self.outputs, self._again)
+
+    @property
+    def motion(self) -> Motion:
+        """The motion at all times; of a trajectory that was pickled, it is integrated again."""
+        if self._motion is None:
+            if self._again is None:
+                raise NotCopyable("this motion was made by hand, and is not integrated again")
+            self._motion = self._again().motion
+        return self._motion
 
     @property
     def system(self) -> System:
@@ -70,6 +92,24 @@ class Trajectory(OverTime):
     def t(self) -> Array:
         """Report times, (T,) [s]."""
         return self.scene.report_times
+
+    @cached_property
+    def events(self) -> Mapping[str, Crossings]:
+        """Crossings of the scene's events, by name."""
+        from .events import crossings
+
+        return crossings(self.scene, self.motion.found, self.motion.states)
+
+    @property
+    def ended_by(self) -> str | None:
+        """Name of the terminal event that ended the motion, and so its scene; None if none did."""
+        end = self.motion.ended_by
+        return None if end is None else self.scene.events_given[end.event].name
+
+    @property
+    def actions(self) -> tuple[ControlAction, ...]:
+        """What the controllers were given and gave, call by call."""
+        return self.motion.actions
 
     @cached_property
     def energy_balance(self) -> EnergyBalance:
@@ -167,3 +207,14 @@ class Trajectory(OverTime):
         from .trajectory_files import save
 
         save(self, path)
+
+
+def _trajectory_of(
+    scene: Scene, run: Run, outputs: State | ShapeState, again: Callable[[], Trajectory] | None
+) -> Trajectory:
+    """Return a trajectory that was pickled, with the states at its report times."""
+    trajectory = Trajectory.__new__(Trajectory)
+    trajectory.scene, trajectory.run, trajectory._again = scene, run, again
+    trajectory._motion = None
+    vars(trajectory)["outputs"] = type(outputs)(**vars(outputs))  # read-only once more
+    return trajectory

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from ..common.files import check_path, write_atomic
+from ..system.system import System
 from .state import OverTime
 
 _GREEK = str.maketrans({"θ": "theta"})
@@ -31,22 +32,24 @@ def save(traj: OverTime, path: str | Path) -> None:
 
 def _write_npz(traj: OverTime, file: BinaryIO) -> None:
     arrays = {field.name: getattr(traj.outputs, field.name) for field in fields(traj.outputs)}
-    system = traj.system
-    lock = {} if system.origin is None else system.origin.lock
-    chosen = None if system.origin is None else system.origin.root
-    if chosen is not None:
-        arrays["root"] = np.array(chosen)
-    np.savez_compressed(
-        file,
-        robot=np.array(system.name),
-        group=np.array(system.group.name),
-        joints=np.array(system.shape_names, dtype=str),
-        source=np.array("" if system.origin is None else system.origin.source),
-        lock_joints=np.array(list(lock), dtype=str),
-        lock_values=np.array(list(lock.values()), dtype=float),
-        gravity=system.gravity,
-        **arrays,
-    )
+    np.savez_compressed(file, **about_robot(traj.system), **arrays)
+
+
+def about_robot(system: System) -> dict[str, Any]:
+    """Return arrays that say which robot a file is of, and where load() finds it."""
+    origin = system.origin
+    lock = {} if origin is None else origin.lock
+    chosen = {} if origin is None or origin.root is None else {"root": np.array(origin.root)}
+    return {
+        "robot": np.array(system.name),
+        "group": np.array(system.group.name),
+        "joints": np.array(system.shape_names, dtype=str),
+        "source": np.array("" if origin is None else origin.source),
+        "lock_joints": np.array(list(lock), dtype=str),
+        "lock_values": np.array(list(lock.values()), dtype=float),
+        "gravity": system.gravity,
+        **chosen,
+    }
 
 
 def _write_csv(traj: OverTime, file: BinaryIO) -> None:

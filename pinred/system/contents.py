@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
+from typing import Any
 
 from ..common.arrays import Array, freeze
 from ..common.plain_names import plain
@@ -75,6 +76,12 @@ class Contents:
     left_out: tuple[LeftOut, ...] = ()
     passive: tuple[Force, ...] = ()
     keyframes: Mapping[str, Keyframe] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Read-only views of mappings cannot be pickled.
+        parts = [getattr(self, entry.name) for entry in fields(self)]
+        return type(self), tuple(dict(p) if isinstance(p, MappingProxyType) else p for p in parts)
+
     couplings: tuple[Coupling, ...] = ()
     freed: str = ""
     visuals: Visuals | None = None

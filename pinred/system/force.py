@@ -27,6 +27,44 @@ def _unknown_dynamics(_: Mapping[int, ca.SX]) -> ca.SX:
 
 
 @dataclass(frozen=True)
+class SeenState:
+    """The state that a force, controller or event of one argument is given.
+
+    t: time [s].  x, xdot: (m,) shape and rate, by number or by joint.  The rest has the meaning of
+    State: pose (size,) of the base; xi (r,) its body twist; mu (r,) body momentum
+    H_bb ξ + H_bs ẋ about the base's origin; J (r,) spatial momentum Ad*_{g⁻¹} μ in the root
+    joint's fixed frame, about its origin.  Twists and momenta are [linear; angular].  Forces are
+    given CasADi symbols, controllers numbers.
+
+    It is not what functions of (t, x, xdot, mu) see: their μ is about the centre of mass, and its
+    linear part zero.
+    """
+
+    t: Any
+    x: Any
+    xdot: Any
+    pose: Any
+    xi: Any
+    mu: Any
+    J: Any
+
+
+@dataclass(frozen=True)
+class Load:
+    """A wrench on a link, at a point of it, or on the base along fixed axes.
+
+    link: the name of a frame of the model, or None for the base.  at: (3,) the point, in the link's
+    frame [m].  frame: "body", the link's axes, or "world", those of the root joint's fixed frame.
+    entries: (6,) force [N] and moment [N·m]; of the base, (r,).
+    """
+
+    link: str | None
+    at: list[Any]
+    frame: str
+    entries: list[Any]
+
+
+@dataclass(frozen=True)
 class Symbols:
     """The variables of which forces are functions.
 
@@ -37,7 +75,7 @@ class Symbols:
     about the axis or pivot).  within: a time that says which piece of a table counts.
     For forces that are `last`: others, (m,) torques of all other forces; accelerations, those
     of the prescribed joints; required_torque, from the accelerations of all joints to the (m,)
-    torques that give them.
+    torques that give them.  seen: the state with the base in space, for functions of one argument.
     """
 
     names: tuple[str, ...]
@@ -46,6 +84,7 @@ class Symbols:
     xdot: ca.SX
     xi: ca.SX
     mu: ca.SX
+    seen: SeenState
     within: ca.SX | None = None
     others: ca.SX | float = 0.0
     accelerations: Mapping[int, ca.SX] = field(default_factory=dict)
@@ -83,12 +122,20 @@ class Terms:
     """The action of a force.
 
     torque: by joint, numbered as `Symbols.joint` does.  wrench: r entries on the base.
-    potential: [J].
+    potential: [J].  loads: wrenches on links.
     """
 
     potential: Any = None
     torque: dict[int, Any] = field(default_factory=dict)
     wrench: list[Any] | None = None
+    loads: list[Load] = field(default_factory=list)
+
+    @property
+    def expressions(self) -> list[Any]:
+        """All that is written in them."""
+        given = [self.potential, *self.torque.values(), *(self.wrench or [])]
+        given += [value for load in self.loads for value in (*load.entries, *load.at)]
+        return [value for value in given if value is not None]
 
 
 class Force(ABC):

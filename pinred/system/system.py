@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, TypeVar
 
@@ -125,6 +126,13 @@ class System:
         derived |= coordinate_maps(self.model, group)
         for key, value in derived.items():
             object.__setattr__(self, key, value)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What was made for this system in this process, as kernels are, is made anew elsewhere.
+        return {name: value for name, value in vars(self).items() if name != "_once"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
 
     def __repr__(self) -> str:
         return f"System({self.name!r}, group={self.group.name}, r={self.r}, m={self.m})"
@@ -339,6 +347,22 @@ class System:
     def sorted_v(self, v: Array) -> Array:
         """Return v (..., n) of the model that was given as `model` takes it."""
         return v if self._given_v is None else _scattered(v, self._given_v)
+
+    @property
+    def nominal(self) -> System:
+        """The system as it was loaded: itself, unless its bodies were given other inertias."""
+        found: System = vars(self).get("_nominal", self)
+        return found
+
+    def with_inertias(self, inertias: Mapping[int, pin.Inertia]) -> System:
+        """Return this system with other inertias of some bodies, {joint of the model: inertia}."""
+        other = copy(self)
+        own = vars(other)
+        own.pop("_once", None)  # what was made for these inertias
+        own["model"], own["_nominal"] = self.model.copy(), self.nominal
+        for joint, inertia in inertias.items():
+            other.model.inertias[joint] = inertia
+        return other
 
     @property
     def data(self) -> pin.Data:

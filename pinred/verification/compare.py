@@ -32,6 +32,7 @@ from .defect import Defects, defects
 from .distances import Distance, FullMotion, Size
 from .equations_of_motion import equation_errors
 from .full_state import FINEST, KICK, Audit, FullState
+from .measurements import measurement_error
 from .report import JUDGEABLE, Report
 
 TIGHTER = 100.0  # the reference's tolerance is this much below the one asked for
@@ -66,10 +67,13 @@ def compare(traj: Trajectory, *, progress: Progress | bool | None = None) -> Rep
 
 @dataclass(frozen=True)
 class _Ends:
-    """The ends of a motion over time, (T, …), with what passes and how far something is told."""
+    """What passes of the ends of a motion over time, (T, …), and how far something is told.
 
-    error: Distance
+    mean: the defect of a step that counts.
+    """
+
     bound: Distance
+    mean: float
     told: int
     reasons: tuple[str, ...]
 
@@ -79,7 +83,7 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
     # Whatever times the scene reports, all of the motion is judged.
     times = np.union1d(traj.t, np.linspace(0.0, scene.end, SAMPLES))
     states = traj(times)
-    full = FullState(scene)
+    full = FullState(scene, traj.motion.replay)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     began = time.perf_counter()
     full.run(y0, np.array([scene.end]), rtol, atol)
@@ -98,12 +102,11 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
     found = FullMotion(x=full.ties.values(states.x), q=traj.system.sorted_q(states.q))
     size, error = full.size(truth), full.distance(truth, found)
     between = full.distance(truth, second).relative(size)
-    ends = _ends(traj, times, growth, missed, between, size, error)
+    tolerance = max(rtol, _RESOLVED) + atol
+    ends = _ends(traj, times, growth, missed, between, size, tolerance)
     audit = audited(traj, states)
     done(1.0)
-    tolerance = max(rtol, _RESOLVED) + atol
-    mean = min(float(missed.steps.mean()) if missed.steps.size else 0.0, DEFECT * tolerance)
-    drift = max(DRIFT * tolerance, 2.0 * mean * (len(traj.motion.knots) - 1))
+    drift = max(DRIFT * tolerance, 2.0 * ends.mean * (len(traj.motion.knots) - 1))
     return Report(
         robot=traj.system.name,
         engine=traj.run.engine,
@@ -123,7 +126,7 @@ def _judged(traj: Trajectory, done: Progress) -> Report:
         defect=missed.worst,
         energy_drift=audit.energy,
         momentum_drift=audit.momentum,
-        field_error=audit.fields,
+        field_error=max(audit.fields, measurement_error(traj, full)),
         reference_error=float(between[: ends.told].max(initial=0.0)),
         equations_bound=EXACT,
         defect_bound=DEFECT * tolerance,
@@ -148,18 +151,17 @@ def _ends(
     missed: Defects,
     between: Array,
     size: Size,
-    error: Distance,
+    tolerance: float,
 ) -> _Ends:
     """Return what the ends of a motion may be off by, and how far that tells something.
 
-    missed: the defects of steps.  between: (T,) how far the references are
-    apart, of which both may be wrong.
+    missed: the defects of steps.  between: (T,) how far the references are apart, of which
+    both may be wrong.  tolerance: relative and absolute.
     """
     knots = traj.motion.knots
     steps = np.searchsorted(knots, times, side="left")
     # Between the ends of steps is what the method makes of it, of an order less than the steps.
     # A defect beyond what passes is a failure, and excuses none.
-    tolerance = max(traj.scene.rtol, _RESOLVED) + traj.scene.atol
     mean = min(float(missed.steps.mean()) if missed.steps.size else 0.0, DEFECT * tolerance)
     within = min(float(missed.inside.max(initial=0.0)), BETWEEN * tolerance)
     local = steps * mean + np.where(steps > 0, within, 0.0) + _ROUND_OFF * (steps + 1)
@@ -186,7 +188,7 @@ def _ends(
             f"the ends of the motion say something until t = {until:g} s only: {rest}; "
             "compare a shorter motion, or a tighter tolerance",
         )
-    return _Ends(error, bound, told, reasons)
+    return _Ends(bound, mean, told, reasons)
 
 
 def _at_rest(truth: FullMotion, size: Size) -> tuple[str, ...]:

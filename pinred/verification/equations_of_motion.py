@@ -5,8 +5,8 @@ a part.  What counts is the force that a difference of accelerations stands for,
 and in parts of what that row's equation is a sum of.  So a light joint counts by its own size, and
 a bad condition of H stretches nothing.  Of a body that is small about its joint, the moment is what
 is left of its weight of inertia, mass times acceleration times the size of the robot: round-off of
-that is no error either.  Pinocchio's CRBA beside its ABA tells what round-off leaves of the judge
-itself, and a second derivative of the route's velocity what it leaves of the other side.
+that is no error either.  A second derivative of the route's velocity tells what round-off leaves
+of the first.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ..system.system import System
 from .full_state import FullState
 
 _LEFT = 1e-5  # of that, beside what the row is a sum of: 1e-12 of it is a part of round-off
-_APART = 10.0  # times what two ways to one side leave
+_APART = 10.0  # times what two derivatives leave
 _LEAST = 1e-290  # forces that round-off of the smallest numbers would be a part of
 
 
@@ -40,18 +40,15 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     for k, t in enumerate(times.tolist()):
         full.hold(numbers[k])
         y = full.state(states.pose[k], states.x[k], states.xi[k], states.xdot[k])
-        a, other = (
-            full.rate(t, y, dense=dense)[len(y) - full.system.model.nv :] for dense in (False, True)
-        )
-        a, other = (np.append(each[:r], each[r:][leads]) for each in (a, other))
+        a = full.rate(t, y)[len(y) - full.system.model.nv :]
+        a = np.append(a[:r], a[r:][leads])
         H, weight = _weights(full.system, full.q(y))
         changes = np.abs(a) + found.pace[k] * np.abs(found.v[k])
         terms = np.abs(H) @ changes + weight
         terms += _LEFT * _carried(full.system, full.q(y), changes, size)
-        # Where ABA and CRBA are apart themselves, or two derivatives of the route's velocity,
-        # nothing finer can be told.
-        known = np.abs(H @ (other - a)) + np.abs(H) @ found.spread[k]
-        off = np.abs(H @ (found.a[k] - a)) - _APART * known
+        # Where two derivatives of the route's velocity are apart themselves, nothing finer can
+        # be told.
+        off = np.abs(H @ (found.a[k] - a)) - _APART * np.abs(H) @ found.spread[k]
         # A drive gives whatever force its plan takes: what counts is whether it follows that.
         own = np.diag(H) * (np.abs(found.a[k] - a) - _APART * found.spread[k])
         off[driven] = own[driven]

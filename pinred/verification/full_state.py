@@ -8,19 +8,23 @@ momentum and energy by Pinocchio's functions; of forces, it evaluates the same e
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
+from ..forces.acting import BaseInSpace
 from ..scene.scene import Scene
+from ..simulation.control import Control, Replay
 from ..simulation.state import Sample, State
-from ..simulation.stops import begin_stretch, stops_of
+from ..simulation.stops import stops_of
 from ..system.joints import joint_units
 from ..system.system import System
 from .distances import Distance, FullMotion, Size
 from .hairer import Hairer
+from .loads_by_pinocchio import LoadsByPinocchio
 from .root_motion import root_motion
 from .ties import Ties
 
@@ -65,9 +69,12 @@ class FullState:
     to that by multipliers (see ties.py).
     """
 
-    def __init__(self, scene: Scene) -> None:
-        """Prepare Pinocchio's work space."""
-        system = scene.system
+    def __init__(self, scene: Scene, replay: Replay | None = None) -> None:
+        """Prepare Pinocchio's work space.
+
+        replay: what controllers have given; else they are called anew in every run.
+        """
+        system, self._replay = scene.system, replay
         self._scene, self._forces = scene, scene.force_model
         self._stops = stops_of(scene)
         self._sorted_q, self._sorted_v = system.sorted_q, system.sorted_v
@@ -83,6 +90,8 @@ class FullState:
         self._bare.armature = np.zeros(system.model.nv)
         self._root = root = root_motion(system.model)
         self._axes, self._linear, self._size = root.axes, root.linear, root.size
+        placed = () if self._forces is None else self._forces.loads
+        self._loads = LoadsByPinocchio(system, root.axes, placed) if placed else None
         self._driven = [] if self._forces is None else list(self._forces.joints)
         self._driven = self.ties.leads[self._driven].tolist()
 
@@ -146,52 +155,58 @@ class FullState:
         method: Hairer's "dop853" or "dopri5", of order 8 or 5.
         Raises IntegrationError if it cannot be followed.
         """
-        end = float(times[-1])
-        stops = self._stops
-        wanted = np.union1d(times, stops[stops < end])
+        end, y, t = float(times[-1]), y0, 0.0
+        near = 1e-12 * end  # there already, but for round-off
+        actions = self._replay or Control(self._scene)
         found = {0.0: y0}
-        y = y0
-        solver = self._solver(method, y, 0.0, rtol, atol)
-        for t in wanted:
-            if t - solver.t <= 1e-12 * end:  # there already, but for round-off
-                found[float(t)] = y
-            else:
-                reached = solver.integrate(float(t))
-                if reached is None:
-                    raise IntegrationError(
-                        f"the full simulation of '{self._model.name}' cannot be followed to "
-                        f"t = {t:g} s at rtol = {rtol:g}"
-                    )
-                y = reached
-                found[float(t)] = y
-            if t in stops[:-1]:
-                solver = self._solver(method, y, float(t), rtol, atol)
+        while t < end:
+            stop = float(self._stops[min((self._stops <= t).sum(), len(self._stops) - 1)])
+            stop = actions.begin(self._numbers, t, stop, partial(self.sample, y))
+            solver = Hairer(self.rate, method, y, t, rtol, atol, self._scene.end)
+            inside = times[(times > t) & (times <= stop)]
+            for wanted in (*inside.tolist(), *([stop] if stop <= end else [])):
+                if wanted - solver.t > near:
+                    reached = solver.integrate(wanted)
+                    if reached is None:
+                        raise IntegrationError(
+                            f"the full simulation of '{self._model.name}' cannot be followed to "
+                            f"t = {wanted:g} s at rtol = {rtol:g}"
+                        )
+                    y = reached
+                found[wanted] = y
+            t = stop
         y = np.array([found[float(t)] for t in times])
         return FullMotion(
             x=y[:, self._size : self._size + self._m].copy(),
             q=np.array([self.q(row) for row in y]),
         )
 
-    def _solver(self, method: str, y: Array, t: float, rtol: float, atol: float) -> Hairer:
-        """Return a solver that begins here, with the torques that controllers give here."""
-        later = self._stops[self._stops > t]
-        stop = float(later[0]) if later.size else t
-        begin_stretch(self._scene, self._numbers, t, stop, lambda: self._sample(y))
-        return Hairer(self.rate, method, y, t, rtol, atol, self._scene.end)
-
-    def _sample(self, y: Array) -> Sample:
+    def sample(self, y: Array) -> Sample:
         """Return what forces see, by Pinocchio; the weight they do not see."""
         size, m, r = self._size, self._m, self._r
         x, v = y[size : size + m], y[size + m :]
-        xi, mu = self._relative(self.q(y), v)
-        return Sample(self.ties.shape(x), self.ties.shape(v[r:]), xi, mu, np.zeros(3))
+        q = self.q(y)
+        xi, mu = self._relative(q, v)
+        base = self.base_in_space(q, y[:size], v)
+        return Sample(self.ties.shape(x), self.ties.shape(v[r:]), xi, mu, np.zeros(3), base)
 
-    def rate(self, t: float, y: Array, *, dense: bool = False) -> Array:
-        """Return dy/dt with Pinocchio's ABA.  dense: with its CRBA instead, for comparison."""
+    def base_in_space(self, q: Array, root: Array, v: Array) -> BaseInSpace:
+        """Return pose, twist and momenta of the base, all by Pinocchio from its q and v."""
+        r, k = self._r, self._linear
+        pose = root.copy()
+        if self._root.turns == 3:
+            pose[k:] /= np.linalg.norm(root[k:])
+        rest = np.zeros(len(v))
+        mu = np.array(pin.rnea(self._weightless, self._data, q, rest, v)[:r])
+        J = self.momentum(q, v, np.zeros(3), about_pivot=True)
+        return BaseInSpace(pose, v[:r].copy(), mu, J)
+
+    def rate(self, t: float, y: Array) -> Array:
+        """Return dy/dt with Pinocchio's ABA."""
         size, m, r = self._size, self._m, self._r
         if self._forces is None:
             v, q = y[size + m :], self.q(y)
-            a = self.ties.acceleration(q, v, np.zeros(len(v)), dense=dense)
+            a = self.ties.acceleration(q, v, np.zeros(len(v)))
             return np.concatenate([self._root.rate(y[:size], v[:r]), v[r:], a])
         y = y.copy()
         accelerations = np.empty(0)
@@ -203,10 +218,13 @@ class FullState:
             y = self._tied(y)
         x, v, q = y[size : size + m], y[size + m :], self.q(y)
         xi, mu = self._relative(q, v)
-        shape, shape_rate = self.ties.shape(x), self.ties.shape(v[r:])
-        acting = self._forces.acting(t, shape, shape_rate, xi, mu, self._numbers)
+        state = self.ties.shape(x), self.ties.shape(v[r:]), xi, mu, self._numbers
+        base = self.base_in_space(q, y[:size], v) if self._forces.sees_base else None
+        acting, loads = self._forces.acting_apart(t, *state, base)
         tau = np.append(acting.wrench, self.ties.at_leaders(acting.torque))
-        a = self.ties.acceleration(q, v, tau, self._driven, accelerations, dense=dense)
+        if self._loads is not None:
+            tau += self._loads.generalised(q, loads)
+        a = self.ties.acceleration(q, v, tau, self._driven, accelerations)
         return np.concatenate([self._root.rate(y[:size], v[:r]), v[r:], a])
 
     def _relative(self, q: Array, v: Array) -> tuple[Array, Array]:

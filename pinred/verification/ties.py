@@ -81,19 +81,16 @@ class Ties:
         tau: Array,
         driven: Sequence[int] = (),
         given: Array | None = None,
-        *,
-        dense: bool = False,
     ) -> Array:
         """Return the acceleration (nv,) of the tied system under generalised forces (nv,).
 
-        driven: the joints, among all M, whose accelerations are `given`.  dense: by the mass
-        matrix of CRBA in any case, a second way to the same.
+        driven: the joints, among all M, whose accelerations are `given`.
         """
         if given is not None and len(driven):
             own = np.eye(len(v))[[len(v) - self._count + k for k in driven]]
             rows = np.vstack([self.J, own])
             return self._solved(q, v, tau, rows, np.append(np.zeros(len(self.J)), given))
-        if dense or not self._alone:
+        if not self._alone:
             return self._solved(q, v, tau, self.J, np.zeros(len(self.J)))
         model, data, rest = self._model, self._data, np.zeros(len(v))
         free = pin.aba(model, data, q, v, tau).copy()

@@ -115,6 +115,22 @@ def test_the_bound_holds() -> None:
         assert apart.translation <= rough.error.translation + fine.error.translation
 
 
+def test_few_samples_are_enough() -> None:
+    """Of solo12 with three harmonics 1e-10 takes at most 192 shapes."""
+    pytest.importorskip("example_robot_data")
+    A = mechanical("solo12")
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        size = (3, 12)
+        gait = Gait.fourier(
+            rng.uniform(-0.3, 0.3, 12), rng.uniform(-0.4, 0.4, size), rng.uniform(-0.4, 0.4, size)
+        )
+        p = pinred.phase(A, gait)
+        assert p.samples <= 192
+        apart = A.group.error(pinred.phase(A, gait, tolerance=1e-13).pose, p.pose)
+        assert max(float(apart.rotation), float(apart.translation)) < 1e-10
+
+
 def test_parts_compose() -> None:
     """G = dynamic · geometric, where the dynamic part obeys ḋ = d Ad_h I⁻¹ μ by itself."""
     system = pinred.load("coupled_spatial")

@@ -12,31 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from interruptions import BEGINS, SOON, interrupted
 
 from pinred.common.arrays import Array
 from pinred.common.interrupts import held_interrupt
 from pinred.verification.hairer import Hairer
-
-SOON = 0.5  # s
-_BEGINS = 0.1  # s in which Python itself begins, whose tracebacks are not pinred's
-
-
-def interrupted(at: float, *command: str) -> tuple[int, float, str]:
-    """Return exit code, seconds to the end and standard error of a process stopped at a time."""
-    process = subprocess.Popen(
-        [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        process.wait(at)
-    except subprocess.TimeoutExpired:
-        process.send_signal(signal.SIGINT)
-    began = time.monotonic()
-    try:
-        _, error = process.communicate(timeout=20.0)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        _, error = process.communicate()
-    return process.returncode, time.monotonic() - began, error
 
 
 def check(at: float) -> None:
@@ -51,7 +31,7 @@ def check(at: float) -> None:
 def test_compare_ends(part: int) -> None:
     """At random times from its start on."""
     rng = np.random.default_rng(part)
-    check(_BEGINS + 3.0 * (part + rng.random()) / 20)
+    check(BEGINS + 3.0 * (part + rng.random()) / 20)
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import pytest
 from forced_trees import against_aba, tree
 from hypothesis import given, settings
 from strategies import groups, seeds
-from trees import random_model
+from trees import climbing_joint, random_model
 
 import pinred
 from pinred.common.arrays import Array
@@ -187,6 +187,34 @@ def test_push_in_closed_form(group: str) -> None:
         traj = pinred.simulate(system, seed=3, duration=2.0, forces=[Wrench([0.8])], engine=engine)
         J = traj.spatial_momentum[:, 0]
         np.testing.assert_allclose(J - J[0], 0.8 * traj.t, atol=1e-10)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    ("root", "along", "push"),
+    [
+        (pin.JointModelPX(), pin.JointModelPX(), [0.8]),
+        (climbing_joint(), pin.JointModelPZ(), [0.8, 0.0, 0.0, 0.0]),
+    ],
+)
+def test_a_push_along_a_slide(
+    root: pin.JointModel, along: pin.JointModel, push: list[float], engine: Engine
+) -> None:
+    """The base leaves behind what slides freely: no inertia depends on where, and it counts."""
+    model = pin.Model()
+    base = model.addJoint(0, root, pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(base, pin.Inertia.FromSphere(2.0, 0.1), pin.SE3.Identity())
+    slide = model.addJoint(base, along, pin.SE3.Identity(), "slide")
+    model.appendBodyToJoint(slide, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    model.gravity.setZero()
+    system = pinred.load(model)
+    options: dict[str, Any] = {"x0": [0.1], "xdot0": [0.3], "duration": 2.0, "engine": engine}
+    traj = pinred.simulate(system, forces=[Wrench(push)], **options)
+    t = traj.t
+    np.testing.assert_allclose(traj.x[:, 0], 0.1 + 0.3 * t - 0.5 * 0.8 / 2.0 * t**2, atol=1e-9)
+    np.testing.assert_allclose(traj.pose[:, 0], 0.5 * 0.8 / 2.0 * t**2, atol=1e-9)
+    assert traj.plan.acting.cyclic == ()
+    assert pinred.simulate(system, **options).plan.acting.cyclic == (0,)
 
 
 @pytest.mark.slow

@@ -4,8 +4,9 @@ Each mutant is one small change of one module, in a copy of the package: compari
 constants ten times as large or small, + for −, * for /, `and` for `or`, a statement or a returned
 value left out, an expression set to zero, a condition denied.  The tests of the module run until
 one fails (killed) or all pass (survived: the tests do not see it, or there is nothing to see).
-Options: --table FILE.csv, --every N (each N-th mutant only), --first (number of the first),
---seconds of a mutant's tests, --tests (these instead of all of the module's).
+Options: --table FILE.csv, --sample N (so many of each module, at random by --seed),
+--seconds of a mutant's tests, --tests (these instead of all of the module's).  Tests marked slow
+are left out.
 
 Compiled kernels and integrators are kept in a cache of the run's own; where a mutant may be part
 of what was compiled, in one of its own.
@@ -17,32 +18,54 @@ import argparse
 import ast
 import copy
 import csv
+import importlib
 import os
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
-from collections import Counter
+import time
+import traceback
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from random import Random
+
+import numba
+import pytest
 
 ROOT = Path(__file__).parents[2]
 # The tests that most likely kill a mutant, first those that mirror the module.
 TESTS: dict[str, list[str]] = {
-    "verification": [
-        "verification/test_bounds_of_compare.py", "verification/test_small_faults.py",
-        "verification/test_compare.py", "verification/test_ties.py",
+    "verification/full_state": [
+        "verification/test_audit.py", "verification/test_compare.py",
+        "verification/test_bounds_of_compare.py", "verification/test_ties.py",
     ],
-    "kernels/judge": ["kernels/test_judge.py", "simulation/test_simulate.py"],
-    "reduction/potential": ["reduction/test_gravity.py", "reduction/test_closed_forms.py",
-                            "system/test_refusals.py"],
+    "verification/defect": ["verification/test_defects.py"],
+    "verification/distances": ["verification/test_distances.py"],
+    "verification/equations": [
+        "verification/test_equations_of_motion.py", "verification/test_ties.py",
+    ],
+    "verification/ties": ["verification/test_ties.py", "verification/test_equations_of_motion.py"],
+    "verification/report": [
+        "verification/test_bounds_of_compare.py", "views/test_notebook_cards.py",
+    ],
+    "verification": [
+        "verification/test_bounds_of_ends.py", "verification/test_bounds_of_compare.py",
+        "verification/test_audit.py", "verification/test_compare.py",
+    ],
+    "kernels/judge": [
+        "kernels/test_judged_state.py", "kernels/test_judged_velocities.py",
+        "kernels/test_judge.py", "forces/test_refused_forces.py",
+    ],
+    "reduction/potential": ["reduction/test_gravity.py", "reduction/test_small_asymmetries.py",
+                            "reduction/test_closed_forms.py", "system/test_refusals.py"],
     "reduction": ["reduction"],
     "lie": ["lie"],
     "forces": ["forces"],
     "integrators": ["integrators"],
-    "simulation/balances": ["simulation/test_balances.py"],
+    "simulation/balances": ["simulation/test_balances.py", "verification/test_audit.py"],
     "simulation/accelerations": [
         "verification/test_bounds_of_compare.py", "verification/test_small_faults.py",
     ],
@@ -62,11 +85,16 @@ _TYPED = (ast.AnnAssign, ast.arg, ast.FunctionDef)
 
 @dataclass(frozen=True)
 class Mutant:
-    """A change.  line: of the module.  what: before and after.  text: of the whole module."""
+    """A change.  line: of the module.  what: before and after.  tree: the whole module then."""
 
     line: int
     what: str
-    text: str
+    tree: ast.Module
+
+    @property
+    def text(self) -> str:
+        """Return the source of the module."""
+        return ast.unparse(ast.fix_missing_locations(self.tree))
 
 
 def mutants(source: str) -> Iterator[Mutant]:
@@ -77,14 +105,13 @@ def mutants(source: str) -> Iterator[Mutant]:
         if id(node) in skipped or not isinstance(node, _CHANGED):
             continue
         for number in range(3):
-            changed = copy.deepcopy(tree)
+            changed = ast.parse(source)
             twin = next(each for k, each in enumerate(ast.walk(changed)) if k == index)
             before = ast.unparse(twin)
             after = _change(changed, twin, number)
             if after is None:
                 break
-            text = ast.unparse(ast.fix_missing_locations(changed))
-            yield Mutant(getattr(node, "lineno", 0), f"{_short(before)}  ->  {after}", text)
+            yield Mutant(getattr(node, "lineno", 0), f"{_short(before)}  ->  {after}", changed)
 
 
 def _unseen(tree: ast.AST) -> Iterator[ast.AST]:
@@ -161,34 +188,91 @@ def tests_of(module: str) -> list[str]:
     return [f"tests/{name}" for name in dict.fromkeys(tests) if (ROOT / "tests" / name).exists()]
 
 
-def outcome(copied: Path, module: str, text: str, tests: list[str], seconds: float) -> str:
-    """Return what the tests say of a module with that text, in a copy of the project."""
-    target = copied / "pinred" / module
-    own = target.read_text()
-    target.write_text(text)
-    with tempfile.TemporaryDirectory() as own_cache:
-        shared = str(copied.parent / "cache")
-        kernels = module.startswith(("integrators", "kernels", "lie", "reduction", "forces"))
-        places = {
-            "PINRED_CACHE_DIR": own_cache if kernels else shared,
-            "NUMBA_CACHE_DIR": own_cache if module.startswith("integrators") else shared,
-        }
-        command = [sys.executable, "-B", "-m", "pytest", "-q", "-x", "-m", "not slow", "-p",
-                   "no:cacheprovider", *tests]  # fmt: skip
-        with subprocess.Popen(
-            command, cwd=copied, env=os.environ | places | {"PYTHONPATH": str(copied)},
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True,
-        ) as job:  # fmt: skip
+class Copy:
+    """A copy of the project in which modules are changed and tests run, one run after the other.
+
+    What pinred stands on is imported once, in this process; each run is a fork of it that takes
+    pinred from the copy.  Tests that have killed before come first.
+    """
+
+    def __init__(self, place: Path) -> None:
+        """Copy the project to a folder."""
+        self.root, self._cache = place / "project", place / "cache"
+        self._said, self._writes = place / "said", 0
+        self._killers: defaultdict[str, Counter[str]] = defaultdict(Counter)
+        ignored = shutil.ignore_patterns("__pycache__")
+        self.root.mkdir()
+        for name in ("pinred", "tests", "robots", "docs", "examples", "pyproject.toml"):
+            if (ROOT / name).is_dir():
+                shutil.copytree(ROOT / name, self.root / name, ignore=ignored)
+            else:
+                shutil.copy(ROOT / name, self.root / name)
+        for name in ("casadi", "mujoco", "pinocchio", "scipy.integrate"):
+            importlib.import_module(name)
+
+    def outcome(self, module: str, text: str, tests: list[str], seconds: float) -> str:
+        """Return what the tests say of a module with that text."""
+        own = (self.root / "pinred" / module).read_text()
+        self._write(module, text)
+        killers = [name for name, _ in self._killers[module].most_common(3)]
+        with tempfile.TemporaryDirectory() as own_cache:
+            kernels = module.startswith(("integrators", "kernels", "lie", "reduction", "forces"))
+            places = {
+                "PINRED_CACHE_DIR": own_cache if kernels else str(self._cache),
+                "NUMBA_CACHE_DIR": own_cache if module.startswith("integrators")
+                else str(self._cache),
+            }  # fmt: skip
+            code = self._forked([*killers, *tests], places, seconds)
+        self._write(module, own)
+        if code == 0:
+            return "survived"
+        said = self._said.read_text(errors="replace").splitlines()
+        failed = [line for line in said if line.startswith(("FAILED", "ERROR"))]
+        if code is None or not failed:
+            return f"killed by {'time' if code is None else 'an error'}"
+        killer = failed[0].split(" - ")[0].split(maxsplit=1)[1]
+        if "::" in killer:
+            self._killers[module][killer] += 1
+        return f"killed by {killer}"
+
+    def _write(self, module: str, text: str) -> None:
+        """Write a module with a time of its own, by which compiled ones are told from others."""
+        target = self.root / "pinred" / module
+        target.write_text(text)
+        self._writes += 1
+        os.utime(target, (self._writes, self._writes))
+
+    def _forked(self, tests: list[str], places: dict[str, str], seconds: float) -> int | None:
+        """Run tests in a fork until one fails and return its exit code; None if it took longer."""
+        child = os.fork()
+        if not child:
             try:
-                said = job.communicate(timeout=seconds)[0]
-            except subprocess.TimeoutExpired:
-                os.killpg(job.pid, signal.SIGKILL)
-                said = "\nFAILED too long"
-    target.write_text(own)
-    if job.returncode == 0:
-        return "survived"
-    failed = [line for line in said.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return f"killed by {failed[0].split()[1] if failed else 'an error'}"
+                os.setsid()
+                with self._said.open("w") as said:
+                    os.dup2(said.fileno(), 1)
+                    os.dup2(said.fileno(), 2)
+                os.chdir(self.root)
+                os.environ.update(places | {"PYTHONPATH": str(self.root)})
+                numba.config.reload_config()  # type: ignore[no-untyped-call]
+                sys.path.insert(0, str(self.root))
+                options = ["-q", "-x", "-m", "not slow", "-p", "no:cacheprovider"]
+                code = int(pytest.main([*options, *tests]))
+                sys.stdout.flush()
+                os._exit(code)
+            except BaseException:
+                traceback.print_exc()
+            finally:
+                sys.stderr.flush()
+                os._exit(70)
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            found, status = os.waitpid(child, os.WNOHANG)
+            if found:
+                return os.waitstatus_to_exitcode(status)
+            time.sleep(0.05)
+        os.killpg(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        return None
 
 
 def main(arguments: list[str]) -> int:
@@ -196,43 +280,44 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("modules", nargs="+", help="such as verification/compare.py")
     parser.add_argument("--table", type=Path)
-    parser.add_argument("--every", type=int, default=1)
-    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--sample", type=int)
+    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tests", nargs="+", default=[])
     parser.add_argument("--seconds", type=float, default=180.0)
     options = parser.parse_args(arguments)
-    rows, counts = [], Counter[tuple[str, str]]()
+    rows: list[list[object]] = []
+    sums, sound = [], set[tuple[str, ...]]()
     with tempfile.TemporaryDirectory() as place:
-        copied = Path(place) / "project"
-        copied.mkdir()
-        for name in ("pinred", "tests", "robots", "docs", "examples", "pyproject.toml"):
-            source = ROOT / name
-            ignored = shutil.ignore_patterns("__pycache__")
-            if source.is_dir():
-                shutil.copytree(source, copied / name, ignore=ignored)
-            else:
-                shutil.copy(source, copied / name)
+        copied = Copy(Path(place))
         for module in options.modules:
-            text = (ROOT / "pinred" / module).read_text()
+            text = (copied.root / "pinred" / module).read_text()
             tests = options.tests or tests_of(module)
-            plain = outcome(copied, module, text, tests, options.seconds)
-            if plain != "survived":
-                print(f"{module}: the tests fail without a mutant: {plain}")
-                return 2
-            for mutant in list(mutants(text))[options.first :: options.every]:
-                found = outcome(copied, module, mutant.text, tests, options.seconds)
-                counts[module, found.split()[0]] += 1
+            if tuple(tests) not in sound:
+                plain = copied.outcome(module, text, tests, 10.0 * options.seconds)
+                if plain != "survived":
+                    print(f"{module}: the tests fail without a mutant: {plain}")
+                    return 2
+                sound.add(tuple(tests))
+            every, survived = list(mutants(text)), 0
+            chosen = every
+            if options.sample is not None and options.sample < len(every):
+                which = Random(options.seed).sample(range(len(every)), options.sample)
+                chosen = [every[k] for k in sorted(which)]
+            for mutant in chosen:
+                found = copied.outcome(module, mutant.text, tests, options.seconds)
                 rows.append([module, mutant.line, mutant.what, found])
                 if found == "survived":
+                    survived += 1
                     print(f"{module}:{mutant.line}: {mutant.what}", flush=True)
                 if options.table is not None:
                     with options.table.open("w", newline="") as file:
                         head = ["module", "line", "change", "outcome"]
                         csv.writer(file).writerows([head, *rows])
-    for module in options.modules:
-        killed, survived = (counts[module, word] for word in ("killed", "survived"))
-        print(f"{module:<40} {killed:4d} killed {survived:4d} survived")
-    return int(any(word == "survived" for _, word in counts))
+            killed = len(chosen) - survived
+            sums.append(f"{module:<40} {len(chosen):4d} of {len(every):4d}: {killed:4d} killed")
+            print(sums[-1], flush=True)
+    print("\n".join(sums))
+    return int(any(row[-1] == "survived" for row in rows))
 
 
 if __name__ == "__main__":

@@ -11,13 +11,18 @@ from pinred.verification.stress.made_robots import single
 RTOL, TURNED = 1e-8, 100.0
 
 
-@pytest.mark.parametrize("method", ["DOP853", "Tsit5"])
-def test_a_sphere_turns_to_the_tolerance(method: str) -> None:
-    """After 100 rad its angle is off by less than rtol; ten times looser steps leave 1.5 or 3."""
+@pytest.mark.parametrize(
+    ("method", "part"), [("DOP853", 1.0), ("Tsit5", 1.0), ("Radau", 0.03), ("AdaptiveGauss", 0.1)]
+)
+def test_a_sphere_turns_to_the_tolerance(method: str, part: float) -> None:
+    """After 100 rad its angle is off by a part of rtol; ten times looser steps leave more.
+
+    That is 1.5 and 3 for the explicit methods, 0.12 and 0.35 for the others.
+    """
     traj = pinred.simulate(
         single([1.0, 1.0, 1.0]), xi0=[0.0, 0.0, 1.0], duration=TURNED, method=method,
         rtol=RTOL, atol=1e-20,
     )  # fmt: skip
     angle = 2.0 * np.arctan2(traj.pose[-1, 2], traj.pose[-1, 3])
     off = (angle - TURNED + np.pi) % (2.0 * np.pi) - np.pi
-    assert abs(off) < RTOL
+    assert abs(off) < part * RTOL

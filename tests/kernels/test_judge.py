@@ -2,48 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from faulty_kernels import Faulty, light_tree
 from trees import random_model
 
 import pinred
 from pinred import forces
 from pinred.common.arrays import Array
+from pinred.kernels.build import build_kernel
 from pinred.kernels.judge import judge
 from pinred.kernels.judged_state import JudgedState
 from pinred.kernels.kernel import Kernel
 from pinred.simulation.compiled.kernel_of_plan import kernel_of
 from pinred.simulation.plan import plan_of
-
-
-class Faulty:
-    """A kernel with a fault in the last number of a kind, in parts of the largest of it."""
-
-    def __init__(self, kernel: Kernel, where: str, first: int, last: int, fault: float) -> None:
-        """Take the kernel; where: "out" or "rate"; first, last: of the numbers of a kind."""
-        self._kernel, self._where, self._fault = kernel, where, fault
-        self._numbers = slice(first, last)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._kernel, name)
-
-    def evaluate_outputs(self, *arguments: Any) -> Array:
-        """Return the outputs, with the fault if it is there."""
-        return self._spoiled("out", self._kernel.evaluate_outputs(*arguments))
-
-    def evaluate_rate(self, *arguments: Any) -> Array:
-        """Return the rate, with the fault if it is there."""
-        return self._spoiled("rate", self._kernel.evaluate_rate(*arguments))
-
-    def _spoiled(self, where: str, values: Array) -> Array:
-        values = values.copy()
-        if where == self._where:
-            of_kind = values[self._numbers]
-            of_kind[-1] += self._fault * max(float(np.abs(of_kind).max()), 1e-3)
-        return values
 
 
 def free_tree(**options: Any) -> Kernel:
@@ -79,18 +55,6 @@ def driven_tree() -> Kernel:
 def wheels() -> Kernel:
     """Return that of a robot with cyclic joints."""
     scene = pinred.Scene(system=pinred.load("reaction_wheel_satellite"), seed=0)
-    return kernel_of(plan_of(scene), zero_momentum=False)
-
-
-def light_tree(ratio: float) -> Kernel:
-    """Return that of a tree on a free base whose last body is lighter by a ratio."""
-    model = random_model("SE3", 3, 1)
-    light = model.inertias[model.njoints - 1]
-    model.inertias[model.njoints - 1] = pin.Inertia(
-        ratio * light.mass, light.lever, ratio * light.inertia
-    )
-    model.armature = np.zeros(model.nv)
-    scene = pinred.Scene(system=pinred.load(model), seed=0)
     return kernel_of(plan_of(scene), zero_momentum=False)
 
 
@@ -246,6 +210,22 @@ def test_a_wrong_force_is_found(make: Any) -> None:
     first, last = places(kernel)["pi"]
     with pytest.raises(pinred.KernelMismatch, match="acceleration"):
         judge(Faulty(kernel, "rate", first, last, 3.0 * LEAST))  # type: ignore[arg-type]
+
+
+def test_a_slide_that_is_no_wheel_is_found() -> None:
+    """Where the base is pushed, the momentum of what slides along is no constant."""
+    pushed = pin.Model()
+    for i, name in enumerate(("root", "slide")):
+        joint = pushed.addJoint(i, pin.JointModelPX(), pin.SE3.Identity(), name)
+        pushed.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    pushed.gravity.setZero()
+    system = pinred.load(pushed)
+    plan = plan_of(pinred.Scene(system=system, seed=0, forces=forces.Wrench([0.8])))
+    judge(kernel_of(plan, zero_momentum=False))
+    kind = plan.kind(zero_momentum=False)
+    wrong = replace(kind.structure, cyclic=(0,))
+    with pytest.raises(pinred.KernelMismatch, match="acceleration"):
+        build_kernel(system, wrong, kind.forces)
 
 
 def single(group: str, moments: list[float], lever: float = 0.0) -> Kernel:

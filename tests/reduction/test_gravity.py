@@ -141,7 +141,7 @@ def test_without_the_base() -> None:
     assert CompiledFlow(plan_of(scene)).y0.size == ReducedFlow(plan_of(scene)).y0.size == 6
     for engine in ENGINES:
         part = pinred.simulate(scene, engine=engine)
-        y = part.motion._reduced(part.t)
+        y = part.motion.reduced(part.t)
         down = [pin.Quaternion(g).matrix().T @ -E3 for g in every.pose]
         np.testing.assert_allclose(y[:, :3], down, atol=1e-9)
         np.testing.assert_allclose(y[:, 3:], every.body_momentum, atol=1e-9)

@@ -9,7 +9,7 @@ import pytest
 import pinred
 from pinred.reduction.at_a_shape import Reduction
 from pinred.reduction.cyclic_joints import cyclic_joints
-from pinred.reduction.potential import Potential
+from pinred.reduction.potential import Potential, pivot_weight
 
 
 def leaning(by: float) -> pinred.System:
@@ -32,6 +32,32 @@ def test_an_axis_beside_gravity_is_refused(by: float) -> None:
     Potential(leaning(0.0))
     with pytest.raises(pinred.SymmetryError, match="breaks the SO2 symmetry"):
         Potential(leaning(by))
+
+
+@pytest.mark.parametrize(("part", "heavy"), [(0.9e-10, False), (2e-10, True)])
+def test_a_pivot_beside_the_centre_of_mass(part: float, heavy: bool) -> None:
+    """By more than 1e-10 of the body's size, gravity turns it."""
+    model, radius = pin.Model(), 0.3
+    pivot = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "pivot")
+    body = pin.Inertia.FromSphere(2.0, radius)
+    body.lever = part * np.sqrt(1.2) * radius * np.eye(3)[0]  # √1.2 r: the radius of gyration
+    model.appendBodyToJoint(pivot, body, pin.SE3.Identity())
+    model.gravity.linear = np.array([0.0, 0.0, -9.81])
+    assert bool(pivot_weight(pinred.load(model)).any()) is heavy
+
+
+@pytest.mark.parametrize(("by", "acts"), [(0.5e-14, False), (3e-14, True)])
+def test_gravity_beside_a_slide(by: float, acts: bool) -> None:
+    """Of what leans from it by more than 1e-14, the part across acts on the shape."""
+    model = pin.Model()
+    for i, kind in enumerate((pin.JointModelPZ(), pin.JointModelRY())):
+        joint = model.addJoint(i, kind, pin.SE3.Identity(), f"joint{i}")
+        body = pin.Inertia(1.0, np.array([0.0, 0.0, 0.5]), 0.1 * np.eye(3))
+        model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+    model.gravity.linear = np.array([9.81 * by, 0.0, -9.81])
+    potential = Potential(pinred.load(model))
+    assert potential.is_zero is not acts
+    assert (potential.direction is None) is not acts
 
 
 @pytest.mark.parametrize("by", [1e-6, 1e-9])

@@ -2,41 +2,66 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import pinred
 from pinred.simulation.state import State
 
+NEAR: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-11}  # round-off times a short stretch
+
 
 def test_many_are_one_at_a_time() -> None:
-    """Bit for bit the states of `simulate`, on any number of threads, momentum zero or not."""
+    """The states of `simulate`, momentum zero or not; the same bits on any number of threads."""
     system = pinred.load("falling_cat")
     rng = np.random.default_rng(0)
     x0, xdot0 = rng.uniform(-0.5, 0.5, (12, 3)), rng.normal(size=(12, 3))
     momentum = rng.normal(size=(12, 6)) * 0.01
     momentum[::3] = 0.0
     times = np.linspace(0.0, 2.0, 7)
-    for threads in (1, 3):
-        many = pinred.simulate_many(
-            system, x0=x0, xdot0=xdot0, momentum=momentum, threads=threads, times=times
+    found = [
+        pinred.simulate_many(
+            system, x0=x0[some], xdot0=xdot0[some], momentum=momentum[some], times=times,
+            threads=threads,
         )
-        assert len(many) == 12
-        assert many.failures == ()
-        for i in range(12):
-            one = pinred.simulate(
-                system, x0=x0[i], xdot0=xdot0[i], momentum=momentum[i], times=times
+        for some, threads in ((slice(None), 1), (slice(None), 3), (slice(None, None, -1), 2))
+    ]  # fmt: skip
+    assert all(len(many) == 12 and many.failures == () for many in found)
+    for field in State.__dataclass_fields__:
+        first, second, turned = (getattr(many.states, field) for many in found)
+        np.testing.assert_array_equal(first, second)
+        np.testing.assert_array_equal(first, turned if field == "t" else turned[::-1])
+    many = found[0]
+    for i in range(12):
+        one = pinred.simulate(system, x0=x0[i], xdot0=xdot0[i], momentum=momentum[i], times=times)
+        for field in State.__dataclass_fields__:
+            whole = getattr(many.states, field)
+            np.testing.assert_array_equal(
+                getattr(many[i], field), whole if field == "t" else whole[i]
             )
-            for field in State.__dataclass_fields__:
-                np.testing.assert_array_equal(getattr(many[i], field), getattr(one, field))
+            np.testing.assert_allclose(getattr(many[i], field), getattr(one, field), **NEAR)
+
+
+def test_other_methods_have_the_same_bits() -> None:
+    """What has no lanes runs one after another, as `simulate` does."""
+    system = pinred.load("planar_chain5")
+    for method in ("Gauss(0.01)", "AdaptiveGauss"):
+        many = pinred.simulate_many(system, seeds=range(3), times=[1.0], method=method)
+        one = pinred.simulate(system, seed=2, times=[1.0], method=method)
+        np.testing.assert_array_equal(many[2].q, one.q)
 
 
 def test_seeds() -> None:
-    """A random state each."""
+    """A random state each; of many, an open choice is DOP853."""
     system = pinred.load("planar_chain5")
-    many = pinred.simulate_many(system, seeds=range(4), duration=1.0)
-    one = pinred.simulate(system, seed=2, duration=1.0)
-    np.testing.assert_array_equal(many[2].q, one.q)
+    many = pinred.simulate_many(system, seeds=range(4), times=[1.0])
+    one = pinred.simulate(system, seed=2, times=[1.0])
+    assert (many[2].run.method, one.run.method) == ("DOP853", "AdaptiveGauss")
+    np.testing.assert_allclose(many[2].q, one.q, atol=1e-8)
+    same = pinred.simulate(system, seed=2, times=[1.0], method="DOP853")
+    np.testing.assert_allclose(many[2].q, same.q, **NEAR)
 
 
 def test_a_failure_stays_apart() -> None:
@@ -50,6 +75,11 @@ def test_a_failure_stays_apart() -> None:
     assert np.isfinite(many[-1].q).all()
     with pytest.raises(pinred.IntegrationError, match=r"member 1 stopped at t = "):
         _ = many[1]
+    assert np.isfinite(many.x[[0, 2]]).all()
+    assert np.isfinite(many.x[1, many.t < many.failures[0].time]).all()
+    assert np.isnan(many.pose[1, -1]).all()
+    alone = pinred.simulate_many(system, x0=x0[:1], duration=100.0, springs={"hinge": (-1e6, 0.0)})
+    np.testing.assert_array_equal(alone.x[0], many.x[0])
 
 
 def test_one_that_only_translates() -> None:

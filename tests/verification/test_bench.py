@@ -15,7 +15,7 @@ from commands import python
 import pinred
 from pinred.cli.main import main
 from pinred.common.errors import InputError
-from pinred.verification.bench import Scaling, bench_many, bench_scaling, timing
+from pinred.verification.bench import Scaling, bench_scaling, bench_threads, timing
 from pinred.verification.bench.chains import chain
 
 pytestmark = pytest.mark.slow
@@ -69,10 +69,10 @@ def test_scaling() -> None:
         bench_scaling((4, 2))
 
 
-def test_many() -> None:
+def test_threads() -> None:
     """Times of both, and memory that is at least what the results take."""
     system = pinred.load("falling_cat")
-    found = bench_many(system, members=8, duration=0.05, rounds=1)
+    found = bench_threads(system, members=8, duration=0.05, rounds=1)
     assert (found.wall > 0.0).all()
     assert found.speedup == pytest.approx(found.wall[0] / found.wall[1])
     many = pinred.simulate_many(system, seeds=range(8), times=[0.05])
@@ -81,19 +81,19 @@ def test_many() -> None:
     assert (found.kept >= found.results).all()
     assert (found.extra >= 0.0).all()
     with pytest.raises(InputError, match="at least 4"):
-        bench_many(system, members=3)
+        bench_threads(system, members=3)
 
 
 def test_commands_write_csv(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`--out` makes the folder and writes whole tables whose numbers read back."""
     folder = tmp_path / "new" / "numbers"
     assert main(["bench", "kernels", "coupled_planar", "--out", str(folder)]) == 0
-    assert main(["bench", "many", "falling_cat", "--members", "4", "--out", str(folder)]) == 0
+    assert main(["bench", "threads", "falling_cat", "--members", "4", "--out", str(folder)]) == 0
     out = capsys.readouterr().out
-    names = ["kernels", "many", "many_memory"]
+    names = ["kernels", "threads", "threads_memory"]
     assert sorted(path.name for path in folder.iterdir()) == [f"{name}.csv" for name in names]
     assert all(f"written to {folder / name}.csv" in out for name in names)
-    with (folder / "many.csv").open(encoding="utf-8") as file:
+    with (folder / "threads.csv").open(encoding="utf-8") as file:
         assert [row["threads"] for row in csv.DictReader(file)] == ["1", "2"]
 
 

@@ -37,9 +37,9 @@ def spoiled(system: pinred.System, kind: str, joint: int, axis: int) -> pinred.S
 
 @cache
 def motion(name: str) -> pinred.Trajectory:
-    """A short motion of a bundled robot from its own state; one that nothing moves has a spring."""
-    springs = {"beanie": (3.0, 0.0)} if name == "elroys_beanie" else {}
-    return pinred.simulate(pinred.load(name), duration=0.5, springs=springs)
+    """A short motion of a bundled robot; where nothing moves by itself there is a spring."""
+    springs = {"elroys_beanie": {"beanie": (3.0, 0.0)}, "snakeboard": {"rotor": (3.0, 0.0)}}
+    return pinred.simulate(pinred.load(name), duration=0.5, springs=springs.get(name, {}))
 
 
 def judged_as(traj: pinred.Trajectory, other: pinred.System) -> pinred.Report:
@@ -82,6 +82,10 @@ FAULTS = {
     "upright_drone": [
         ("mass", 1, 0), ("mass", 3, 0), ("lever", 3, 0), ("axis", 2, 2), ("axis", 3, 1),
     ],
+    "purcell_swimmer": [("mass", 1, 0), ("mass", 3, 0), ("length", 3, 0), ("moment", 2, 2)],
+    "three_rods": [("mass", 1, 0), ("mass", 3, 0), ("lever", 3, 0), ("length", 3, 0)],
+    "snakeboard": [("mass", 2, 0), ("length", 3, 0), ("moment", 1, 2), ("moment", 4, 2)],
+    "floating_arm": [("mass", 1, 0), ("mass", 3, 0), ("lever", 3, 0), ("length", 2, 0)],
 }  # fmt: skip
 
 

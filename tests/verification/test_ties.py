@@ -49,6 +49,25 @@ def test_accelerations(case: CoupledCase) -> None:
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("alone", [True, False])
+def test_accelerations_in_gravity(alone: bool) -> None:
+    """Which pulls at all bodies, and not at the multipliers, by ABA and as one system."""
+    case = make_case("SE3", 5, 0, heavy=True)
+    model, rng = case.system.model, case.rng
+    assert model.gravity.linear.any()
+    ties, data, G = Ties(case.system), model.createData(), case.whole
+    assert ties._alone
+    ties._alone = alone
+    q = case.system.model_q(case.system.group.identity(), rng.uniform(-2, 2, case.system.m))
+    v = G @ rng.normal(size=case.system.n)
+    upper = pin.crba(model, data, q)
+    H = np.triu(upper) + np.triu(upper, 1).T
+    bias = pin.nonLinearEffects(model, data, q, v)
+    expected = G @ np.linalg.solve(G.T @ H @ G, -G.T @ bias)
+    found = ties.acceleration(q, v, np.zeros(model.nv))
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("group", "seed"), [("SE3", 0), ("SE2", 4), ("SO3", 5), ("SO2", 8)])
 def test_compare_passes(group: str, seed: int) -> None:

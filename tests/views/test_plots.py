@@ -239,7 +239,7 @@ def test_names_are_not_formulas(tmp_path: Path) -> None:
 
 def test_refusals(cat: pinred.Trajectory) -> None:
     """Kinds, options and joints that are not there are refused with those that are."""
-    with pytest.raises(pinred.InputError, match="the kinds are base, branches, curvature, energy"):
+    with pytest.raises(pinred.InputError, match="the kinds are base, branches, curvature, cycles"):
         pinred.plot(cat, "shapes")
     with pytest.raises(pinred.InputError, match="no option 'joint'; its options are joints"):
         pinred.plot(cat, "shape", joint=1)  # type: ignore[call-overload]

@@ -2,42 +2,99 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, read_only, vector, vectors
 from ...common.errors import InputError, SingularInertiaError
-from ...kernels.connection.code import ConnectionCode
+from ...kernels.connection.code import ConnectionCode, Curvatures
 from ...kernels.connection.form import ConnectionForm
 from ...lie.group import Group
 from ...system.system import System
+from .fluid import Ellipse, Ellipsoid, fluid_form
 from .mechanical import mechanical_form
+from .sections import from_link, in_section
+from .viscous import Rod, viscous_form
+from .wheels import Rolling, Wheel, kinematic_form
 
 _EXPLAINED = 16.0 * np.finfo(float).eps  # least own part of an inertia that is not singular
+_AT_ONCE = 8192  # shapes: few enough that work space stays in the cache
 _WHEELS = 1e-9  # least health of a form that is not symmetric
 
 
 @dataclass(frozen=True, eq=False)
 class ConnectionField:
-    """A connection at shapes x (..., m), the leading axes first in every array; read-only.
+    """A connection at shapes x (..., m), the leading axes first in every array.
 
-    local: (..., r, m), A.  metric: (..., m, m), M, or None without one.  exterior: (..., r, m, m),
-    ∂_αA_β − ∂_βA_α.  bracket: (..., r, m, m), [A_α, A_β].  curvature: exterior − bracket.
+    Each array is computed when it is first looked at, kept, and read-only.  Everything raises
+    SingularInertiaError, naming the first shape at which A is not defined.
     """
 
     connection: Connection = field(repr=False)
     x: Array
-    local: Array
-    metric: Array | None
-    exterior: Array
-    bracket: Array
 
     @property
+    def local(self) -> Array:
+        """A, (..., r, m)."""
+        return self._locals[0]
+
+    @property
+    def metric(self) -> Array:
+        """M, (..., m, m).  Raises InputError if the connection has no metric."""
+        found = self._locals[1]
+        if found is None:
+            raise InputError(f"{self.connection.form.what} give no metric on shape space")
+        return found
+
+    @cached_property
     def curvature(self) -> Array:
         """B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (..., r, m, m)."""
-        return np.asarray(self.exterior - self.bracket)
+        x, r, m = self._flat, self.connection.r, self.connection.m
+        out = np.empty((len(x), r, m, m))
+        for start in range(0, len(x), _AT_ONCE):
+            some = slice(start, start + _AT_ONCE)
+            health = self.connection.code.curvature(x[some], out[some])
+            self.connection.refuse_singular(x[some], health)
+        return self._shaped(out)
+
+    @property
+    def exterior(self) -> Array:
+        """∂_αA_β − ∂_βA_α, (..., r, m, m): the part that a commutative group has, too."""
+        return self._parts[0]
+
+    @property
+    def bracket(self) -> Array:
+        """[A_α, A_β], (..., r, m, m): curvature = exterior − bracket."""
+        return self._parts[1]
+
+    @cached_property
+    def _locals(self) -> tuple[Array, Array | None]:
+        x, r, m = self._flat, self.connection.r, self.connection.m
+        A = np.empty((len(x), r, m))
+        M = np.empty((len(x), m, m)) if self.connection.has_metric else None
+        for start in range(0, len(x), _AT_ONCE):
+            some = slice(start, start + _AT_ONCE)
+            A[some], metric, _ = self.connection.locals_at(x[some])
+            if M is not None and metric is not None:
+                M[some] = metric
+        return self._shaped(A), None if M is None else self._shaped(M)
+
+    @cached_property
+    def _parts(self) -> tuple[Array, Array]:
+        found = self.connection.curvatures_at(self._flat)
+        return self._shaped(found.exterior), self._shaped(found.bracket)
+
+    @property
+    def _flat(self) -> Array:
+        return self.x.reshape(-1, self.connection.m)
+
+    def _shaped(self, array: Array) -> Array:
+        return read_only(array.reshape(*self.x.shape[:-1], *array.shape[1:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +110,7 @@ class Connection:
 
     form: ConnectionForm = field(repr=False)
     code: ConnectionCode = field(repr=False)
+    system: System | None = field(default=None, repr=False)
 
     @classmethod
     def of(cls, form: ConnectionForm) -> Connection:
@@ -62,7 +120,54 @@ class Connection:
     @classmethod
     def mechanical(cls, system: System) -> Connection:
         """Return the mechanical connection of a system: A = I⁻¹ H_bs, metric M (kg m², …)."""
-        return cls.of(mechanical_form(system))
+        return replace(cls.of(mechanical_form(system)), system=system)
+
+    @classmethod
+    def viscous(cls, system: System, drag: Mapping[str, Rod | ArrayLike]) -> Connection:
+        """Return the connection of a robot at low Reynolds number, where drag rules.
+
+        drag: of links by name, a Rod, or a symmetric tensor (6, 6) from twists to what resists
+        them [N s/m, N s, N m s], in the link's frame about its origin.  With the metric
+        M, ẋᵀ M ẋ is the power that is dissipated [W].
+        """
+        return replace(cls.of(viscous_form(system, drag)), system=system)
+
+    @classmethod
+    def fluid(
+        cls, system: System, density: float, bodies: Mapping[str, Ellipsoid | Ellipse | ArrayLike]
+    ) -> Connection:
+        """Return the connection of a robot in a perfect fluid, by added masses.
+
+        density: of the fluid [kg/m³]; of an Ellipse [kg/m²] if masses are per metre of height.
+        bodies: of links by name, an Ellipsoid, an Ellipse, or the added inertia per density as a
+        symmetric tensor (6, 6) in the link's frame.  Bodies do not see each other's flow.
+        """
+        return replace(cls.of(fluid_form(system, density, bodies)), system=system)
+
+    @classmethod
+    def kinematic(cls, system: System, wheels: Sequence[Wheel | Rolling]) -> Connection:
+        """Return the connection of wheels, as many as the group has dimensions: A = W_b⁻¹ W_s.
+
+        It has no metric.  Shapes at which the wheels leave a motion open are refused.
+        """
+        return replace(cls.of(kinematic_form(system, wheels)), system=system)
+
+    def seen_from(self, link: str) -> Connection:
+        """Return the same connection with another link as the base, whose twist ξ then is.
+
+        A cycle that begins at x₀ has the phase h(x₀)⁻¹ g h(x₀), h the pose of the link as the old
+        base sees it.  Raises InputError for a link that there is not, or that leaves the group.
+        """
+        if self.system is None:
+            raise InputError("only a connection made from a System can be seen from a link")
+        return Connection.of(from_link(self.form, self.system, link))
+
+    def in_section(self, pose: Callable[[ca.SX], ca.SX]) -> Connection:
+        """Return the same connection in the frame h(x): A′ = Ad_{h⁻¹} A − h⁻¹∂h.
+
+        pose: writes the pose coordinates of h, (size,), as CasADi expressions in x (m,).
+        """
+        return Connection.of(in_section(self.form, pose))
 
     def __repr__(self) -> str:
         return f"Connection({self.form.what}, {self.group.name}, m={self.m})"
@@ -109,28 +214,13 @@ class Connection:
 
     def curvature(self, x: ArrayLike) -> Array:
         """B(x), (r, m, m), antisymmetric in the last two axes; errors as of `local`."""
-        x = self._one(x)
-        found = self.code.curvatures(x)
-        self.refuse_singular(x, found.health)
+        found = self.curvatures_at(self._one(x))
         return read_only((found.exterior - found.bracket)[0])
 
     def grid(self, shapes: ArrayLike) -> ConnectionField:
-        """Return everything at shapes (..., m); errors as of `local`, naming the first shape."""
+        """Return the connection at shapes (..., m), as a field over the leading axes."""
         x = vectors(shapes, self.m, f"shapes of {self.form.what}", self.joints).copy()
-        flat = x.reshape(-1, self.m)
-        A, M, _ = self.locals_at(flat)
-        curved = self.code.curvatures(flat)
-        self.refuse_singular(flat, curved.health)
-        lead = x.shape[:-1]
-
-        def shaped(array: Array) -> Array:
-            return read_only(array.reshape(*lead, *array.shape[1:]))
-
-        return ConnectionField(
-            connection=self, x=read_only(x), local=shaped(A),
-            metric=None if M is None else shaped(M),
-            exterior=shaped(curved.exterior), bracket=shaped(curved.bracket),
-        )  # fmt: skip
+        return ConnectionField(self, read_only(x))
 
     def velocity(self, x: ArrayLike, xdot: ArrayLike) -> Array:
         """ξ = −A ẋ at shapes and rates (..., m), (..., r); errors as of `local`."""
@@ -164,11 +254,14 @@ class Connection:
         self.refuse_singular(x, found.health)
         return found.A, found.M, found.P
 
-    def refuse_singular(self, x: Array, health: Array) -> None:
-        """Raise SingularInertiaError, naming a shape, if one of (N, m) is singular.
+    def curvatures_at(self, x: Array) -> Curvatures:
+        """Return the curvature in its two parts at shapes (N, m); errors as of `local`."""
+        found = self.code.curvatures(x)
+        self.refuse_singular(x, found.health)
+        return found
 
-        Of a form that is not symmetric also if the sign changes between two shapes in a row.
-        """
+    def refuse_singular(self, x: Array, health: Array) -> None:
+        """Raise SingularInertiaError, naming a shape, if one of (N, m) is singular."""
         least = _EXPLAINED if self.form.symmetric else _WHEELS
         size = health if self.form.symmetric else np.abs(health)
         wrong = ~(size > least)
@@ -177,6 +270,17 @@ class Connection:
             raise SingularInertiaError(
                 f"A is not defined at the shape {at}: {self.form.what} leave a motion of the "
                 "body open there; keep the joints away from it"
+            )
+
+    def refuse_crossing(self, health: Array) -> None:
+        """Raise SingularInertiaError if P_b is singular between the shapes (N,) of a path.
+
+        A form that is not symmetric changes its sign there.
+        """
+        if not self.form.symmetric and health.min() < 0.0 < health.max():
+            raise SingularInertiaError(
+                f"the gait crosses shapes at which {self.form.what} leave a motion of the body "
+                "open; choose one that stays on one side of them"
             )
 
     def _one(self, x: ArrayLike) -> Array:

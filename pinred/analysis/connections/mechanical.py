@@ -23,5 +23,5 @@ def mechanical_form(system: System) -> ConnectionForm:
 
     return form_of(
         system.group, system.shape_names, system.units, f"the momenta of '{system.name}'",
-        values, reference, symmetric=True, locked=lambda x: locked(system, x),
+        values, reference, symmetric=True, momentum=True, locked=lambda x: locked(system, x),
     )  # fmt: skip

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ...common.arrays import Array, as_floats, positive, read_only, vector, vectors
 from ...common.errors import InputError
 from ...common.names import joint_index
+from ...forces.signals import Fourier
 from .arcs import TAU, Arc, FourierArc, PolynomialArc, line
 
 _CLOSED = 1e-9  # rad | m, relative to the size of the path
@@ -190,6 +191,29 @@ class Gait:
                 x[own], slope = arc.at((flat[own] - self.breaks[k]) / arc.time)
                 xdot[own] = slope / arc.time
         return x.reshape(*times.shape, self.m), xdot.reshape(*times.shape, self.m)
+
+    def signals(self, joints: Sequence[str]) -> dict[str, Fourier]:
+        """Return the plan of each joint, for `prescribed` of a Scene: the gait again and again.
+
+        joints: names of all joints, in order.  Raises InputError for a gait that is not one
+        Fourier series: what is simulated has no corners.
+        """
+        arc = self.arcs[0]
+        if not self.is_smooth or not isinstance(arc, FourierArc):
+            raise InputError("only a gait that is one Fourier series can be simulated as a plan")
+        names = list(joints)
+        if len(names) != self.m:
+            raise InputError(f"the gait moves {self.m} joints, got {len(names)} names")
+        k = np.arange(1, len(arc.cos) + 1)[:, None]
+        sense = 1.0 if arc.end > arc.start else -1.0
+        c, s = np.cos(k * arc.start), np.sin(k * arc.start)
+        # φ = start ± 2πt/T.
+        cos = arc.cos * c + arc.sin * s
+        sin = sense * (arc.sin * c - arc.cos * s)
+        return {
+            name: Fourier(float(arc.mean[j]), cos[:, j].tolist(), sin[:, j].tolist(), self.period)
+            for j, name in enumerate(names)
+        }
 
     def samples(self, count: int) -> tuple[Array, Array]:
         """Return shapes and rates at `count` equidistant times from 0, (count, m) each."""

@@ -151,7 +151,7 @@ def _momentum(connection: Connection, momentum: ArrayLike | float) -> Array:
     if np.ndim(momentum) == 0 and momentum == 0:
         return np.zeros(connection.r)
     mu = vector(np.asarray(momentum), connection.r, "momentum", connection.group.twist_names)
-    if mu.any() and not connection.has_metric:
+    if mu.any() and not connection.form.momentum:
         raise InputError(f"{connection.form.what} carry no momentum; leave momentum out")
     return mu
 

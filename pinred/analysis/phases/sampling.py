@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...common.arrays import Array
-from ...common.errors import InputError, SingularInertiaError
+from ...common.errors import InputError
 from ...integrators.gauss.tables import tables
 from ..connections.connection import Connection
 from ..gaits.gait import Gait
@@ -74,7 +74,7 @@ def _smooth(connection: Connection, gait: Gait, momentum: bool) -> Iterator[Samp
         if known is not None:
             found = Samples(*(_woven(a, b) for a, b in zip(known, found, strict=True)))
         known = found
-        _refuse_crossing(connection, found.health)
+        connection.refuse_crossing(found.health)
         pieces = Pieces(
             h=np.full(count // 2, gait.period / (count // 2)),
             a=in_space(connection.group, _interpolated(found.xi)),
@@ -95,7 +95,7 @@ def _by_pieces(connection: Connection, gait: Gait, momentum: bool) -> Iterator[S
             [part[1] / arc.time for part, arc in zip(parts, gait.arcs, strict=True)]
         )
         found = _at(connection, x, xdot, momentum)
-        _refuse_crossing(connection, found.health)
+        connection.refuse_crossing(found.health)
         h = np.repeat([arc.time / each for arc in gait.arcs], each)
         shape = (len(h), STAGES)
         pieces = Pieces(
@@ -128,15 +128,6 @@ def _woven(known: Array, new: Array) -> Array:
     out = np.empty((2 * len(known), *known.shape[1:]))
     out[::2], out[1::2] = known, new
     return out
-
-
-def _refuse_crossing(connection: Connection, health: Array) -> None:
-    """Raise SingularInertiaError if P_b changes sign along a gait: it is singular between."""
-    if not connection.has_metric and health.min() < 0.0 < health.max():
-        raise SingularInertiaError(
-            f"the gait crosses shapes at which {connection.form.what} leave a motion of the body "
-            "open; choose one that stays on one side of them"
-        )
 
 
 def _inverse_in_space(connection: Connection, rows: Array) -> Array:

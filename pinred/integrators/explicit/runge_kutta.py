@@ -10,6 +10,7 @@ yet back at length one: from it the step can be repeated to the last bit.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from hashlib import sha256
 from math import sqrt
 from types import SimpleNamespace
@@ -265,9 +266,27 @@ def first_step(run: Run, params: Array, work: Array) -> float:
 # --- made of a tableau ---------------------------------------------------------------------
 
 
-def make_stepper(name: str, order: int, tableau: Tableau) -> Stepper:
-    """Return what runs a method of this name and order."""
-    s, extra, terms = tableau.stages, len(tableau.A) - tableau.stages - 1, len(tableau.dense)
+@dataclass(frozen=True)
+class Steps:
+    """A tableau as sums and evaluations, on rows of `work`.
+
+    to_end: from row Y with its rate to row NEW, at_end: then to the rate there, errors: the rows
+    of errors; dense: what the polynomial takes beyond the cubic, in rows from `first` + 3 on.
+    early: whether the errors take the rate at the end, which `to_end` then gives.
+    """
+
+    to_end: list[Sum | Rate]
+    at_end: list[Sum | Rate]
+    errors: list[Sum | Rate]
+    dense: list[Sum | Rate]
+    early: bool
+    first: int
+    rows: int
+
+
+def steps_of(tableau: Tableau) -> Steps:
+    """Return the sums and evaluations of a tableau."""
+    s, extra = tableau.stages, len(tableau.A) - tableau.stages - 1
     row_of = [BEGIN_RATE, *range(RATES, RATES + s - 1), END_RATE]
     first = RATES + s - 1 + extra
     row_of += range(first - extra, first)
@@ -281,24 +300,40 @@ def make_stepper(name: str, order: int, tableau: Tableau) -> Stepper:
         return [step for both in each for step in both]
 
     at_end: list[Sum | Rate] = [Rate(NEW, END_RATE)]
-    early = bool(tableau.errors[:, s].any())  # whether the error takes the rate at the end
+    early = bool(tableau.errors[:, s].any())
     to_end = [*stages(range(1, s)), Sum(NEW, Y, weighted(tableau.A[s]))]
     errors = zip((ERROR, ERROR3), tableau.errors, strict=False)
+    return Steps(
+        to_end=to_end + at_end if early else to_end,
+        at_end=[] if early else at_end,
+        errors=[Sum(row, None, weighted(some)) for row, some in errors],
+        dense=[
+            *stages(range(s + 1, s + 1 + extra)),
+            *(Sum(first + 3 + k, None, weighted(some)) for k, some in enumerate(tableau.dense)),
+        ],
+        early=early,
+        first=first,
+        rows=first + 3 + len(tableau.dense),
+    )
+
+
+def order_in_twos(order: int) -> dict[str, int]:
+    """Return HALVINGS and REST of an order, 2^HALVINGS REST."""
+    return {"HALVINGS": (order & -order).bit_length() - 1, "REST": order // (order & -order)}
+
+
+def make_stepper(name: str, order: int, tableau: Tableau) -> Stepper:
+    """Return what runs a method of this name and order."""
+    steps = steps_of(tableau)
     made = SimpleNamespace(
-        STAGES=s,
-        HALVINGS=(order & -order).bit_length() - 1,
-        REST=order // (order & -order),
-        FIRST=first,
-        TERMS=3 + terms,
-        fill_step=row_program([*to_end, *at_end] if early else to_end),
-        fill_end=row_program([] if early else at_end),
-        fill_errors=row_program([Sum(row, None, weighted(some)) for row, some in errors]),
-        fill_dense=row_program(
-            [
-                *stages(range(s + 1, s + 1 + extra)),
-                *(Sum(first + 3 + k, None, weighted(some)) for k, some in enumerate(tableau.dense)),
-            ]
-        ),
+        STAGES=tableau.stages,
+        **order_in_twos(order),
+        FIRST=steps.first,
+        TERMS=steps.rows - steps.first,
+        fill_step=row_program(steps.to_end),
+        fill_end=row_program(steps.at_end),
+        fill_errors=row_program(steps.errors),
+        fill_dense=row_program(steps.dense),
         estimate=one_error if len(tableau.errors) == 1 else two_errors,
     )
     told = f"{name}_{digest(order, tableau)}"
@@ -311,7 +346,7 @@ def make_stepper(name: str, order: int, tableau: Tableau) -> Stepper:
     for function in (root, first_step, culprit, prepare):
         made_of(function)
     hooks = Hooks(*map(made_of, (begin, until, attempt, accept, load, state)))
-    return Stepper(loops(told, hooks), lambda n, tangent: padded_rows(first + 3 + terms, n))  # noqa: ARG005
+    return Stepper(loops(told, hooks), lambda n, tangent: padded_rows(steps.rows, n))  # noqa: ARG005
 
 
 def digest(order: int, tableau: Tableau) -> str:

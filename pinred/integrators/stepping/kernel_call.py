@@ -42,6 +42,39 @@ def call_tangent(  # type: ignore[no-untyped-def]
     return _calling(y, params, directions, out)
 
 
+@make_intrinsic
+def call_slopes(  # type: ignore[no-untyped-def]
+    typing: Any,  # noqa: ARG001
+    address: Any,  # noqa: ARG001
+    y: Any,
+    params: Any,
+    along_y: Any,
+    along_params: Any,
+    out: Any,
+):
+    """Let the tangent at `address` (int64) fill `out` with slopes along y and parameters.
+
+    along_y, along_params, out: SEEDS values an entry, one after another.
+    """
+    return _calling(y, params, along_y, along_params, out)
+
+
+@make_intrinsic
+def call_adjoint(  # type: ignore[no-untyped-def]
+    typing: Any,  # noqa: ARG001
+    address: Any,  # noqa: ARG001
+    y: Any,
+    params: Any,
+    covector: Any,
+    out: Any,
+):
+    """Let the adjoint at `address` (int64) fill `out` with slopes of covector · ẏ.
+
+    Those by y, then those by the parameters.
+    """
+    return _calling(y, params, covector, out)
+
+
 def _calling(*arrays: Any) -> Any:
     """Return signature and instructions of a call with the data of arrays."""
     check_contiguous(*arrays)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.memo import once
+from ...integrators.stepping.compiling import compiled
 from ..evaluate import evaluate
 from ..machine.native import NativeCode, compile_object, load_object
 from ..object_cache import ObjectCache, cache_key
@@ -96,15 +97,17 @@ class ConnectionCode:
         """Return the curvature in its two parts."""
         form, code = self.form, self._code("curvature", curvature_graph, judge_curvature)
         r, m = form.r, form.m
-        pairs = m * (m - 1) // 2
-        out = evaluate(code.address, _NONE, x, 1 + 2 * r * pairs)
-        first, second = np.triu_indices(m, 1)
-        parts = np.zeros((2, len(x), r, m, m))
-        for part, values in zip(parts, np.split(out[:, 1:], 2, axis=1), strict=True):
-            columns = _columns(values, r, pairs)
-            part[:, :, first, second] = columns
-            part[:, :, second, first] = -columns
-        return Curvatures(parts[0], parts[1], out[:, 0])
+        out = evaluate(code.address, _NONE, x, 1 + r * m * (m - 1))
+        exterior, bracket = np.empty((2, len(x), r, m, m))
+        _spread(out, exterior, bracket)
+        return Curvatures(exterior, bracket, out[:, 0])
+
+    def curvature(self, x: Array, B: Array) -> Array:
+        """Fill B (N, r, m, m) with the curvature; return the health of P_b, (N,)."""
+        form, code = self.form, self._code("curvature", curvature_graph, judge_curvature)
+        out = evaluate(code.address, _NONE, x, 1 + form.r * form.m * (form.m - 1))
+        _spread_difference(out, B)
+        return out[:, 0].copy()
 
     def _code(
         self,
@@ -123,6 +126,43 @@ class ConnectionCode:
             return made
 
         return once(self, name, make)
+
+
+@compiled
+def _spread(out: Array, exterior: Array, bracket: Array) -> None:
+    """Put the columns of pairs α < β, of both parts, where they belong."""
+    count, r, m, _ = exterior.shape
+    half = r * m * (m - 1) // 2
+    for k in range(count):
+        at = 1
+        for a in range(m):
+            for i in range(r):
+                exterior[k, i, a, a] = bracket[k, i, a, a] = 0.0
+            for b in range(a + 1, m):
+                for i in range(r):
+                    exterior[k, i, a, b] = out[k, at]
+                    exterior[k, i, b, a] = -out[k, at]
+                    bracket[k, i, a, b] = out[k, at + half]
+                    bracket[k, i, b, a] = -out[k, at + half]
+                    at += 1
+
+
+@compiled
+def _spread_difference(out: Array, B: Array) -> None:
+    """Put the differences of both parts where they belong."""
+    count, r, m, _ = B.shape
+    half = r * m * (m - 1) // 2
+    for k in range(count):
+        at = 1
+        for a in range(m):
+            for i in range(r):
+                B[k, i, a, a] = 0.0
+            for b in range(a + 1, m):
+                for i in range(r):
+                    value = out[k, at] - out[k, at + half]
+                    B[k, i, a, b] = value
+                    B[k, i, b, a] = -value
+                    at += 1
 
 
 def _columns(flat: Array, rows: int, columns: int) -> Array:

@@ -25,6 +25,7 @@ class ConnectionForm:
     few words.  values: (x, v) → F(x) v, (r,), or (n,) of a symmetric form; v = (ξ, ẋ).  locked:
     x → P_b, (r²,) by columns.  reference: x → the matrix of F, (r, n) or (n, n), by other means
     than the expressions; it judges them.  symmetric: whether there is a metric.
+    momentum: whether F is one, of which the spatial one is conserved.
     """
 
     group: Group
@@ -35,6 +36,7 @@ class ConnectionForm:
     locked: ca.Function
     reference: Callable[[Array], Array]
     symmetric: bool
+    momentum: bool = False
 
     @property
     def r(self) -> int:
@@ -62,6 +64,7 @@ def form_of(
     reference: Callable[[Array], Array],
     *,
     symmetric: bool,
+    momentum: bool = False,
     locked: Callable[[ca.SX], ca.SX] | None = None,
 ) -> ConnectionForm:
     """Return the form whose values are written by a function of x and v.
@@ -81,4 +84,5 @@ def form_of(
         locked=ca.Function("locked", [x], [ca.densify(ca.vec(P))]),
         reference=reference,
         symmetric=symmetric,
+        momentum=momentum,
     )

@@ -16,7 +16,7 @@ def velocity_graph(form: ConnectionForm) -> ca.Function:
     F = form.values(x, ca.vertcat(ca.SX.zeros(r, 1), xdot))
     P = _locked(form, x)
     xi = -_solved(form, P, F[:r])
-    out = [xi, _health(form, P)]
+    out = [xi, health(form, P)]
     if form.symmetric:
         out.append(ca.dot(xdot, F[r:]) + ca.dot(F[:r], xi))
     return _function("velocity", ca.vertcat(x, xdot), out)
@@ -36,7 +36,7 @@ def local_graph(form: ConnectionForm) -> ca.Function:
     r, m = form.r, form.m
     x, P, S = _parts(form)
     A = _solved(form, P, S[:r, :])
-    out = [ca.vec(A), ca.vec(P), _health(form, P)]
+    out = [ca.vec(A), ca.vec(P), health(form, P)]
     if form.symmetric:
         out.append(ca.vec(S[r:, :] - S[:r, :].T @ A) if m else ca.SX(0, 1))
     return _function("local", x, out)
@@ -56,7 +56,7 @@ def curvature_graph(form: ConnectionForm) -> ca.Function:
             twisted.append(moved)
             brackets.append(bracket(form.group, A[:, a], A[:, b]))
     columns = _solved(form, P, ca.horzcat(*twisted)) if twisted else ca.SX(r, 0)
-    out = [_health(form, P), ca.vec(columns), *brackets]
+    out = [health(form, P), ca.vec(columns), *brackets]
     return _function("curvature", x, out)
 
 
@@ -112,7 +112,7 @@ def _adjugate(P: ca.SX) -> ca.SX:
     return adjugate
 
 
-def _health(form: ConnectionForm, P: ca.SX) -> ca.SX:
+def health(form: ConnectionForm, P: ca.SX) -> ca.SX:
     """Return how far P is from singular: 0 where it is, at best 1, or ±1 of one not symmetric.
 
     Of a symmetric one, the least part of a diagonal entry that the rows before it do not

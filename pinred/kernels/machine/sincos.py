@@ -3,7 +3,8 @@
 For |x| < 2²⁰ the angle is reduced to |r| ≤ π/4 by three parts of π/2 (Cody and Waite): with
 a fused multiply-add the first step is exact, and what the others round away is kept and
 added to the result.  Then fdlibm's polynomials.  Larger angles, inf and NaN take a branch
-to libm, and so does everything on a CPU that has no fused multiply-add.
+to libm, each in its lane: no lane's numbers depend on what the others hold.  On a CPU that has no
+fused multiply-add everything does.
 """
 
 from __future__ import annotations
@@ -170,7 +171,7 @@ def _by_polynomials(lanes: int) -> str:
         turned = put(f"{name}turned", f"xor {I} {plain}, {sign}")
         results.append(put(f"{name}fast", f"bitcast {I} {turned} to {T}"))
     fast = "\n".join(lines)
-    reduce = (
+    all_small = (
         "%ok = and i1 %small.x, true"
         if lanes == 1
         else f"%ok = call i1 @llvm.vector.reduce.and.v{lanes}i1({B} %small.x)"
@@ -180,19 +181,19 @@ def _by_polynomials(lanes: int) -> str:
 define internal {pair} @pinred.sincos{lanes}({T} %x) alwaysinline nounwind {{
 %size = call {T} @llvm.fabs.{_suffix(lanes)}({T} %x)
 %small.x = fcmp olt {T} %size, {number(_LIMIT)}
-{reduce}
-br i1 %ok, label %fast, label %slow, !prof !0
-fast:
+{all_small}
 {fast}
-br label %done
+br i1 %ok, label %done, label %slow, !prof !0
 slow:
 %libm = call {pair} @pinred.libm{lanes}({T} %x)
 %libm.sin = extractvalue {pair} %libm, 0
 %libm.cos = extractvalue {pair} %libm, 1
+%mixed.sin = select {B} %small.x, {T} {results[0]}, {T} %libm.sin
+%mixed.cos = select {B} %small.x, {T} {results[1]}, {T} %libm.cos
 br label %done
 done:
-%both.sin = phi {T} [{results[0]}, %fast], [%libm.sin, %slow]
-%both.cos = phi {T} [{results[1]}, %fast], [%libm.cos, %slow]
+%both.sin = phi {T} [{results[0]}, %0], [%mixed.sin, %slow]
+%both.cos = phi {T} [{results[1]}, %0], [%mixed.cos, %slow]
 %one = insertvalue {pair} poison, {T} %both.sin, 0
 %both = insertvalue {pair} %one, {T} %both.cos, 1
 ret {pair} %both

@@ -20,8 +20,8 @@ def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
 
     x: of all joints of the tree.
     """
-    mass: list[float] = [body.mass for body in bodies]
-    moment: list[Vec] = [[float(c) for c in body.moment] for body in bodies]
+    mass: list[Scalar] = [body.mass for body in bodies]
+    moment: list[Vec] = [list(body.moment) for body in bodies]
     for i in range(len(bodies) - 1, 0, -1):
         p, step = bodies[i].parent, step_of(bodies[i], x[i - 1])
         moved = plus(moment[i], [0.0, 0.0, mul(mass[i], step.slide)])
@@ -29,21 +29,29 @@ def centre_of_mass(bodies: list[Body], x: list[Scalar]) -> Vec:
             moved = turn.vector(moved)
         moved = plus(moved, [mul(mass[i], c) for c in step.shift])
         moment[p] = plus(moment[p], moved)
-        mass[p] += mass[i]
+        mass[p] = add(mass[p], mass[i])
     own = bodies[0].frame.rotation
     com = [mul(1.0 / mass[0], c) for c in moment[0]]
     return [total([mul(float(own[i, k]), com[k]) for k in range(3)]) for i in range(3)]
 
 
 def momenta(
-    system: System, x: ca.SX, v: ca.SX, tensors: Sequence[Articulated] | None = None
+    system: System,
+    x: ca.SX,
+    v: ca.SX,
+    tensors: Sequence[Articulated] | None = None,
+    *,
+    bodies: list[Body] | None = None,
+    rotors: bool = True,
 ) -> ca.SX:
     """Return the momenta H(x) v, (n,), of velocities v = (ξ, ẋ), in one sweep.
 
     tensors: of each body in its frame, root first, what stands in the place of its inertia (a
-    drag, say); there is no armature then.
+    drag, say).  bodies: with other inertias than the system's, if given.  rotors: whether joints
+    have their armature.
     """
-    bodies, group, r = bodies_of(system), system.group, system.r
+    group, r = system.group, system.r
+    bodies = bodies_of(system) if bodies is None else bodies
     rates = joint_rates(system, [v[r + k] for k in range(system.m)])
     steps = steps_at(system, bodies, x)
     twists = twists_of(bodies, steps, in_space(group, v), rates)
@@ -55,20 +63,26 @@ def momenta(
     for i in range(len(bodies) - 1, 0, -1):
         body, (lin, ang) = bodies[i], held[i]
         pi[i - 1] = (lin if body.prismatic else ang)[2]
-        if tensors is None:
+        if rotors:
             pi[i - 1] = pi[i - 1] + body.armature * rates[i - 1]
         up, about = steps[i].inward(lin, ang)
         lin0, ang0 = held[body.parent]
         held[body.parent] = plus(lin0, up), plus(ang0, about)
     lin, ang = held[0]
     mu = [[*lin, *ang][axis] for axis in group.axes]
-    if tensors is None:  # only about one axis
+    if rotors:  # only about one axis
         mu[0] = add(mu[0], mul(float(system.model.armature[0]), v[0]))
     column: ca.SX = ca.vertcat(*mu, *on_shape(system, pi))
     return column
 
 
-def locked(system: System, x: ca.SX, tensors: Sequence[Articulated] | None = None) -> ca.SX:
+def locked(
+    system: System,
+    x: ca.SX,
+    tensors: Sequence[Articulated] | None = None,
+    *,
+    rotors: bool = True,
+) -> ca.SX:
     """Return the inertia with all joints frozen, (r, r), of bodies or of their `tensors`."""
     bodies, axes = bodies_of(system), system.group.axes
     steps = steps_at(system, bodies, x)
@@ -91,7 +105,7 @@ def locked(system: System, x: ca.SX, tensors: Sequence[Articulated] | None = Non
             else:
                 entry = root.B[i - 3][j] if i >= 3 else root.B[j - 3][i]
             out[a, b] = entry
-    if tensors is None:
+    if rotors:
         out[0, 0] += float(system.model.armature[0])
     return ca.densify(out)
 

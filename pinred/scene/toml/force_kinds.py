@@ -8,6 +8,7 @@ from typing import Literal
 
 from ...forces import kinds as acting
 from ...forces.force import Force
+from ...forces.wrench import AXES
 from .schema import ByName, Flag, Key, ListOf, Table, Tagged, Text
 from .signal_keys import ACTION, NUMBER, NUMBERS, PER_JOINT, POSITIVE, SIGNAL
 
@@ -130,13 +131,25 @@ FORCES: dict[str, ForceKind] = {
             {
                 "function": Key(
                     ListOf(ACTION),
-                    "wrench on the base in its own frame [linear; angular]: as many entries as the "
-                    "group has dimensions, each a number, formula or signal table",
+                    "wrench [linear; angular]: on the base as many entries as the group has "
+                    "dimensions, on a link a force of 3, or force and moment; each a number, "
+                    "formula or signal table",
                     required=True,
-                )
+                ),
+                "link": Key(Text((), "the name of a link"), "where it acts", default="the base"),
+                "at": Key(
+                    ListOf(NUMBER, 3), "the point, in the link's frame [m]", default="its origin"
+                ),
+                "frame": Key(
+                    Text(AXES),
+                    "whose axes its entries are along: the base's or link's own, or those in which "
+                    "the pose of the base is",
+                    default=AXES[0],
+                ),
             }
             | _NAME,
-            "a wrench on the base: thrusters",
+            "a wrench on the base, such as thrusters, or on a link",
+            needs={"at": "link"},
         ),
         function="on the base",
     ),

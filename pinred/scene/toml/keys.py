@@ -153,6 +153,17 @@ RUN = Table(
     apart=(("times", "samples"),),
 )
 
+EVENT = Table(
+    {
+        "function": Key(
+            Text((), "a formula"), "what crosses zero there, a formula of the state", required=True
+        ),
+        "name": Key(Text(), "what results call it", default="event"),
+        "terminal": Key(Flag(), "whether the motion ends there", default="false"),
+        "direction": Key(Whole(-1, 1), "1 rising, -1 falling, 0 both", default="0"),
+    },
+    "an event",
+)
 SCENE = Table(
     {
         "robot": Key(
@@ -179,6 +190,7 @@ SCENE = Table(
         ),
         "prescribed": Key(ByName(SIGNAL), "joints that follow a plan, each a signal"),
         "forces": Key(ListOf(FORCE), "what acts"),
+        "events": Key(ListOf(EVENT), "moments to find, and to end at"),
     },
     "a scene",
 )

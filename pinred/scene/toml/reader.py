@@ -3,36 +3,34 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
-import casadi as ca
 import numpy as np
 
-from ...common.errors import InputError, LoadError, PinredError
+from ...common.errors import InputError, PinredError
 from ...common.parameter import Parameter
+from ...forces.columns import symbols_of
 from ...forces.force import Force, Limit
 from ...forces.force_model import remembered_model
+from ...forces.formula import NAMES, Formula
+from ...forces.link_loads import link_frame
 from ...forces.signals import Signal
 from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS, Method
-from ...reduction.tree.all_joints import joint_rates, joint_values
-from ...system.catalogue import bundled_robots
-from ...system.load import load
-from ...system.system import System
 from .. import forms
+from ..event import Event
 from ..random_state import DURATION
 from ..scene import Engine, Scene
 from .csv_columns import read_text
+from .documents import parsed, robot_in
 from .force_kinds import FORCES
 from .keys import SCENE
 from .places import Place, naming, one_line, unknown
 from .signal_reader import SignalReader
 
-_LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+\s*\.\s*){50}""")
 _SECTIONS = {
     **dict.fromkeys(("x0", "xdot0", "xi0", "momentum", "seed", "q0", "v0", "keyframe"), "start"),
     **dict.fromkeys(("duration", "times", "rtol", "atol"), "run"),
@@ -63,24 +61,8 @@ def read_scene_file(path: str | Path) -> SceneFile:
     path = Path(path)
     text = read_text(path, "scene file")
     place = Place(str(path), text)
-    document = SCENE.read(_parsed(text, place), place)
+    document = SCENE.read(parsed(text, place, "a scene"), place)
     return _Builder(path.parent, place, document).built()
-
-
-def _parsed(text: str, place: Place) -> dict[str, Any]:
-    """Return the tables of a text.  Raises LoadError if it is not TOML."""
-    if _LONG_KEY.search(text):
-        raise LoadError(f"{place.file}: not a scene: a key of more than 50 parts")
-    try:
-        return tomllib.loads(text + "\n")  # so that every fault has its line
-    except tomllib.TOMLDecodeError as error:
-        said = re.fullmatch(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", str(error))
-        problem, where = said.groups() if said else (str(error), None)
-        raise LoadError(f"{place.file}, {where or 'at its end'}: not TOML: {problem}") from None
-    except RecursionError:
-        raise LoadError(f"{place.file}: not a scene: tables or lists nested too deep") from None
-    except ValueError:
-        raise LoadError(f"{place.file}: not TOML: a number of thousands of digits") from None
 
 
 class _Builder:
@@ -89,10 +71,9 @@ class _Builder:
     def __init__(self, folder: Path, place: Place, document: dict[str, Any]) -> None:
         self.folder, self.place, self.document = folder, place, document
         self.signals = SignalReader(folder)
-        self.system = self._load()
-        m, r = self.system.m, self.system.r
+        self.system = robot_in(document, folder, place)
         self.parameters = self._parameters()
-        self.symbols = (ca.SX.sym("t"), *(ca.SX.sym("s", n) for n in (m, m, r)))
+        self.symbols, _ = symbols_of(self.system, None)
 
     def built(self) -> SceneFile:
         """Return the scene and the engine."""
@@ -117,7 +98,12 @@ class _Builder:
             self._force(entry, self.place / "forces" / k)
             for k, entry in enumerate(self.document.get("forces", []))
         ]
+        events = [
+            self._event(entry, self.place / "events" / k)
+            for k, entry in enumerate(self.document.get("events", []))
+        ]
         options = {**self._start(), **run, "springs": springs, "prescribed": prescribed}
+        options["events"] = events
         options |= {k: self.document[k] for k in ("passive", "friction") if k in self.document}
         try:
             scene = Scene(system=self.system, forces=forces, **options)
@@ -126,30 +112,11 @@ class _Builder:
             self._explain(error, forces, prescribed)
         return SceneFile(scene, engine)
 
-    def _load(self) -> System:
-        robot, options = self.document["robot"], dict(self.document.get("load", {}))
-        if "meshes" in options:
-            given = options["meshes"]
-            folders = [given] if isinstance(given, str) else given
-            options["meshes"] = [self.folder / folder for folder in folders]
-        source: str | Path = robot
-        file = self.folder / robot
-        is_file = _is_file(file)
-        if robot not in bundled_robots() and (is_file or "/" in robot or Path(robot).suffix):
-            if not is_file:
-                (self.place / "robot").fail(f"no such file: {str(file)!r}")
-            source = file
-        try:
-            return load(source, **options)
-        except PinredError as error:
-            key = "load" if isinstance(error, InputError) else "robot"
-            raise type(error)((self.place / key).tell(one_line(error))) from None
-
     def _parameters(self) -> dict[str, Any]:
-        """Return the names that formulas may use beside t, x, xdot and mu."""
+        """Return the names that formulas may use beside those of the state."""
         place, found = self.place / "parameters", {}
         for name, value in self.document.get("parameters", {}).items():
-            if not name.isidentifier() or name in ("t", "x", "xdot", "mu", *FUNCTIONS):
+            if not name.isidentifier() or name in (*NAMES, *FUNCTIONS):
                 (place / name).fail("must be a name of letters and digits that is not taken")
             found[name] = Parameter(name, value)
         return found
@@ -191,8 +158,13 @@ class _Builder:
         elif kind.function == "by joint":
             options["function"] = self._by_joint(options["function"], where, self._action)
         elif kind.function == "on the base":
-            given = options["function"]
-            if len(given) != self.system.r:
+            given, link = options["function"], options.get("link")
+            if link is not None:
+                with naming(place / "link"):
+                    link_frame(self.system, link, "link")
+                if len(given) not in (3, 6):
+                    where.fail(f"must have 3 or 6 entries on a link, got {len(given)}")
+            elif len(given) != self.system.r:
                 group = self.system.group.name
                 where.fail(f"must have {self.system.r} entries for {group}, got {len(given)}")
             options["function"] = [self._action(v, where / k) for k, v in enumerate(given)]
@@ -200,40 +172,39 @@ class _Builder:
             return kind.make(**options)
 
     def _action(self, value: Any, place: Place) -> Any:
-        """Return a number, a Signal, or the function of (t, x, ẋ, μ) that a formula is."""
-        if not isinstance(value, str):
-            return self.signals.value(value, place)
+        """Return a number, a Signal, or the formula of the state that a text is."""
+        return (
+            self._formula(value, place)
+            if isinstance(value, str)
+            else (self.signals.value(value, place))
+        )
+
+    def _formula(self, text: str, place: Place) -> Formula:
+        """Return a formula that has been read once.  Raises InputError."""
+        formula = Formula(text, self._symbols())
         with naming(place):
-            parse(value, self._names(*self.symbols))
-        return lambda *state: parse(value, self._names(*state))
+            formula(self.symbols)
+        return formula
+
+    def _event(self, entry: dict[str, Any], place: Place) -> Event:
+        options = dict(entry)
+        expression = self._formula(options.pop("function"), place / "function")
+        with naming(place):
+            return Event(expression, **options)
 
     def _potential(self, text: str, place: Place) -> Callable[[Any], Any]:
         """Return the function of x that a formula is."""
         with naming(place):
-            parse(text, {"x": self._shape(self.symbols[1])} | self._symbols())
+            parse(text, {"x": self._shape(self.symbols.x)} | self._symbols())
         return lambda x: parse(text, {"x": self._shape(x)} | self._symbols())
-
-    def _names(self, t: Any, x: Any, xdot: Any, mu: Any) -> dict[str, Any]:
-        """Return the names that formulas may use."""
-        momenta = [mu[k] for k in range(self.system.r)]
-        rates = self._shape(xdot, joint_rates)
-        own = {"t": t, "x": self._shape(x), "xdot": rates, "mu": momenta}
-        return own | self._symbols()
 
     def _symbols(self) -> dict[str, Any]:
         """Return the symbols of the parameters."""
         return {name: parameter.symbol for name, parameter in self.parameters.items()}
 
-    def _shape(
-        self, x: Any, on_joints: Callable[[System, list[Any]], list[Any]] = joint_values
-    ) -> dict[str, Any]:
-        """Return the entries of the shape or its rate by joint, those of followers included."""
-        system = self.system
-        own = {name: x[k] for k, name in enumerate(system.shape_names)}
-        if system.coupled is None:
-            return own
-        every = on_joints(system, list(own.values()))
-        return own | {name: ca.SX(every[system.joint_number(name)]) for name in system.followers}
+    def _shape(self, x: Any) -> dict[str, Any]:
+        """Return the entries of the shape by joint, those of followers included."""
+        return {name: x[k] for k, name in enumerate(self.symbols.every_name)}
 
     def _explain(
         self, error: PinredError, forces: list[Force], prescribed: Mapping[str, Signal]
@@ -281,10 +252,3 @@ def _method(given: str | dict[str, Any]) -> Method | Literal["auto"]:
     options = dict(given)
     name = options.pop("name")
     return "auto" if name == "auto" else METHODS[name](**options)
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # no name of a file at all
-        return False

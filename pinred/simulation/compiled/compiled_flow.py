@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import InputError
+from ...forces.acting import BaseInSpace
 from ...integrators.methods import Method
 from ...kernels.evaluate import evaluate
 from ...kernels.kernel import Kernel
@@ -14,9 +15,11 @@ from ...kernels.start_kernel import Starts, start_kernel
 from ...kernels.tangent import tangent_of
 from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import into_body, root_of
+from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
 from ...system.system import Indices
 from ..entry_name import entry_name
+from ..own_numbers import OwnNumbers
 from ..plan import Plan
 from ..state import Sample, ShapeState, State
 from .kernel_of_plan import kernel_of
@@ -43,10 +46,20 @@ class CompiledFlow:
         flow._take(flows, member)
         return flow
 
+    @classmethod
+    def made(cls, kernel: Kernel, y0: Array, parameters: Array, line: Array) -> CompiledFlow:
+        """Return the flow of a kernel from a reduced state (k,); see CompiledFlows."""
+        flow = cls.__new__(cls)
+        flow._keep(kernel, y0, parameters, line)
+        return flow
+
     def _take(self, flows: CompiledFlows, member: int) -> None:
-        self._system, self.kernel = flows.kernel.system, flows.kernel
-        self.y0, self.parameters = flows.y0[member], flows.parameters[member]
-        self._line = flows.line[member]
+        row = (flows.y0[member], flows.parameters[member], flows.line[member])
+        self._keep(flows.kernel, *row)
+
+    def _keep(self, kernel: Kernel, y0: Array, parameters: Array, line: Array) -> None:
+        self._system, self.kernel = kernel.system, kernel
+        self.y0, self.parameters, self._line = y0, parameters, line
         layout = self.kernel.layout
         self.numbers = self.parameters[layout.parameters - layout.numbers :]
 
@@ -55,7 +68,12 @@ class CompiledFlow:
         where, parameters = self.kernel.where, self._with(numbers)
         out = self.kernel.evaluate_outputs(t, y, parameters, self._line)
         weight = out[where.weight] if where.weight.stop > where.weight.start else np.zeros(3)
-        return Sample(out[where.x], out[where.xdot], out[where.xi], out[where.mu], weight)
+        base = None
+        if self.kernel.layout.wanted:
+            twist = out[where.v][: self._system.r]
+            momenta = out[where.body_momentum], out[where.spatial_momentum]
+            base = BaseInSpace(out[where.pose], twist, *momenta)
+        return Sample(out[where.x], out[where.xdot], out[where.xi], out[where.mu], weight, base)
 
     def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
         """Return the full states at times t (T,) of reduced states y (T, k).
@@ -132,7 +150,13 @@ class CompiledFlows:
 
     @classmethod
     def several(
-        cls, plan: Plan, given: GivenStates, members: Indices, *, zero: bool
+        cls,
+        plan: Plan,
+        given: GivenStates,
+        members: Indices,
+        own: OwnNumbers | None = None,
+        *,
+        zero: bool,
     ) -> CompiledFlows:
         """Set up the flows of some members, a few at a time: memory beside them stays small."""
         parts = [members[k : k + _AT_ONCE] for k in range(0, len(members), _AT_ONCE)]
@@ -140,7 +164,8 @@ class CompiledFlows:
         for n, part in enumerate(parts):
             some = given[part]
             new = cls.__new__(cls)
-            new._begin(plan, some, _started(plan, some), zero=zero)
+            theirs = None if own is None else own[part]
+            new._begin(plan, some, _started(plan, some), theirs, zero=zero)
             if n == 0:
                 flows.kernel = new.kernel
                 for name in ("y0", "parameters", "line"):
@@ -151,7 +176,15 @@ class CompiledFlows:
                 getattr(flows, name)[rows] = getattr(new, name)
         return flows
 
-    def _begin(self, plan: Plan, given: GivenStates, start: Starts, *, zero: bool) -> None:
+    def _begin(
+        self,
+        plan: Plan,
+        given: GivenStates,
+        start: Starts,
+        own: OwnNumbers | None = None,
+        *,
+        zero: bool,
+    ) -> None:
         x, N = given.x, len(given.x)
         self.kernel = kernel_of(plan, zero_momentum=zero)
         layout = self.kernel.layout
@@ -165,8 +198,7 @@ class CompiledFlows:
         attitude = given.pose[:, plan.system.group.linear :]
         pieces = [x[:, active], start.pi[:, active], x[:, cyclic], attitude[:, : parts.attitude]]
         if parts.down:
-            weight = plan.acting.weight
-            pieces.append(into_body(attitude, weight / np.linalg.norm(weight)))
+            pieces.append(_down(plan, attitude, own))
         pieces += [start.about[:, : parts.momentum], np.zeros((N, parts.push + layout.clock))]
         self.y0 = np.concatenate(pieces, axis=1)
         spin, before = parts.spin, parts.spin + len(cyclic)
@@ -175,23 +207,49 @@ class CompiledFlows:
         self.parameters[:, spin:before] = start.pi[:, cyclic]
         after = before + len(layout.gravity)
         self.parameters[:, before:after] = plan.acting.gravity[list(layout.gravity)]
-        self.parameters[:, after:] = plan.numbers
+        bodies = free_numbers(plan.system, layout.free)
+        self.parameters[:, after : after + len(bodies)] = bodies
+        after += len(bodies)
         k = plan.system.group.linear
         self.line = np.empty((N, 3 * k))
         self.line[:, :k], self.line[:, k : 2 * k] = start.c0, start.v0
         self.line[:, 2 * k :] = root_of(plan.system).g
+        numbers = plan.numbers
+        if own is not None:
+            if own.gravity is not None and own.fall is not None:
+                self.parameters[:, before : before + len(layout.gravity)] = own.gravity[
+                    :, list(layout.gravity)
+                ]
+                self.line[:, 2 * k :] = own.fall
+            if own.numbers is not None:
+                numbers = own.numbers
+        self.parameters[:, after : after + layout.line] = self.line[:, : layout.line]
+        self.parameters[:, after + layout.line :] = numbers
         finite_start(self.y0, self.parameters, self.line)
 
 
-def flows_of(plan: Plan, given: GivenStates) -> list[tuple[Indices, CompiledFlows]]:
+def _down(plan: Plan, attitude: Array, own: OwnNumbers | None) -> Array:
+    """Return the directions (N, 3) of a weight that turns a pivoted base, in the body's frame."""
+    weight = plan.acting.weight
+    if own is None or own.gravity is None:
+        return into_body(attitude, weight / np.linalg.norm(weight))
+    units = own.gravity / np.linalg.norm(own.gravity, axis=1)[:, None]
+    rows = [into_body(q[None], unit) for q, unit in zip(attitude, units, strict=True)]
+    return np.concatenate(rows)
+
+
+def flows_of(
+    plan: Plan, given: GivenStates, own: OwnNumbers | None = None
+) -> list[tuple[Indices, CompiledFlows]]:
     """Return the flows of many initial states (N, …): of members with momentum, and without.
 
-    Each with the indices of the members, sorted.
+    Each with the indices of the members, sorted.  own: numbers that the members have for
+    themselves.
     """
     still = without_momentum(plan, given)
     groups = [(np.flatnonzero(~still), False), (np.flatnonzero(still), True)]
     return [
-        (members, CompiledFlows.several(plan, given, members, zero=zero))
+        (members, CompiledFlows.several(plan, given, members, own, zero=zero))
         for members, zero in groups
         if members.size
     ]

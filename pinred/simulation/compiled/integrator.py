@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...common.arrays import Array, read_only
 from ...common.errors import (
@@ -17,24 +18,31 @@ from ...common.errors import (
     TooManySteps,
 )
 from ...common.plain_names import quoted
-from ...integrators.integrate import integrate_checked
-from ...integrators.integrate_many import STATUS
+from ...integrators.integrate import Solution, integrate_checked
+from ...integrators.integrate_many import STATUS, Solutions
 from ...integrators.integrate_many import integrate_many as _integrate_many
-from ...integrators.methods import Method
+from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
+from ...integrators.methods import Explicit, Method
 from ...kernels.kernel import Kernel
+from ...kernels.wide_rate import wide_rate
 from ...reduction.lost_inertia import lost_inertia
 from ...scene.scene import Scene
 from ...system.joints import joint_units
-from ..pieces import Integrate, Piece
+from ..piece import Integrate, Piece
 from ..plan import Plan
 from .compiled_flow import CompiledFlow, CompiledFlows
 
 
 @dataclass(frozen=True)
 class ManyRuns:
-    """Runs of one kernel.  y: (N, T, k).  failures: (member, last time [s], reason) of each."""
+    """Runs of one kernel.
+
+    y: (N, T, k).  steps, evaluations: (N,).  failures: (member, last time [s], reason) of each.
+    """
 
     y: Array
+    steps: NDArray[np.int64]
+    evaluations: NDArray[np.int64]
     failures: list[tuple[int, float, str]]
 
 
@@ -45,22 +53,8 @@ def integrate_many(
     progress: Callable[[float], None] | None,
 ) -> ManyRuns:
     """Integrate flows of one kernel, with the times and tolerance of one plan, over threads."""
-    kernel, method, first = flows.kernel, plan.method, CompiledFlow.of(flows, 0)
-    # One body that only translates carries a zero, which costs nothing.
-    y0 = flows.y0 if flows.y0.shape[1] else np.zeros((len(flows.y0), 1))
-    found = _integrate_many(
-        method,
-        first.address(method),
-        flows.parameters,
-        y0,
-        plan.scene.end,
-        plan.scene.report_times,
-        kernel.layout.quaternion,
-        threads,
-        first.tangent,
-        kernel.layout.canonical,
-        progress,
-    )
+    kernel = flows.kernel
+    found = _run(flows, plan, threads, progress)
     failures = []
     for k in np.flatnonzero(~found.ok).tolist():
         reason = STATUS[int(found.status[k])]
@@ -73,11 +67,46 @@ def integrate_many(
         wild = None if k in failed else _wild(kernel, plan, states, plan.scene.report_times)
         if wild:
             failures.append((k, plan.scene.end, wild))
-    return ManyRuns(found.y, failures)
+    return ManyRuns(found.y, found.steps, found.evaluations, failures)
+
+
+def lanes_of(method: Method, kernel: Kernel) -> int:
+    """Return how many members run at once, 0 for one after another.
+
+    A small kernel in sixteen lanes still has its numbers in registers.
+    """
+    if not (isinstance(method, Explicit) and kernel.layout.size):
+        return 0
+    return 16 if kernel.instructions <= _SMALL else 8
+
+
+def _run(
+    flows: CompiledFlows,
+    plan: Plan,
+    threads: int | None,
+    progress: Callable[[float], None] | None,
+) -> Solutions:
+    kernel, method = flows.kernel, plan.method
+    end, times, quaternion = plan.scene.end, plan.scene.report_times, kernel.layout.quaternion
+    lanes = lanes_of(method, kernel)
+    if lanes and isinstance(method, Explicit):
+        address = wide_rate(kernel, lanes, own_parameters=True).address
+        return integrate_in_lanes(
+            method, address, lanes, flows.parameters, flows.y0, end, times, quaternion,
+            threads, progress,
+        )  # fmt: skip
+    first = CompiledFlow.of(flows, 0)
+    # One body that only translates carries a zero, which costs nothing.
+    y0 = flows.y0 if flows.y0.shape[1] else np.zeros((len(flows.y0), 1))
+    return _integrate_many(
+        method, first.address(method), flows.parameters, y0, end, times, quaternion,
+        threads, first.tangent, kernel.layout.canonical, progress,
+    )  # fmt: skip
 
 
 _prepared: set[type[Method]] = set()
 _WILD = 100.0  # rad in one step
+_SMALL = 400  # instructions of a kernel
 _NO_TIMES = read_only(np.empty(0))
 
 
@@ -105,14 +134,30 @@ def integrator(
     # stages is too long for that.
     parts = max(1, method.order // 4) if method.lanes > 1 else 1
 
-    def run(start: float, end: float, y0: Array) -> Piece:
+    def run(
+        start: float, end: float, y0: Array, watch: Callable[[Piece], bool] | None = None
+    ) -> Piece:
         # The integrators' time begins at 0; what depends on the time has it in its state.
         whole = start == 0.0 and end == scene.end
         # Read-only as ever: to numba an array that is not is of another type.
         times = asked if whole else _NO_TIMES
         parameters = read_only(flow.parameters.copy())
+        numbers = parameters[len(parameters) - len(flow.numbers) :]
         done = progress and (lambda part: progress((start + part * (end - start)) / scene.end))
         y0 = y0 if y0.size else np.zeros(1)
+
+        def made(found: Solution, *, complete: bool) -> Piece:
+            knots = _refined(found.knots + start, parts)
+            if complete:
+                knots[-1] = end  # whatever round-off says
+
+            def at(t: Array) -> Array:
+                if t is asked and whole and complete:  # these have been asked for already
+                    return found.y
+                return found.at(np.clip(t - start, 0.0, found.knots[-1]))
+
+            return Piece(knots, at, numbers, found.steps, found.evaluations)
+
         try:
             found = integrate_checked(
                 method,
@@ -125,22 +170,14 @@ def integrator(
                 done,
                 flow.tangent,
                 layout.canonical,
+                watch and (lambda found: watch(made(found, complete=False))),
             )
         except IntegrationError as stop:
-            raise _explained(stop, flow, scene, start) from None
+            raise explained(stop, flow, scene, start) from None
         wild = _wild(flow.kernel, plan, found.states, found.knots)
         if wild:
             raise IntegrationError(wild)
-        knots = _refined(found.knots + start, parts)
-        knots[-1] = end  # whatever round-off says
-
-        def at(t: Array) -> Array:
-            if t is asked and whole:  # these have been asked for already
-                return found.y
-            return found.at(np.clip(t - start, 0.0, found.knots[-1]))
-
-        numbers = parameters[len(parameters) - len(flow.numbers) :]
-        return Piece(knots, at, numbers, found.steps, found.evaluations)
+        return made(found, complete=found.complete)
 
     return run
 
@@ -178,7 +215,7 @@ def _refined(knots: Array, parts: int) -> Array:
     return np.asarray(np.interp(np.arange(parts * (len(knots) - 1) + 1) / parts, steps, knots))
 
 
-def _explained(
+def explained(
     stop: IntegrationError, flow: CompiledFlow, scene: Scene, start: float
 ) -> IntegrationError:
     """Return a failure in terms of the robot."""

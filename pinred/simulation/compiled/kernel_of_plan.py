@@ -21,4 +21,6 @@ def _kernel(kind: Kind) -> Kernel:
     """Return the kernel of a kind, which others of the same structure and expressions share."""
     system, structure, forces = kind.system, kind.structure, kind.forces
     key = (Kernel, structure, None if forces is None else forces.key)
-    return once(system, key, lambda: build_kernel(system, structure, forces))
+    # Inertias that vary are inputs: what is built for some of them serves all.
+    owner = system.nominal if structure.free else system
+    return once(owner, key, lambda: build_kernel(system, structure, forces))

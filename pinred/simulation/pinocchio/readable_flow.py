@@ -10,6 +10,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
+from ...forces.acting import BaseInSpace
 from ...reduction.canonical_form import CanonicalForm
 from ...reduction.inertia_split import symmetric
 from ...reduction.potential import shape_gravity
@@ -30,7 +31,8 @@ class ReducedFlow:
         """Set up the flow from the plan's own initial state."""
         system, start = plan.system, plan.scene.start
         self._system, self._wanted = system, plan.wanted
-        self._forces = plan.forces
+        self._forces = forces = plan.forces
+        self._seen = forces is not None and (forces.sees_attitude or forces.sees_place)
         self._driven, self._free = list(plan.acting.driven), list(plan.acting.free)
         self._potential = shape_gravity(system)
         self._weight = plan.acting.weight
@@ -57,7 +59,8 @@ class ReducedFlow:
         slope = None
         if self._forces is not None:
             mu = self.base.momentum(b)
-            acting = self._forces.acting(t, x, v[r:], v[:r], mu, numbers)
+            base = self._in_space(t, b, x, v, com) if self._seen else None
+            acting = self._forces.acting(t, x, v[r:], v[:r], mu, numbers, base)
             pidot = pidot + acting.torque
             if self._forces.has_wrench:
                 push = acting.wrench[:k]
@@ -76,7 +79,18 @@ class ReducedFlow:
         """Return what forces see at one time."""
         x, v = self._motion(t, y, numbers)
         r, b = self._system.r, y[2 * len(self._free) :]
-        return Sample(x, v[r:], v[:r], self.base.momentum(b), self.base.body_weight(b))
+        base = self._in_space(t, b, x, v, self._form.com()) if self._wanted else None
+        return Sample(x, v[r:], v[:r], self.base.momentum(b), self.base.body_weight(b), base)
+
+    def _in_space(self, t: float, b: Array, x: Array, v: Array, com: Array) -> BaseInSpace:
+        """Return the base as seen from space.  v: (n,) relative to the centre of mass."""
+        system, times = self._system, np.array([t])
+        r = system.r
+        pose = self.base.pose(b[None], com[None], times)[0]
+        xi = self.base.twist(b[None], v[None, :r], times)[0]
+        H = symmetric(self._form.mass_matrix(x))
+        mu = H[:r] @ np.concatenate([xi, v[r:]])
+        return BaseInSpace(pose, xi, mu, system.group.spatial_momentum(pose, mu))
 
     def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
         """Return the full states at times t (T,) of reduced states y (T, k).

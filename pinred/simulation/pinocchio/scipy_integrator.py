@@ -11,7 +11,7 @@ from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...integrators.methods import DOP853_LEAST
 from ...reduction.lost_inertia import lost_inertia
-from ..pieces import Integrate, Piece
+from ..piece import Integrate, Piece
 from ..plan import Plan
 from .readable_flow import ReducedFlow
 
@@ -30,7 +30,9 @@ def integrator(
     rtol, atol = scene.tolerance
     rtol = max(rtol, DOP853_LEAST)
 
-    def run(start: float, end: float, y0: Array) -> Piece:
+    def run(
+        start: float, end: float, y0: Array, watch: Callable[[Piece], bool] | None = None
+    ) -> Piece:
         if y0.size == 0:  # one body that only translates: all of its motion is known
             empty = np.array([start, end])
             return Piece(empty, lambda t: np.empty((len(t), 0)), flow.numbers.copy(), 0, 0)
@@ -42,7 +44,20 @@ def integrator(
             return lost_inertia(scene.system, flow.shape(solver.t, y, flow.numbers))
 
         pieces: list[DenseOutput] = []
+
+        def so_far() -> Piece:
+            dense = OdeSolution(knots, pieces)
+            return Piece(
+                knots=np.array(knots),
+                at=lambda t: np.asarray(dense(t)).T,
+                numbers=flow.numbers.copy(),
+                steps=len(pieces),
+                evaluations=solver.nfev,
+            )
+
         while solver.status == "running":
+            if watch is not None and pieces and watch(so_far()):
+                return so_far()
             if len(pieces) >= MOST_STEPS:
                 raise IntegrationError(
                     f"'{scene.system.name}' took {MOST_STEPS} steps to t = {solver.t:g} s of "
@@ -66,13 +81,6 @@ def integrator(
             pieces.append(piece)
             if progress is not None:
                 progress(solver.t / scene.end)
-        dense = OdeSolution(knots, pieces)
-        return Piece(
-            knots=np.array(knots),
-            at=lambda t: np.asarray(dense(t)).T,
-            numbers=flow.numbers.copy(),
-            steps=len(pieces),
-            evaluations=solver.nfev,
-        )
+        return so_far()
 
     return run

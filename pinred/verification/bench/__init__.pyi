@@ -9,8 +9,12 @@ from .evaluations import Evaluations as Evaluations
 from .evaluations import bench_evaluations as bench_evaluations
 from .floquet import FloquetTiming as FloquetTiming
 from .floquet import bench_floquet as bench_floquet
+from .flow_timing import FlowTiming as FlowTiming
+from .flow_timing import bench_flow as bench_flow
 from .kernel_timing import KernelTiming as KernelTiming
 from .kernel_timing import bench_kernels as bench_kernels
+from .many import ManyTiming as ManyTiming
+from .many import bench_many as bench_many
 from .own_methods import own_method as own_method
 from .problems import Problem as Problem
 from .record import read_record as read_record
@@ -25,7 +29,7 @@ from .solver import End as End
 from .solver import Prepared as Prepared
 from .solver import Solver as Solver
 from .solvers import SOLVERS as SOLVERS
-from .threads import ManyTiming as ManyTiming
-from .threads import bench_many as bench_many
+from .threads import ThreadsTiming as ThreadsTiming
+from .threads import bench_threads as bench_threads
 from .work_precision import Point as Point
 from .work_precision import WorkPrecision as WorkPrecision

@@ -30,15 +30,16 @@ def reduced_graph(problem: Problem) -> ca.Function:
     return ReducedGraph(problem.system, kernel.structure).rate()
 
 
-def taylor_expressions(function: ca.Function, parameters: Sequence[float]) -> list[tuple[Any, Any]]:
+def taylor_expressions(function: ca.Function, parameters: Sequence[Any]) -> list[tuple[Any, Any]]:
     """Return [(yᵢ, dyᵢ/dt)] as heyoka expressions, of a Function (y, parameters) → dy/dt.
 
-    The numbers in `parameters` become constants, and what has only constants in it a number.
+    The numbers in `parameters` become constants, and what has only constants in it a number;
+    expressions in it stay what they are.
     Raises UnsupportedOperationError for an operation that heyoka has not.
     """
     hy = import_module("heyoka")
     y = [hy.expression(f"y{k}") for k in range(function.numel_in(0))]
-    inputs: list[Sequence[Any]] = [y, [float(p) for p in parameters]]
+    inputs: list[Sequence[Any]] = [y, list(parameters)]
     rate: list[Any] = [0.0] * function.numel_out(0)
     value: dict[int, Any] = {}
     operations = _operations()

@@ -13,7 +13,8 @@ from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
 from ...scene.random_state import random_state
-from ...simulation.simulate_many import Trajectories, simulate_many
+from ...simulation.members.trajectories import Trajectories
+from ...simulation.simulate_many import simulate_many
 from ...system.system import System
 from .timing import alternating
 
@@ -26,7 +27,7 @@ ROUNDS = 5
 
 
 @dataclass(frozen=True)
-class ManyTiming:
+class ThreadsTiming:
     """Whole calls of simulate_many.
 
     wall: (2,) s with one thread and with two.  speedup: median of their ratio in each round.
@@ -66,14 +67,14 @@ class ManyTiming:
         )
 
 
-def bench_many(
+def bench_threads(
     system: System,
     *,
     members: int = MEMBERS,
     duration: float = DURATION,
     rounds: int = ROUNDS,
     progress: Progress | bool | None = None,
-) -> ManyTiming:
+) -> ThreadsTiming:
     """Return what many random states of a system cost on one thread and on two.
 
     members: at least 4; memory is watched with all of them and with a quarter.  rounds: of
@@ -82,13 +83,13 @@ def bench_many(
     """
     if members < 4:
         raise InputError(f"members must be at least 4, got {members}")
-    with shown(progress, "many") as bar:
+    with shown(progress, "threads") as bar:
         return _measured(system, members, duration, rounds, bar or quiet)
 
 
 def _measured(
     system: System, members: int, duration: float, rounds: int, done: Progress
-) -> ManyTiming:
+) -> ThreadsTiming:
     drawn = [random_state(system, seed) for seed in range(members)]
     x0, xdot0, xi0 = (np.array([getattr(s, name) for s in drawn]) for name in ("x", "xdot", "xi"))
 
@@ -124,7 +125,7 @@ def _measured(
         kept.append(current)
         extra.append(peak - current)
         done(0.8 + 0.1 * (k + 1))
-    return ManyTiming(
+    return ThreadsTiming(
         robot=system.name,
         members=members,
         duration=duration,

@@ -57,7 +57,6 @@ class Corpus:
         row("compared with MuJoCo's reading", lambda entries: len(_compared(entries)))
         row("should work (no names)", lambda entries: len(_due(entries)))
         row("  of these, good", lambda entries: _part(_due(entries)))
-        row("  without those with coupled joints", lambda e: _part(_uncoupled(_due(e))))
         told = f"{self.copies} copies, {self._fragments} parts for others to include, and "
         rows.append(f"left out: {told}{self.macros} templates for xacro")
         return "\n".join(rows)
@@ -150,10 +149,6 @@ def _compared(entries: list[Entry]) -> list[Entry]:
 
 def _due(entries: list[Entry]) -> list[Entry]:
     return [entry for entry in entries if entry.due and entry.kind != "name"]
-
-
-def _uncoupled(entries: list[Entry]) -> list[Entry]:
-    return [entry for entry in entries if not entry.about.startswith("coupled")]
 
 
 def _part(entries: list[Entry]) -> str:

@@ -8,8 +8,9 @@ from math import inf
 from typing import Literal, TypeAlias, TypeVar
 
 from ...integrators.methods import DOP853, RKMK4, AdaptiveGauss, Gauss, Method
+from ...simulation.members.trajectories import Trajectories
 from ...simulation.simulate import simulate
-from ...simulation.simulate_many import Trajectories, simulate_many
+from ...simulation.simulate_many import simulate_many
 from ...simulation.trajectory import Trajectory
 
 T = TypeVar("T")

@@ -3,10 +3,12 @@
 from .branch_diagram import branches as branches
 from .by_kind import options_of as options_of
 from .by_kind import plot as plot
+from .connection_field import field as field
 from .conserved import energy as energy
 from .conserved import momentum as momentum
 from .curvature_field import curvature as curvature
 from .full_error import error as error
+from .gait_cycles import cycles as cycles
 from .momentum_sphere import sphere as sphere
 from .phase_portrait import phase as phase
 from .poincare_section import poincare as poincare

@@ -14,10 +14,14 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from ...analysis.branches.follow import Branches
+    from ...analysis.connections.connection import Connection
+    from ...analysis.gaits.gait import Gait
+    from ...analysis.phases.phase import Phase
     from ...simulation.trajectory import Trajectory
     from ...verification.bench.work_precision import WorkPrecision
     from ...verification.report import Report
     from ..motion_source import MotionSource
+    from .connection_field import Part
     from .curvature_field import Source
     from .shape_plane import Limits
 
@@ -89,8 +93,26 @@ def plot(
 
 @overload
 def plot(
+    source: Connection,
+    kind: Literal["field"],
+    *,
+    joints: Sequence[str | int] | None = None,
+    component: str | int | None = None,
+    part: Part = "curvature",
+    limits: Limits | None = None,
+    at: ArrayLike | None = None,
+    gait: Gait | None = None,
+) -> Figure: ...
+
+
+@overload
+def plot(
     source: Branches, kind: Literal["branches"], *, joint: str | int | None = None
 ) -> Figure: ...
+
+
+@overload
+def plot(source: Phase, kind: Literal["cycles"], *, count: int = 5) -> Figure: ...
 
 
 @overload
@@ -101,8 +123,9 @@ def plot(source: Any, kind: str) -> Figure: ...
 def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
     """Return the figure of a kind: the function of that name in pinred.plots.
 
-    source: what the function takes, a Trajectory for all but work_precision and branches.
-    options: those of the function; no kind takes all that are shown here.
+    source: what the function takes: a Connection for field, a Phase for cycles, Branches for
+    branches, a Trajectory for all others but work_precision.  options: those of the function; no
+    kind takes all that are shown here.
     Raises InputError for a kind or option that there is not, listing those there are;
     MissingPackageError if matplotlib is not installed.
     """

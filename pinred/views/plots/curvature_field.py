@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, vector
 from ...common.errors import InputError
+from ...lie.group import Group
 from ...reduction.at_a_shape import Reduction
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
@@ -66,7 +67,7 @@ def curvature(
         limits = reach(system, pair) if drawn is None else around(drawn[:, pair], units)
     shapes = plane(pair, limits, stands)
     B = Reduction(system).grid(shapes.shapes).curvature[..., pair[0], pair[1]]
-    which = _component(system, component, B)
+    which = component_of(system.group, component, B)
     values = B[..., which]
     most = float(np.abs(values).max())
     flat = most < _NONE
@@ -107,9 +108,9 @@ def _system(source: Source) -> System:
     return checked_system(source, "a plot of the curvature (a Reduction or a motion does, too)")
 
 
-def _component(system: System, component: str | int | None, B: Array) -> int:
+def component_of(group: Group, component: str | int | None, B: Array) -> int:
     """Return the index of a component of the body twist.  Raises InputError."""
-    known, linear = system.group.twist_names, system.group.linear
+    known, linear = group.twist_names, group.linear
     if component is None:
         size = np.abs(B).reshape(-1, len(known)).max(axis=0)
         first = linear if linear < len(known) else 0
@@ -121,7 +122,7 @@ def _component(system: System, component: str | int | None, B: Array) -> int:
     elif not isinstance(component, bool) and 0 <= component < len(known):
         return int(component)
     raise InputError(
-        f"no component {component!r} in a twist of {system.group.name}; they are "
+        f"no component {component!r} in a twist of {group.name}; they are "
         + ", ".join(known).replace("ω", "w")
     )
 

@@ -1,0 +1,181 @@
+"""A connection seen from another frame: another link as the base, or another section of the bundle.
+
+A frame h(x) ∈ G, seen from the base, moves with g′ = g h, so that
+
+    ξ′ = Ad_{h⁻¹} ξ + h⁻¹ḣ,   A′ = Ad_{h⁻¹} A − h⁻¹∂h,   B′ = Ad_{h⁻¹} B,
+
+and a cycle that begins at x₀ has the phase h(x₀)⁻¹ g h(x₀).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+from ...common.arrays import Array
+from ...common.errors import InputError
+from ...kernels.connection.form import ConnectionForm, form_of
+from ...lie.group import Group
+from ...reduction.tree.link_motions import root_twist
+from ...reduction.tree.momenta import in_space
+from ...system.system import System
+from .links import link_jacobian, link_named
+
+Twist = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
+_STEP = 5e-3  # of differences of order 6
+_OUTSIDE = 1e-9
+_SAMPLES = 5
+
+
+def from_link(form: ConnectionForm, system: System, name: str) -> ConnectionForm:
+    """Return the form with the twist of a link in the place of the root's.
+
+    Raises InputError for a link that there is not, or whose motions are not all in the group.
+    """
+    link, group = link_named(system, name, "the base"), system.group
+    axes = list(group.axes)
+
+    def entries(x: Array) -> Array:
+        """Return ξ′ by (ξ, ẋ), (r, n)."""
+        J = link_jacobian(system, link, x)
+        others = [k for k in range(6) if k not in axes]
+        if np.abs(J[others]).max(initial=0.0) > _OUTSIDE * np.abs(J).max():
+            raise InputError(
+                f"'{name}' cannot be the base of '{system.name}': it has motions that are not in "
+                f"{group.name}"
+            )
+        return J[axes]
+
+    rng = np.random.default_rng(0)
+    for _ in range(_SAMPLES):
+        entries(rng.uniform(-np.pi, np.pi, system.m))
+
+    def old(x: ca.SX, xi: ca.SX, xdot: ca.SX) -> ca.SX:
+        return root_twist(system, x, link.joint - 1, link.placement, xi, xdot)
+
+    return _seen(form, old, entries, f"{form.what}, seen from '{name}'")
+
+
+def in_section(form: ConnectionForm, pose: Callable[[ca.SX], ca.SX]) -> ConnectionForm:
+    """Return the form with the twist of a frame h(x) in the place of the root's.
+
+    pose: writes the pose coordinates of h, (size,), as CasADi expressions in x (m,).
+    """
+    group, m = form.group, form.m
+    y = ca.SX.sym("x", m)
+    h = ca.Function("h", [y], [ca.densify(pose(y))])
+    if h.numel_out(0) != group.size:
+        raise InputError(
+            f"a section of {group.name} gives {group.size} pose coordinates "
+            f"({', '.join(group.pose_names)}), got {h.numel_out(0)}"
+        )
+
+    def at(x: Array) -> Array:
+        return np.asarray(h(x)).ravel()
+
+    def entries(x: Array) -> Array:
+        back = group.inverse(at(x))
+        moved = np.zeros((group.dim, m))
+        for k in range(m):
+            for step, weight in (
+                (1, 45.0),
+                (-1, -45.0),
+                (2, -9.0),
+                (-2, 9.0),
+                (3, 1.0),
+                (-3, -1.0),
+            ):
+                to = x.copy()
+                to[k] += step * _STEP
+                moved[:, k] += weight / (60.0 * _STEP) * group.log(group.compose(back, at(to)))
+        return np.hstack([group.Ad(back), moved])
+
+    def old(x: ca.SX, xi: ca.SX, xdot: ca.SX) -> ca.SX:
+        value = h(x)
+        R, p = _rotation(group, value), _translation(group, value)
+        turned = R.T @ ca.reshape(ca.jtimes(ca.vec(R), x, xdot), 3, 3)
+        linear, angular = in_space(group, xi)
+        w = ca.vertcat(*angular) - ca.vertcat(turned[2, 1], turned[0, 2], turned[1, 0])
+        v = ca.vertcat(*linear) - R.T @ ca.jtimes(p, x, xdot)
+        both = ca.vertcat(R @ v + ca.cross(p, R @ w), R @ w)
+        return both[list(group.axes)]
+
+    return _seen(form, old, entries, f"{form.what}, in another section")
+
+
+def _seen(
+    form: ConnectionForm, old: Twist, entries: Callable[[Array], Array], what: str
+) -> ConnectionForm:
+    """Return a form of (ξ′, ẋ).  old: writes ξ of x, ξ′, ẋ.  entries: (r, n) of ξ′ by (ξ, ẋ)."""
+    r = form.r
+
+    def values(x: ca.SX, v: ca.SX) -> ca.SX:
+        whole = ca.vertcat(old(x, v[:r], v[r:]), v[r:])
+        F = form.values(x, whole)
+        return ca.jtimes(whole, v, F, True) if form.symmetric else F
+
+    def reference(x: Array) -> Array:
+        n = form.r + form.m
+        change = np.eye(n)
+        change[:r] = entries(x)
+        T = np.linalg.inv(change)
+        G = form.reference(x) @ T
+        return np.asarray(T.T @ G if form.symmetric else G)
+
+    def locked(x: ca.SX) -> ca.SX:
+        xi = ca.SX.sym("xi", r)
+        T = ca.densify(ca.jacobian(old(x, xi, ca.SX.zeros(form.m, 1)), xi))
+        P = ca.reshape(form.locked(x), r, r) @ T
+        return T.T @ P if form.symmetric else P
+
+    return form_of(
+        form.group, form.joints, form.units, what, values, reference,
+        symmetric=form.symmetric, momentum=form.momentum, locked=locked,
+    )  # fmt: skip
+
+
+def link_pose(system: System, name: str, x: Array) -> Array:
+    """Return h(x), the pose (size,) of a link as the root sees it, by Pinocchio."""
+    link, model, data = link_named(system, name, "the base"), system.model, system.data
+    pin.forwardKinematics(model, data, system.model_q(system.group.identity(), x))
+    place = data.oMi[1].actInv(data.oMi[link.joint]) * link.placement
+    matrix = np.array(place.homogeneous)
+    return _pose_of(system.group, matrix)
+
+
+def _pose_of(group: Group, matrix: Array) -> Array:
+    """Return the pose of a homogeneous matrix of space, (4, 4), that is in the group."""
+    axes = [axis for axis in group.axes if axis < 3]
+    linear = matrix[axes, 3]
+    if group.turns == 3:
+        return np.concatenate([linear, np.array(pin.Quaternion(matrix[:3, :3]).coeffs())])
+    angle = [np.arctan2(matrix[1, 0], matrix[0, 0])] if group.turns else []
+    return np.concatenate([linear, angle])
+
+
+def _rotation(group: Group, pose: ca.SX) -> ca.SX:
+    """Return the rotation matrix of a pose, (3, 3)."""
+    if group.turns == 0:
+        return ca.SX.eye(3)
+    if group.turns == 1:
+        c, s = ca.cos(pose[-1]), ca.sin(pose[-1])
+        return ca.blockcat([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    x, y, z, w = (pose[group.size - 4 + k] for k in range(4))
+    return ca.blockcat(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _translation(group: Group, pose: ca.SX) -> ca.SX:
+    out = [ca.SX(0)] * 3
+    for k, axis in enumerate(group.axes[: group.linear]):
+        out[axis] = pose[k]
+    column: ca.SX = ca.vertcat(*out)
+    return column

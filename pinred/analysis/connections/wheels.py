@@ -1,0 +1,145 @@
+"""The kinematic connection: wheels leave the body no motion but what the shape makes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...common.arrays import Array, positive, vector
+from ...common.errors import InputError
+from ...common.names import joint_index
+from ...kernels.connection.form import ConnectionForm, form_of
+from ...reduction.tree.body_frames import bodies_of
+from ...reduction.tree.link_motions import speed_along, twists_at
+from ...system.system import System, checked_system
+from .links import Link, link_jacobian, link_named
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """A wheel, or a pair on one axle, that does not slip along its axle.
+
+    link: that carries it.  at: (3,) where it touches the ground, in the link's frame [m].  axle:
+    (3,) its direction there.
+    """
+
+    link: str
+    at: ArrayLike = (0.0, 0.0, 0.0)
+    axle: ArrayLike = (0.0, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Rolling:
+    """A wheel that rolls without slipping: its link goes at radius times the rate of its joint.
+
+    joint: that turns the wheel.  radius: [m].  link, at: whose point moves so, the wheel's centre
+    in the frame of the link that carries it.  heading: (3,) direction in which positive rates
+    take it.
+    """
+
+    joint: str
+    radius: float
+    link: str
+    at: ArrayLike = (0.0, 0.0, 0.0)
+    heading: ArrayLike = (1.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Slip:
+    """A row of constraints: a speed of a point, less `radius` times the rate of a coordinate.
+
+    direction, point: (3,) in the joint frame of the link's body.
+    """
+
+    link: Link
+    direction: Array
+    point: Array
+    coordinate: int
+    radius: float
+
+
+def slips_of(system: System, wheels: Sequence[Wheel | Rolling]) -> list[Slip]:
+    """Return the constraints of wheels.  Raises InputError for what is not there."""
+    out = []
+    for wheel in wheels:
+        if not isinstance(wheel, (Wheel, Rolling)):
+            raise InputError(f"wheels must be Wheel or Rolling, got {wheel!r}")
+        rolls = isinstance(wheel, Rolling)
+        link = link_named(system, wheel.link, "wheels")
+        given = wheel.heading if isinstance(wheel, Rolling) else wheel.axle
+        d = vector(given, 3, "heading" if rolls else "axle")
+        if not np.linalg.norm(d) > 0.0:
+            raise InputError(f"the direction of a wheel on '{wheel.link}' must not be zero")
+        coordinate, radius = -1, 0.0
+        if isinstance(wheel, Rolling):
+            coordinate = joint_index(wheel.joint, system.shape_names, "wheels")
+            radius = positive(wheel.radius, "radius")
+        placement = link.placement
+        out.append(
+            Slip(
+                link,
+                placement.rotation @ (d / np.linalg.norm(d)),
+                placement.act(vector(wheel.at, 3, "at")),
+                coordinate,
+                radius,
+            )
+        )
+    return out
+
+
+def slip_rows(system: System, slips: Sequence[Slip], x: ca.SX, v: ca.SX) -> ca.SX:
+    """Return the slips of all wheels for v = (ξ, ẋ), (k,); they vanish where nothing slips."""
+    bodies, twists = bodies_of(system), twists_at(system, x, v)
+    rows = []
+    for slip in slips:
+        i = slip.link.joint - 1
+        row = speed_along(bodies[i], twists[i], slip.direction, slip.point)
+        if slip.coordinate >= 0:
+            row = row - slip.radius * v[system.r + slip.coordinate]
+        rows.append(row)
+    column: ca.SX = ca.vertcat(ca.SX(0, 1), *rows)
+    return column
+
+
+def slip_matrix(system: System, slips: Sequence[Slip], x: Array) -> Array:
+    """Return W = (W_b, W_s), (k, n), by Pinocchio's Jacobians."""
+    rows = []
+    for slip in slips:
+        body = Link(slip.link.joint, slip.link.placement.Identity())
+        J = link_jacobian(system, body, x)
+        row = slip.direction @ (J[:3] - _hat(slip.point) @ J[3:])
+        if slip.coordinate >= 0:
+            row[system.r + slip.coordinate] -= slip.radius
+        rows.append(row)
+    return np.array(rows).reshape(-1, system.n)
+
+
+def kinematic_form(system: System, wheels: Sequence[Wheel | Rolling]) -> ConnectionForm:
+    """Return the form of the slips of as many wheels as the group has dimensions."""
+    system = checked_system(system, "Connection.kinematic")
+    slips = slips_of(system, list(wheels))
+    if len(slips) != system.r:
+        raise InputError(
+            f"{system.group.name} has {system.r} dimensions, so a kinematic connection needs "
+            f"{system.r} wheels, got {len(slips)}; with fewer, see mixed_connection"
+        )
+
+    def values(x: ca.SX, v: ca.SX) -> ca.SX:
+        return slip_rows(system, slips, x, v)
+
+    def reference(x: Array) -> Array:
+        return slip_matrix(system, slips, x)
+
+    return form_of(
+        system.group, system.shape_names, system.units, f"the wheels of '{system.name}'",
+        values, reference, symmetric=False,
+    )  # fmt: skip
+
+
+def _hat(p: Array) -> Array:
+    x, y, z = p
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,0 +1,1 @@
+"""Frames in which a connection disturbs least, surface integrals of curvature, and flatness."""

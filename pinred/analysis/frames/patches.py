@@ -1,0 +1,216 @@
+"""Patches of shape space: boxes of joint values, and the disc that a gait spans.
+
+A patch is a smooth map from k parameters to shapes, with nodes and weights of a quadrature over
+the parameters.  On it, polynomials of the parameters stand for frames.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import ArrayLike
+
+from ...common.arrays import Array, as_floats, freeze, vector
+from ...common.errors import InputError
+from ..gaits.arcs import FourierArc
+from ..gaits.gait import Gait
+
+_RINGS, _SPOKES = 24, 64  # nodes of a disc
+
+
+class Patch(ABC):
+    """A map from parameters u (N, k), within ±1, to shapes (N, m)."""
+
+    nodes: Array
+    weights: Array
+
+    @abstractmethod
+    def shapes(self, u: Array) -> Array:
+        """Return shapes (N, m)."""
+
+    @abstractmethod
+    def slopes(self, u: Array) -> Array:
+        """Return ∂x/∂u, (N, m, k)."""
+
+    @abstractmethod
+    def parameters(self, x: Array) -> Array:
+        """Return the parameters of shapes (N, m) on the patch, (N, k)."""
+
+    @property
+    def k(self) -> int:
+        """Number of parameters."""
+        return int(self.nodes.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Box(Patch):
+    """All values of some joints within limits; the others stand still.
+
+    joints: (k,) indices.  limits: (k, 2).  at: (m,) where the others stand.  count: of Gauss nodes
+    along each parameter.
+    """
+
+    joints: tuple[int, ...]
+    limits: Array
+    at: Array
+    count: int
+    nodes: Array = field(init=False, repr=False)
+    weights: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        k = len(self.joints)
+        s, w = np.polynomial.legendre.leggauss(self.count)
+        grids = np.meshgrid(*[s] * k, indexing="ij")
+        object.__setattr__(self, "nodes", np.stack([grid.ravel() for grid in grids], axis=1))
+        weights = np.ones(1)
+        for _ in range(k):
+            weights = np.multiply.outer(weights, w).ravel()
+        object.__setattr__(self, "weights", weights)
+        freeze(self)
+
+    @property
+    def _half(self) -> Array:
+        return np.asarray(0.5 * (self.limits[:, 1] - self.limits[:, 0]))
+
+    def shapes(self, u: Array) -> Array:
+        """Return shapes, as every patch."""
+        x = np.tile(self.at, (len(u), 1))
+        x[:, list(self.joints)] = self.limits.mean(axis=1) + self._half * u
+        return x
+
+    def slopes(self, u: Array) -> Array:
+        """Return slopes, as every patch."""
+        out = np.zeros((len(self.at), len(self.joints)))
+        out[list(self.joints), np.arange(len(self.joints))] = self._half
+        return np.broadcast_to(out, (len(u), *out.shape))
+
+    def parameters(self, x: Array) -> Array:
+        """Return parameters, as every patch."""
+        return np.asarray((x[:, list(self.joints)] - self.limits.mean(axis=1)) / self._half)
+
+
+@dataclass(frozen=True, eq=False)
+class Disc(Patch):
+    """The harmonic disc that a Fourier gait spans: x = mean + Σ ρ^k (cos_k cos kφ + sin_k sin kφ).
+
+    In any number of joints; u = (ρ cos φ, ρ sin φ).
+    """
+
+    gait: Gait
+    nodes: Array = field(init=False, repr=False)
+    weights: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not self.gait.is_smooth:
+            raise InputError("the disc of a gait needs one that is one Fourier series")
+        s, w = np.polynomial.legendre.leggauss(_RINGS)
+        rho, turn = 0.5 * (s + 1.0), 2.0 * np.pi * np.arange(_SPOKES) / _SPOKES
+        ring, spoke = (each.ravel() for each in np.meshgrid(rho, turn, indexing="ij"))
+        nodes = np.stack([ring * np.cos(spoke), ring * np.sin(spoke)], axis=1)
+        object.__setattr__(self, "nodes", nodes)
+        weights = np.repeat(0.5 * w * rho, _SPOKES) * (2.0 * np.pi / _SPOKES)
+        object.__setattr__(self, "weights", weights)
+        freeze(self)
+
+    @cached_property
+    def _series(self) -> Array:
+        """Coefficients c with x = mean + Re Σ c_k z^k, z = u₁ + i u₂, (harmonics, m)."""
+        arc = self.gait.arcs[0]
+        assert isinstance(arc, FourierArc)
+        k = np.arange(1, len(arc.cos) + 1)[:, None]
+        sense = 1.0 if arc.end > arc.start else -1.0
+        # z = e^{iψ} where φ = start + sense ψ.
+        return np.asarray((arc.cos - 1j * sense * arc.sin) * np.exp(1j * sense * k * arc.start))
+
+    def _powers(self, u: Array) -> Array:
+        z = u[:, 0] + 1j * u[:, 1]
+        return np.power.outer(z, np.arange(len(self._series) + 1))
+
+    def shapes(self, u: Array) -> Array:
+        """Return shapes, as every patch."""
+        arc = self.gait.arcs[0]
+        assert isinstance(arc, FourierArc)
+        return np.asarray(arc.mean + (self._powers(u)[:, 1:] @ self._series).real)
+
+    def slopes(self, u: Array) -> Array:
+        """Return slopes, as every patch."""
+        k = np.arange(1, len(self._series) + 1)[:, None]
+        by_z = self._powers(u)[:, :-1] @ (k * self._series)
+        return np.stack([by_z.real, -by_z.imag], axis=2)
+
+    def parameters(self, x: Array) -> Array:
+        """Return parameters, as every patch; of a gait with one harmonic only."""
+        arc = self.gait.arcs[0]
+        assert isinstance(arc, FourierArc)
+        if len(self._series) > 1 and self._series[1:].any():
+            raise InputError("a shape has no place on the disc of a gait with several harmonics")
+        plane = np.stack([self._series[0].real, -self._series[0].imag], axis=1)
+        return np.asarray(np.linalg.lstsq(plane, (x - arc.mean).T, rcond=None)[0].T)
+
+
+def box_of(
+    m: int, limits: ArrayLike, joints: Sequence[int] | None, at: ArrayLike | None, count: int
+) -> Box:
+    """Return a box of one to three joints.  Raises InputError for other numbers or limits."""
+    bounds = as_floats(limits, "limits")
+    if bounds.ndim != 2 or bounds.shape[1:] != (2,) or not 1 <= len(bounds) <= 3:
+        raise InputError(f"limits must be (low, high) of one to three joints, got {limits!r}")
+    if not np.isfinite(bounds).all() or (bounds[:, 0] >= bounds[:, 1]).any():
+        raise InputError(f"limits must be finite and increase, got {limits!r}")
+    chosen = tuple(range(len(bounds)) if joints is None else joints)
+    if len(chosen) != len(bounds) or not set(chosen) <= set(range(m)):
+        raise InputError(f"joints must be {len(bounds)} indices below {m}, got {chosen}")
+    rest = np.zeros(m) if at is None else vector(at, m, "at")
+    return Box(chosen, bounds.copy(), rest.copy(), count)
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """Products of Chebyshev polynomials of total degree at most `degree`, without the constant.
+
+    values: (N, K).  slopes: (N, k, K).
+    """
+
+    powers: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def of(cls, k: int, degree: int) -> Basis:
+        """Return the basis in k parameters."""
+        every = product(range(degree + 1), repeat=k)
+        return cls(tuple(powers for powers in every if 0 < sum(powers) <= degree))
+
+    def values(self, u: Array) -> Array:
+        """Return the polynomials at parameters (N, k), (N, K)."""
+        tables, _ = self._tables(u)
+        return self._products(tables)
+
+    def slopes(self, u: Array) -> Array:
+        """Return their derivatives, (N, k, K)."""
+        tables, slopes = self._tables(u)
+        out = []
+        for axis in range(u.shape[1]):
+            mixed = [*tables]
+            mixed[axis] = slopes[axis]
+            out.append(self._products(mixed))
+        return np.stack(out, axis=1)
+
+    def _tables(self, u: Array) -> tuple[list[Array], list[Array]]:
+        degree = max(max(powers) for powers in self.powers)
+        values = [chebyshev.chebvander(column, degree) for column in u.T]
+        step = np.zeros((degree + 1, degree + 1))
+        for k in range(1, degree + 1):
+            series = chebyshev.chebder(np.eye(degree + 1)[k])
+            step[: len(series), k] = series
+        return values, [table @ step for table in values]
+
+    def _products(self, tables: Sequence[Array]) -> Array:
+        out = np.ones((len(tables[0]), len(self.powers)))
+        for axis, table in enumerate(tables):
+            out *= table[:, [powers[axis] for powers in self.powers]]
+        return out

@@ -1,0 +1,1 @@
+"""Gait files: a robot, its connection and a gait in one TOML file."""

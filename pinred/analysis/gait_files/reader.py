@@ -1,0 +1,103 @@
+"""Gaits from TOML files: read, checked key by key, and built.  Nothing in them is executed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...common.arrays import Array
+from ...common.errors import InputError
+from ...scene.toml.csv_columns import read_text
+from ...scene.toml.documents import parsed, robot_in
+from ...scene.toml.places import Place, naming
+from ...system.system import System
+from ..connections.connection import Connection
+from ..connections.fluid import Ellipse, Ellipsoid
+from ..connections.viscous import Rod
+from ..connections.wheels import Rolling, Wheel
+from ..gaits.gait import Gait
+from .keys import GAIT_FILE
+
+
+@dataclass(frozen=True)
+class GaitFile:
+    """The contents of a gait file.  momentum: (r,) body momentum at the start."""
+
+    system: System
+    connection: Connection
+    gait: Gait
+    momentum: Array
+
+
+def load_gait(path: str | Path) -> GaitFile:
+    """Return robot, connection and gait of a TOML file; docs/phases.md lists what may stand in it.
+
+    Raises LoadError if the file, or one that it names, cannot be read; InputError, or what the
+    parts raise, naming file and key.
+    """
+    if not isinstance(path, (str, Path)):
+        raise InputError(f"load_gait takes the path of a TOML file, got {type(path).__name__}")
+    path = Path(path)
+    text = read_text(path, "gait file")
+    place = Place(str(path), text)
+    document = GAIT_FILE.read(parsed(text, place, "a gait"), place)
+    system = robot_in(document, path.parent, place)
+    with naming(place / "connection"):
+        connection = _connection(system, document.get("connection", {"kind": "mechanical"}))
+    if "base" in document:
+        with naming(place / "base"):
+            connection = connection.seen_from(document["base"])
+    with naming(place / "gait"):
+        gait = _gait(document["gait"], connection, path.parent)
+    momentum = np.zeros(connection.r)
+    given = document.get("momentum", 0.0)
+    if given != 0.0:
+        values = [given] if isinstance(given, float) else given
+        if len(values) != connection.r:
+            names = ", ".join(connection.group.twist_names)
+            (place / "momentum").fail(f"must have {connection.r} entries ({names}), or be 0")
+        momentum[:] = values
+    return GaitFile(system, connection, gait, momentum)
+
+
+def _connection(system: System, table: Mapping[str, Any]) -> Connection:
+    kind = table["kind"]
+    if kind == "viscous":
+        return Connection.viscous(system, {k: Rod(**rod) for k, rod in table["drag"].items()})
+    if kind == "fluid":
+        bodies = {name: _body(body) for name, body in table["bodies"].items()}
+        return Connection.fluid(system, table["density"], bodies)
+    if kind == "kinematic":
+        return Connection.kinematic(system, [_wheel(wheel) for wheel in table["wheels"]])
+    return Connection.mechanical(system)
+
+
+def _body(table: Mapping[str, Any]) -> Ellipsoid | Ellipse:
+    options = dict(table)
+    return Ellipsoid(**options) if options.pop("kind") == "ellipsoid" else Ellipse(**options)
+
+
+def _wheel(table: Mapping[str, Any]) -> Wheel | Rolling:
+    options = dict(table)
+    return Wheel(**options) if options.pop("kind") == "wheel" else Rolling(**options)
+
+
+def _gait(table: Mapping[str, Any], connection: Connection, folder: Path) -> Gait:
+    options = dict(table)
+    kind = options.pop("kind")
+    if kind == "recorded":
+        gait = Gait.read(folder / options.pop("file"), **options)
+    elif kind == "strokes":
+        gait = Gait.strokes(joints=connection.joints, **options)
+    else:
+        gait = getattr(Gait, kind)(**options)
+    if gait.m != connection.m:
+        raise InputError(
+            f"it moves {gait.m} joints, but the robot has {connection.m}: "
+            f"{', '.join(connection.joints)}"
+        )
+    return gait

@@ -1,0 +1,133 @@
+"""Wrenches on links as what they are to the shape and the base, by the power they have.
+
+A force F at a point p of a link and a moment N on it have the power F · v_p + N · ω, which is
+linear in the body twist ξ and the shape rate ẋ:
+
+    F · v_p + N · ω = f · ξ + τ · ẋ,
+
+so its derivatives are the wrench f on the base and the torques τ on the joints; on joints that
+others follow, as those move.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import pinocchio as pin
+
+from ..common.errors import InputError
+from ..common.names import nearest
+from ..common.plain_names import listed, quoted
+from ..reduction.tree.all_joints import joint_rates, joint_values
+from ..reduction.tree.articulated_sweep import step_of
+from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.scalars import Scalar, Turn, Vec, add, cross, dot, mul, plus
+from ..system.force import Load, Symbols
+from ..system.system import System
+
+
+@dataclass(frozen=True)
+class OnCoordinates:
+    """A load as it acts on the coordinates.  torque: (m,) on the shape.  wrench: (r,)."""
+
+    torque: ca.SX
+    wrench: ca.SX
+
+
+def link_frame(system: System, name: str, what: str) -> int:
+    """Return the index of a link's frame in the model.  Raises InputError listing the links."""
+    model = system.model
+    moving = [k for k, f in enumerate(model.frames) if f.parentJoint > 0]
+    bodies = [k for k in moving if model.frames[k].type == pin.FrameType.BODY]
+    for known in (bodies, moving):
+        found = [k for k in known if model.frames[k].name == name]
+        if len(found) == 1:
+            return int(found[0])
+        if found:
+            raise InputError(f"{what}: '{system.name}' has {len(found)} links {quoted(name)}")
+    names = [str(model.frames[k].name) for k in bodies or moving]
+    raise InputError(
+        f"{what}: '{system.name}' has no link {quoted(str(name))}; {nearest(str(name), names)}"
+        f"the links are {listed(names, 60) or 'none'}"
+    )
+
+
+def of_load(system: System, s: Symbols, load: Load, what: str) -> OnCoordinates:
+    """Return what a load is to the coordinates.  Raises InputError, naming `what`."""
+    if load.link is None:
+        column: ca.SX = ca.vertcat(*_of_base(system, s, load.entries))
+        return OnCoordinates(ca.SX(system.m, 1), column)
+    frame = system.model.frames[link_frame(system, load.link, what)]
+    r, m = system.r, system.m
+    xi, xdot = ca.SX.sym("xi", r), ca.SX.sym("xdot", m)
+    force, moment = load.entries[:3], load.entries[3:]
+    if load.frame == "world":
+        force, moment = (_into_root(system, s.seen.pose, part) for part in (force, moment))
+    bodies = bodies_of(system)
+    joints = joint_values(system, ca.vertsplit(s.x) if m else [])
+    rates = joint_rates(system, ca.vertsplit(xdot) if m else [])
+    chain, i = [], frame.parentJoint - 1
+    last = bodies[i].frame.actInv(frame.placement)
+    while i > 0:
+        chain.append(i)
+        i = bodies[i].parent
+    v, w = _on_axes(system, ca.vertsplit(xi))
+    for i in reversed(chain):
+        step = step_of(bodies[i], joints[i - 1])
+        v, w = step.outward(v, w)
+        part = v if bodies[i].prismatic else w
+        part[2] = add(part[2], rates[i - 1])
+        if load.frame == "world":
+            force, moment = (_back(step.turns, vector) for vector in (force, moment))
+    turn = last.rotation.tolist()
+    away = plus(last.translation.tolist(), [dot(row, load.at) for row in turn])
+    v = plus(v, cross(w, away))
+    if load.frame == "body":
+        force, moment = ([dot(row, vector) for row in turn] for vector in (force, moment))
+    power = ca.SX(add(dot(force, v), dot(moment, w)))
+    torque, wrench = (ca.SX(ca.gradient(power, v)) if v.numel() else v for v in (xdot, xi))
+    return OnCoordinates(torque, wrench)
+
+
+def _of_base(system: System, s: Symbols, entries: list[Scalar]) -> list[Scalar]:
+    """Return a wrench (r,) on the base along its own axes, from one along the fixed axes."""
+    lin, ang = _on_axes(system, entries)
+    both = [*_turned_back(system, s.seen.pose, lin), *_turned_back(system, s.seen.pose, ang)]
+    return [both[axis] for axis in system.group.axes]
+
+
+def _on_axes(system: System, entries: list[Scalar]) -> tuple[Vec, Vec]:
+    """Return a twist or wrench of the group, (r,), as one of space in the root body's frame."""
+    both: Vec = [0.0] * 6
+    for axis, entry in zip(system.group.axes, entries, strict=True):
+        both[axis] = entry
+    return both[:3], both[3:]
+
+
+def _into_root(system: System, pose: ca.SX, v: Vec) -> Vec:
+    """Return a vector of the root joint's fixed frame in the root body's frame of the sweep."""
+    own = bodies_of(system)[0].frame.rotation.T.tolist()
+    return _turned_back(system, pose, [dot(row, v) for row in own])
+
+
+def _turned_back(system: System, pose: ca.SX, v: Vec) -> Vec:
+    """Return Rᵀ v, by the attitude in a pose whose quaternion has length one."""
+    group = system.group
+    if group.turns == 0:
+        return list(v)
+    if group.turns == 1:
+        angle = pose[group.size - 1]
+        return Turn(group.axes[-1] - 3, ca.cos(angle), ca.sin(angle)).back(v)
+    x, y, z, w = (pose[group.linear + k] for k in range(4))
+    u = [-x, -y, -z]
+    t = cross(u, v)
+    turned = cross(u, t)
+    return [add(v[i], mul(2.0, add(mul(w, t[i]), turned[i]))) for i in range(3)]
+
+
+def _back(turns: list[Turn], v: Vec) -> Vec:
+    for turn in turns:
+        if not turn.is_none:
+            v = turn.back(v)
+    return v

@@ -1,0 +1,97 @@
+"""A wrench on the base, or on any link at any point of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from ..common.arrays import as_floats
+from ..common.errors import InputError
+from ..common.parameter import Parameter, values_of
+from ..common.plain_names import brief, one_of
+from ..system.force import Load
+from .arguments import Action, acting_value, called
+from .force import Named, Symbols, Terms, checked, entries, scalar, signals_in
+from .signals import Signal
+
+Axes: TypeAlias = Literal["body", "world"]
+AXES: tuple[Axes, ...] = ("body", "world")
+
+
+@dataclass(frozen=True)
+class Wrench(Named):
+    """A wrench [linear; angular]: thrusters, drag, a hand that is pulled.
+
+    function: (t, x, xdot, mu) → its entries, called once; or a list of entries, each a Signal, a
+    number or (t, x, xdot, mu) → expression; joints by name as in Torque.  A function of one
+    argument is given a SeenState instead, with pose, twist and momenta of the base.
+
+    On the base, where no link is named: r entries along the group's axes, at the base's origin.
+    link: the name of any link.  Then it has 3 entries, a force [N], or 6, a force and a moment
+    [N; N·m], in space; at: the point of the link it acts at, (3,) in the link's frame [m].
+    frame: whose axes its entries are along: "body", the base's or the link's own, or "world",
+    those of the root joint's fixed frame, in which pose and spatial momentum are.
+    """
+
+    function: Action | Sequence[Action | Signal | float | Parameter]
+    name: str = "wrench"
+    link: str | None = field(default=None, kw_only=True)
+    at: Sequence[float | Parameter] | None = field(default=None, kw_only=True)
+    frame: Axes = field(default="body", kw_only=True)
+
+    def __post_init__(self) -> None:
+        wanted = "a function of (t, x, xdot, mu), of a state, or a list of Signals or numbers"
+        checked(self.name, wanted, self.function, Sequence, np.ndarray)
+        if not one_of(self.frame, AXES):
+            raise InputError(
+                f"frame of {self.name} must be one of {', '.join(AXES)}, got {brief(self.frame)}"
+            )
+        if self.link is not None and not isinstance(self.link, str):
+            raise InputError(f"link of {self.name} must be a name, got {brief(self.link)}")
+        if self.at is None:
+            return
+        if self.link is None:
+            raise InputError(f"{self.name}: at is a point of a link; give link= with it")
+        point = as_floats(values_of(self.at), f"at of {self.name}")
+        if point.shape != (3,) or not np.isfinite(point).all():
+            raise InputError(f"at of {self.name} must be 3 finite numbers, got {brief(self.at)}")
+        given = self.at.tolist() if isinstance(self.at, np.ndarray) else self.at
+        object.__setattr__(self, "at", tuple(given))
+
+    @property
+    def signals(self) -> Iterable[Signal]:
+        """The functions of time in it."""
+        return () if callable(self.function) else signals_in(self.function)
+
+    def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
+        """Return the wrench, or the load on a link."""
+        found = self._entries(s, number, s.mu.numel())
+        if self.link is None and self.frame == "body":
+            return Terms(wrench=found)
+        if self.link is None:
+            return Terms(loads=[Load(None, [0.0] * 3, self.frame, found)])
+        point = [number(a) if isinstance(a, Parameter) else float(a) for a in self.at or (0, 0, 0)]
+        both = [*found, *[0.0] * (6 - len(found))]
+        return Terms(loads=[Load(self.link, point, self.frame, both)])
+
+    def _entries(self, s: Symbols, number: Callable[[Any], Any], r: int) -> list[Any]:
+        """Return the entries as expressions.  Raises InputError for another number of them."""
+        function = self.function
+        given = called(function, s, self.name) if callable(function) else function
+        if self.link is None:
+            found = entries(given, r, self.name)
+        else:
+            found = entries(given, 3 if _count(given) == 3 else 6, f"{self.name} on a link")
+        if callable(function):
+            return [scalar(v, f"{self.name}[{i}]") for i, v in enumerate(found)]
+        return [acting_value(v, s, number, f"{self.name}[{i}]") for i, v in enumerate(found)]
+
+
+def _count(given: Any) -> int:
+    """Return how many entries something has; 0 if it has none."""
+    if hasattr(given, "numel"):
+        return int(given.numel())
+    return len(given) if hasattr(given, "__len__") else 0

@@ -1,0 +1,340 @@
+"""Derivatives of a run of a Gauss method, of the steps it took: by the implicit function theorem.
+
+Stages Y_i = y + h Σ a_ij f(Y_j) hold to round-off here, whatever an integrator has left of its
+tolerance, so derivatives are those of the converged steps.  Along a direction
+
+    δY_i = δy + h Σ a_ij (J_j δY_j + ∂f/∂p δp),          δy₁ = δy + h Σ b_j (J_j δY_j + …)
+
+and back, with Z_i = J_iᵀ G_i,
+
+    G_j = h b_j λ₁ + h Σ a_ij Z_i,          λ₀ = λ₁ + Σ Z_i
+
+both by fixed points, which converge as the stages do; all stages are evaluated at once, in lanes.
+A state between the ends of a step is the end of a shorter one.  E. Hairer, C. Lubich, G. Wanner,
+Geometric Numerical Integration, 2nd ed., section VI.4.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...common.arrays import Array
+from ..explicit.derivatives import across, to_unit
+from ..stepping.compiling import compiled
+from ..stepping.kernel_call import call, call_adjoint, call_slopes
+
+_MOST = 400  # turns
+_PATIENCE = 2  # turns without improvement at which round-off is all that is left
+_WAVES = 20  # such turns where it is not: slow iterations come in waves
+_CLOSE = 1e-10  # relative change above which an iteration that stops has not converged
+
+
+@compiled
+def find_stages(
+    address: int, params: Array, a: Array, lanes: int, h: float, y: Array, Y: Array, F: Array
+) -> int:
+    """Fill stages Y (n lanes,) and their rates F; return the turns, −1 if there are none found.
+
+    a: (lanes, lanes) weights.
+    """
+    n = y.shape[0]
+    for i in range(n):
+        for j in range(lanes):
+            Y[i * lanes + j] = y[i]
+    call(address, Y, params, F)
+    best, idle = np.inf, 0
+    for turn in range(_MOST):
+        change = size = 0.0
+        for i in range(n):
+            for j in range(lanes):
+                total = 0.0
+                for k in range(lanes):
+                    total += a[j, k] * F[i * lanes + k]
+                new = y[i] + h * total
+                change = max(change, abs(new - Y[i * lanes + j]))
+                size = max(size, abs(new))
+                Y[i * lanes + j] = new
+        if not change < np.inf:
+            return -1
+        call(address, Y, params, F)
+        idle = idle + 1 if change >= best else 0
+        best = min(best, change)
+        if change == 0.0 or idle >= (_PATIENCE if best <= _CLOSE * size else _WAVES):
+            return turn + 1 if best <= _CLOSE * size else -1
+    return -1
+
+
+@compiled
+def step_forward(
+    slopes: int,
+    params: Array,
+    a: Array,
+    b: Array,
+    lanes: int,
+    h: float,
+    Y: Array,
+    along: Array,
+    along_params: Array,
+    D: Array,
+    G: Array,
+) -> int:
+    """Bring a direction (n,) over a step with stages Y, in place; return the turns or −1.
+
+    along_params: (p,).  D, G: (n lanes,).
+    """
+    n = along.shape[0]
+    for i in range(n):
+        for j in range(lanes):
+            D[i * lanes + j] = along[i]
+    call_slopes(slopes, Y, params, D, along_params, G)
+    best, idle, turns = np.inf, 0, -1
+    for turn in range(_MOST):
+        change = size = 0.0
+        for i in range(n):
+            for j in range(lanes):
+                total = 0.0
+                for k in range(lanes):
+                    total += a[j, k] * G[i * lanes + k]
+                new = along[i] + h * total
+                change = max(change, abs(new - D[i * lanes + j]))
+                size = max(size, abs(new))
+                D[i * lanes + j] = new
+        if not change < np.inf:
+            return -1
+        call_slopes(slopes, Y, params, D, along_params, G)
+        idle = idle + 1 if change >= best else 0
+        best = min(best, change)
+        if change == 0.0 or idle >= (_PATIENCE if best <= _CLOSE * size else _WAVES):
+            turns = turn + 1 if best <= _CLOSE * size else -1
+            break
+    for i in range(n):
+        total = 0.0
+        for k in range(lanes):
+            total += b[k] * G[i * lanes + k]
+        along[i] += h * total
+    return turns
+
+
+@compiled
+def step_reverse(
+    adjoint: int,
+    params: Array,
+    a: Array,
+    b: Array,
+    lanes: int,
+    h: float,
+    Y: Array,
+    covector: Array,
+    by_params: Array,
+    G: Array,
+    Z: Array,
+) -> int:
+    """Bring a covector (n,) back over a step with stages Y, in place; return the turns or −1.
+
+    G: (n lanes,).  Z: ((n + p) lanes,).
+    """
+    n, p = covector.shape[0], by_params.shape[0]
+    for i in range(n):
+        for j in range(lanes):
+            G[i * lanes + j] = h * b[j] * covector[i]
+    call_adjoint(adjoint, Y, params, G, Z)
+    best, idle, turns = np.inf, 0, -1
+    for turn in range(_MOST):
+        change = size = 0.0
+        for i in range(n):
+            for j in range(lanes):
+                total = b[j] * covector[i]
+                for k in range(lanes):
+                    total += a[k, j] * Z[i * lanes + k]
+                new = h * total
+                change = max(change, abs(new - G[i * lanes + j]))
+                size = max(size, abs(new))
+                G[i * lanes + j] = new
+        if not change < np.inf:
+            return -1
+        call_adjoint(adjoint, Y, params, G, Z)
+        idle = idle + 1 if change >= best else 0
+        best = min(best, change)
+        if change == 0.0 or idle >= (_PATIENCE if best <= _CLOSE * size else _WAVES):
+            turns = turn + 1 if best <= _CLOSE * size else -1
+            break
+    for i in range(n):
+        for j in range(lanes):
+            covector[i] += Z[i * lanes + j]
+    for i in range(p):
+        for j in range(lanes):
+            by_params[i] += Z[(n + i) * lanes + j]
+    return turns
+
+
+@compiled
+def forward(
+    address: int,
+    slopes: int,
+    params: Array,
+    a: Array,
+    b: Array,
+    lanes: int,
+    quaternion: int,
+    knots: Array,
+    states: Array,
+    times: Array,
+    y: Array,
+    along: Array,
+    along_params: Array,
+    out: Array,
+    out_along: Array,
+    Y: Array,
+    F: Array,
+    D: Array,
+    G: Array,
+) -> int:
+    """Follow a state y (n,) and directions over the steps between knots, in place.
+
+    states: (steps + 1, n) at the knots, from which every step begins if there are any.
+    along: (N, n), along_params: (N, p).  out: (T, n) and out_along: (T, N, n) at times.  Y, F, D,
+    G: (n lanes,).  Return 0, or 1 plus the first step that is not found.
+    """
+    n, count = y.shape[0], along.shape[0]
+    size = to_unit(y, quaternion)
+    for d in range(count):
+        across(y, size, quaternion, along[d], 1)
+    first = 0
+    while first < times.shape[0] and times[first] <= knots[0]:
+        _report(y, along, quaternion, out[first], out_along[first])
+        first += 1
+    for step in range(knots.shape[0] - 1):
+        if step > 0 and states.shape[0] > 0:
+            for i in range(n):
+                y[i] = states[step, i]
+        while first < times.shape[0] and times[first] < knots[step + 1]:
+            h = times[first] - knots[step]
+            if find_stages(address, params, a, lanes, h, y, Y, F) < 0:
+                return step + 1
+            _move(y, b, lanes, h, F, out[first])
+            for d in range(count):
+                for i in range(n):
+                    out_along[first, d, i] = along[d, i]
+                if (
+                    step_forward(
+                        slopes,
+                        params,
+                        a,
+                        b,
+                        lanes,
+                        h,
+                        Y,
+                        out_along[first, d],
+                        along_params[d],
+                        D,
+                        G,
+                    )
+                    < 0
+                ):
+                    return step + 1
+            size = to_unit(out[first], quaternion)
+            for d in range(count):
+                across(out[first], size, quaternion, out_along[first, d], 1)
+            first += 1
+        h = knots[step + 1] - knots[step]
+        if find_stages(address, params, a, lanes, h, y, Y, F) < 0:
+            return step + 1
+        _move(y, b, lanes, h, F, y)
+        for d in range(count):
+            if step_forward(slopes, params, a, b, lanes, h, Y, along[d], along_params[d], D, G) < 0:
+                return step + 1
+        while first < times.shape[0] and times[first] <= knots[step + 1]:
+            _report(y, along, quaternion, out[first], out_along[first])
+            first += 1
+    return 0
+
+
+@compiled
+def reverse(
+    address: int,
+    adjoint: int,
+    params: Array,
+    a: Array,
+    b: Array,
+    lanes: int,
+    quaternion: int,
+    knots: Array,
+    states: Array,
+    times: Array,
+    at_times: Array,
+    covector: Array,
+    by_params: Array,
+    y: Array,
+    Y: Array,
+    F: Array,
+    G: Array,
+    Z: Array,
+) -> int:
+    """Bring a covector (n,) at the last knot back to the first, in place.
+
+    states: (steps + 1, n) at the knots.  at_times: (T, n) covectors of the states at times, which
+    are lost.  by_params: (p,), to which the slopes by parameters are added.  y: (n,).  Y, F, G: (n
+    lanes,).  Z: ((n + p) lanes,).  Return 0, or 1 plus the first step that is not found.
+    """
+    n, first = y.shape[0], times.shape[0]
+    for step in range(knots.shape[0] - 2, -1, -1):
+        while first > 0 and times[first - 1] >= knots[step + 1]:
+            first -= 1
+            for i in range(n):
+                y[i] = states[step + 1, i]
+            size = to_unit(y, quaternion)
+            across(y, size, quaternion, at_times[first], 1)
+            for i in range(n):
+                covector[i] += at_times[first, i]
+        for i in range(n):
+            y[i] = states[step, i]
+        if step == 0:
+            to_unit(y, quaternion)
+        h = knots[step + 1] - knots[step]
+        found = find_stages(address, params, a, lanes, h, y, Y, F)
+        if (
+            found < 0
+            or step_reverse(adjoint, params, a, b, lanes, h, Y, covector, by_params, G, Z) < 0
+        ):
+            return step + 1
+        while first > 0 and times[first - 1] > knots[step]:
+            first -= 1
+            h = times[first] - knots[step]
+            if find_stages(address, params, a, lanes, h, y, Y, F) < 0:
+                return step + 1
+            _move(y, b, lanes, h, F, F[:n])
+            size = to_unit(F[:n], quaternion)
+            across(F[:n], size, quaternion, at_times[first], 1)
+            if (
+                step_reverse(adjoint, params, a, b, lanes, h, Y, at_times[first], by_params, G, Z)
+                < 0
+            ):
+                return step + 1
+            for i in range(n):
+                covector[i] += at_times[first, i]
+    for r in range(first):
+        for i in range(n):
+            covector[i] += at_times[r, i]
+    return 0
+
+
+@compiled
+def _move(y: Array, b: Array, lanes: int, h: float, F: Array, out: Array) -> None:
+    """Write the end of a step with rates F, which may overlap `out`."""
+    for i in range(y.shape[0]):
+        total = 0.0
+        for k in range(lanes):
+            total += b[k] * F[i * lanes + k]
+        out[i] = y[i] + h * total
+
+
+@compiled
+def _report(y: Array, along: Array, quaternion: int, out: Array, out_along: Array) -> None:
+    """Write a state and its directions with a quaternion of length one."""
+    for i in range(y.shape[0]):
+        out[i] = y[i]
+    size = to_unit(out, quaternion)
+    for d in range(along.shape[0]):
+        for i in range(y.shape[0]):
+            out_along[d, i] = along[d, i]
+        across(out, size, quaternion, out_along[d], 1)

@@ -1,0 +1,1 @@
+"""The flow of a scene as a prepared map from initial state and parameters, with derivatives."""

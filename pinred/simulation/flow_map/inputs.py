@@ -1,0 +1,251 @@
+"""The inputs of a flow map: which there are, and the columns that the begin of a flow takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from ...common.arrays import Array, as_floats, vector
+from ...common.errors import InputError, ShapeError
+from ...common.names import nearest
+from ...common.plain_names import brief, listed
+from ...kernels.kernel import Kernel
+from ...reduction.tree.body_frames import bodies_of
+from ...reduction.tree.free_bodies import NUMBERS, frame_map, free_numbers
+from ...scene import forms
+from ...scene.scene import Scene
+from ...system.body_parameters import Bodies
+
+STATE = ("x0", "xdot0", "pose0", "xi0", "momentum")
+
+
+@dataclass(frozen=True)
+class Given:
+    """Inputs as columns.
+
+    state: (pose, x, ẋ, ξ or μ).  constants: parameters from gravity on.  inertial: values of
+    parameters of bodies that were given.
+    """
+
+    state: Array
+    constants: Array
+    inertial: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+
+class Inputs:
+    """The inputs of one scene's flow under one kernel.
+
+    names: those with derivatives, in their order.  sizes: how many numbers each has; of a pose, of
+    its tangent.  motion: "xi" or "mu", which of both the scene gives.
+    """
+
+    def __init__(self, scene: Scene, kernel: Kernel, gravity: Array, wrt: Sequence[str]) -> None:
+        """Take the scene and the names.  Raises InputError for others than there are."""
+        self._scene, self._kernel = scene, kernel
+        system, model = scene.system, scene.force_model
+        self.motion = motion_of(scene)
+        self._parameters = () if model is None else model.parameters
+        self._slopes = np.zeros((0, 0)) if model is None else model.slopes
+        layout, group = kernel.layout, system.group
+        own = scene.given
+        self._place = {}
+        at = 0
+        twist = "xi0" if self.motion == "xi" else "momentum"
+        for name, size in (
+            ("pose0", group.size),
+            ("x0", system.m),
+            ("xdot0", system.m),
+            (twist, system.r),
+        ):
+            self._place[name] = slice(at, at + size)
+            at += size
+        state = np.concatenate([own.pose[0], own.x[0], own.xdot[0], own.motion[0]])
+        numbers = np.empty(0) if model is None else model.numbers
+        bodies = free_numbers(system, layout.free)
+        self.own = Given(state, np.concatenate([gravity[list(layout.gravity)], bodies, numbers]))
+        self._bodies_at = len(layout.gravity)
+        self._numbers_at = self._bodies_at + len(bodies)
+        self._bodies, self._body_values = scene.varied_bodies, {}
+        self._maps: dict[int, Array] = {}
+        if self._bodies is not None:
+            self._body_values = self._bodies.checked(
+                {each.name: scene.parameters[each.name] for each in self._bodies.parameters}
+            )
+            frames = bodies_of(system)
+            self._maps = {i: frame_map(frames[i]) for i in self._bodies.free}
+        self._values = {each.name: each.value for each in self._parameters}
+        self._values |= {
+            name: float(np.ravel(as_floats(value, name))[0])
+            for name, value in scene.parameters.items()
+            if name in self._values
+        }
+        self.known = (*self._place, *self._values, *self._body_values)
+        self.names = tuple(checked_names(wrt, self.known))
+        sizes = {name: place.stop - place.start for name, place in self._place.items()}
+        sizes["pose0"] = system.r
+        sizes |= {name: len(value) for name, value in self._body_values.items()}
+        self.sizes = {name: sizes.get(name, 1) for name in self.names}
+        self._spans, first = {}, 0
+        for name, size in self.sizes.items():
+            self._spans[name] = slice(first, first + size)
+            first += size
+        self._fixed = self._fixed_columns()
+        self._last: tuple[Given, tuple[Array, Array]] | None = None  # basis
+
+    def value(self, name: str) -> Array:
+        """Return the scene's value of an input, (size,)."""
+        if name in self._body_values:
+            return self._body_values[name]
+        place = self._place.get(name)
+        return np.array([self._values[name]]) if place is None else self.own.state[place]
+
+    def given(self, values: Mapping[str, Any]) -> Given:
+        """Return the columns for these values; what is not given stays.  Raises InputError."""
+        if not values:
+            return self.own
+        system = self._scene.system
+        state, constants = self.own.state.copy(), self.own.constants.copy()
+        inertial = self._body_values.keys() & values.keys()
+        now: dict[str, Array] = {}
+        if inertial and self._bodies is not None:
+            now = self._bodies.checked(self._body_values | {k: values[k] for k in inertial})
+            for i in self._bodies.free:
+                constants[self._of_body(i)] = self._maps[i] @ self._bodies.dynamic(i, now)[0]
+        for name, value in values.items():
+            place = self._place.get(name)
+            if name in inertial:
+                continue
+            if place is None:
+                if name not in self._values:
+                    checked_names([name], self.known)
+                self._set(constants, name, value)
+            elif name == "pose0":
+                state[place] = system.group.pose(value)
+            elif isinstance(value, Mapping):
+                state[place] = forms.in_order(value, system, name)
+            else:
+                array = np.asarray(value, dtype=float) if _is_numbers(value) else value
+                if isinstance(array, np.ndarray) and array.shape == (place.stop - place.start,):
+                    state[place] = array
+                else:
+                    state[place] = vector(value, place.stop - place.start, name)
+        if not np.isfinite(state).all():
+            raise ShapeError(f"the inputs of a flow must be finite, got {brief(dict(values))}")
+        return Given(state, constants, MappingProxyType(now))
+
+    def directions(self, along: Mapping[str, Any], at: Given) -> tuple[Array, Array]:
+        """Return the columns (…, 1) of state and constants along directions by name."""
+        whole = np.zeros((sum(self.sizes.values()), 1))
+        for name, value in along.items():
+            checked_names([name], self.names)
+            direction = vector(np.atleast_1d(value), self.sizes[name], f"the direction of {name}")
+            whole[self._spans[name], 0] = direction
+        state, constants = self.basis(at)
+        return state @ whole, constants @ whole
+
+    def basis(self, at: Given) -> tuple[Array, Array]:
+        """Return the columns (…, N) of state and constants along every number of the inputs."""
+        if self._last is not None and self._last[0] is at:
+            return self._last[1]
+        state, constants = self._fixed
+        if "pose0" in self.sizes:
+            group, place = self._scene.system.group, self._place["pose0"]
+            state = state.copy()
+            rates = [group.rate(at.state[place], each) for each in np.eye(group.dim)]
+            state[place, self._spans["pose0"]] = np.transpose(rates)
+        if self._bodies is not None and self._body_values.keys() & self.sizes.keys():
+            constants = constants.copy()
+            now = {**self._body_values, **at.inertial}
+            for i in self._bodies.free:
+                for name, slope in self._bodies.dynamic(i, now)[1].items():
+                    if name in self.sizes:
+                        constants[self._of_body(i), self._spans[name]] = self._maps[i] @ slope
+        self._last = (at, (state, constants))
+        return state, constants
+
+    def _fixed_columns(self) -> tuple[Array, Array]:
+        """Return the columns of `basis` that are the same at all values of the inputs."""
+        count = sum(self.sizes.values())
+        state = np.zeros((len(self.own.state), count))
+        constants = np.zeros((len(self.own.constants), count))
+        parameters = [each.name for each in self._parameters]
+        for name, span in self._spans.items():
+            if name in parameters:
+                slopes = self._slopes[:, [parameters.index(name)]]
+                constants[self._numbers_at :, span] = slopes
+            elif name in self._place and name != "pose0":
+                state[self._place[name], span] = np.eye(self.sizes[name])
+        return state, constants
+
+    def by_name(self, rows: Array) -> dict[str, Array]:
+        """Return (…, N) numbers for each input, in the order of `basis`, by their names.
+
+        A parameter has one number, and its axis is left out.
+        """
+        out, first = {}, 0
+        for name, size in self.sizes.items():
+            part = rows[..., first : first + size]
+            out[name] = part if name in self._place or size > 1 else part[..., 0]
+            first += size
+        return out
+
+    def _of_body(self, body: int) -> slice:
+        """Return the place of a body's numbers among the constants."""
+        first = self._bodies_at + NUMBERS * self._scene.free_bodies.index(body)
+        return slice(first, first + NUMBERS)
+
+    def _set(self, constants: Array, name: str, value: Any) -> None:
+        number = float(vector(np.ravel(value), 1, name)[0])
+        k = [each.name for each in self._parameters].index(name)
+        moved = number - self._values[name]
+        constants[self._numbers_at :] += self._slopes[:, k] * moved
+
+
+def with_varied(scene: Scene, names: Sequence[str]) -> Scene:
+    """Return a scene with parameters of bodies among the names as its own, at their values.
+
+    Raises InputError for bodies that are not there, and for forces that rely on the inertias.
+    """
+    bodies = Bodies(scene.system.nominal, [names] if isinstance(names, str) else list(names))
+    new = {k: v for k, v in bodies.own().items() if k not in scene.parameters}
+    if new:
+        scene = replace(scene, parameters={**scene.parameters, **new})
+    knowing = [force.label for force in _listed(scene.forces) if force.last]
+    if scene.free_bodies and knowing:
+        raise InputError(
+            f"{knowing[0]} relies on the robot's inertias, which the flow varies; use PD, or a "
+            "Torque of your own"
+        )
+    return scene
+
+
+def _listed(forces: Any) -> tuple[Any, ...]:
+    return tuple(forces) if isinstance(forces, (list, tuple)) else (forces,)
+
+
+def motion_of(scene: Scene) -> str:
+    """Return which of twist and momentum a scene gives: "xi" or "mu"."""
+    return "xi" if scene.given.mu is None else "mu"
+
+
+def checked_names(names: Sequence[str], known: Sequence[str]) -> list[str]:
+    """Return names of inputs if all are known and none comes twice.  Raises InputError."""
+    given = [names] if isinstance(names, str) else list(names)
+    for name in given:
+        if name not in known:
+            hint = nearest(name, list(known)) if isinstance(name, str) else ""
+            raise InputError(
+                f"a flow of this scene has no input {brief(name)}; {hint}"
+                f"its inputs are {listed(list(known), 200)}"
+            )
+        if given.count(name) > 1:
+            raise InputError(f"the input '{name}' of a flow is named twice")
+    return given
+
+
+def _is_numbers(value: Any) -> bool:
+    return isinstance(value, (np.ndarray, list, tuple))

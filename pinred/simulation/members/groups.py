@@ -1,0 +1,109 @@
+"""Groups: members of one structure, which run with one kernel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ...common.errors import InputError
+from ...common.plain_names import brief
+from ...integrators.methods import DOP853_LEAST, AdaptiveGauss
+from ...scene.initial_state import GivenStates
+from ...scene.scene import Scene
+from ...system.system import Indices
+from ..own_numbers import OwnNumbers
+from ..plan import Plan, plan_of
+
+
+@dataclass(frozen=True)
+class Group:
+    """Members of one structure.
+
+    members: their indices, sorted.  plan: of all of them, but for what is their own.  given: (k, …)
+    their initial states.  own: numbers of the kernel that differ between them, if some do.
+    """
+
+    members: Indices
+    plan: Plan
+    given: GivenStates
+    own: OwnNumbers | None = None
+
+
+@dataclass(frozen=True)
+class Members:
+    """All members.  groups: by structure.  scene_of: the scene of one of them, by its index."""
+
+    count: int
+    groups: Sequence[Group]
+    scene_of: Callable[[int], Scene]
+
+
+def members_plan(scene: Scene) -> Plan:
+    """Return the plan of a scene as members are to be run.
+
+    Where the choice of the integrator is left open, it is among those that take many members at
+    once: several of these cost less than AdaptiveGauss, whose stages are what it takes at once.
+    """
+    plan = plan_of(scene)
+    exact = scene.tolerance[0] < DOP853_LEAST
+    if scene.method == "auto" and isinstance(plan.method, AdaptiveGauss) and not exact:
+        return plan_of(replace(scene, method="DOP853"))
+    return plan
+
+
+def of_scenes(scenes: Sequence[Scene]) -> Members:
+    """Return members given as scenes of one system, which report at the same times.
+
+    Raises InputError for others.
+    """
+    for k, scene in enumerate(scenes):
+        if not isinstance(scene, Scene):
+            raise InputError(
+                f"simulate_many takes Scenes in a list, but entry {k} is {brief(scene)}"
+            )
+    first = scenes[0]
+    plans = [members_plan(scene) for scene in scenes]
+    sets: dict[Hashable, list[int]] = {}
+    for k, (scene, plan) in enumerate(zip(scenes, plans, strict=True)):
+        if scene.system is not first.system:
+            raise InputError(
+                f"the Scenes of simulate_many must be of one System, but that of entry {k} is "
+                "another; load a robot once and use it in all"
+            )
+        if not (scene.end == first.end and np.array_equal(scene.report_times, first.report_times)):
+            raise InputError(
+                f"the Scenes of simulate_many must report at the same times, but entry {k} goes to "
+                f"{scene.end:g} s with {len(scene.report_times)} reports, entry 0 to "
+                f"{first.end:g} s with {len(first.report_times)}; give them times="
+            )
+        if scene.outputs != first.outputs:
+            raise InputError(
+                f"the Scenes of simulate_many must have the same outputs, but entry {k} has "
+                f"'{scene.outputs}', entry 0 '{first.outputs}'"
+            )
+        sets.setdefault(_structure(plan), []).append(k)
+    groups = [_group(np.array(some), [plans[k] for k in some]) for some in sets.values()]
+    return Members(len(scenes), groups, lambda k: plans[k].scene)
+
+
+def _structure(plan: Plan) -> Hashable:
+    """Return what scenes have in common that run with one kernel and one method."""
+    forces, given = plan.forces, plan.scene.given
+    pieces: Hashable = plan.stops.tobytes()
+    if forces is not None and forces.held:
+        pieces = id(plan)  # a controller is its member's own
+    return (None if forces is None else forces.key, plan.method, pieces, given.mu is None)
+
+
+def _group(members: Indices, plans: Sequence[Plan]) -> Group:
+    columns: dict[str, Any] = {
+        name: None
+        if part is None
+        else np.concatenate([getattr(p.scene.given, name) for p in plans])
+        for name, part in vars(plans[0].scene.given).items()
+    }
+    own = OwnNumbers(numbers=np.array([plan.numbers for plan in plans]))
+    return Group(members, plans[0], GivenStates(**columns), own)

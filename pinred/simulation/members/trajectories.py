@@ -1,0 +1,217 @@
+"""Trajectories: the motions of all members, as arrays with names, and each by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...common.arrays import Array
+from ...common.errors import IntegrationError
+from ...scene.scene import Scene
+from ...system.system import Indices, System
+from ..pieces import Motion
+from ..simulate import motion_of_scene
+from ..state import OverTime, ShapeState, State
+from ..trajectory import Run, Trajectory
+
+if TYPE_CHECKING:
+    from ..compiled.compiled_flow import CompiledFlows
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A member that did not come to its end.  time: the last it reached [s]."""
+
+    member: int
+    time: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Members that share a kernel and have run together.
+
+    members: their indices, sorted.  flows: theirs.  method: name of the integrator.  steps,
+    evaluations: of each.  wall: seconds that one has taken in the mean.
+    """
+
+    members: Indices
+    flows: CompiledFlows
+    method: str
+    steps: NDArray[np.int64]
+    evaluations: NDArray[np.int64]
+    wall: float
+
+
+class Trajectories(OverTime):
+    """Motions of one system, member first: the fields of State are (N, T, …).
+
+    `trajectories[i]` is the Trajectory of one member.  Numbers are NaN at times that a member has
+    not reached.
+
+    t: (T,) [s].  y: (N, T, k) reduced states, NaN past the end of those that need fewer numbers.
+    failures: the members that did not come to their end.
+    """
+
+    def __init__(
+        self,
+        scene_of: Callable[[int], Scene],
+        y: Array,
+        batches: Sequence[Batch],
+        single: Mapping[int, Trajectory],
+        failures: Sequence[Failure],
+    ) -> None:
+        """Take the scenes of members, their reduced states, and what makes full ones of them.
+
+        single: the trajectories of members that ran by themselves.
+        """
+        first = scene_of(0)
+        self._system, self._times, self.y = first.system, first.report_times, y
+        self._wanted, self._scene_of = first.outputs == "all", scene_of
+        self._batches, self._single, self.failures = tuple(batches), single, tuple(failures)
+        self._failed = {failure.member: failure for failure in failures}
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    def __repr__(self) -> str:
+        return f"Trajectories({len(self)} of {len(self.t)} times, {len(self.failures)} failed)"
+
+    def _repr_html_(self) -> str:
+        from ...common.html import card, table
+
+        rows = [(str(f.member), f.time, f.reason) for f in self.failures]
+        return card(
+            "Trajectories",
+            f"{len(self)} of {len(self.t)} times to {self.t[-1]:g} s, {len(self.failures)} failed",
+            table("members that did not come to their end", ["member", "t [s]", "reason"], rows),
+        )
+
+    @property
+    def system(self) -> System:
+        """The system that moves."""
+        return self._system
+
+    @property
+    def _name(self) -> str:
+        return "these members"
+
+    @property
+    def t(self) -> Array:
+        """Report times, (T,) [s]."""
+        return self._times
+
+    @cached_property
+    def outputs(self) -> State | ShapeState:
+        """States of all members over the report times, (N, T, …); made when first looked at."""
+        every = [self._states(member) for member in range(len(self))]
+        kind = type(every[0])
+        columns = {
+            field.name: np.stack([getattr(states, field.name) for states in every])
+            for field in fields(kind)
+        }
+        return kind(**(columns | {"t": self.t}))
+
+    def __getitem__(self, member: int) -> Trajectory:
+        """Return the motion of one member.
+
+        At the report times its states are those of the arrays here.  At others, and for balances,
+        it is integrated by itself when that is first asked for; this agrees with the arrays
+        within round-off times the stretch of the flow.
+        Raises IntegrationError if it did not come to its end.
+        """
+        member = range(len(self))[member]
+        if member in self._failed:
+            failure = self._failed[member]
+            raise IntegrationError(
+                f"member {member} stopped at t = {failure.time:g} s: {failure.reason}"
+            )
+        if member in self._single:
+            return self._single[member]
+        scene, (batch, k) = self._scene_of(member), self._place(member)
+        steps, evaluations = int(batch.steps[k]), int(batch.evaluations[k])
+        motion = _MemberMotion(scene, self._states(member), steps, evaluations)
+        return Trajectory(
+            scene, motion, Run("compiled", batch.method, steps, evaluations, batch.wall)
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write all members to a .npz or .zarr file (see members/files.py).  Raises InputError."""
+        from .files import save
+
+        save(self, {f.member: (f.time, f.reason) for f in self.failures}, path)
+
+    def _states(self, member: int) -> State | ShapeState:
+        """Return the states of one member over the report times, those of a failed one too."""
+        if member in self._single:
+            return self._single[member].outputs
+        if not any(member in batch.members for batch in self._batches):
+            return _nothing(self.system, self.t, wanted=self._wanted)
+        from ..compiled.compiled_flow import CompiledFlow
+
+        batch, k = self._place(member)
+        flow = CompiledFlow.of(batch.flows, k)
+        return flow.states(self.t, self.y[member, :, : flow.y0.size], flow.numbers)
+
+    def _place(self, member: int) -> tuple[Batch, int]:
+        """Return the batch of a member, and its place there."""
+        for batch in self._batches:
+            k = int(np.searchsorted(batch.members, member))
+            if k < len(batch.members) and batch.members[k] == member:
+                return batch, k
+        raise IndexError(member)
+
+
+class _MemberMotion(Motion):
+    """The motion of a member, of which states at the report times are known beforehand."""
+
+    def __init__(
+        self, scene: Scene, known: State | ShapeState, steps: int, evaluations: int
+    ) -> None:
+        self._scene, self._known = scene, known
+        self._counted = steps, evaluations
+
+    @cached_property
+    def _whole(self) -> Motion:
+        return motion_of_scene(self._scene)
+
+    @property
+    def steps(self) -> int:
+        """Accepted steps."""
+        return self._counted[0]
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations of the vector field."""
+        return self._counted[1]
+
+    def states(self, t: Array) -> State | ShapeState:
+        """Return the full states at times (T,)."""
+        return self._known if t is self._scene.report_times else self._whole.states(t)
+
+    def __getattr__(self, name: str) -> Any:
+        # What a Motion is made of is there once it is needed.
+        if name in ("_flow", "_pieces", "_varies", "_ends"):
+            return getattr(self._whole, name)
+        raise AttributeError(f"a motion has no '{name}'")
+
+
+def _nothing(system: System, t: Array, *, wanted: bool) -> State | ShapeState:
+    """Return states of a member that failed by itself: all NaN."""
+    m, r, group = system.m, system.r, system.group
+
+    def nan(*size: int) -> Array:
+        return np.full((len(t), *size), np.nan)
+
+    if not wanted:
+        return ShapeState(t=t, x=nan(m), xdot=nan(m), energy=nan())
+    return State(
+        t=t, x=nan(m), xdot=nan(m), xi=nan(r), pose=nan(group.size), q=nan(system.model.nq),
+        v=nan(system.model.nv), body_momentum=nan(r), spatial_momentum=nan(r), energy=nan(),
+    )  # fmt: skip

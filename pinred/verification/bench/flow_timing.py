@@ -1,0 +1,170 @@
+"""The cost of flows: a call beside its integration, gradients beside a run, inertias that vary."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ...common.progress import Progress, quiet, shown
+from ...integrators.integrate import integrate_checked
+from ...kernels.build import build_kernel
+from ...kernels.differentiable import repeat_adjoint
+from ...kernels.evaluate import repeat
+from ...simulation.flow_map.flow import Flow, flow
+from ...simulation.simulate import simulate
+from ...system.catalogue import has_example_robots
+from ...system.load import load
+from .timing import alternating, repeated
+
+BUNDLED = ("planar_chain5", "satellite_two_arms")
+EXAMPLES = ("solo12", "talos")
+_SPAN = 2.0  # s
+_COUNT = 200  # evaluations at once
+
+
+@dataclass(frozen=True)
+class FlowTiming:
+    """The cost of one robot's flow: the least of several rounds, in which all take turns.
+
+    steps: of DOP853 at 1e-8.  integration, call, simulate: µs of the integrator alone, of a flow's
+    call, of simulate with the same scene.  gradient: of a function of the end by initial shape,
+    rates and twist, forward included, in runs; inertias: by the masses and centres of all bodies
+    besides.  gauss: the first by AdaptiveGauss at 1e-10, in its runs.  adjoint: an evaluation of
+    the adjoint, in those of the rate.  free: an evaluation with all inertias as inputs, in those of
+    the folded kernel.  knots: bytes a step that the derivatives rest on.
+    """
+
+    robot: str
+    steps: int
+    integration: float
+    call: float
+    simulate: float
+    gradient: float
+    inertias: float
+    gauss: float
+    adjoint: float
+    free: float
+    knots: int
+
+    @staticmethod
+    def header() -> str:
+        """Return the head of the table of timings."""
+        return (
+            f"{'robot':<20} {'steps':>6} {'integration':>12} {'call':>7} {'simulate':>9} "
+            f"{'gradient':>9} {'inertias':>9} {'by Gauss':>9} {'adjoint':>8} {'free':>6} "
+            f"{'bytes/step':>10}\n"
+            f"{'':<20} {'':>6} {'[µs]':>12} {'[µs]':>7} {'[µs]':>9} {'[runs]':>9} {'[runs]':>9} "
+            f"{'[runs]':>9} {'[rates]':>8} {'[×]':>6}"
+        )
+
+    def __str__(self) -> str:
+        return (
+            f"{self.robot:<20} {self.steps:>6} {self.integration:>12.1f} {self.call:>7.1f} "
+            f"{self.simulate:>9.1f} {self.gradient:>9.2f} {self.inertias:>9.2f} "
+            f"{self.gauss:>9.2f} {self.adjoint:>8.2f} {self.free:>6.2f} {self.knots:>10}"
+        )
+
+
+def bench_flow(
+    robots: Sequence[str] = (), *, progress: Progress | bool | None = None
+) -> list[FlowTiming]:
+    """Return what the flow of each robot costs.
+
+    robots: names or files; two bundled ones and, if there, solo12 and talos by default.
+    progress: as for `simulate`.
+    """
+    names = list(robots) or [*BUNDLED, *(EXAMPLES if has_example_robots() else ())]
+    found = []
+    with shown(progress, "flows") as bar:
+        done = bar or quiet
+        for k, name in enumerate(names):
+            done(k / len(names))
+            found.append(_bench_flow(name))
+    return found
+
+
+def _bench_flow(name: str) -> FlowTiming:
+    system = load(name, gravity=(0.0, 0.0, 0.0))
+    options: Any = {"seed": 1, "duration": _SPAN, "times": [_SPAN]}
+    motion = ["x0", "xdot0", "xi0"]
+    links = [*system.model.names][1:]
+    bodies = [f"{link}.{kind}" for link in links for kind in ("mass", "com")]
+    by_motion = flow(system, wrt=motion, method="DOP853", rtol=1e-8, **options)
+    by_all = flow(system, wrt=[*motion, *bodies], method="DOP853", rtol=1e-8, **options)
+    by_gauss = flow(system, wrt=motion, method="AdaptiveGauss", rtol=1e-10, **options)
+    scene, course = by_motion.scene, by_motion._course
+    run = by_motion._run({})
+    (part,) = run.stretches
+    y, p = part.solution.states[0].copy(), part.parameters
+    quaternion = course.kernel.layout.quaternion
+
+    def integrate() -> object:
+        return integrate_checked(
+            course.method, course._address, p, y, _SPAN, part.times, quaternion, None
+        )
+
+    times = alternating(
+        [
+            repeated(integrate),
+            repeated(lambda: _fresh(by_motion)()),
+            repeated(lambda: simulate(scene).x),
+            repeated(lambda: _fresh(by_motion)._run({})),
+            repeated(lambda: _gradient(by_motion)),
+            repeated(lambda: _fresh(by_all)._run({})),
+            repeated(lambda: _gradient(by_all)),
+            repeated(lambda: _fresh(by_gauss)._run({})),
+            repeated(lambda: _gradient(by_gauss)),
+        ]
+    )
+    integration, call, whole, *runs = np.nanmin(times, axis=0) * 1e6
+    adjoint, free = _evaluations(by_motion)
+    return FlowTiming(
+        robot=name,
+        steps=part.solution.steps,
+        integration=float(integration),
+        call=float(call),
+        simulate=float(whole),
+        gradient=float(runs[1] / runs[0]),
+        inertias=float(runs[3] / runs[2]),
+        gauss=float(runs[5] / runs[4]),
+        adjoint=adjoint,
+        free=free,
+        knots=8 * (len(y) + 1),
+    )
+
+
+def _fresh(made: Flow) -> Flow:
+    """Return a flow that has forgotten its last run."""
+    made._last = None
+    return made
+
+
+def _gradient(made: Flow) -> object:
+    size = sum(place.stop - place.start for place in made.outputs.values())
+    return _fresh(made).vjp(np.ones((1, size)))
+
+
+def _evaluations(made: Flow) -> tuple[float, float]:
+    """Return an evaluation of the adjoint, and of a kernel with free inertias, over the rate's."""
+    course = made._course
+    kernel = course.kernel
+    system = kernel.system
+    every = replace(kernel.structure, free=tuple(range(system.model.njoints - 1)))
+    loose = build_kernel(system, every, kernel.forces)
+    rng = np.random.default_rng(0)
+    y = 0.5 * rng.normal(size=kernel.layout.size)
+    rates = [(one.rate.address, one.random_parameters(rng)) for one in (kernel, loose)]
+    adjoint, p, covector = course._rate.adjoint.address, rates[0][1], np.ones(len(y))
+    out = np.empty(len(y) + len(p))
+    times = alternating(
+        [
+            *(repeated(partial(repeat, address, numbers, y, _COUNT)) for address, numbers in rates),
+            repeated(lambda: repeat_adjoint(adjoint, y, p, covector, out, _COUNT)),
+        ]
+    )
+    folded, loosened, back = np.nanmin(times, axis=0)
+    return float(back / folded), float(loosened / folded)

@@ -1,0 +1,147 @@
+"""A connection over two joints: its curvature and the parts of it, or where it drives the body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike
+
+from ...analysis.connections.connection import Connection
+from ...analysis.gaits.gait import Gait
+from ...common.arrays import Array, vector
+from ...common.errors import InputError
+from ...common.names import joint_index
+from .curvature_field import component_of
+from .shape_plane import Limits, around, draw_path, plane
+from .style import BLACK, FIELD, figure, legend, styled
+
+Part = Literal["curvature", "exterior", "bracket", "connection"]
+_PARTS = ("curvature", "exterior", "bracket", "connection")
+_ALONG_GAIT = 400
+_LEVELS = 20
+_NONE = 1e-12
+
+
+@styled
+def field(
+    source: Connection,
+    *,
+    joints: Sequence[str | int] | None = None,
+    component: str | int | None = None,
+    part: Part = "curvature",
+    limits: Limits | None = None,
+    at: ArrayLike | None = None,
+    gait: Gait | None = None,
+) -> Figure:
+    """Draw a connection over two joints, with its zero contour and a gait.
+
+    joints: two names or indices, the first two if None.  component: v1 … ω3 (or w3), or its index
+    in the body twist; the rotation that is largest if None.  part: curvature B, or what it is made
+    of, exterior ∂_αA_β − ∂_βA_α and bracket [A_α, A_β], or connection: the row of −A as arrows and
+    flow lines, over its length.  limits: (low, high) of each joint; around the gait, or ±π.  at:
+    (m,) where the other joints stand, the start of the gait or zero.  gait: drawn in, its signed
+    area and the integral of the field over it in the title, if it moves these two joints only.
+    Raises InputError for what does not fit.
+    """
+    if not isinstance(source, Connection):
+        raise InputError(f"field draws a Connection, got {type(source).__name__}")
+    if part not in _PARTS:
+        raise InputError(f"part must be one of {', '.join(_PARTS)}, got {part!r}")
+    pair = _pair(source, joints)
+    path = None if gait is None else _path(source, gait)
+    start = np.zeros(source.m) if path is None else path[0]
+    stands = start if at is None else vector(at, source.m, "at", source.joints)
+    units = [source.form.units[k] for k in pair]
+    if limits is None:
+        limits = [(-np.pi, np.pi)] * 2 if path is None else around(path[:, pair], units)
+    shapes = plane(pair, limits, stands)
+    found = source.grid(shapes.shapes)
+    if part == "connection":
+        rows = -found.local[..., pair]
+        which = component_of(source.group, component, np.linalg.norm(rows, axis=-1))
+        values = np.linalg.norm(rows[..., which, :], axis=-1)
+    else:
+        every = getattr(found, part)[..., pair[0], pair[1]]
+        which = component_of(source.group, component, every)
+        values = every[..., which]
+    label = source.group.twist_names[which]
+    a, b = (source.joints[k] for k in pair)
+    titles = {"curvature": "B", "exterior": "dA", "bracket": "[A, A]", "connection": "−A"}
+    title = f"{source.form.what}: {titles[part]}({a}, {b}), component {label}"
+    if gait is not None and path is not None:
+        title += _enclosed(source, gait, pair, part, which)
+    made = figure(title, height=4.4)
+    axes = made.subplots()
+    low, high = float(values.min()), float(values.max())
+    if high - low < _NONE:
+        low, high = low - 1.0, high + 1.0
+    elif low < 0.0 < high:  # then the middle of the colours is zero
+        low, high = -max(-low, high), max(-low, high)
+    levels = MaxNLocator(_LEVELS).tick_values(low, high)
+    filled = axes.contourf(*shapes.axes, values, levels=levels, cmap=FIELD)
+    if part == "connection":
+        along = rows[..., which, :]
+        u, v = shapes.axes
+        axes.streamplot(
+            u, v, along[..., 0], along[..., 1], color=BLACK, linewidth=0.6, arrowsize=0.8
+        )
+    elif high - low > _NONE and values.min() < 0.0 < values.max():
+        axes.contour(*shapes.axes, values, levels=levels[::2], colors=BLACK, linewidths=0.4)
+        axes.contour(*shapes.axes, values, levels=[0.0], colors=BLACK, linewidths=2.0)
+        axes.plot([], [], color=BLACK, linewidth=2.0, label="zero")
+    if path is not None:
+        draw_path(axes, path[:, pair[0]], path[:, pair[1]])
+    axes.grid(visible=False)
+    axes.set(xlabel=f"{a} [{units[0]}]", ylabel=f"{b} [{units[1]}]")
+    axes.set(xlim=limits[0], ylim=limits[1])
+    bar = made.colorbar(filled, ax=axes, location="left", pad=0.02, shrink=0.9)
+    bar.set_label(f"{titles[part]}, component {label}")
+    legend(axes)
+    return made
+
+
+def _pair(source: Connection, joints: Sequence[str | int] | None) -> list[int]:
+    if source.m < 2:
+        raise InputError(f"a field needs two joints; {source} has {source.m}")
+    given = (0, 1) if joints is None else tuple(joints)
+    if len(given) != 2:
+        raise InputError(f"joints must be two for a field, got {len(given)}")
+    pair = [
+        joint_index(each, source.joints, "joints") if isinstance(each, str) else int(each)
+        for each in given
+    ]
+    if pair[0] == pair[1] or not all(0 <= k < source.m for k in pair):
+        raise InputError(f"joints must be two different ones of {', '.join(source.joints)}")
+    return pair
+
+
+def _path(source: Connection, gait: Gait) -> Array:
+    if gait.m != source.m:
+        raise InputError(f"the gait moves {gait.m} joints, but {source} has {source.m}")
+    return gait.at(np.linspace(0.0, gait.period, _ALONG_GAIT, endpoint=False))[0][
+        [*range(_ALONG_GAIT), 0]
+    ]
+
+
+def _enclosed(source: Connection, gait: Gait, pair: list[int], part: str, which: int) -> str:
+    """Return the gait's signed area, and the integral over it, as a line of the title."""
+    x, xdot = gait.samples(4096)
+    a, b = pair
+    area = 0.5 * gait.period * float(np.mean(x[:, a] * xdot[:, b] - x[:, b] * xdot[:, a]))
+    text = f"\nsigned area of the gait {area:.4g}"
+    others = [k for k in range(source.m) if k not in pair]
+    if part == "connection" or np.ptp(x[:, others], axis=0).max(initial=0.0) > 0.0:
+        return text
+    # Over the cone from the centre of the path, whose signed area is that of the gait.
+    rho, weights = np.polynomial.legendre.leggauss(16)
+    rho, weights = 0.5 * (rho + 1.0), 0.5 * weights
+    centre = x.mean(axis=0)
+    cone = centre + rho[:, None, None] * (x - centre)
+    values = getattr(source.grid(cone), part)[..., which, a, b]
+    swept = (x - centre)[:, a] * xdot[:, b] - (x - centre)[:, b] * xdot[:, a]
+    integral = gait.period * float(np.mean((weights * rho) @ (values * swept)))
+    return f"{text}, integral over it {integral:.4g}"

@@ -1,0 +1,234 @@
+"""Free-floating arms: the generalised Jacobian against finite motions, and published numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from nearness import close
+from scipy.integrate import solve_ivp
+
+import pinred
+from pinred.analysis.gaits.arcs import FourierArc
+from pinred.common.arrays import Array
+from pinred.signals import Fourier
+
+Q1 = np.radians(-65.0)
+
+
+def planar() -> pinred.FloatingArm:
+    """Papadopoulos and Dubowsky's two-link arm."""
+    return pinred.FloatingArm(pinred.load("floating_arm"), "hand")
+
+
+def spatial() -> pinred.FloatingArm:
+    """The last link of an arm of six joints on a base in space."""
+    return pinred.FloatingArm(pinred.load("ur5", gravity=[0.0, 0.0, 0.0]), "tool0")
+
+
+ARMS = pytest.mark.parametrize("make", [planar, spatial])
+
+
+def gait_of(m: int) -> pinred.Gait:
+    """Some motion of the joints."""
+    rng = np.random.default_rng(6)
+    return pinred.Gait.fourier(
+        rng.uniform(-0.5, 0.5, m), rng.uniform(-0.4, 0.4, (2, m)), rng.uniform(-0.4, 0.4, (2, m))
+    )
+
+
+@ARMS
+def test_against_the_finite_motion_of_the_simulation(make: object) -> None:
+    """The hand goes where J_g ẋ, integrated, says: joints prescribed, base free, to 1e-9."""
+    arm: pinred.FloatingArm = make()  # type: ignore[operator]
+    system, gait = arm.system, gait_of(arm.system.m)
+    t1 = 0.4
+    (arc,) = gait.arcs
+    assert isinstance(arc, FourierArc)
+    plans = {
+        name: Fourier(arc.mean[k], arc.cos[:, k], arc.sin[:, k], gait.period)
+        for k, name in enumerate(system.shape_names)
+    }
+    traj = pinred.simulate(
+        system, prescribed=plans, momentum=0, duration=t1, rtol=1e-12, atol=1e-12
+    )
+    start = arm.hand_pose(traj.x[0], pose=traj.pose[0])
+    end = arm.hand_pose(traj.x[-1], pose=traj.pose[-1])
+
+    def rate(t: float, y: Array) -> Array:
+        x, xdot = gait.at(t)
+        g = pin.XYZQUATToSE3(y)
+        V = arm.generalized_jacobian(x) @ xdot
+        turn = np.append(V[3:], 0.0)
+        q = pin.Quaternion(y[3:])
+        whole = (q * pin.Quaternion(*[0.0, *turn[:3]])).coeffs()
+        return np.concatenate([g.rotation @ V[:3], 0.5 * whole])
+
+    y0 = pin.SE3ToXYZQUAT(start)
+    out = solve_ivp(rate, (0.0, t1), y0, method="DOP853", rtol=1e-12, atol=1e-13)
+    y = out.y[:, -1]
+    y[3:] /= np.linalg.norm(y[3:])
+    close(pin.log6(pin.XYZQUATToSE3(y).actInv(end)).vector, np.zeros(6), 1e-9)
+
+
+@ARMS
+@pytest.mark.parametrize("axes", ["local", "world"])
+def test_its_rate(make: object, axes: str) -> None:
+    """J̇_g, by differences along the horizontal motion, to 1e-9."""
+    arm: pinred.FloatingArm = make()  # type: ignore[operator]
+    system = arm.system
+    rng = np.random.default_rng(7)
+    x, xdot = rng.uniform(-0.8, 0.8, system.m), rng.uniform(-1.0, 1.0, system.m)
+    g0 = system.group.exp(rng.normal(size=system.r))
+    h = 1e-3
+
+    def moved(t: float) -> Array:
+        """J_g after a time, along x + t ẋ, with the base carried along by Pinocchio's A."""
+        red = pinred.Reduction(system)
+
+        def rate(s: float, y: Array) -> Array:
+            shape = x + s * xdot
+            xi = -red.local_connection(shape) @ xdot
+            return system.group.rate(system.group.normalize(y), xi)
+
+        out = solve_ivp(rate, (0.0, t), g0, method="DOP853", rtol=1e-13, atol=1e-14)
+        pose = system.group.normalize(out.y[:, -1])
+        return arm.generalized_jacobian(x + t * xdot, axes=axes, pose=pose)  # type: ignore[arg-type]
+
+    weights = [(1, 45.0), (-1, -45.0), (2, -9.0), (-2, 9.0), (3, 1.0), (-3, -1.0)]
+    expected = np.sum([w / (60.0 * h) * moved(k * h) for k, w in weights], axis=0)
+    found = arm.rate(x, xdot, axes=axes, pose=g0)  # type: ignore[arg-type]
+    close(found, expected, 1e-9)
+
+
+def test_drift_under_momentum() -> None:
+    """With frozen joints the hand moves as a point of one rigid body: Pinocchio's velocities."""
+    arm = spatial()
+    system = arm.system
+    rng = np.random.default_rng(8)
+    x, mu = rng.uniform(-0.8, 0.8, 6), rng.normal(size=6)
+    H = pinred.Reduction(system).mass_matrix(x)
+    xi = np.linalg.solve(H[:6, :6], mu)
+    model, data = system.model, system.model.createData()
+    q, v = system.q(system.group.identity(), x), system.v(xi, np.zeros(6))
+    pin.forwardKinematics(model, data, q, v)
+    expected = pin.getFrameVelocity(model, data, model.getFrameId("tool0"), pin.LOCAL)
+    close(arm.drift(x, mu), expected.vector, 1e-12)
+
+
+def test_the_published_singularity() -> None:
+    """At q1 = −65° singular at q2 = −11.410803°; at q1 = 0 nowhere but stretched or folded."""
+    arm = planar()
+    found = np.degrees(arm.singular_values_of("q2", [Q1, 0.0], limits=(-1.5, 1.5)))
+    close(found, [-11.410803], 1e-6)
+    (share,) = arm.singular_along([Q1, -1.0], [Q1, 1.0])
+    assert np.degrees(-1.0 + 2.0 * share) == pytest.approx(-11.410803, abs=1e-6)
+    for low, high in ((-3.14, -1e-3), (1e-3, 3.14)):
+        assert not len(arm.singular_values_of("q2", [0.0, 0.0], limits=(low, high)))
+    at = arm.singularity([Q1, np.radians(-11.410803)])
+    assert at.least < 1e-8
+    assert at.condition > 1e6
+    J = arm.generalized_jacobian([Q1, np.radians(-11.410803)])[:2]
+    close(at.lost @ J, np.zeros(2), 1e-8)
+    close(J @ at.joints, np.zeros(2), 1e-8)
+
+
+def test_by_hand() -> None:
+    """The planar Jacobian from positions relative to the fixed centre of mass, by differences.
+
+    At zero momentum the centre of mass stays, and the base turns by −A_θ ẋ.
+    """
+    arm = planar()
+    x, h = np.array([0.7, -0.9]), 1e-4
+    J = arm.generalized_jacobian(x, axes="world")
+
+    def hand(q1: float, q2: float, base: float) -> Array:
+        """Hand from the centre of mass, with the base at an angle."""
+        masses = np.array([40.0, 4.0, 3.0])
+        a, b = base + q1, base + q1 + q2
+        e = [np.array([np.cos(angle), np.sin(angle)]) for angle in (base, a, b)]
+        first = 0.5 * e[0] + 0.5 * e[1]
+        second = first + 0.5 * e[1] + 0.5 * e[2]
+        com = (masses[1] * first + masses[2] * second) / masses.sum()
+        return np.asarray(second + 0.5 * e[2] - com)
+
+    moments = np.array([6.667, 0.333, 0.25])
+    masses = np.array([40.0, 4.0, 3.0])
+
+    def momentum(rates: Array) -> float:
+        """Angular momentum about the centre of mass of rates (q̇1, q̇2, base), by differences."""
+
+        def places(s: float) -> Array:
+            q1, q2, base = x[0] + s * rates[0], x[1] + s * rates[1], s * rates[2]
+            e = [np.array([np.cos(v), np.sin(v)]) for v in (base, base + q1, base + q1 + q2)]
+            first = 0.5 * e[0] + 0.5 * e[1]
+            all_ = np.array([np.zeros(2), first, first + 0.5 * e[1] + 0.5 * e[2]])
+            return np.asarray(all_ - masses @ all_ / masses.sum())
+
+        v = (places(h) - places(-h)) / (2.0 * h)
+        p = places(0.0)
+        orbital = masses @ (p[:, 0] * v[:, 1] - p[:, 1] * v[:, 0])
+        turns = np.array([rates[2], rates[2] + rates[0], rates.sum()])
+        return float(orbital + moments @ turns)
+
+    whole = momentum(np.array([0.0, 0.0, 1.0]))
+    for k in range(2):
+        rates = np.zeros(3)
+        rates[k] = 1.0
+        rates[2] = -momentum(rates) / whole
+        ahead, behind = (hand(*(np.array([*x, 0.0]) + s * rates)) for s in (h, -h))
+        close(J[:2, k], (ahead - behind) / (2.0 * h), 1e-7)
+        assert J[5, k] == pytest.approx(rates.sum(), abs=1e-7)
+
+
+def test_reaction_null_space() -> None:
+    """Joint rates in it leave the base's momentum coupling empty; the two arms hold it still."""
+    system = pinred.load("satellite_two_arms")
+    arm = pinred.FloatingArm(system, [f.name for f in system.model.frames][-1])
+    x = np.array([0.3, -0.5, 0.4, -0.2, 0.6, 0.3])
+    assert arm.null_space(x).shape[1] == 0
+    free = arm.null_space(x, of="attitude")
+    assert free.shape == (6, 3)
+    close(free.T @ free, np.eye(3), 1e-12)
+    A = pinred.Reduction(system).local_connection(x)
+    close(A[3:] @ free, np.zeros((3, 3)), 1e-12)
+    # One joint of a planar chain can do nothing without the base.
+    assert planar().null_space([0.3, 0.2]).shape == (2, 0)
+    assert planar().null_space([0.3, 0.2], of="attitude").shape == (2, 1)
+
+
+def test_workspace() -> None:
+    """Singular shapes, found one by one, lie at distances that are called path-dependent."""
+    arm = planar()
+    found = arm.workspace(samples=61)
+    step = 2.0 * float(np.ptp(found.reach)) / 61
+    rng = np.random.default_rng(2)
+    seen = []
+    for q1 in rng.uniform(-np.pi, np.pi, 12):
+        for q2 in arm.singular_values_of("q2", [q1, 0.0]):
+            hand = arm.hand_pose([q1, q2]).translation
+            q = arm.system.q(arm.system.group.identity(), [q1, q2])
+            com = pin.centerOfMass(arm.system.model, arm.system.model.createData(), q)
+            seen.append(float(np.linalg.norm(hand - com)))
+    inside = [any(a - step <= r <= b + step for a, b in found.dependent) for r in seen]
+    assert all(inside)
+    free = [any(a + step < r < b - step for a, b in found.independent) for r in seen]
+    assert not any(free)
+    assert len(found.independent) >= 1
+    # Stretched out on the far side of the base, the hand is farthest.
+    assert found.reach[1] == pytest.approx(2.5 - (4.0 * 1.0 + 3.0 * 2.0) / 47.0, abs=1e-3)
+
+
+def test_refusals() -> None:
+    """Frames, rows and axes that are not there."""
+    system = pinred.load("floating_arm")
+    with pytest.raises(pinred.InputError, match="did you mean 'hand'"):
+        pinred.FloatingArm(system, "hnad")
+    with pytest.raises(pinred.InputError, match="rows of a twist"):
+        pinred.FloatingArm(system, "hand", task=(0, 9))
+    with pytest.raises(pinred.InputError, match="axes must be local or world"):
+        planar().generalized_jacobian([0.0, 0.0], axes="fixed")  # type: ignore[arg-type]
+    with pytest.raises(pinred.InputError, match="of must be base or attitude"):
+        planar().null_space([0.0, 0.0], of="hand")  # type: ignore[arg-type]
+    with pytest.raises(pinred.InputError, match="one or two joints"):
+        spatial().workspace()

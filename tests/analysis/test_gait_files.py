@@ -1,0 +1,127 @@
+"""Gait files: read key by key, and the same gaits and connections as in Python."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from nearness import close
+from three_links import CENTRES, LENGTH, LINKS
+
+import pinred
+
+ROOT = Path(__file__).parents[2]
+HEAD = "robot = 'three_rods'\n"
+CIRCLE = "[gait]\nkind = 'fourier'\nmean = [0.0, 0.0]\ncos = [[1.0, 0.0]]\nsin = [[0.0, 1.0]]\n"
+
+
+def read(folder: Path, text: str) -> pinred.GaitFile:
+    """Read a file with a text; its schema agrees that it is one."""
+    path = folder / "gait.toml"
+    path.write_text(text, "utf-8")
+    found = pinred.load_gait(path)
+    jsonschema.validate(tomllib.loads(text), pinred.gait_schema())
+    return found
+
+
+def test_the_example() -> None:
+    """The file in examples is Purcell's circle."""
+    file = pinred.load_gait(ROOT / "examples/purcell_circle.toml")
+    p = pinred.phase(file.connection, file.gait, file.momentum, tolerance=1e-12)
+    assert float(np.hypot(*p.pose[:2])) == pytest.approx(0.0512808243, abs=5e-11)
+
+
+@pytest.mark.parametrize(
+    ("text", "shape"),
+    [
+        ("kind = 'waypoints'\npoints = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]", [0.0, 0.0]),
+        ("kind = 'spline'\npoints = [[0.1, 0.0], [1, 0], [0, 1]]\nperiod = 2", [0.1, 0.0]),
+        (
+            "kind = 'strokes'\nstart = [0.2, 0]\n"
+            "moves = [{alpha1 = 1}, {alpha2 = 1}, {alpha1 = -1, alpha2 = -1}]",
+            [0.2, 0.0],
+        ),
+    ],
+)
+def test_kinds_of_gaits(text: str, shape: list[float], tmp_path: Path) -> None:
+    """Each kind by the name of its function."""
+    file = read(tmp_path, f"{HEAD}[gait]\n{text}\n")
+    close(file.gait.at(0.0)[0], shape)
+    assert file.connection.joints == ("alpha1", "alpha2")
+
+
+def test_recorded(tmp_path: Path) -> None:
+    """A file of joint data, relative to the gait file."""
+    t = np.linspace(0.0, 1.0, 21)
+    x = np.stack([np.cos(2 * np.pi * t), np.sin(2 * np.pi * t)], axis=1)
+    np.savez(tmp_path / "loop.npz", t=t, x=x)
+    file = read(tmp_path, f"{HEAD}[gait]\nkind = 'recorded'\nfile = 'loop.npz'\n")
+    close(file.gait.at(0.25)[0], [0.0, 1.0], 1e-12)
+
+
+def test_kinds_of_connections(tmp_path: Path) -> None:
+    """Wheels, fluid, momentum, base: each the same as in Python."""
+    wheels = ", ".join(
+        f"{{kind = 'wheel', link = '{name}', at = [{CENTRES[name]}, 0.0, 0.0]}}" for name in LINKS
+    )
+    gait = CIRCLE.replace("[0.0, 0.0]\ncos = [[1.0", "[1.0, -0.5]\ncos = [[0.3")
+    file = read(tmp_path, f"{HEAD}[connection]\nkind = 'kinematic'\nwheels = [{wheels}]\n{gait}")
+    x = [0.9, -0.4]
+    own = [pinred.Wheel(name, (CENTRES[name], 0.0, 0.0)) for name in LINKS]
+    same = pinred.Connection.kinematic(pinred.load("three_rods"), own)
+    close(file.connection.local(x), same.local(x))
+    bodies = "\n".join(
+        f"bodies.{name} = {{kind = 'ellipse', a = {0.5 * LENGTH}, b = 0.04}}" for name in LINKS
+    )
+    text = f"{HEAD}base = 'front'\n[connection]\nkind = 'fluid'\ndensity = 1.3\n{bodies}\n{CIRCLE}"
+    fluid = read(tmp_path, text)
+    ellipses = {name: pinred.Ellipse(0.5 * LENGTH, 0.04) for name in LINKS}
+    swimmer = pinred.Connection.fluid(pinred.load("three_rods"), 1.3, ellipses)
+    close(fluid.connection.local(x), swimmer.seen_from("front").local(x))
+    close(read(tmp_path, f"{HEAD}momentum = [0.1, 0.2, 0.3]\n{CIRCLE}").momentum, [0.1, 0.2, 0.3])
+    close(read(tmp_path, f"{HEAD}momentum = 0\n{CIRCLE}").momentum, np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (f"{HEAD}", "'gait' is missing"),
+        (f"{HEAD}[gait]\nkind = 'circle'\n", r"line 3: gait.kind: unknown kind .circle."),
+        (f"{HEAD}momentum = [1.0]\n{CIRCLE}", r"line 2: momentum: must have 3 entries"),
+        (f"{HEAD}base = 'nope'\n{CIRCLE}", r"base: the base: no link 'nope'"),
+        (f"{HEAD}[gait]\nkind = 'waypoints'\npoints = [[0.0], [1.0]]\n", "moves 1 joints"),
+        (f"{HEAD}[connection]\nkind = 'kinematic'\nwheels = []\n{CIRCLE}", "needs 3 wheels"),
+        (f"robot = 'nobody.urdf'\n{CIRCLE}", "no such file"),
+        ("robot = ", "not TOML"),
+        (f"{HEAD}speed = 1.0\n{CIRCLE}", "unknown key"),
+    ],
+)
+def test_refusals(text: str, message: str, tmp_path: Path) -> None:
+    """In one line, with file, line and key."""
+    path = tmp_path / "gait.toml"
+    path.write_text(text, "utf-8")
+    with pytest.raises(pinred.PinredError, match=message) as caught:
+        pinred.load_gait(path)
+    assert "gait.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_gait_can_be_simulated() -> None:
+    """Its signals are its joints, again and again; shifted and reversed ones, too."""
+    gait = pinred.Gait.fourier(
+        [0.2, 0.0, -0.1], [[0.3, 0.0, 0.2], [0.1, 0.0, 0.0]], [[0.0, 0.4, 0.1], [0.0, 0.1, 0.1]]
+    )
+    cat = pinred.load("falling_cat")
+    for each in (gait, gait.shifted(0.3), gait.reversed().lasting(2.0)):
+        plans = each.signals(cat.shape_names)
+        traj = pinred.simulate(
+            cat, prescribed=plans, momentum=0, times=np.linspace(0.0, 1.7 * each.period, 7)
+        )
+        close(traj.x, each.at(traj.t)[0], 1e-12)
+        close(traj.xdot, each.at(traj.t)[1], 1e-11)
+    corners = pinred.Gait.waypoints([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    with pytest.raises(pinred.InputError, match="one Fourier series"):
+        corners.signals(["a", "b"])

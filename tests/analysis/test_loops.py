@@ -1,0 +1,111 @@
+"""Loops that decide: the falling cat in one formula, and small loops by the curvature."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from nearness import close
+from scipy.spatial.transform import Rotation
+
+import pinred
+from pinred.common.arrays import Array
+
+Gait = pinred.Gait
+
+
+def two_halves(k: float) -> pinred.System:
+    """Two equal axisymmetric halves, k = I_axial/I_transverse, joined by massless links."""
+    model = pin.Model()
+    model.gravity.setZero()
+    half = pin.Inertia(1.0, np.zeros(3), np.diag([1.0, 1.0, k]))
+    here = pin.SE3.Identity()
+    i = model.addJoint(0, pin.JointModelSpherical(), here, "root")
+    model.appendBodyToJoint(i, half, here)
+    for name, kind in (
+        ("a", pin.JointModelRX()),
+        ("b", pin.JointModelRY()),
+        ("c", pin.JointModelRZ()),
+    ):
+        i = model.addJoint(i, kind, here, name)
+    model.appendBodyToJoint(i, half, here)
+    with pytest.warns(pinred.ModelWarning, match="'a' moves no mass at 'b' = "):
+        return pinred.load(model)
+
+
+def bending(beta: float, harmonics: int = 48) -> Gait:
+    """The bend by β goes once round the spine, without twist: R = exp(β (−sin φ, cos φ, 0))."""
+    phi = 2.0 * np.pi * np.arange(4 * harmonics) / (4 * harmonics)
+    turns = Rotation.from_rotvec(
+        beta * np.stack([-np.sin(phi), np.cos(phi), np.zeros_like(phi)], axis=1)
+    )
+    x = turns.as_euler("XYZ")  # intrinsic: Rx(a) Ry(b) Rz(c)
+    modes = np.fft.rfft(x, axis=0)[: harmonics + 1] / len(phi)
+    return Gait.fourier(modes[0].real, 2.0 * modes[1:].real, -2.0 * modes[1:].imag)
+
+
+@pytest.mark.parametrize(
+    ("k", "beta"), [(0.25, np.radians(59.42646)), (0.25, 0.7), (0.6, 1.2), (1.4, 0.5)]
+)
+def test_the_falling_cat_in_one_formula(k: float, beta: float) -> None:
+    """Net roll per cycle 2π (k c/(k c² + s²) − 1), c = cos β/2, s = sin β/2."""
+    p = pinred.phase(pinred.Connection.mechanical(two_halves(k)), bending(beta))
+    c, s = np.cos(0.5 * beta), np.sin(0.5 * beta)
+    roll = 2.0 * np.pi * (k * c / (k * c**2 + s**2) - 1.0)
+    assert np.cos(p.screw.angle) == pytest.approx(np.cos(roll), abs=1e-10)
+    # About the direction between the two halves' axes, as the first half has it at the start.
+    axis = np.array([np.sin(0.5 * beta), 0.0, np.cos(0.5 * beta)])
+    close(np.cross(p.screw.axis, axis), np.zeros(3), 1e-7)
+
+
+def test_the_cat_turns_over() -> None:
+    """With k = 1/4 the bend that turns it by exactly half a turn: k c/(k c² + s²) = 1/2."""
+    # 2 k c = k c² + 1 − c²: a quadratic in c.
+    k = 0.25
+    c = (-k + np.sqrt(k * k + (1.0 - k))) / (1.0 - k)
+    beta = 2.0 * np.arccos(c)
+    assert np.degrees(beta) == pytest.approx(59.42646, abs=5e-6)
+    p = pinred.phase(pinred.Connection.mechanical(two_halves(k)), bending(beta), tolerance=1e-12)
+    assert p.screw.angle == pytest.approx(np.pi, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["falling_cat", "planar_chain5", "upright_drone"])
+def test_small_loops(name: str) -> None:
+    """A circle of radius ε moves the body by exp(−π ε² B) up to ε³: halves leave an eighth."""
+    system = pinred.load(name)
+    A, m = pinred.Connection.mechanical(system), system.m
+    centre = np.linspace(0.3, 0.7, m)
+    B = pinred.Reduction(system).curvature(centre)[:, 0, 1]
+
+    def left(radius: float) -> float:
+        along = radius * np.eye(m)
+        p = pinred.phase(A, Gait.fourier(centre, along[:1], along[1:2]), tolerance=1e-13)
+        return float(np.linalg.norm(p.log + np.pi * radius**2 * B)) / float(np.linalg.norm(B))
+
+    errors = np.array([left(radius) for radius in (0.04, 0.02, 0.01)])
+    assert errors[0] < 1e-2 * np.pi * 0.04**2 * 10.0
+    orders = np.log2(errors[:-1] / errors[1:])
+    assert ((orders > 2.7) & (orders < 4.3)).all()
+
+
+def test_a_loop_and_back() -> None:
+    """A gait and its reverse undo each other; a shift conjugates; time is nothing to it."""
+    A = pinred.Connection.mechanical(pinred.load("falling_cat"))
+    rng = np.random.default_rng(2)
+    gait = Gait.fourier(
+        rng.normal(size=3) * 0.3, rng.normal(size=(2, 3)) * 0.3, np.ones((2, 3)) * 0.2
+    )
+    group, p = A.group, pinred.phase(A, gait)
+
+    def apart(g: Array, h: Array) -> float:
+        found = group.error(g, h)
+        return float(max(found.rotation, found.translation))
+
+    assert apart(group.inverse(p.pose), pinred.phase(A, gait.reversed()).pose) < 1e-10
+    assert apart(p.pose, pinred.phase(A, gait.lasting(7.0)).pose) < 1e-10
+    # g′ = g(t₁)⁻¹ g g(t₁) for the same loop begun at t₁.
+    k = len(p.times) // 3
+    on_way, share = p.path[k], p.times[k] / gait.period
+    shifted = pinred.phase(A, gait.shifted(share)).pose
+    expected = group.compose(group.compose(group.inverse(on_way), p.pose), on_way)
+    assert apart(expected, shifted) < 1e-10

@@ -1,0 +1,159 @@
+"""The snakeboard against Lagrange and d'Alembert in world coordinates, with multipliers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from lifts import random_gait
+from nearness import close
+from scipy.integrate import solve_ivp
+
+import pinred
+from pinred.common.arrays import Array
+
+HALF = 0.5  # from the board's middle to its axles
+MASS, BOARD, ROTOR, AXLE = 8.0, 0.92, 0.1, 0.01
+# World coordinates (X, Y, θ), then the joints in the robot's order: front, rear, rotor.
+INERTIA = np.diag([MASS, MASS, BOARD, AXLE, AXLE, ROTOR])
+INERTIA[2, 3:] = INERTIA[3:, 2] = [AXLE, AXLE, ROTOR]
+TIMES = np.linspace(0.0, 2.0, 5)
+X0, RATE0, P0 = np.array([0.4, -0.3, 0.1]), np.array([0.2, 0.3, 1.0]), np.array([0.7])
+
+
+def board() -> pinred.MixedConnection:
+    """The snakeboard on its wheels."""
+    wheels = [pinred.Wheel("rear_axle"), pinred.Wheel("front_axle")]
+    return pinred.mixed_connection(pinred.load("snakeboard"), wheels)
+
+
+def rows(q: Array, v: Array) -> tuple[Array, Array]:
+    """W, and Ẇ v: neither axle slips sideways."""
+    W, drift = np.zeros((2, 6)), np.zeros(2)
+    for k, (joint, side) in enumerate(((4, -1.0), (3, 1.0))):
+        heading, rate = q[2] + q[joint], v[2] + v[joint]
+        W[k, :3] = [-np.sin(heading), np.cos(heading), side * HALF * np.cos(q[joint])]
+        moved = [-np.cos(heading) * rate, -np.sin(heading) * rate]
+        moved.append(-side * HALF * np.sin(q[joint]) * v[joint])
+        drift[k] = np.dot(moved, v[:3])
+    return W, drift
+
+
+def dalembert(
+    xi0: Array, torque: Callable[[float], Array], prescribed: pinred.Gait | None = None
+) -> Array:
+    """Q and v at TIMES, (T, 12): H v̇ = τ + Wᵀλ, W v̇ = −Ẇ v."""
+
+    def rate(t: float, y: Array) -> Array:
+        q, v = y[:6], y[6:]
+        W, drift = rows(q, v)
+        if prescribed is not None:
+            h = 1e-4  # of the second derivative of a Fourier series
+            ahead = [prescribed.at(t + k * h)[1] for k in (-3, -2, -1, 1, 2, 3)]
+            weights = np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / (60.0 * h)
+            W = np.vstack([W, np.eye(6)[3:]])
+            drift = np.concatenate([drift, -(weights @ np.array(ahead))])
+        k = len(W)
+        whole = np.block([[INERTIA, -W.T], [W, np.zeros((k, k))]])
+        right = np.concatenate([np.zeros(3), torque(t), -drift])
+        return np.concatenate([v, np.linalg.solve(whole, right)[:6]])
+
+    x, xdot = (X0, RATE0) if prescribed is None else prescribed.at(0.0)
+    start = np.concatenate([np.zeros(3), x, xi0, xdot])
+    out = solve_ivp(rate, (0.0, TIMES[-1]), start, "DOP853", TIMES, rtol=1e-13, atol=1e-14)
+    return np.asarray(out.y.T)
+
+
+def test_without_torques() -> None:
+    """To 1e-11, with the energy conserved."""
+    A = board()
+    found = pinred.simulate_mixed(A, X0, RATE0, P0, times=TIMES)
+    expected = dalembert(A.velocity(X0, RATE0, P0), lambda _: np.zeros(3))
+    close(found.pose, expected[:, :3], 1e-11)
+    close(found.x, expected[:, 3:6], 1e-11)
+    close(found.xdot, expected[:, 9:], 1e-11)
+    assert np.ptp(found.energy) < 1e-11 * found.energy[0]
+    v = expected[-1, 6:]
+    assert found.energy[-1] == pytest.approx(0.5 * v @ INERTIA @ v, rel=1e-11)
+    assert np.ptp(found.p) > 1e-3  # it is no constant of the motion
+
+
+def test_with_torques() -> None:
+    """To 1e-8; the work of the torques is what the energy gains."""
+
+    def torque(t: float) -> Array:
+        return np.array([0.02 * np.cos(3.0 * t), -0.01 * np.sin(2.0 * t), 0.3 * np.sin(4.0 * t)])
+
+    A = board()
+    found = pinred.simulate_mixed(A, X0, RATE0, P0, times=TIMES, torques=torque)
+    expected = dalembert(A.velocity(X0, RATE0, P0), torque)
+    close(found.pose, expected[:, :3], 1e-8)
+    close(found.x, expected[:, 3:6], 1e-8)
+    assert np.ptp(found.energy) > 1e-2
+
+
+def test_along_a_gait() -> None:
+    """Prescribed joints, from rest: the snakeboard moves off, and momentum builds up."""
+    gait = pinred.Gait.fourier([0.0, 0.0, 0.0], [[0.5, -0.5, 0.0]], [[0.0, 0.0, 0.9]], period=2.0)
+    A = board()
+    found = pinred.follow_mixed(A, gait, times=TIMES)
+    x, xdot = gait.at(0.0)
+    expected = dalembert(A.velocity(x, xdot, [0.0]), lambda _: np.zeros(3), gait)
+    close(found.pose, expected[:, :3], 1e-10)
+    assert np.abs(found.p).max() > 1e-3
+
+
+def test_the_momentum_of_a_twist() -> None:
+    """P of a twist that the wheels allow gives that twist back; of one that slips, an error."""
+    A = board()
+    xi = A.velocity(X0, RATE0, P0)
+    close(A.momentum(X0, RATE0, xi), P0, 1e-12)
+    with pytest.raises(pinred.InputError, match="the wheels slip"):
+        A.momentum(X0, RATE0, np.add(xi, [0.0, 0.1, 0.0]))
+
+
+def test_one_pair_of_wheels() -> None:
+    """A Chaplygin sleigh: one wheel, two momenta, against the same d'Alembert with one row."""
+    system = pinred.load("snakeboard", lock={"front": 0.0, "rear": 0.0})
+    A = pinred.mixed_connection(system, [pinred.Wheel("rear_axle")])
+    assert A.size == 2
+    x0, rate0, p0 = np.array([0.2]), np.array([0.8]), np.array([0.9, -0.4])
+    found = pinred.simulate_mixed(A, x0, rate0, p0, times=TIMES)
+    H = np.diag([MASS, MASS, BOARD, ROTOR])
+    H[2, 3] = H[3, 2] = ROTOR
+
+    def rate(_: float, y: Array) -> Array:
+        q, v = y[:4], y[4:]
+        c, s = np.cos(q[2]), np.sin(q[2])
+        W = np.array([[-s, c, -HALF, 0.0]])
+        drift = (-c * v[0] - s * v[1]) * v[2]
+        whole = np.block([[H, -W.T], [W, np.zeros((1, 1))]])
+        return np.concatenate([v, np.linalg.solve(whole, np.append(np.zeros(4), -drift))[:4]])
+
+    start = np.concatenate([np.zeros(3), x0, A.velocity(x0, rate0, p0), rate0])
+    out = solve_ivp(rate, (0.0, 2.0), start, "DOP853", TIMES, rtol=1e-13, atol=1e-14)
+    close(found.pose, out.y.T[:, :3], 1e-11)
+    close(found.x[:, 0], out.y[3], 1e-11)
+    assert np.ptp(found.energy) < 1e-11
+
+
+def test_refusals() -> None:
+    """Too many wheels; wheels that come to agree on the way."""
+    system = pinred.load("snakeboard")
+    with pytest.raises(pinred.InputError, match="takes 1 to 2 wheels, got 0"):
+        pinred.mixed_connection(system, [])
+    A = board()
+    quarter = 0.5 * np.pi
+    with pytest.raises(pinred.SingularInertiaError, match="leave a motion of the body open"):
+        pinred.simulate_mixed(A, [quarter, quarter, 0.0], RATE0, P0, times=TIMES)
+    near = [quarter - 0.3, quarter - 0.3, 0.0]
+    with pytest.raises(pinred.SingularInertiaError, match="the joints pass the shape"):
+        pinred.simulate_mixed(A, near, [0.5, 0.5, 0.0], [0.0], times=TIMES)
+    across = pinred.Gait.fourier(
+        [quarter, quarter, 0.0], [[0.3, 0.3, 0.0]], [[0.0, 0.0, 0.5]], period=2.0
+    )
+    with pytest.raises(pinred.SingularInertiaError, match="the joints pass the shape"):
+        pinred.follow_mixed(A, across, times=TIMES)
+    with pytest.raises(pinred.InputError, match="times"):
+        pinred.follow_mixed(A, random_gait(np.random.default_rng(0), 3), times=[1.0, 0.0])

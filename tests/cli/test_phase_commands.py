@@ -1,0 +1,140 @@
+"""`pinred phase` and `pinred field`: numbers, files, and refusals in one line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pinred
+from pinred.cli.main import main
+
+EXAMPLE = str(Path(__file__).parents[2] / "examples/purcell_circle.toml")
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    """Run a command; return its code, output and errors."""
+    code = main(words)
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def number(text: str, pattern: str) -> float:
+    """The number in the one place that matches."""
+    (found,) = re.findall(pattern.replace("N", r"(-?[\d.]+(?:e-?\d+)?)"), text)
+    return float(found)
+
+
+def test_phase_of_a_gait_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The published displacement, and three of them; poses on the way as a file."""
+    out = tmp_path / "way.npz"
+    code, text, _ = run(capsys, "phase", EXAMPLE, "--cycles", "3", "--out", str(out))
+    assert code == 0
+    assert number(text, "slide N m") == pytest.approx(0.0512808243, abs=5e-11)
+    x, y = (number(text, rf"after 3 cycles .*{name} N") for name in "xy")
+    assert np.hypot(x, y) == pytest.approx(3 * 0.0512808243, abs=2e-10)
+    with np.load(out) as file:
+        assert np.hypot(*file["end"][:2]) == pytest.approx(0.0512808243, abs=5e-11)
+        assert file["pose"].shape == (len(file["t"]), 3)
+
+
+def test_phase_of_a_robot(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A circle of two joints, with momentum: the same as in Python; also as csv and figure."""
+    table, picture = tmp_path / "way.csv", tmp_path / "cycles.png"
+    words = ("phase", "falling_cat", "--circle", "bend,sway,0.8", "--momentum", "0,0,0,0.1,0,0")
+    code, text, _ = run(capsys, *words, "--out", str(table))
+    assert code == 0
+    cat = pinred.load("falling_cat")
+    gait = pinred.Gait.fourier(
+        np.zeros(3), 0.8 * np.eye(3)[[cat.shape_names.index("bend")]],
+        0.8 * np.eye(3)[[cat.shape_names.index("sway")]],
+    )  # fmt: skip
+    p = pinred.phase(pinred.Connection.mechanical(cat), gait, [0, 0, 0, 0.1, 0, 0])
+    assert number(text, "turn +N rad") == pytest.approx(p.screw.angle, abs=1e-11)
+    assert "geometric" in text
+    assert "dynamic" in text
+    rows = np.loadtxt(table, delimiter=",", skiprows=1)
+    np.testing.assert_allclose(rows[-1, 1:], p.pose, atol=1e-12)
+    assert run(capsys, *words, "--out", str(picture))[0] == 0
+    assert picture.stat().st_size > 1000
+
+
+def test_phase_of_recorded_data(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A csv with the joints over one cycle."""
+    t = np.linspace(0.0, 2.0, 201)
+    x = np.stack([np.cos(np.pi * t), np.sin(np.pi * t)], axis=1)
+    path = tmp_path / "loop.csv"
+    table = np.column_stack([t, x])
+    np.savetxt(path, table, fmt="%.17g", delimiter=",", header="t,alpha1,alpha2", comments="")
+    code, text, _ = run(capsys, "phase", "three_rods", "--gait", str(path))
+    assert code == 0
+    assert "one cycle of 2 s" in text
+    assert abs(number(text, "θ N")) < 1e-9
+
+
+def test_field_as_numbers(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A and B on a grid, those of the reduction."""
+    out = tmp_path / "field.npz"
+    words = ("field", "falling_cat", "--joints", "sway,twist", "--limits", "-1,0.5")
+    code, _, _ = run(capsys, *words, "--at", "0.2,0.0,0.0", "--samples", "5", "--out", str(out))
+    assert code == 0
+    red = pinred.Reduction(pinred.load("falling_cat"))
+    with np.load(out) as file:
+        x = file["x"][1, 3]
+        assert list(file["joints"]) == list(red.system.shape_names)
+        assert x[list(file["joints"]).index("sway")] == pytest.approx(-1.0 + 1.5 / 4)
+        np.testing.assert_allclose(file["curvature"][1, 3], red.curvature(x), atol=1e-13)
+        np.testing.assert_allclose(file["local"][1, 3], red.local_connection(x), atol=1e-13)
+
+
+@pytest.mark.parametrize("part", ["curvature", "connection"])
+def test_field_as_a_figure(part: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Of a gait file, with its gait; of a robot, without."""
+    out = tmp_path / "field.svg"
+    words = ("field", EXAMPLE, "--component", "v1", "--part", part, "--out", str(out))
+    assert run(capsys, *words)[0] == 0
+    assert "signed area" in out.read_text("utf-8") or out.stat().st_size > 10000
+    assert run(capsys, "field", "three_rods", "--limits", "-1,1", "--out", str(out))[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("phase", "three_rods"), "a robot needs a gait"),
+        (("phase", "three_rods", "--circle", "alpha1,1.0"), "J1,J2,RADIUS"),
+        (("phase", "three_rods", "--circle", "alpha1,nope,1.0"), "no shape joint 'nope'"),
+        (("phase", EXAMPLE, "--circle", "alpha1,alpha2,1.0"), "is for robots"),
+        (("phase", EXAMPLE, "--momentum", "1,0,0"), "momentum"),
+        (("phase", EXAMPLE, "--out", "way.txt"), "the suffix must be"),
+        (("field", "elroys_beanie", "--out", "f.npz"), "needs two joints"),
+        (("field", "three_rods", "--limits", "1,-1", "--out", "f.npz"), "LOW,HIGH"),
+        (("field", "three_rods", "--part", "nope", "--out", "f.png"), "part must be one of"),
+    ],
+)
+def test_refusals(
+    words: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """In one line, without a file left behind."""
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(capsys, *words)
+    assert code == 2
+    assert out == ""
+    assert message in err
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "command"), [("field", "pinred field"), ("cycles", "pinred phase")]
+)
+def test_plot_names_the_command(
+    kind: str, command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """What is no figure of a motion is drawn by a command of its own."""
+    words = ("plot", "three_rods", "--kind", kind, "--out", str(tmp_path / "out.png"))
+    code, _, err = run(capsys, *words)
+    assert code == 2
+    assert f"`{command}` draws it" in err

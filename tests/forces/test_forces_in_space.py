@@ -1,0 +1,223 @@
+"""Forces that see the base in space, and wrenches on links: by ABA and Pinocchio's Jacobians."""
+
+# ruff: noqa: ARG005  # functions are told apart by their arguments, used or not
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+import pytest
+from forced_trees import against_aba, tree
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.forces import SeenState, Torque, Wrench
+from pinred.lie import GROUPS
+from pinred.scene.scene import ENGINES, Engine
+from pinred.simulation.plan import plan_of
+from pinred.system.joints import axes_of
+
+OPTIONS: dict[str, Any] = {"seed": 2, "duration": 0.4, "rtol": 1e-9, "atol": 1e-11}
+
+
+def seen_by_pinocchio(system: pinred.System, q: Array, v: Array) -> dict[str, Array]:
+    """Pose, twist, body momentum and spatial momentum, from Pinocchio's q and v alone."""
+    model, group = system.model, system.group
+    data, r = model.createData(), system.r
+    still = model.copy()
+    still.gravity.setZero()
+    mu = np.array(pin.rnea(still, data, q, np.zeros(model.nv), v)[:r])
+    pin.ccrba(model, data, q, v)  # about the centre of mass, in the world's axes
+    root = model.jointPlacements[1]
+    linear = root.rotation.T @ data.hg.linear
+    angular = root.rotation.T @ (
+        data.hg.angular + np.cross(data.com[0] - root.translation, data.hg.linear)
+    )
+    S = axes_of(model.joints[1])
+    pose = q[: model.joints[1].nq]
+    if group.turns == 1 and len(pose) > group.size:
+        pose = np.append(pose[:-2], np.arctan2(pose[-1], pose[-2]))
+    rotor = model.armature[:r] * v[:r]
+    J = S.T @ np.append(linear, angular) + rotor
+    return {"pose": pose, "xi": v[:r], "mu": mu, "J": J}
+
+
+def weights(system: pinred.System) -> dict[str, Array]:
+    """How much each number of the base counts for each joint: some of everything."""
+    rng = np.random.default_rng(4)
+    sizes = {"pose": system.group.size, **dict.fromkeys(("xi", "mu", "J"), system.r)}
+    return {name: rng.normal(size=(system.m, size)) for name, size in sizes.items()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("group", GROUPS)
+def test_torques_see_the_base(group: str, engine: Engine) -> None:
+    """Pose, twist and both momenta of every group, in gravity, each in its place."""
+    system, names = tree(group, 2, 5), ("pose", "xi", "mu", "J")
+    A = weights(system)
+
+    def torque(s: SeenState) -> ca.SX:
+        given = sum(ca.DM(A[name]) @ getattr(s, name) for name in names)
+        return ca.SX(0.3 * ca.tanh(given))
+
+    traj = pinred.simulate(system, forces=[Torque(torque)], engine=engine, **OPTIONS)
+
+    def tau(_t: float, q: Array, v: Array) -> Array:
+        seen = seen_by_pinocchio(system, q, v)
+        if group == "SO3" or group == "SE3":
+            end = len(seen["pose"])
+            flip = np.sign(seen["pose"][end - 4 :] @ traj(_t).pose[-4:])
+            seen["pose"] = np.append(seen["pose"][: end - 4], flip * seen["pose"][end - 4 :])
+        given = sum(A[name] @ seen[name] for name in names)
+        return np.append(np.zeros(system.r), 0.3 * np.tanh(given))
+
+    assert against_aba(traj, tau) < 1e-6
+
+
+LOADS = {
+    "body": lambda s: [1.0 + s.x[0], ca.sin(3 * s.t), -0.5, 0.2, 0.1 * s.xi[-1], 0.3],
+    "world": lambda s: [1.0, ca.sin(3 * s.t), -0.5 * s.x[0], 0.2, 0.1 * s.J[-1], 0.3],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("axes", LOADS)
+@pytest.mark.parametrize("group", GROUPS)
+def test_wrenches_on_links(group: str, axes: Any, engine: Engine) -> None:
+    """At a point of the last link, along its axes or those of the world: τ = Jᵀ (F, N)."""
+    bare = tree(group, 3, 5).model
+    placement = pin.SE3.Random()
+    bare.addFrame(pin.Frame("hand", bare.njoints - 1, placement, pin.FrameType.BODY))
+    system = pinred.load(bare)
+    model, data = system.model, system.model.createData()
+    frame, point = model.getBodyId("hand"), [0.1, -0.2, 0.3]
+    force = Wrench(LOADS[axes], link="hand", at=point, frame=axes)
+    traj = pinred.simulate(system, forces=[force], engine=engine, **OPTIONS)
+    turn = model.jointPlacements[1].rotation
+
+    def tau(t: float, q: Array, v: Array) -> Array:
+        seen = seen_by_pinocchio(system, q, v)
+        given = SeenState(t, system.configuration(q).x, None, **seen)
+        load = np.array([float(value) for value in LOADS[axes](given)])
+        pin.framesForwardKinematics(model, data, q)
+        R = data.oMf[frame].rotation
+        axes_of = R if axes == "body" else turn
+        F, N = axes_of @ load[:3], axes_of @ load[3:]
+        jacobian = pin.computeFrameJacobian(
+            model, data, q, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )
+        return np.asarray(jacobian.T @ np.append(F, N + np.cross(R @ point, F)))
+
+    assert against_aba(traj, tau) < 1e-6
+
+
+@pytest.mark.slow
+def test_compare_judges_them() -> None:
+    """The judge sees the base by its own kinematics, and links by Pinocchio's Jacobians."""
+    system = pinred.load("coupled_planar")
+    last, first = system.model.frames[-1].name, system.shape_names[0]
+    forces = [
+        Torque(lambda s: {first: -0.2 * ca.sin(s.pose[2]) - 0.1 * s.xi[0] + 0.1 * s.J[2]}),
+        Wrench(lambda s: [-0.2 * s.xi[0], 0.1, 0.0], link=last, at=(0.1, 0.2, 0.0)),
+        Wrench([0.1, -0.2, 0.02], frame="world", name="tug"),
+    ]
+    traj = pinred.simulate(system, seed=0, duration=0.2, rtol=1e-8, forces=forces)
+    report = pinred.compare(traj)
+    assert report.passed, str(report)
+    np.testing.assert_allclose(traj.momentum_balance.residual, 0.0, atol=1e-8)
+    np.testing.assert_allclose(traj.energy_balance.residual, 0.0, atol=1e-8)
+
+
+def test_momentum_is_integrated_for_wrenches_alone() -> None:
+    """A torque that sees the attitude leaves as many numbers as one that does not."""
+    satellite = pinred.load("satellite_two_arms")
+    joint = satellite.shape_names[0]
+
+    def numbers(force: Any) -> int:
+        scene = pinred.Scene(system=satellite, seed=0, forces=[force])
+        return plan_of(scene).kind(zero_momentum=False).layout.size
+
+    blind = numbers(Torque(lambda t, x, xdot, mu: {joint: -x[0]}))
+    assert numbers(Torque(lambda s: {joint: -s.pose[3] - s.xi[3]})) == blind
+    assert numbers(Torque(lambda s: {joint: -s.xi[5]})) == blind
+    assert numbers(Torque(lambda s: {joint: -s.pose[0]})) == blind + 1  # the clock
+    assert numbers(Wrench(lambda s: [0, 0, 0, -s.pose[3], 0, 0])) == blind + 3 + 6
+    traj = pinred.simulate(
+        satellite, seed=0, duration=0.5, forces=[Torque(lambda s: {joint: -s.pose[3] - s.xi[3]})]
+    )
+    J = traj.spatial_momentum
+    np.testing.assert_allclose(J, np.broadcast_to(J[0], J.shape), atol=1e-13)
+
+
+def lone(function: Any) -> pinred.Scene:
+    """A scene with a torque of this function."""
+    return pinred.Scene(
+        system=pinred.load("elroys_beanie"), forces=[Torque({"beanie": function})], seed=0
+    )
+
+
+def test_the_two_forms_are_told_apart() -> None:
+    """By how many arguments a function takes, never by their names."""
+    four: list[Any] = [
+        lambda t, x, xdot, mu: -x[0],
+        lambda *a: -a[1][0],
+        lambda t, *rest: -rest[0][0],
+        lambda t, x, xdot, mu, gain=1.0: -gain * x[0],
+        lambda a, b, c, d: -b[0],
+    ]
+    one: list[Any] = [
+        lambda s: -s.x["beanie"],
+        lambda s, gain=1.0: -gain * s.x[0],
+        lambda t: -t.x[0],
+        lambda s, *, a=1.0, b=2.0, c=3.0: -s.x[0],
+    ]
+    models = [lone(f).force_model for f in (*four, *one)]
+    assert not any(model.sees_base for model in models if model)
+    same = [models[k] for k in (0, 1, 4, 5, 7)]
+    assert len({model.key for model in same if model}) == 1
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda t, x=0, xdot=0, mu=0: 0.0, r"with one argument and with four"),
+        (lambda s, a=1, b=2, c=3, d=4: 0.0, r"with one argument and with four"),
+        (lambda t, x: 0.0, r"must be a function of \(t, x, xdot, mu\), or one state s .* takes 2"),
+        (lambda: 0.0, r"takes 0 arguments"),
+        (lambda s, *, k: 0.0, r"keyword-only argument without a default"),
+        (min, r"does not say how many arguments|\*args|with one"),
+    ],
+)
+def test_unclear_functions_are_refused(function: Any, message: str) -> None:
+    """With the two forms, and how to say which is meant."""
+    with pytest.raises(pinred.InputError, match=message):
+        lone(function)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Wrench([0, 0, 0], link="nose"), r"no link 'nose'; .*the links are"),
+        (lambda: Wrench([0, 0, 0, 0], link="beanie"), r"must give 6 values, gave 4"),
+        (lambda: Wrench([0], at=[0, 0, 0]), r"at is a point of a link; give link="),
+        (lambda: Wrench([0, 0, 0], link="beanie", at=[0, 0]), r"at of wrench must be 3 finite"),
+        (lambda: Wrench([0], frame="hand"), r"frame of wrench must be one of body, world"),
+        (lambda: Wrench([0], link=3), r"link of wrench must be a name"),
+    ],
+)  # fmt: skip
+def test_refused_wrenches(make: Any, message: str) -> None:
+    """Names, points and axes that there are not."""
+    with pytest.raises(pinred.InputError, match=message):
+        pinred.Scene(system=pinred.load("elroys_beanie"), seed=0, forces=[make()])
+
+
+def test_the_base_has_to_be_there() -> None:
+    """Who sees the base cannot leave it out."""
+    force = Torque(lambda s: {"beanie": -s.pose[0]})
+    with pytest.raises(pinred.InputError, match="outputs='shape' leaves out"):
+        pinred.Scene(system=pinred.load("elroys_beanie"), seed=0, forces=[force], outputs="shape")

@@ -1,0 +1,113 @@
+"""Runs in lanes: each is by itself, to the bit, and is what the scalar integrator makes of it."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from pinred.common.arrays import Array
+from pinred.common.errors import InputError
+from pinred.integrators.integrate import integrate
+from pinred.integrators.integrate_many import STATUS, Solutions
+from pinred.integrators.lanes.integrate_in_lanes import integrate_in_lanes
+from pinred.integrators.methods import DOP853, Tsit5
+from pinred.integrators.methods.method import Explicit
+from pinred.kernels.machine.native import NativeCode, compile_object, load_object
+
+END, TIMES = 2.0, [0.0, 0.3, 0.3, 1.1, 2.0]
+METHODS: tuple[Explicit, ...] = (DOP853(1e-9, 1e-11), Tsit5(1e-7, 1e-9))
+
+
+@cache
+def kernel(wide: int) -> NativeCode:
+    """Sines of angles, a root that ends at t = p₀, a turning quaternion, and the time."""
+    y, p = ca.SX.sym("y", 7), ca.SX.sym("p", 2)
+    a, b, t, q = y[0], y[1], y[2], y[3:]
+    w = ca.vertcat(ca.sin(a), p[1], ca.cos(b))
+    turn = 0.5 * ca.vertcat(q[3] * w + ca.cross(q[:3], w), -ca.dot(q[:3], w))
+    rate = ca.vertcat(ca.cos(a) * ca.sqrt(p[0] - t), ca.sin(3.0 * a + b), 1.0, turn)
+    function = ca.Function("rate", [y, p], [rate], {"cse": True})
+    wide_inputs = (0,) if wide == 1 else (0, 1)
+    code = compile_object(function, "rate", wide=wide, wide_inputs=wide_inputs)
+    return load_object(code, "rate")
+
+
+def members(count: int) -> tuple[Array, Array]:
+    """Parameters and states; one is far round, and one meets what is not a number on its way."""
+    rng = np.random.default_rng(4)
+    y0 = np.concatenate([rng.normal(size=(count, 2)), np.zeros((count, 5))], axis=1)
+    y0[:, 3:] = rng.normal(size=(count, 4))
+    params = np.column_stack([rng.uniform(5.0, 9.0, count), rng.normal(size=count)])
+    y0[5, 0], params[2, 0] = 1e7, 0.5
+    return params, y0
+
+
+def run(method: Explicit, params: Array, y0: Array, threads: int = 1, lanes: int = 8) -> Solutions:
+    """Run them in lanes."""
+    address = kernel(lanes).address
+    return integrate_in_lanes(method, address, lanes, params, y0, END, TIMES, 3, threads)
+
+
+def same(a: Solutions, rows: Any, b: Solutions) -> None:
+    """Everything that is told of some members of b is what is told of those of a, to the bit."""
+    for name in ("y", "status", "end", "entry", "steps", "rejected", "evaluations"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name)[rows])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS, ids=str)
+def test_a_member_does_not_depend_on_the_others(method: Explicit) -> None:
+    """Alone, in another order, on several threads: neither with 1e7 rad nor NaN beside it."""
+    params, y0 = members(37)
+    whole = run(method, params, y0)
+    assert [STATUS[k] for k in whole.status.tolist()] == [
+        "not finite" if k == 2 else "done" for k in range(37)
+    ]
+    assert abs(whole.end[2] - 0.5) < 1e-6
+    assert whole.entry[2] == 0
+    for k in (0, 2, 5, 30):
+        same(run(method, params[k : k + 1], y0[k : k + 1]), [k], whole)
+    order = np.random.default_rng(0).permutation(37)
+    same(run(method, params[order], y0[order], threads=3), order, whole)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lanes", [8, 16])
+@pytest.mark.parametrize("method", METHODS, ids=str)
+def test_members_are_those_of_the_scalar_integrator(method: Explicit, lanes: int) -> None:
+    """Steps, trials and evaluations are the same, and states but for round-off."""
+    params, y0 = members(21)
+    found = run(method, params, y0, lanes=lanes)
+    for k in set(range(21)) - {2}:
+        one = integrate(method, kernel(1).address, params[k], y0[k], END, TIMES, 3)
+        np.testing.assert_allclose(found.y[k], one.y, rtol=0.0, atol=1e-12 * abs(y0[k]).max())
+        counts = (found.steps[k], found.rejected[k], found.evaluations[k])
+        assert counts == (one.steps, one.rejected, one.evaluations)
+        norms = np.linalg.norm(found.y[k][:, 3:], axis=1)
+        np.testing.assert_allclose(norms, 1.0, atol=4e-16)
+    # What the failed one has reached is there, what it has not is nothing.
+    assert np.isfinite(found.y[2, :3]).all()
+    assert np.isnan(found.y[2, 3:]).all()
+
+
+@pytest.mark.slow
+def test_limits_and_starts() -> None:
+    """Too many steps, rates that are not finite at once, no member, no times, no such width."""
+    method = METHODS[0]
+    params, y0 = members(9)
+    params[4] = np.nan
+    few = integrate_in_lanes(DOP853(max_steps=3), kernel(8).address, 8, params, y0, END, [], 3)
+    assert [STATUS[k] for k in few.status.tolist()] == [
+        "not finite" if k == 4 else "too many steps" for k in range(9)
+    ]
+    assert ((few.steps + few.rejected)[few.status != few.status[4]] == 3).all()
+    assert few.entry[4] == 0
+    assert few.evaluations[4] == 1
+    assert few.y.shape == (9, 0, 7)
+    assert run(method, params[:0], y0[:0]).ok.all()
+    with pytest.raises(InputError, match="width must be one of"):
+        run(method, params, y0, lanes=4)

@@ -1,0 +1,194 @@
+"""Events: where expressions cross zero, against closed forms; ends of motions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.forces import Controller, Torque
+from pinred.scene.scene import ENGINES, Engine
+from pinred.simulation import events, pieces
+
+BEANIE = pinred.load("elroys_beanie")
+W = np.sqrt(1.5)  # of x = sin(W t)/W: a spring of 1 N·m/rad on the shape's inertia 2/3
+SPRUNG: dict[str, Any] = {"x0": [0.0], "xdot0": [1.0], "springs": {"beanie": (1.0, 0.0)}}
+
+
+def times(level: float, end: float, *, rising: bool) -> Array:
+    """When sin(W t)/W is at a level, in one direction."""
+    first = np.arcsin(level * W)
+    phase = (first if rising else np.pi - first) + 2 * np.pi * np.arange(-1, 9)
+    t = phase / W
+    return np.asarray(t[(t > 1e-9) & (t < end)])
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_crossings_in_closed_form(engine: Engine) -> None:
+    """Rising, falling, both; by formula, by four arguments, by a state; by name."""
+    found = pinred.simulate(
+        BEANIE, **SPRUNG, duration=9.0, engine=engine,
+        events=[
+            pinred.Event("x['beanie'] - 0.3", "up", direction=1),
+            pinred.Event(lambda t, x, xdot, mu: x[0] - 0.3, "down", direction=-1),  # noqa: ARG005
+            pinred.Event(lambda s: s.x["beanie"] + 0.1, "both"),
+            pinred.Event("J[0] + 10", "never"),
+            pinred.Event(lambda s: s.x[0], "middle"),
+        ],
+    ).events  # fmt: skip
+    np.testing.assert_allclose(found["up"].t, times(0.3, 9.0, rising=True), atol=2e-10)
+    np.testing.assert_allclose(found["down"].t, times(0.3, 9.0, rising=False), atol=2e-10)
+    either = [times(-0.1, 9.0, rising=rising) for rising in (True, False)]
+    np.testing.assert_allclose(found["both"].t, np.sort(np.concatenate(either)), atol=2e-10)
+    assert found["both"].rising.tolist() == [False, True, False]
+    np.testing.assert_allclose(found["both"].states.x, -0.1, atol=1e-12)
+    assert len(found["never"]) == 0
+    # It begins at zero, which is no crossing.
+    np.testing.assert_allclose(found["middle"].t, np.pi / W * np.array([1.0, 2.0, 3.0]), atol=2e-10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["AdaptiveGauss", "Gauss(0.05, 8)"])
+def test_crossings_by_implicit_methods(method: str) -> None:
+    """On their dense output, of long steps."""
+    traj = pinred.simulate(
+        BEANIE, **SPRUNG, duration=4.0, method=method,
+        events=[pinred.Event("x[0] - 0.3", "up"), pinred.Event("x[0] + 0.5", "low", terminal=True)],
+    )  # fmt: skip
+    both = [times(0.3, 4.0, rising=rising)[:1] for rising in (True, False)]
+    np.testing.assert_allclose(traj.events["up"].t, np.concatenate(both), atol=1e-8)
+    end = times(-0.5, 4.0, rising=False)
+    np.testing.assert_allclose(traj.events["low"].t, end, atol=1e-8)
+    assert traj.t[-1] == traj.scene.end == traj.events["low"].t[0]
+    assert traj.x[-1, 0] == pytest.approx(-0.5, abs=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_terminal_event_ends_the_scene(engine: Engine) -> None:
+    """Report times up to it, itself the last; what comes later is not there; compare passes."""
+    traj = pinred.simulate(
+        BEANIE, **SPRUNG, duration=50.0, times=[0.0, 0.1, 2.0, 40.0], engine=engine, rtol=1e-8,
+        events=[
+            pinred.Event("x[0] - 0.3", "end", terminal=True, direction=-1),
+            pinred.Event("x[0] - 0.2", "seen"),
+        ],
+    )  # fmt: skip
+    (end,) = traj.events["end"].t
+    assert end == pytest.approx(times(0.3, 3.0, rising=False)[0], abs=1e-7)
+    assert traj.ended_by == "end"
+    assert traj.scene.end == end
+    np.testing.assert_array_equal(traj.t, [0.0, 0.1, 2.0, end])
+    assert traj.motion.knots[-1] == end
+    assert len(traj.events["seen"]) == 1
+    with pytest.raises(pinred.InputError, match="between 0 and"):
+        traj(end + 0.1)
+    report = pinred.compare(traj)
+    assert report.passed, str(report)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_nothing_beyond_the_end_is_followed(engine: Engine) -> None:
+    """A motion that cannot go on past a wall ends before it."""
+    wall = Torque(lambda s: {"beanie": 1.0 / (0.5 - s.x[0]) ** 2}, name="pull")
+    options: dict[str, Any] = {"x0": [0.0], "xdot0": [0.0], "duration": 5.0, "forces": [wall]}
+    with pytest.raises(pinred.IntegrationError):
+        pinred.simulate(BEANIE, engine=engine, **options)
+    stop = pinred.Event("x[0] - 0.4", terminal=True)
+    traj = pinred.simulate(BEANIE, engine=engine, **options, events=stop)
+    assert traj.x[-1, 0] == pytest.approx(0.4, abs=1e-9)
+    assert traj.run.evaluations < 20_000
+
+
+@pytest.mark.slow
+def test_across_pieces() -> None:
+    """Pieces of controllers: a crossing at the very end of one, and a terminal one in the third."""
+    push = Controller(lambda s: [1.0 if s.t < 0.6 else -1.0], 0.5)
+    traj = pinred.simulate(
+        BEANIE, x0=[-0.1875], xdot0=[0.0], duration=3.0, forces=[push],
+        events=[
+            pinred.Event("x[0]", "middle"),  # ẍ = 3/2: at t = 0.5, the end of the first piece
+            pinred.Event("xdot[0] - 0.75", "half", direction=-1, terminal=True),
+        ],
+    )  # fmt: skip
+    assert traj.events["middle"].t == pytest.approx([0.5], abs=1e-9)
+    assert traj.events["half"].t == pytest.approx([1.5], abs=1e-9)
+    assert [action.t for action in traj.actions][:3] == [0.0, 0.5, 1.0]
+    report = pinred.compare(traj)
+    assert report.passed, str(report)
+
+
+def test_of_the_base() -> None:
+    """Pose, momentum about the centre of mass, and Parameters with values of the scene."""
+    level = pinred.Parameter("level", 5.0)
+    body = pinred.load("rigid_body")
+    # About its axis of the largest moment it turns evenly.
+    traj = pinred.simulate(
+        body, xi0=[0.0, 0.0, 2.0], duration=2.0, parameters={"level": 0.5},
+        events=[
+            pinred.Event(lambda s: s.pose[2] - ca.sin(level / 2.0), "turned"),
+            pinred.Event(lambda t, x, xdot, mu: mu[2] * (t - 0.25), "time"),  # noqa: ARG005
+        ],
+    )  # fmt: skip
+    assert traj.events["turned"].t == pytest.approx([0.25], abs=1e-9)
+    assert traj.events["time"].t == pytest.approx([0.25], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: [pinred.Event("x[0]"), pinred.Event("x[0] - 1")], "two events are called 'event'"),
+        (lambda: [pinred.Event("x[0]", direction=2)], r"must be 1 \(rising\), -1"),  # type: ignore[arg-type]
+        (lambda: [pinred.Event("x[0]", terminal=1)], "terminal of event 'event' must be True"),  # type: ignore[arg-type]
+        (lambda: [pinred.Event("x[0", "bad")], "event 'bad'|cannot be used"),
+        (lambda: [pinred.Event(3)], "must have a function of the state or a formula"),  # type: ignore[arg-type]
+        (lambda: [pinred.Event("x[0]", " ")], "the name of an event must be text"),
+        (lambda: ["x[0]"], "must be a list of Event"),
+        (lambda: "x[0]", "must be a list of Event"),
+        (lambda: [pinred.Event(lambda t, x: x[0])], "must be a function of"),  # noqa: ARG005
+    ],
+)  # fmt: skip
+def test_refused_events(make: Any, message: str) -> None:
+    """What cannot be watched is said when the scene is made."""
+    with pytest.raises(pinred.InputError, match=message):
+        pinred.Scene(system=BEANIE, **SPRUNG, events=make())
+
+
+def test_what_is_not_finite_is_told() -> None:
+    """With the name of the event, and when."""
+    event = pinred.Event("log(x[0])", "log")
+    with pytest.raises(pinred.IntegrationError, match="event 'log' is -inf at t = 0 s"):
+        pinred.simulate(BEANIE, **SPRUNG, duration=1.0, events=[event])
+
+
+def test_the_base_has_to_be_there_for_them() -> None:
+    """As for forces."""
+    with pytest.raises(pinred.InputError, match="an event sees the base in space"):
+        pinred.Scene(system=BEANIE, **SPRUNG, events=[pinred.Event("pose[0]")], outputs="shape")
+    found = pinred.simulate(
+        BEANIE, **SPRUNG, duration=1.0, events=[pinred.Event("x[0] - 0.1")], outputs="shape"
+    )
+    assert len(found.events["event"]) == 1
+
+
+def test_without_events_nothing_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No Watch is made, and nothing is asked along the way; the motion is the same to the bit."""
+    with_events = pinred.simulate(BEANIE, **SPRUNG, events=[pinred.Event("x[0] - 0.1")])
+    monkeypatch.setattr(pieces, "Watch", lambda *_: pytest.fail("nobody asked"))
+    without = pinred.simulate(BEANIE, **SPRUNG)
+    assert without.events == {}
+    np.testing.assert_array_equal(without.x, with_events.x)
+
+
+def test_two_crossings_in_a_step_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They show between the ends of a step; looked at these alone, they are missed."""
+    event = pinred.Event(f"x[0] - {0.97 / W}")
+    first = pinred.simulate(BEANIE, **SPRUNG, duration=2.0, rtol=1e-4, atol=1e-4, events=event)
+    assert len(first.events["event"]) == 2
+    monkeypatch.setattr(events, "_PARTS", 1)
+    second = pinred.simulate(BEANIE, **SPRUNG, duration=2.0, rtol=1e-4, atol=1e-4, events=event)
+    assert len(second.events["event"]) < 2

@@ -1,0 +1,237 @@
+"""The flow as a map: its values, and its derivatives against other routes to them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import pinred
+from pinred import InputError, Parameter
+from pinred.forces import Controller, Torque
+from pinred.integrators.derivatives import run_along
+from pinred.signals import Fourier, Hold, Spline
+from pinred.simulation.flow_map.flow import Flow
+
+ROWS = ["x", "xdot", "pose", "xi", "body_momentum", "spatial_momentum", "energy"]
+METHODS = ["DOP853", "Tsit5", "AdaptiveGauss", "Gauss(0.01)"]
+
+
+def flow_of(name: str, **options: Any) -> Flow:
+    """Return the flow of a bundled robot with a spring of a gain, by all inputs."""
+    system = pinred.load(name)
+    gain, names = Parameter("gain", 2.0), system.shape_names
+    wrt = ["x0", "xdot0", "pose0", "xi0", "gain"] if names else ["pose0", "xi0"]
+
+    def torque(_t: Any, x: Any, xdot: Any, _mu: Any) -> Any:
+        return {names[0]: -gain * ca.sin(x[0]) - 0.1 * xdot[0]}
+
+    forces = [Torque(torque)] if names else []
+    given = {"seed": 1, "duration": 0.5, "forces": forces, "wrt": wrt, "of": ROWS, **options}
+    return pinred.flow(system, **given)
+
+
+def covector_of(flow: Flow, jacobian: dict[str, Any]) -> Any:
+    """Return a random covector of the outputs."""
+    shape = jacobian["pose0"].shape[:-1]
+    assert shape[-1] == sum(place.stop - place.start for place in flow.outputs.values())
+    return np.random.default_rng(0).normal(size=shape)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "name", ["cartpole", "rigid_body", "falling_cat", "coupled_planar", "double_spherical_pendulum"]
+)
+def test_adjoint_is_the_tangent_turned_round(name: str, method: str) -> None:
+    """λᵀ(J v) = (λᵀJ) v to round-off, at the end and over times, by all inputs."""
+    for times in (None, [0.0, 0.013, 0.2, 0.5]):
+        flow = flow_of(name, method=method, times=times)
+        jacobian = flow.jacobian()
+        covector = covector_of(flow, jacobian)
+        for key, found in flow.vjp(covector).items():
+            expected = np.tensordot(covector, jacobian[key], covector.ndim)
+            size = np.linalg.norm(covector) * max(1.0, float(np.linalg.norm(jacobian[key])))
+            assert np.abs(found - expected).max(initial=0.0) < 1e-13 * size, key
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", ["planar_chain5", "satellite_two_arms", "falling_cat"])
+def test_tangent_is_that_of_frozen_steps(name: str, method: str) -> None:
+    """A direction agrees with differences of runs that take the same steps, over times too."""
+    flow = flow_of(name, method=method, times=[0.0, 0.1, 0.37, 0.5])
+    run = flow._run({})
+    (part,) = run.stretches
+    course, kernel = flow._course, flow._course.kernel
+    rng = np.random.default_rng(1)
+    y, p = part.solution.states[0], part.parameters
+    along, along_p = rng.normal(size=(len(y), 1)), rng.normal(size=(len(p), 1))
+    knots = part.solution.knots
+
+    def end(s: float, v: Any, w: Any) -> Any:
+        return run_along(
+            course.method, course._address, course._slopes, p + s * along_p[:, 0],
+            y + s * along[:, 0], knots, part.times, kernel.layout.quaternion, v, w,
+        )  # fmt: skip
+
+    found = end(0.0, along, along_p)
+    errors = []
+    for h in (1e-3, 3e-4, 1e-4, 3e-5):
+        sides = [end(s * h, along[:, :0], along_p[:, :0]) for s in (-2, -1, 1, 2)]
+        for slopes, name_of in ((found.slopes[..., 0], "y"), (found.end_slopes[:, 0], "end")):
+            low, less, more, most = (getattr(side, name_of) for side in sides)
+            richardson = (8.0 * (more - less) - (most - low)) / (12.0 * h)
+            errors.append(np.abs(richardson - slopes).max() / np.abs(slopes).max())
+    assert min(errors[0::2]) < 1e-8
+    assert min(errors[1::2]) < 1e-8
+
+
+@pytest.mark.slow
+def test_tangent_is_that_of_the_exact_flow() -> None:
+    """The Jacobian agrees with variational equations by CasADi's slopes under SciPy."""
+    system = pinred.load("planar_chain5")
+    functions = pinred.casadi_functions(system)
+    flow = pinred.flow(system, seed=2, duration=0.5, wrt=["x0"], method="DOP853", rtol=1e-12)
+    run = flow._run({})
+    (part,) = run.stretches
+    y, p = part.solution.states[0], part.parameters
+    n = len(y)
+    assert functions.layout.size == n
+
+    def rate(_t: float, z: Any) -> Any:
+        J = np.array(functions.vector_field_jacobian(z[:n], p))
+        slope = J @ z[n:].reshape(n, n)
+        return np.concatenate([np.array(functions.vector_field(z[:n], p))[:, 0], slope.ravel()])
+
+    z0 = np.concatenate([y, np.eye(n).ravel()])
+    exact = (
+        solve_ivp(rate, (0.0, 0.5), z0, "DOP853", rtol=1e-11, atol=1e-13).y[n:, -1].reshape(n, n)
+    )
+    course = flow._course
+    found = run_along(
+        course.method, course._address, course._slopes, p, y, part.solution.knots, part.times,
+        course.kernel.layout.quaternion, np.eye(n), np.zeros((len(p), n)),
+    )  # fmt: skip
+    assert np.abs(found.end_slopes - exact).max() < 1e-8 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("name", ["cartpole", "satellite_two_arms"])
+def test_derivatives_of_what_simulate_gives(name: str) -> None:
+    """Values are simulate's to the bit, derivatives its differences to what step control leaves."""
+    flow = flow_of(name, method="DOP853", rtol=1e-12, times=[0.2, 0.5])
+    scene = flow.scene
+    states = pinred.simulate(scene).states
+    for key, value in vars(flow()).items():
+        np.testing.assert_array_equal(value, getattr(states, key))
+    rng, h = np.random.default_rng(0), 1e-4
+    given: Any = scene.given
+    group = flow.system.group
+    values = {"x0": given.x[0], "xdot0": given.xdot[0], "xi0": given.xi[0], "gain": 2.0}
+    for key, size in flow.inputs.items():
+        v = rng.normal(size=size)
+        sides = []
+        for s in (-h, h):
+            value = group.compose(given.pose[0], group.exp(s * v)) if key == "pose0" else None
+            moved = value if value is not None else values[key] + s * (v if size > 1 else v[0])
+            sides.append(flow(**{key: moved}))
+        found = flow.jvp({key: v})
+        for row in ("x", "xdot", "xi", "spatial_momentum"):
+            low, high = (getattr(side, row) for side in sides)
+            expected = (high - low) / (2.0 * h)
+            error = np.abs(found[..., flow.outputs[row]] - expected).max()
+            assert error < 2e-6 * max(1.0, np.abs(found).max()), (key, row)
+        low, high = (vars(side)["pose"] for side in sides)
+        turned = group.log(group.compose(group.inverse(low), high)) / (2.0 * h)
+        error = np.abs(found[..., flow.outputs["pose"]] - turned).max()
+        assert error < 2e-6 * max(1.0, np.abs(found).max()), (key, "pose")
+
+
+def test_breaks_and_plans() -> None:
+    """Derivatives go through breaks of tables, and by Parameters in tables and plans."""
+    system = pinred.load("falling_cat")
+    high, mean = Parameter("high", 0.4), Parameter("mean", 0.1)
+    options: dict[str, Any] = {
+        "seed": 3,
+        "duration": 0.6,
+        "method": "DOP853",
+        "rtol": 1e-12,
+        "forces": [Torque({"sway": Hold([0.0, 0.2, 0.4], [0.1, high, -0.1])})],
+        "prescribed": {
+            "bend": Fourier(mean, [0.1], [0.2], 1.0),
+            "twist": Spline([0.0, 0.3, 1.0], [0.0, high, 0.1]),
+        },
+    }
+    flow = pinred.flow(system, wrt=["x0", "high", "mean"], times=[0.1, 0.2, 0.5], **options)
+    jacobian = flow.jacobian()
+    assert not jacobian["x0"][..., [0, 2]].any()  # those of plans are not read
+    for name, value in (("high", 0.4), ("mean", 0.1)):
+        low, up = (flow(**{name: value + s * 1e-4}) for s in (-1, 1))
+        for row in ("x", "xdot"):
+            expected = (getattr(up, row) - getattr(low, row)) / 2e-4
+            np.testing.assert_allclose(jacobian[name][..., flow.outputs[row]], expected, atol=1e-6)
+    covector = covector_of_shape(jacobian["high"].shape)
+    for name, found in flow.vjp(covector).items():
+        expected = np.tensordot(covector, jacobian[name], 2)
+        np.testing.assert_allclose(found, expected, atol=1e-11)
+
+
+def covector_of_shape(shape: tuple[int, ...]) -> Any:
+    """Return random numbers."""
+    return np.random.default_rng(5).normal(size=shape)
+
+
+def test_inputs() -> None:
+    """What is not given stays; joints may be named; momentum is an input where it is given."""
+    system = pinred.load("falling_cat")
+    flow = pinred.flow(system, seed=1, duration=0.2, wrt=["x0"])
+    same = flow(x0=flow.scene.given.x[0])
+    np.testing.assert_array_equal(same.x, flow().x)
+    named = flow(x0={"bend": 0.3})
+    np.testing.assert_array_equal(named.x, flow(x0=[0.3, 0.0, 0.0]).x)
+    still = pinred.flow(system, x0=[0.1, 0.2, 0.0], momentum=0, duration=0.2, wrt=["x0"])
+    assert not np.abs(vars(still())["body_momentum"]).max() > 1e-14
+    moving = pinred.flow(system, x0=[0.1, 0.2, 0.0], momentum=0, duration=0.2, wrt=["momentum"])
+    assert moving.jacobian()["momentum"].shape == (18, 6)
+    assert "falling_cat" in repr(flow)
+    shape = pinred.flow(system, seed=1, duration=0.2, wrt=["x0"], outputs="shape")
+    assert [*shape.outputs] == ["x", "xdot"]
+    np.testing.assert_allclose(
+        shape.jacobian()["x0"], flow.jacobian()["x0"][:6], rtol=1e-6, atol=1e-8
+    )
+
+
+def test_refusals() -> None:
+    """Names, shapes and scenes that have no derivatives are refused by name."""
+    cat = pinred.load("falling_cat")
+    with pytest.raises(InputError, match="no input 'x_0'; did you mean 'x0'"):
+        pinred.flow(cat, seed=1, wrt=["x_0"])
+    with pytest.raises(InputError, match="named twice"):
+        pinred.flow(cat, seed=1, wrt=["x0", "x0"])
+    with pytest.raises(InputError, match=r"its inputs are pose0, x0, xdot0, xi0$"):
+        pinred.flow(cat, seed=1, wrt=["momentum"])
+    with pytest.raises(InputError, match="outputs of a flow must be among x, xdot"):
+        pinred.flow(cat, seed=1, of=["poses"])  # type: ignore[list-item]
+    with pytest.raises(InputError, match="RKMK4 has no derivatives"):
+        pinred.flow(cat, seed=1, method="RKMK4(0.01)")
+    hold = Controller(lambda *_: [0.0, 0.0, 0.0], 0.1)
+    with pytest.raises(InputError, match="controller is a function of Python"):
+        pinred.flow(cat, seed=1, forces=[hold])
+    flow = pinred.flow(cat, seed=1, duration=0.1, wrt=["x0"])
+    with pytest.raises(InputError, match="x0 must have shape"):
+        flow(x0=[1.0])
+    with pytest.raises(InputError, match="must be finite"):
+        flow(x0=[np.nan, 0.0, 0.0])
+    with pytest.raises(InputError, match="the direction of x0 must have shape"):
+        flow.jvp({"x0": [1.0]})
+    with pytest.raises(InputError, match="no input 'xdot0'"):
+        flow.jvp({"xdot0": [1.0, 0.0, 0.0]})
+    with pytest.raises(InputError, match="the covector must have shape"):
+        flow.vjp([1.0])
+    with pytest.raises(InputError, match="no output 'q'"):
+        flow.vjp({"q": [1.0]})
+    with pytest.raises(InputError, match="the covector must be finite"):
+        flow.vjp(np.full(18, np.nan))

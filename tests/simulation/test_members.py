@@ -1,0 +1,201 @@
+"""What differs between members: states, parameters, gravity, whole scenes; and their files."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pinred
+from pinred.forces import Controller, Damper, Spring, Torque
+from pinred.signals import Fourier, Spline
+from pinred.simulation.state import State
+
+CAT = pinred.load("falling_cat")
+TIMES = np.linspace(0.0, 0.5, 4)
+NEAR: dict[str, Any] = {"rtol": 1e-9, "atol": 1e-11}
+
+
+def test_parameters_and_gravity() -> None:
+    """As scenes of their own, which Pinocchio's ABA judges; a member alone has the same bits."""
+    gain = pinred.Parameter("gain", 0.3)
+    forces = [Damper("bend", gain), Spring("sway", 2.0 * np.pi, 0.1)]
+    gains, g = np.array([0.0, 0.2, 0.9]), np.array([[0, 0, -9.8], [1.0, 2, 3], [0, 0, 0]])
+    options: dict[str, Any] = {"seed": 3, "forces": forces, "times": TIMES}
+    many = pinred.simulate_many(CAT, members={"gain": gains, "gravity": g}, **options)
+    for k in range(3):
+        system = pinred.load("falling_cat", gravity=g[k])
+        one = pinred.simulate(system, parameters={"gain": gains[k]}, method="DOP853", **options)
+        for field in State.__dataclass_fields__:
+            np.testing.assert_allclose(getattr(many[k], field), getattr(one, field), **NEAR)
+        assert pinred.compare(many[k]).passed
+        alone = {"gain": gains[k : k + 1], "gravity": g[k : k + 1]}
+        np.testing.assert_array_equal(
+            pinred.simulate_many(CAT, members=alone, **options).q[0], many.q[k]
+        )
+    options["parameters"] = {"gain": gains}
+    named = pinred.simulate_many(CAT, **options)
+    np.testing.assert_array_equal(named.x, many.x)  # gravity only makes it fall
+
+
+def test_gravity_at_a_pivot() -> None:
+    """Gravity that acts on the shape or turns the base varies, too; none makes another group."""
+    g = np.array([[0.0, 0.0, -9.81], [0.0, 0.0, -1.6], [0.0, 0.0, 0.0], [0.0, 0.0, 9.0]])
+    for name in ("cartpole", "heavy_top"):
+        if name not in pinred_robots():
+            continue
+        top = pinred.load(name)
+        many = pinred.simulate_many(top, members={"gravity": g}, seed=1, times=TIMES)
+        for k in range(len(g)):
+            one = pinred.simulate(
+                pinred.load(name, gravity=g[k]), seed=1, times=TIMES, method="DOP853"
+            )
+            np.testing.assert_allclose(many[k].q, one.q, **NEAR)
+            np.testing.assert_allclose(many[k].energy, one.energy, **NEAR)
+
+
+def pinred_robots() -> set[str]:
+    """Return the names of the robots that come with pinred."""
+    from pinred.system.catalogue import bundled_robots
+
+    return set(bundled_robots())
+
+
+def test_plans_vary_with_their_parameters() -> None:
+    """A prescribed joint begins where its member's plan begins."""
+    size = pinred.Parameter("size", 0.2)
+    plan = Fourier(size, [0.1], [size], 2.0)
+    sizes = np.array([0.1, 0.4])
+    options: dict[str, Any] = {"prescribed": {"bend": plan}, "momentum": 0, "times": TIMES}
+    many = pinred.simulate_many(CAT, members={"size": sizes}, **options)
+    for k in range(2):
+        one = pinred.simulate(CAT, parameters={"size": sizes[k]}, method="DOP853", **options)
+        np.testing.assert_allclose(many[k].q, one.q, **NEAR)
+        assert pinred.compare(many[k]).passed
+
+
+def test_a_list_of_scenes() -> None:
+    """Forces of several structures and numbers, with pieces and without, in any order."""
+
+    def scene(k: int) -> pinred.Scene:
+        forces: list[Any] = [
+            [Spring("bend", 1.0 + k, 0.0)],
+            [Spring("bend", 3.0 - k, 0.1)],
+            [Torque({"sway": Fourier(0.0, [0.1], [0.0], 2.0)})],
+            [Controller(_held, 0.1)],
+            [],
+        ]
+        start = [0.1 * k, 0.0, 0.2]
+        plan = {"twist": Spline([0.0, 0.2, 0.5], [0.0, 1.0, 0.0])} if k == 4 else {}
+        return pinred.Scene(
+            system=CAT, x0=start, momentum=0, forces=forces[k], prescribed=plan, times=TIMES
+        )
+
+    scenes = [scene(k) for k in range(5)]
+    many = pinred.simulate_many(scenes)
+    back = pinred.simulate_many(scenes[::-1])
+    np.testing.assert_array_equal(many.q, back.q[::-1])
+    for k, each in enumerate(scenes):
+        np.testing.assert_allclose(many[k].q, pinred.simulate(each, method="DOP853").q, **NEAR)
+        assert many[k].scene.forces == each.forces
+    assert many.q.shape == (5, 4, 10)
+
+
+def _held(_t: float, _x: Any, xdot: Any, _mu: Any) -> list[float]:
+    return [0.1, 0.0, -float(xdot[2])]
+
+
+WRONG: list[tuple[Any, dict[str, Any], str]] = [
+    (CAT, {"members": {"gains": [1.0]}, "seed": 1}, "members: nothing called 'gains' varies"),
+    (CAT, {"members": {"gravity": [0, 0, 1.0]}}, r"gravity must have shape \(N, 3\)"),
+    (CAT, {"members": {"x0": np.zeros((2, 3))}, "x0": [1.0, 0, 0]}, "'x0' is given among"),
+    (CAT, {"members": {"x0": np.zeros((2, 3)), "gravity": np.zeros((3, 3))}}, "x0: 2, gravity: 3"),
+    (CAT, {"members": [1.0]}, "members must be"),
+    (CAT, {"seeds": [1], "x0": np.zeros((1, 3))}, "seeds stands for whole random states"),
+    ([], {}, "at least one member"),
+    ([CAT], {}, "takes Scenes in a list, but entry 0"),
+    (
+        [pinred.Scene(system=CAT, duration=1.0), pinred.Scene(system=CAT, duration=2.0)], {},
+        "at the same times",
+    ),
+    ([pinred.Scene(system=CAT)], {"duration": 1.0}, "do not give duration beside"),
+    ("falling_cat", {"seeds": [1]}, "takes a System"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("what", "options", "words"), WRONG)
+def test_what_cannot_vary(what: Any, options: dict[str, Any], words: str) -> None:
+    """The names are said, and what to do."""
+    with pytest.raises(pinred.InputError, match=words):
+        pinred.simulate_many(what, **options)
+
+
+def test_a_member_is_a_trajectory() -> None:
+    """At any time, with its balances; at the report times the arrays' own numbers."""
+    many = pinred.simulate_many(CAT, seeds=[1, 2], duration=0.5, forces=[Damper("bend", 0.2)])
+    traj = many[1]
+    assert isinstance(traj, pinred.Trajectory)
+    np.testing.assert_array_equal(traj.energy, many.energy[1])
+    one = pinred.simulate(CAT, seed=2, duration=0.5, forces=[Damper("bend", 0.2)])
+    np.testing.assert_allclose(traj(0.123).q, one(0.123).q, **NEAR)
+    assert (traj.run.steps, traj.run.evaluations) == (one.run.steps, one.run.evaluations)
+    work = traj.energy_balance.work[-1]
+    np.testing.assert_allclose(work, one.energy_balance.work[-1], **NEAR)
+    shapes = pinred.simulate_many(CAT, seeds=[1, 2], times=TIMES, outputs="shape")
+    assert shapes.x.shape == (2, 4, 3)
+    with pytest.raises(pinred.InputError, match="outputs='shape'"):
+        _ = shapes.pose
+
+
+def test_files_of_members(tmp_path: Path) -> None:
+    """Arrays with names, and who failed; nothing is left of a file that cannot be."""
+    system = pinred.load("coupled_planar")
+    many = pinred.simulate_many(
+        system, x0=[[0.0], [1.0]], duration=100.0, springs={"hinge": (-1e6, 0.0)}
+    )
+    many.save(tmp_path / "many.npz")
+    with np.load(tmp_path / "many.npz") as file:
+        np.testing.assert_array_equal(file["x"], many.x)
+        np.testing.assert_array_equal(file["pose"], many.pose)
+        np.testing.assert_array_equal(file["t"], many.t)
+        assert file["failure"].tolist() == ["", many.failures[0].reason]
+        assert file["reached"].tolist() == [100.0, many.failures[0].time]
+        assert file["robot"] == "coupled_planar"
+    with pytest.raises(pinred.InputError, match=r"\.npz or \.zarr"):
+        many.save(tmp_path / "many.csv")
+    assert [path.name for path in tmp_path.iterdir()] == ["many.npz"]
+
+
+def test_files_of_zarr(tmp_path: Path) -> None:
+    """The same arrays as a folder, if the package is there; else it says how to get it."""
+    many = pinred.simulate_many(CAT, seeds=[1, 2], times=TIMES)
+    if find_spec("zarr") is None:
+        with pytest.raises(pinred.MissingPackageError, match=r"pinred\[zarr\]"):
+            many.save(tmp_path / "many.zarr")
+        assert list(tmp_path.iterdir()) == []
+        return
+    zarr = import_module("zarr")
+    many.save(tmp_path / "many.zarr")
+    root = zarr.open_group(str(tmp_path / "many.zarr"), mode="r")
+    np.testing.assert_array_equal(root["q"][:], many.q)
+    assert root.attrs["robot"] == "falling_cat"
+    assert [path.name for path in tmp_path.iterdir()] == ["many.zarr"]
+    with pytest.raises(pinred.InputError, match="it is a folder"):
+        many.save(tmp_path / "many.zarr")
+
+
+@pytest.mark.slow
+def test_the_example_of_the_docs(capsys: pytest.CaptureFixture[str]) -> None:
+    """It runs as it stands, and its member passes its comparison."""
+    text = (Path(__file__).parents[2] / "docs/many.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    exec(compile(code, "docs/many.md", "exec"), {})
+    out = capsys.readouterr().out
+    assert "40 members 8 at once in lanes, DOP853" in out
+    assert "(40, 201, 3) (40, 201)" in out
+    assert "verdict: PASSED" in out

@@ -1,0 +1,168 @@
+"""How far the ends of a motion may be off, and what the references say of themselves."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.verification import compare as judge
+from pinred.verification.defect import Defects
+from pinred.verification.distances import FullMotion
+from pinred.verification.full_state import FullState
+from pinred.verification.report import Verdict
+
+RTOL, ATOL = 1e-8, 5e-9
+TOLERANCE = RTOL + ATOL
+
+
+@cache
+def cat() -> pinred.Trajectory:
+    """A second of the falling cat."""
+    return pinred.simulate(pinred.load("falling_cat"), duration=1.0, rtol=RTOL, atol=ATOL)
+
+
+class Spy:
+    """A full simulation whose runs are written down, and whose parts can be replaced."""
+
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, *, apart: float = 0.0, at: int = -1
+    ) -> None:
+        """Watch from now on.  apart: by how much the second reference is moved [rad].  at: when."""
+        self.runs: list[tuple[str, float, float]] = []
+        run = FullState.run
+
+        def watched(
+            full: FullState, y0: Array, times: Array, rtol: float, atol: float, **more: Any
+        ) -> FullMotion:
+            found = run(full, y0, times, rtol, atol, **more)
+            self.runs.append((more.get("method", "dop853"), rtol, atol))
+            if more.get("method") != "dopri5":
+                return found
+            x = found.x.copy()
+            x[at, 0] += apart
+            return FullMotion(x=x, q=found.q)
+
+        monkeypatch.setattr(FullState, "run", watched)
+
+
+def test_references_are_tighter_and_of_two_orders(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hundred times, by two methods, and the kicked one as tight as they are."""
+    spy = Spy(monkeypatch)
+    pinred.compare(cat())
+    assert spy.runs[0] == ("dop853", RTOL, ATOL)  # that whose time is taken
+    assert sorted(name for name, *_ in spy.runs[1:]) == ["dop853", "dop853", "dopri5"]
+    for _, rtol, atol in spy.runs[1:]:
+        assert (rtol, atol) == pytest.approx((RTOL / 100.0, ATOL / 100.0))
+
+
+def test_the_reference_is_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """How far the two are apart is what is reported, and beyond its bound fails."""
+    Spy(monkeypatch, apart=1e-7)
+    report = pinred.compare(cat())
+    assert report.reference_error == pytest.approx(1e-7, rel=1e-2)
+    assert report.passed
+    Spy(monkeypatch, apart=3.0 * report.reference_bound)
+    report = pinred.compare(cat())
+    assert report.verdict is Verdict.FAILED
+    value, bound = report.checks["reference error [relative]"]
+    assert value > bound
+
+
+def test_a_reference_that_was_wrong_is_not_right_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the two were apart once passes from then on."""
+    Spy(monkeypatch, apart=1e-6, at=50)
+    bounds = pinred.compare(cat()).rotation_bounds
+    assert bounds[49] < 1e-6
+    assert (bounds[50:] > 0.99e-5).all()
+
+
+def with_defects(
+    monkeypatch: pytest.MonkeyPatch,
+    steps: float,
+    inside: float,
+    growth: float | Array,
+    traj: pinred.Trajectory | None = None,
+) -> pinred.Report:
+    """The comparison, of a motion whose defects and growth were those."""
+    made = Defects(np.full(9, steps), np.full(9, inside), np.ones(9, dtype=bool))
+    monkeypatch.setattr(judge, "defects", lambda *_: made)
+    monkeypatch.setattr(
+        FullState, "growth", lambda _full, _y0, _motion, times, *_: growth + np.zeros(len(times))
+    )
+    return pinred.compare(traj or cat())
+
+
+@pytest.mark.parametrize(("steps", "mean"), [(2e-8, 2e-8), (1e-4, 3.0 * TOLERANCE)])
+def test_energy_drifts_by_many_defects(
+    monkeypatch: pytest.MonkeyPatch, steps: float, mean: float
+) -> None:
+    """Twice as many as there are steps; defects that fail excuse nothing."""
+    fine = pinred.DOP853(max_step=0.01)
+    traj = pinred.simulate(cat().system, duration=1.0, rtol=RTOL, atol=ATOL, method=fine)
+    count = len(traj.motion.knots) - 1
+    assert count >= 100
+    report = with_defects(monkeypatch, steps, 0.0, 1.0, traj)
+    assert report.drift_bound == pytest.approx(2.0 * count * mean)
+
+
+def test_all_of_a_motion_is_judged() -> None:
+    """At 101 times and those reported, whatever these are; of one that ends at once, round-off."""
+    system = cat().system
+    traj = pinred.simulate(system, duration=1.0, times=[0.0, 0.333], rtol=1e-14, atol=1e-16)
+    report = pinred.compare(traj)
+    assert report.t == pytest.approx(np.union1d(np.linspace(0.0, 1.0, 101), 0.333), abs=1e-15)
+    least = 1e-13 + report.growth[0] * 1e-15
+    assert report.rotation_bounds[0] == pytest.approx(10.0 * least, abs=0.0)
+    assert report.defect_bound == pytest.approx(3.0 * (1e-13 + 1e-16), abs=0.0)
+
+
+def test_nothing_is_judged_after_what_can_be_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither the reference nor its bound, which grows as long as something is told."""
+    growth = np.concatenate([np.full(50, 1.0), [7.0], np.full(150, 1e6)])
+    Spy(monkeypatch, apart=1.0, at=51)
+    report = with_defects(monkeypatch, 1e-9, 0.0, growth)
+    assert report.told == 51
+    assert report.reference_bound == pytest.approx(700.0 * TOLERANCE)
+    assert report.reference_error < 1e-9
+    assert report.verdict is Verdict.CANNOT_TELL
+
+
+@pytest.mark.parametrize(("steps", "most"), [(1e-9, 1e-9), (1e-4, 3.0 * TOLERANCE)])
+@pytest.mark.parametrize(("inside", "least"), [(1e-8, 1e-8), (1e-2, 50.0 * TOLERANCE)])
+def test_ends_are_bounded_by_defects(
+    monkeypatch: pytest.MonkeyPatch, steps: float, most: float, inside: float, least: float
+) -> None:
+    """Ten times their sum times the growth; defects that fail excuse nothing."""
+    report = with_defects(monkeypatch, steps, inside, 7.0)
+    count = np.searchsorted(cat().motion.knots, report.t)
+    local = count * most + np.where(count > 0, least, 0.0)
+    assert report.rotation_bounds == pytest.approx(
+        10.0 * (7.0 * local + 1e-13), rel=0.02, abs=2e-11
+    )
+    assert report.shape_bounds[:, 0] == pytest.approx(report.rotation_bounds)  # 1 rad at least
+
+
+@pytest.mark.parametrize(("growth", "verdict"), [(9e4, "PASSED"), (1.1e5, "CANNOT TELL")])
+def test_a_kick_of_a_millionth(
+    monkeypatch: pytest.MonkeyPatch, growth: float, verdict: str
+) -> None:
+    """Where it has grown to a tenth, nothing is told."""
+    report = with_defects(monkeypatch, 1e-9, 0.0, growth)
+    assert report.verdict == verdict
+    assert report.told == (len(report.t) if verdict == "PASSED" else 0)
+    assert report.reference_bound == 0.1  # 100 tolerances times the growth are more
+
+
+@pytest.mark.parametrize(("allowed", "verdict"), [(0.09, "PASSED"), (0.11, "CANNOT TELL")])
+def test_a_bound_above_a_tenth_tells_nothing(
+    monkeypatch: pytest.MonkeyPatch, allowed: float, verdict: str
+) -> None:
+    """Of a radian, or of the size of the motion."""
+    growth = allowed / (10.0 * 50.0 * TOLERANCE)
+    report = with_defects(monkeypatch, 0.0, 1.0, growth)
+    assert report.verdict == verdict

@@ -1,0 +1,128 @@
+"""Defects by ABA: a jump of each number at the end of a step shows by its size, in its unit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import casadi
+import numpy as np
+import pytest
+from tampering import tampered
+
+import pinred
+from pinred.verification import defect as module
+from pinred.verification.defect import Defects, defect, defects
+from pinred.verification.full_state import FullState
+from pinred.verification.stress.made_robots import single
+
+RTOL, END = 1e-9, 0.5
+JUMP = 1e-3
+
+
+@cache
+def cat(atol: float, away: float = 0.0) -> pinred.Trajectory:
+    """The falling cat, with speeds of some 1 m/s and rad/s."""
+    pose0 = [away, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    return pinred.simulate(
+        pinred.load("falling_cat"), duration=END, rtol=RTOL, atol=atol, pose0=pose0,
+        x0=[0.5, 3.0, -2.0], xdot0=[1.0, -4.0, 2.0], xi0=[0.3, 2.0, -0.5, 1.5, 0.2, 3.0],
+    )  # fmt: skip
+
+
+def jumped(traj: pinred.Trajectory, name: str, column: int, when: float) -> pinred.Trajectory:
+    """The motion with one number larger from a time on."""
+
+    def change(state: pinred.State) -> pinred.State:
+        values = getattr(state, name).copy()
+        values[state.t >= when, column] += JUMP
+        return replace(state, **{name: values})
+
+    return tampered(traj, change)
+
+
+KINDS = [("pose", 1), ("pose", 4), ("x", 0), ("x", 1), ("xi", 2), ("xi", 4), ("xdot", 2)]
+
+
+@pytest.mark.parametrize(("name", "column"), KINDS)
+@pytest.mark.parametrize(("atol", "away"), [(1e-2 * RTOL, 0.0), (1e3 * RTOL, 0.0), (RTOL, 1e7)])
+def test_a_jump_shows_in_its_unit(name: str, column: int, atol: float, away: float) -> None:
+    """The largest of its kind, at least 1, the radius of gyration, or atol over rtol of those."""
+    traj = jumped(cat(atol, away), name, column, END)
+    slow, states = atol / RTOL, traj(traj.motion.knots)
+    full = FullState(traj.scene)
+    radius = full.radius(traj.system.q(states.pose[0], states.x[0]))
+    assert radius < 1.0
+    place = states.pose[:, :3]
+    sizes = {
+        "pose": 1.0,
+        "x": float(max(1.0, np.abs(states.x).max())),
+        "xi": float(max(slow, np.abs(states.xi[:, 3:]).max())),
+        "xdot": float(max(slow, np.abs(states.xdot).max())),
+    }
+    if (name, column) == ("pose", 1):
+        sizes["pose"] = max(radius, np.abs(place - place[0]).max(), 1e-5 * np.abs(place).max())
+    if (name, column) == ("xi", 2):
+        sizes["xi"] = max(slow * radius, np.abs(states.xi[:, :3]).max())
+    assert defect(traj, traj.system) == pytest.approx(JUMP / sizes[name], rel=1e-3)
+
+
+def test_right_motions_have_small_defects() -> None:
+    """Of the tolerance; where a step turns the base six times round, of round-off all the same."""
+    assert defect(cat(RTOL), cat(RTOL).system) < RTOL
+    exact = pinred.RKMK4(step=2.0)
+    spinning = pinred.simulate(
+        single([1.0, 1.0, 1.0]), xi0=[0.0, 0.0, 20.0], duration=4.0, method=exact
+    )
+    assert len(spinning.motion.knots) == 3
+    assert defect(spinning, spinning.system) < 1e-14
+
+
+def test_what_jumps_between_the_ends_of_a_step() -> None:
+    """It does not show in the step, and in its parts it does."""
+    knots = cat(RTOL).motion.knots
+    middle = 0.5 * (knots[2] + knots[3])
+
+    def change(state: pinred.State) -> pinred.State:
+        x = state.x.copy()
+        x[state.t == middle, 0] += JUMP
+        return replace(state, x=x)
+
+    traj = tampered(cat(RTOL), change)
+    assert defect(traj, traj.system) < RTOL
+    assert defect(traj, traj.system, inside=True) == pytest.approx(
+        JUMP / np.abs(traj(knots).x).max(), rel=1e-6
+    )
+
+
+def test_steps_that_are_judged() -> None:
+    """All up to 200, and of more as many at random."""
+    fine = pinred.DOP853(max_step=END / 230)
+    traj = pinred.simulate(cat(RTOL).system, duration=END, method=fine)
+    full = FullState(traj.scene)
+    assert len(traj.motion.knots) > 230
+    assert defects(traj, full).steps.shape == (200,)
+    few = defects(traj, full, steps=7)
+    assert few.steps.shape == few.smooth.shape == (7,)
+    count = len(cat(RTOL).motion.knots) - 1
+    assert defects(cat(RTOL), full).steps.shape == (count,)
+
+
+@pytest.mark.parametrize("kinks", [True, False])
+def test_kinks_of_forces_stand_out(monkeypatch: pytest.MonkeyPatch, kinks: bool) -> None:
+    """Ten times the median, where forces have kinks; what is no number is none."""
+    system = pinred.load("coupled_planar")
+    acting = [pinred.forces.Torque(lambda _t, x, *_: 0.1 * casadi.fabs(x))] if kinks else []
+    steps = np.array([1.0, 1.0, 1.0, 9.9, 10.1])
+
+    def made(*_: object) -> Defects:
+        return Defects(steps, steps, np.ones(5, dtype=bool))
+
+    monkeypatch.setattr(module, "_defects", made)
+    scene = pinred.Scene(system=system, duration=0.1, xdot0=[1.0], forces=acting)
+    traj = pinred.simulate(scene)
+    found = defects(traj, FullState(scene))
+    assert found.smooth.tolist() == [True] * 4 + [not kinks]
+    assert found.worst == (9.9 if kinks else 10.1)
+    steps[0] = np.nan
+    assert np.isnan(defects(traj, FullState(scene)).worst)

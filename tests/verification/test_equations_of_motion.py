@@ -1,0 +1,129 @@
+"""What an error of accelerations counts for: a cart and pole in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.simulation.accelerations import Accelerations
+from pinred.verification import equations_of_motion
+from pinred.verification.equations_of_motion import equation_errors
+from pinred.verification.full_state import FullState
+
+CART, POLE, LEVER, MOMENT, G = 2.0, 1.0, 0.5, 0.09, 9.81  # of robots/cartpole.urdf, SI
+TIMES = np.linspace(0.0, 0.5, 4)
+
+
+@cache
+def swinging(driven: bool) -> pinred.Trajectory:
+    """The cart and pole.  driven: with the pole on a plan."""
+    system = pinred.load("cartpole")
+    if not driven:
+        return pinred.simulate(system, x0=[0.7], xdot0=[0.5], xi0=[0.3], duration=0.5)
+    plan = {system.shape_names[0]: pinred.signals.Expression("0.7 + 0.3*sin(2*t)")}
+    return pinred.simulate(system, prescribed=plan, xi0=[0.3], duration=0.5)
+
+
+def mass_matrix(angle: float) -> Array:
+    """Of cart and pole, of which the pole hangs at angle 0."""
+    coupled = -POLE * LEVER * np.cos(angle)
+    return np.array([[CART + POLE, coupled], [coupled, MOMENT + POLE * LEVER**2]])
+
+
+def closed_form(angle: float, rate: float) -> Array:
+    """Accelerations of cart and pole."""
+    centrifugal = POLE * LEVER * np.sin(angle) * rate**2
+    weight = POLE * G * LEVER * np.sin(angle)
+    return np.linalg.solve(mass_matrix(angle), [-centrifugal, -weight])
+
+
+def pulled(t: float, angle: float, rate: float) -> Array:
+    """The same where the pole follows its plan."""
+    turned = -4.0 * 0.3 * np.sin(2.0 * t)
+    moved = POLE * LEVER * (np.cos(angle) * turned - np.sin(angle) * rate**2)
+    return np.array([moved / (CART + POLE), turned])
+
+
+def errors(
+    monkeypatch: pytest.MonkeyPatch, off: Any, *, spread: Any = (0.0, 0.0), pace: float = 0.0,
+    driven: bool = False, speed: float = 1.0,
+) -> Array:  # fmt: skip
+    """The errors of a route whose accelerations are off by that.
+
+    spread, pace: of its accelerations.  speed: of all; 0 at rest, hanging.
+    """
+    traj = swinging(driven)
+    states = traj(TIMES)
+    moving = {name: speed * getattr(states, name) for name in ("x", "xdot", "xi")}
+    states = states if speed == 1.0 else replace(states, **moving)
+    v = np.hstack([states.xi, states.xdot])
+    a = [
+        pulled(t, x, xdot) if driven else closed_form(x, xdot)
+        for t, x, xdot in zip(TIMES, states.x[:, 0], states.xdot[:, 0], strict=True)
+    ]
+    paces = np.full(len(TIMES), pace)
+    given = Accelerations(states, v, np.array(a) + off, np.full_like(v, spread), paces)
+    monkeypatch.setattr(equations_of_motion, "accelerations", lambda *_: given)
+    return equation_errors(traj, FullState(traj.scene), TIMES)
+
+
+def terms(*, pace: float = 0.0, driven: bool = False) -> tuple[Array, Array]:
+    """What the forces are sums of (T, 2), and the mass matrices (T, 2, 2)."""
+    states, sums, inertias = swinging(driven)(TIMES), [], []
+    between = 2.0 * CART * POLE / (CART + POLE) * LEVER**2
+    radius = np.sqrt((0.3 + 0.19 + between) / (CART + POLE))
+    for t, x, xdot, xi in np.hstack([TIMES[:, None], states.x, states.xdot, states.xi]):
+        H, a = mass_matrix(x), pulled(t, x, xdot) if driven else closed_form(x, xdot)
+        changes = np.abs(a) + pace * np.abs([xi, xdot])
+        weight = POLE * G * LEVER * abs(np.sin(x))
+        carried = np.array([CART + POLE, POLE * radius]) * (changes[0] + radius * changes[1])
+        sums.append(np.abs(H) @ changes + [0.0, weight] + 1e-5 * carried)
+        inertias.append(H)
+    return np.array(sums), np.array(inertias)
+
+
+OFF = np.array([1e-3, -2e-3])
+
+
+@pytest.mark.parametrize("pace", [0.0, 3.0])
+def test_forces_in_parts_of_what_they_are_sums_of(
+    monkeypatch: pytest.MonkeyPatch, pace: float
+) -> None:
+    """Of inertia, of rates that change so fast, of gravity, and 1e-5 of what the bodies carry."""
+    sums, H = terms(pace=pace)
+    found = errors(monkeypatch, OFF, pace=pace)
+    assert found == pytest.approx(np.abs(H @ OFF) / sums, rel=1e-8)
+
+
+def test_what_two_derivatives_leave_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten times the spread of the route's accelerations."""
+    sums, H = terms()
+    spread = np.array([2e-5, 1e-5])
+    found = errors(monkeypatch, OFF, spread=spread)
+    left = np.maximum(np.abs(H @ OFF) - 10.0 * np.abs(H) @ spread, 0.0)
+    assert found == pytest.approx(left / sums, rel=1e-8)
+    assert (found > 0.0).all()
+    assert not errors(monkeypatch, OFF, spread=20.0 * spread).any()
+
+
+def test_a_drive_follows_its_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a prescribed joint its acceleration is what counts, whatever force that takes."""
+    sums, H = terms(driven=True)
+    spread = np.array([2e-5, 1e-5])
+    found = errors(monkeypatch, OFF, spread=spread, driven=True)
+    assert found[:, 1] == pytest.approx(H[:, 1, 1] * (2e-3 - 1e-4) / sums[:, 1], rel=1e-8)
+    left = np.abs(H @ OFF) - 10.0 * np.abs(H) @ spread
+    assert found[:, 0] == pytest.approx(left[:, 0] / sums[:, 0], rel=1e-8)
+
+
+def test_forces_that_are_hardly_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At rest they count in steps of 1e-290 N."""
+    off = 1e-297 * OFF
+    found = errors(monkeypatch, off, speed=0.0)
+    assert found == pytest.approx(np.abs([mass_matrix(0.0) @ off] * len(TIMES)) / 1e-290)

@@ -1,0 +1,85 @@
+"""Figures of connections and phases: what is drawn is what Pinocchio says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from figures import drawn
+from matplotlib.contour import QuadContourSet
+
+import pinred
+from pinred import plots
+
+CIRCLE = pinred.Gait.fourier([0.3, 0.2], [[0.5, 0.0]], [[0.0, 0.5]])
+
+
+def rods() -> pinred.Connection:
+    """Three rods in the plane."""
+    return pinred.Connection.mechanical(pinred.load("three_rods"))
+
+
+def test_the_zero_contour_is_where_the_curvature_is_zero() -> None:
+    """By Pinocchio at points of the line that is drawn."""
+    figure = plots.field(rods(), limits=[(-2.0, 2.0)] * 2, gait=CIRCLE)
+    axes = figure.axes[0]
+    sets = [each for each in axes.collections if isinstance(each, QuadContourSet)]
+    (zero,) = [each for each in sets if list(each.levels) == [0.0]]
+    points = np.concatenate(
+        [np.asarray(p.vertices) for p in zero.get_paths() if p.vertices is not None]
+    )
+    red = pinred.Reduction(pinred.load("three_rods"))
+    for point in points[:: len(points) // 5]:
+        assert abs(red.curvature(point)[2, 0, 1]) < 1e-3
+    x, y = drawn(axes, "path")
+    np.testing.assert_allclose(np.hypot(x - 0.3, y - 0.2), 0.5, atol=1e-12)
+    assert "signed area of the gait 0.7854" in axes.figure.get_suptitle() + axes.get_title() + str(
+        [text.get_text() for text in axes.figure.texts]
+    )
+
+
+def test_the_integral_in_the_title_is_the_turn() -> None:
+    """The angle of planar bodies commutes: minus the integral over the gait is the phase."""
+    figure = plots.field(rods(), gait=CIRCLE)
+    text = " ".join(
+        [figure.get_suptitle(), figure.axes[0].get_title(), *(t.get_text() for t in figure.texts)]
+    )
+    integral = float(text.split("integral over it ")[1].split()[0].replace("−", "-"))
+    turn = pinred.phase(rods(), CIRCLE).pose[2]
+    assert -integral == pytest.approx(turn, rel=1e-3)
+
+
+@pytest.mark.parametrize("part", ["exterior", "bracket", "connection"])
+def test_parts(part: str) -> None:
+    """The parts of the curvature, and the vector field of the connection."""
+    figure = plots.field(rods(), part=part, component="v1")  # type: ignore[arg-type]
+    assert "alpha1" in figure.axes[0].get_xlabel()
+
+
+def test_cycles_in_the_plane_and_in_space() -> None:
+    """The path passes through the pose after each cycle."""
+    p = pinred.phase(rods(), CIRCLE)
+    axes = pinred.plot(p, "cycles", count=3).axes[0]
+    x, y = drawn(axes, "after each cycle")
+    expected = np.array([p.cycles(k)[:2] for k in range(4)])
+    np.testing.assert_allclose(np.stack([x, y], axis=1), expected, atol=1e-12)
+    cat = pinred.Connection.mechanical(pinred.load("falling_cat"))
+    gait = pinred.Gait.fourier(np.zeros(3), [[0.5, 0.0, 0.0]], [[0.0, 0.5, 0.0]])
+    q = pinred.phase(cat, gait)
+    t, turned = drawn(plots.cycles(q, count=2).axes[0], "θx")
+    assert t[-1] == pytest.approx(2.0)
+    assert turned[-1] == pytest.approx(cat.group.log(q.cycles(2))[3], abs=1e-12)
+
+
+def test_refusals() -> None:
+    """What is no connection, no phase, or not two joints."""
+    with pytest.raises(pinred.InputError, match="field draws a Connection"):
+        plots.field(pinred.load("three_rods"))  # type: ignore[arg-type]
+    with pytest.raises(pinred.InputError, match="cycles draws a Phase"):
+        plots.cycles(rods())  # type: ignore[arg-type]
+    with pytest.raises(pinred.InputError, match="count must be"):
+        plots.cycles(pinred.phase(rods(), CIRCLE), count=0)
+    with pytest.raises(pinred.InputError, match="two different ones"):
+        plots.field(rods(), joints=(0, 0))
+    one = pinred.Connection.mechanical(pinred.load("elroys_beanie"))
+    with pytest.raises(pinred.InputError, match="needs two joints"):
+        plots.field(one)
