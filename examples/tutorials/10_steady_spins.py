@@ -1,5 +1,5 @@
 # %% [markdown]
-# # 7. Which steady spin survives?
+# # 10. Which steady spin survives?
 #
 # Throw a book into the air: about its longest and its shortest axis it spins steadily, about the
 # middle one it tumbles. A steady spin is a *relative equilibrium*: body velocity ξ and shape stay

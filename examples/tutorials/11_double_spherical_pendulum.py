@@ -1,5 +1,5 @@
 # %% [markdown]
-# # 8. The double spherical pendulum
+# # 11. The double spherical pendulum
 #
 # Two pendulums on universal joints, one hanging from the other. Turning everything about the
 # vertical changes nothing, so the angular momentum J about it is kept, and the steady motions at

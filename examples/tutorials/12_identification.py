@@ -1,5 +1,5 @@
 # %% [markdown]
-# # 7. What does the arm carry?
+# # 12. What does the arm carry?
 #
 # A satellite with two arms has caught something with its left hand. It floats, its wheels are off,
 # and its arms swing for two seconds: from the angles of the joints alone, recorded with noise, mass

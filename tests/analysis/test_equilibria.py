@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from coupled_trees import make_case, multipliers
 from point_pendulum import GRAVITY, urdf
 from spinning_robots import gyrostat, rods
 from trees import random_model
@@ -291,6 +292,48 @@ def test_pivots_in_gravity() -> None:
         np.testing.assert_allclose(np.cross(each.xi, each.direction), 0.0, atol=1e-12)
         assert each.mu @ each.direction == pytest.approx(0.7, rel=1e-12)
     stands_still(found)
+
+
+def test_a_heavy_gyrostat() -> None:
+    """A rotor and an arm on a pivot in gravity: free with a momentum, and driven."""
+    model = pin.Model()
+    root = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "root")
+    for kind, name, place, lever, moments in (
+        (None, "", (0.0, 0.0, 0.0), (0.0, 0.1, 0.5), (0.1, 0.2, 0.15)),
+        (pin.JointModelRZ(), "wheel", (0.0, 0.1, 0.5), (0.0, 0.0, 0.0), (0.02, 0.02, 0.03)),
+        (pin.JointModelRX(), "arm", (0.0, 0.3, 0.2), (0.0, 0.0, -0.3), (0.02, 0.03, 0.01)),
+    ):
+        body = pin.Inertia(0.5, np.array(lever), np.diag(moments))
+        where = pin.SE3(np.eye(3), np.array(place))
+        at = root if kind is None else model.addJoint(root, kind, where, name)
+        model.appendBodyToJoint(at, body, pin.SE3.Identity())
+    system = pinred.load(model)
+    free = pinred.relative_equilibria(system, momentum=1.3, cyclic={"wheel": 0.8}, starts=60)
+    driven = pinred.relative_equilibria(
+        system, momentum=1.3, prescribed={"wheel": "20*t"}, starts=60
+    )
+    for found in (free, driven):
+        assert len(found) >= 4
+        stands_still(found)
+    red = pinred.Reduction(system)
+    for each in free:
+        pi = red.mass_matrix(each.x) @ np.r_[each.xi, each.xdot]
+        assert pi[3] == pytest.approx(0.8, rel=1e-12)
+    assert all(each.xdot[0] == 20.0 for each in driven)
+
+
+def test_joints_that_follow_others() -> None:
+    """A coupled tree turns steadily: no accelerations by ABA with multipliers."""
+    case = make_case("SE2", 3, 4)
+    system, model = case.system, case.system.model
+    assert system.couplings
+    found = pinred.relative_equilibria(system, momentum=1.0, starts=40)
+    assert len(found) >= 1
+    tau = multipliers(system)
+    for each in found:
+        q, v = system.model_q(np.zeros(3), each.x), system.model_v(each.xi, each.xdot)
+        a = pin.aba(model, model.createData(), q, v, tau(0.0, q, v))
+        assert np.abs(a).max() <= 1e-9 * max(1.0, float(v @ v)), str(each)
 
 
 def test_families_count_once() -> None:

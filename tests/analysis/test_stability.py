@@ -117,6 +117,27 @@ def test_second_variation_is_the_energys() -> None:
         assert energy(point.moved(step), 1.0).U[0] > least.amended_potential
 
 
+def test_the_stable_stay_close_in_the_energys_norm() -> None:
+    """δzᵀ h″ δz stays what it was: h″ from the linearised flow is symmetric and positive."""
+    pendulum = pinred.load("double_spherical_pendulum")
+    least = pinred.relative_equilibria(pendulum, momentum=2.0, starts=100)[0]
+    start = pinred.simulate(least.scene(duration=1.0))
+    J = pinred.linearise(start).matrix
+    second = np.vstack([-J[3:], J[:3]])  # ż = Ω h″ δz in (x, π)
+    np.testing.assert_allclose(second, second.T, atol=1e-9 * np.abs(second).max())
+    assert np.linalg.eigvalsh(0.5 * (second + second.T)).min() > 0.0
+    traj = pinred.simulate(least.scene(1, amplitude=1e-3, duration=60.0))
+    red = pinred.Reduction(pendulum)
+    momenta = [
+        (red.mass_matrix(x) @ np.r_[xi, v])[1:]
+        for x, xi, v in zip(traj.x, traj.xi, traj.xdot, strict=True)
+    ]
+    steady = (red.mass_matrix(least.x) @ np.r_[least.xi, least.xdot])[1:]
+    apart = np.hstack([traj.x - least.x, np.array(momenta) - steady])
+    size = np.einsum("ti,ij,tj->t", apart, second, apart)
+    np.testing.assert_allclose(size, size[0], rtol=0.05)
+
+
 def damped_growth(each: RelativeEquilibrium, joint: str, c: float) -> float:
     """The largest growth with a damper at a joint, by the Jacobian of a kernel that has it."""
     from dataclasses import replace

@@ -83,7 +83,7 @@ def _timing(name: str, J: float, rounds: int) -> FloquetTiming:
         lambda: _differences(least, T),
         lambda: _by_scipy(traj.scene, T),
     ]
-    found = [_sorted(np.linalg.eigvals(route())) for route in routes]
+    found = [_sorted(np.linalg.eigvals(route()).astype(complex)) for route in routes]
     error = [float(np.abs(each - exact).max() / np.abs(exact).max()) for each in found]
     wall = np.median(alternating([repeated(route) for route in routes], rounds=rounds), axis=0)
     return FloquetTiming(name, T, np.asarray(wall), np.array(error))
