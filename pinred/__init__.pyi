@@ -33,9 +33,9 @@ from .analysis.frames.flatness import Flatness as Flatness
 from .analysis.frames.flatness import flatness as flatness
 from .analysis.frames.optimal_frame import OptimalFrame as OptimalFrame
 from .analysis.frames.optimal_frame import optimal_frame as optimal_frame
-from .analysis.gait_files.keys import gait_schema as gait_schema
-from .analysis.gait_files.reader import GaitFile as GaitFile
-from .analysis.gait_files.reader import load_gait as load_gait
+from .analysis.gait_files.gait_keys import gait_schema as gait_schema
+from .analysis.gait_files.load_gait import GaitFile as GaitFile
+from .analysis.gait_files.load_gait import load_gait as load_gait
 from .analysis.gaits.gait import Gait as Gait
 from .analysis.inspection import Inspection as Inspection
 from .analysis.inspection import inspect as inspect

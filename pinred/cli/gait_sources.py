@@ -11,7 +11,7 @@ from ..common.plain_names import quoted
 from .options import numbers_in
 
 if TYPE_CHECKING:
-    from ..analysis.gait_files.reader import GaitFile
+    from ..analysis.gait_files.load_gait import GaitFile
 
 
 def add_source(sub: argparse.ArgumentParser) -> None:
@@ -32,7 +32,7 @@ def source_of(options: argparse.Namespace, *, gait: bool) -> GaitFile:
     import numpy as np
 
     from ..analysis.connections.connection import Connection
-    from ..analysis.gait_files.reader import GaitFile, load_gait
+    from ..analysis.gait_files.load_gait import GaitFile, load_gait
     from ..analysis.gaits.gait import Gait
     from ..common.names import joint_index
     from ..system.load import load

@@ -9,12 +9,12 @@ from nearness import close
 from strategies import Case, cases
 
 import pinred
-from pinred.kernels.connection import judge
+from pinred.kernels.connection import connection_judge
 from pinred.kernels.connection.form import ConnectionForm
 
 
-@settings(max_examples=8)
-@given(case=cases(most=5))
+@settings(max_examples=4)
+@given(case=cases(most=4))
 def test_it_is_the_reduction(case: Case) -> None:
     """A, M, B and −A ẋ are those that Pinocchio's CRBA and RNEA derivatives give."""
     A, at = pinred.Connection.mechanical(case.system), pinred.Reduction(case.system).at(case.x)
@@ -83,7 +83,7 @@ def test_code_that_disagrees_never_runs(what: str, call: object) -> None:
 def test_the_judge_looks_at_healthy_shapes() -> None:
     """The trial shapes exist: a judge without any would pass everything."""
     form = pinred.Connection.mechanical(pinred.load("falling_cat")).form
-    assert len(list(judge._shapes(form))) == 2
+    assert len(list(connection_judge._shapes(form))) == 2
 
 
 def test_wrong_shapes_are_refused() -> None:

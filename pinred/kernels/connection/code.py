@@ -14,9 +14,9 @@ from ...integrators.stepping.compiling import compiled
 from ..evaluate import evaluate
 from ..machine.native import NativeCode, compile_object, load_object
 from ..object_cache import ObjectCache, cache_key
+from .connection_judge import judge_curvature, judge_local, judge_slope, judge_velocity
 from .form import ConnectionForm
 from .graphs import curvature_graph, local_graph, velocity_graph, velocity_slope_graph
-from .judge import judge_curvature, judge_local, judge_slope, judge_velocity
 
 _NONE = np.zeros(1)
 

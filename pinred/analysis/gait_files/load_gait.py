@@ -20,7 +20,7 @@ from ..connections.fluid import Ellipse, Ellipsoid
 from ..connections.viscous import Rod
 from ..connections.wheels import Rolling, Wheel
 from ..gaits.gait import Gait
-from .keys import GAIT_FILE
+from .gait_keys import GAIT_FILE
 
 
 @dataclass(frozen=True)

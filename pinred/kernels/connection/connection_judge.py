@@ -15,7 +15,7 @@ from .form import ConnectionForm
 _TRIALS = 2
 _HEALTHY = 1e-3  # of the trial shapes: near a singular one, both sides only have round-off
 _TRIED = 100
-_STEP = 1e-3  # of differences of order 6
+_STEP = 1e-3  # of differences of order 6, whose round-off is that of the terms over it
 _SLOPE = 1e-7  # relative, of differences
 
 
@@ -45,9 +45,9 @@ def judge_slope(form: ConnectionForm, code: NativeCode) -> None:
         if form.symmetric:
             expected[r, :m] = np.einsum("bca,b,c->a", dM, xdot, xdot)
             expected[r, m:] = 2.0 * M @ xdot
-        agree(
-            _who(form), "the slope of its velocity", found.ravel(), expected.ravel(), size, _SLOPE
-        )
+        noise = max(size, float(np.abs(M).max(initial=0.0))) * (1.0 + xdot @ xdot) / _STEP
+        what = "the slope of its velocity"
+        agree(_who(form), what, found.ravel(), expected.ravel(), noise, _SLOPE)
 
 
 def judge_local(form: ConnectionForm, code: NativeCode) -> None:
@@ -74,7 +74,7 @@ def judge_curvature(form: ConnectionForm, code: NativeCode) -> None:
         exterior = (np.swapaxes(dA, 1, 2) - dA)[:, first, second]
         bracket = form.group.bracket(A.T[first], A.T[second])
         both = np.concatenate([exterior.T.ravel(), bracket.ravel()])
-        agree(_who(form), "the curvature", found, both, size, _SLOPE)
+        agree(_who(form), "the curvature", found, both, (size + size**2) / _STEP, _SLOPE)
 
 
 def _who(form: ConnectionForm) -> str:
