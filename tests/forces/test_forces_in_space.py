@@ -154,6 +154,10 @@ def test_momentum_is_integrated_for_wrenches_alone() -> None:
     np.testing.assert_allclose(J, np.broadcast_to(J[0], J.shape), atol=1e-13)
 
 
+ODD_FRAME: dict[str, Any] = {"frame": "hand"}
+ODD_LINK: dict[str, Any] = {"link": 3}
+
+
 def lone(function: Any) -> pinred.Scene:
     """A scene with a torque of this function."""
     return pinred.Scene(
@@ -206,8 +210,8 @@ def test_unclear_functions_are_refused(function: Any, message: str) -> None:
         (lambda: Wrench([0, 0, 0, 0], link="beanie"), r"must give 6 values, gave 4"),
         (lambda: Wrench([0], at=[0, 0, 0]), r"at is a point of a link; give link="),
         (lambda: Wrench([0, 0, 0], link="beanie", at=[0, 0]), r"at of wrench must be 3 finite"),
-        (lambda: Wrench([0], frame="hand"), r"frame of wrench must be one of body, world"),
-        (lambda: Wrench([0], link=3), r"link of wrench must be a name"),
+        (lambda: Wrench([0], **ODD_FRAME), r"frame of wrench must be one of body, world"),
+        (lambda: Wrench([0], **ODD_LINK), r"link of wrench must be a name"),
     ],
 )  # fmt: skip
 def test_refused_wrenches(make: Any, message: str) -> None:
