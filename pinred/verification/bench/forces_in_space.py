@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from ...common.progress import Progress, quiet, shown
 from ...forces import SeenState, Torque, Wrench
@@ -32,11 +31,10 @@ _ROUNDS, _SPAN = 400, 5e-4  # s; short, so that some of them are not interrupted
 
 @dataclass(frozen=True)
 class ForcesTiming:
-    """The cost of a kernel.  free: µs an evaluation without forces, of the fastest
-    of many rounds in which all took turns.
+    """The cost of a kernel, each the fastest of many rounds in which all took turns.
 
-    torque, wrench, full: ratios to it, of a torque that sees attitude and angular velocity, a
-    constant wrench, and a wrench that sees pose and twist.  numbers: (4,) that are integrated.
+    free: µs an evaluation without forces.  torque, wrench, full: ratios to it, of a torque that
+    sees attitude and angular velocity, a constant wrench, and a wrench that sees pose and twist.  numbers: (4,) that are integrated.
     """
 
     robot: str
