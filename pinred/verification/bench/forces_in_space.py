@@ -108,7 +108,8 @@ def _forces(system: System) -> list[Torque | Wrench]:
         attitude, omega = turning(s)
         place, velocity = ca.vertsplit(s.pose)[:k], ca.vertsplit(s.xi)[:k]
         both = zip([*place, *attitude], [*velocity, *omega], strict=True)
-        return ca.vertcat(*(-0.5 * a - 0.3 * b for a, b in both))
+        column: ca.SX = ca.vertcat(*(-0.5 * a - 0.3 * b for a, b in both))
+        return column
 
     steady: Callable[..., list[float]] = lambda *_: [0.1] * group.dim  # noqa: E731
     return [Torque(torque), Wrench(steady), Wrench(wrench)]
