@@ -34,7 +34,8 @@ class ForcesTiming:
     """The cost of a kernel, each the fastest of many rounds in which all took turns.
 
     free: µs an evaluation without forces.  torque, wrench, full: ratios to it, of a torque that
-    sees attitude and angular velocity, a constant wrench, and a wrench that sees pose and twist.  numbers: (4,) that are integrated.
+    sees attitude and angular velocity, a constant wrench, and one that sees pose and twist.
+    numbers: (4,) that are integrated.
     """
 
     robot: str
