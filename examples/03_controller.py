@@ -1,7 +1,7 @@
 """A controller in plain Python, sampled at 50 Hz: its torques are held between the samples.
 
 The cat has some spin; the controller damps its joints and pulls them to a pose.  Energy changes
-by the work that the controller does, and the full simulation calls the same controller.
+by the work that the controller does, and the full simulation is given the same torques.
 """
 
 import numpy as np

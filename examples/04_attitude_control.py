@@ -34,7 +34,7 @@ def feedback(s: SeenState) -> dict[str, ca.SX]:
 
 def closeness(s: SeenState) -> ca.SX:
     """Return what is positive within one degree of the goal."""
-    return ca.fabs(s.pose[6]) - near
+    return ca.SX(ca.fabs(s.pose[6]) - near)
 
 
 by_wheels = pinred.simulate(

@@ -30,7 +30,7 @@ def test_readme_examples_run(code: str, capsys: pytest.CaptureFixture[str]) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["theory.md", "equilibria.md"])
+@pytest.mark.parametrize("name", ["theory.md", "equilibria.md", "forces.md"])
 def test_code_of_documents_runs(name: str) -> None:
     """All blocks of code in a row, with what they assert."""
     text = (ROOT / "docs" / name).read_text(encoding="utf-8")

@@ -29,6 +29,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
     sub = command("kernels", _kernels, "one evaluation against pin.aba")
     sub.add_argument("robots", nargs="*", metavar="ROBOT", help="robots; a few if none is named")
+    sub = command("forces", _forces, "kernels with forces that see the base, against none")
+    sub.add_argument("robots", nargs="*", metavar="ROBOT", help="robots; four if none is named")
     sub = command("accuracy", _accuracy, "run time against error, and against other tools")
     accuracy_command.add_arguments(sub)
     sub = command("evaluations", _evaluations, "evaluations that an error costs, by many methods")
@@ -60,6 +62,19 @@ def _kernels(options: argparse.Namespace) -> int:
     for timing in timings:
         print(timing)
     _write(folder, "kernels", [{**vars(timing), "ratio": timing.ratio} for timing in timings])
+    return 0
+
+
+def _forces(options: argparse.Namespace) -> int:
+    folder = _folder(options.out)
+    from ..verification.bench.forces_in_space import ForcesTiming, bench_forces
+
+    timings = bench_forces(options.robots, progress=True)
+    print(ForcesTiming.header())
+    for timing in timings:
+        print(timing)
+    names = ("robot", "free", "torque", "wrench", "full")
+    _write(folder, "forces", [{name: getattr(each, name) for name in names} for each in timings])
     return 0
 
 

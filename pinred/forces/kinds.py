@@ -1,8 +1,9 @@
-"""The kinds of forces: they keep the symmetry, acting on joints or on the base in its own frame.
+"""The kinds of forces, on joints, on the base and on links.
 
-Each is written as CasADi expressions in t, x, ẋ and μ, so that the same force goes into the
-compiled kernel, into the Pinocchio route and into the full simulation that judges both.
-A force that has a potential gives it, and its torques −∂V/∂x follow; the others do work.
+Each is written as CasADi expressions in t, x, ẋ and μ, or in the whole state, so that the same
+force goes into the compiled kernel, into the Pinocchio route and into the full simulation that
+judges both.  A force that has a potential gives it, and its torques −∂V/∂x follow; the others do
+work.
 """
 
 from __future__ import annotations

@@ -56,8 +56,8 @@ def link_frame(system: System, name: str, what: str) -> int:
 def of_load(system: System, s: Symbols, load: Load, what: str) -> OnCoordinates:
     """Return what a load is to the coordinates.  Raises InputError, naming `what`."""
     if load.link is None:
-        column: ca.SX = ca.vertcat(*_of_base(system, s, load.entries))
-        return OnCoordinates(ca.SX(system.m, 1), column)
+        column = ca.vertcat(*_of_base(system, s, load.entries))
+        return OnCoordinates(ca.SX(system.m, 1), ca.SX(column))
     frame = system.model.frames[link_frame(system, load.link, what)]
     r, m = system.r, system.m
     xi, xdot = ca.SX.sym("xi", r), ca.SX.sym("xdot", m)

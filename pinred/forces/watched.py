@@ -61,7 +61,7 @@ class Watched:
         self.sees_momentum = ca.depends_on(whole, ca.vertcat(s.xi, s.mu))
         self._function = ca.Function("watched", [*arguments, symbols], [ca.densify(whole)])
 
-    def __call__(self, columns: Sequence[Array], values: Mapping[str, float]) -> Array:
+    def __call__(self, columns: Sequence[Array], values: Mapping[str, Any]) -> Array:
         """Return the values (E, T) at T times.
 
         columns: t (1, T), x, xdot, ξ and μ relative to the centre of mass, pose, twist, μ and J

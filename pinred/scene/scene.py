@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, as_floats, dimensions, entries_of, positive, read_only, vector
+from ..common.arrays import Array, as_floats, dimensions, positive, read_only, vector
 from ..common.defaults import Default, is_given
 from ..common.errors import InputError
 from ..common.plain_names import brief, listed, one_of
@@ -22,6 +22,7 @@ from ..system.body_parameters import Bodies
 from ..system.system import System, checked_system
 from . import forms
 from .angles import refuse_vague
+from .checked import checked_keyframe, checked_seed, listed_forces
 from .controls import check_span
 from .event import Event, checked_events, watched_of
 from .initial_state import GivenStates, Start, start_of
@@ -164,9 +165,27 @@ class Scene:
         return _scene_of, (options,)
 
     def _repr_html_(self) -> str:
-        from .card import scene_card
+        from ..common.html import card, line, numbers, table
 
-        return scene_card(self)
+        system, start = self.system, self.start
+        rows = zip(system.shape_names, start.x.tolist(), start.xdot.tolist(), strict=True)
+        forces: tuple[Force, ...] = vars(self)["forces"]
+        acting = [
+            *((f"spring {name}", str(spring)) for name, spring in self.springs.items()),
+            *((force.label, repr(force)) for force in forces),
+            *((f"{force.label}, of the file", repr(force)) for force in self.own_forces),
+            *((f"prescribed {name}", repr(plan)) for name, plan in self.prescribed.items()),
+        ]
+        method = self.integrator or self.method
+        return card(
+            f"Scene of {system.name}",
+            f"{self.end:g} s, {len(self.report_times)} times, rtol {self.rtol:g}, "
+            f"atol {self.atol:g}, {method}, outputs '{self.outputs}'",
+            table("start", ["joint", "x", "rate"], rows),
+            line(f"twist of the base: {numbers(start.xi)}"),
+            line(f"pose of the base: {numbers(start.pose)}"),
+            table("acting", ["", ""], acting),
+        )
 
     @cached_property
     def start(self) -> Start:
@@ -267,7 +286,7 @@ class Scene:
                 "prescribed must be {joint: Signal, number or formula}, "
                 f"got {brief(self.prescribed)}"
             )
-        forces = _listed_forces(self.forces)
+        forces = listed_forces(self.forces)
         passive, friction = checked_passive(self.passive, self.friction)
         self._keep("friction", friction)
         own = acting_passive(self.system, passive=passive, friction=friction)
@@ -359,33 +378,6 @@ class Scene:
 def _scene_of(options: dict[str, Any]) -> Scene:
     """Return a scene that was pickled."""
     return Scene(**options)
-
-
-def checked_keyframe(system: System, name: str) -> str:
-    """Return the name of a keyframe if the robot has it.  Raises InputError."""
-    if not one_of(name, system.keyframes):
-        known = listed(list(system.keyframes), 60) or "none"
-        raise InputError(
-            f"keyframe: '{system.name}' has no keyframe {brief(name)}; the keyframes are {known}"
-        )
-    return name
-
-
-def checked_seed(seed: Any) -> int:
-    """Return a seed as a whole number from 0.  Raises InputError."""
-    if isinstance(seed, bool) or not (isinstance(seed, (int, np.integer)) and seed >= 0):
-        raise InputError(f"seed must be a whole number from 0, got {brief(seed)}")
-    return int(seed)
-
-
-def _listed_forces(given: Any) -> tuple[Any, ...]:
-    """Return the forces of a scene as they are given, one or several, or None for none."""
-    if given is None or isinstance(given, Force):
-        return () if given is None else (given,)
-    entries = entries_of(given)
-    if entries is None:
-        raise InputError(f"forces must be a list of those of pinred.forces, got {brief(given)}")
-    return tuple(entries)
 
 
 def _or_zero(value: Any, size: int, what: str, labels: Any = ()) -> Array:

@@ -14,8 +14,9 @@ from ..common.errors import InputError, IntegrationError
 from ..common.plain_names import brief
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
+from ..scene.checked import checked_seed
 from ..scene.options import SceneOptions
-from ..scene.scene import Scene, checked_seed
+from ..scene.scene import Scene
 from ..system.system import System, checked_system
 from .members.groups import Group, Members, of_scenes
 from .members.trajectories import Batch, Failure, Trajectories

@@ -139,7 +139,7 @@ class Terms:
 
 
 class Force(ABC):
-    """A force: it acts on the system, and does not depend on where its base is."""
+    """A force: it acts on the system.  What it sees of the base in space is in Symbols.seen."""
 
     last: ClassVar[bool] = False  # whether it has to know what the others do
 

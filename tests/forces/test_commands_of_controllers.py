@@ -50,7 +50,9 @@ def test_pulses_in_closed_form(engine: Engine) -> None:
     np.testing.assert_allclose(traj.xi[-1], [*v, 0.0, 0.0, 0.0], atol=1e-10)
     assert 0.25 in traj.motion.knots
     assert [action.width for action in traj.actions] == widths
-    np.testing.assert_array_equal(traj.actions[0].wrench[:3], F)
+    wrench = traj.actions[0].wrench
+    assert wrench is not None
+    np.testing.assert_array_equal(wrench[:3], F)
     np.testing.assert_allclose(traj.momentum_balance.residual, 0.0, atol=1e-10)
 
 

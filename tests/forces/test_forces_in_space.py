@@ -10,11 +10,14 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+from coupled_trees import make_case
 from forced_trees import against_aba, tree
 
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import SeenState, Torque, Wrench
+from pinred.forces.acting import BaseInSpace
+from pinred.forces.force_model import ForceModel
 from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES, Engine
 from pinred.simulation.plan import plan_of
@@ -154,6 +157,10 @@ def test_momentum_is_integrated_for_wrenches_alone() -> None:
     np.testing.assert_allclose(J, np.broadcast_to(J[0], J.shape), atol=1e-13)
 
 
+ODD_FRAME: dict[str, Any] = {"frame": "hand"}
+ODD_LINK: dict[str, Any] = {"link": 3}
+
+
 def lone(function: Any) -> pinred.Scene:
     """A scene with a torque of this function."""
     return pinred.Scene(
@@ -206,8 +213,8 @@ def test_unclear_functions_are_refused(function: Any, message: str) -> None:
         (lambda: Wrench([0, 0, 0, 0], link="beanie"), r"must give 6 values, gave 4"),
         (lambda: Wrench([0], at=[0, 0, 0]), r"at is a point of a link; give link="),
         (lambda: Wrench([0, 0, 0], link="beanie", at=[0, 0]), r"at of wrench must be 3 finite"),
-        (lambda: Wrench([0], frame="hand"), r"frame of wrench must be one of body, world"),
-        (lambda: Wrench([0], link=3), r"link of wrench must be a name"),
+        (lambda: Wrench([0], **ODD_FRAME), r"frame of wrench must be one of body, world"),
+        (lambda: Wrench([0], **ODD_LINK), r"link of wrench must be a name"),
     ],
 )  # fmt: skip
 def test_refused_wrenches(make: Any, message: str) -> None:
@@ -221,3 +228,31 @@ def test_the_base_has_to_be_there() -> None:
     force = Torque(lambda s: {"beanie": -s.pose[0]})
     with pytest.raises(pinred.InputError, match="outputs='shape' leaves out"):
         pinred.Scene(system=pinred.load("elroys_beanie"), seed=0, forces=[force], outputs="shape")
+
+
+@pytest.mark.parametrize("axes", ["body", "world"])
+@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_links_that_follow_others(group: str, axes: Any, seed: int) -> None:
+    """Through couplings, what acts on a link acts on what moves it: Gᵀ Jᵀ (F, N)."""
+    case = make_case(group, 4, seed)
+    bare = case.system.model.copy()
+    bare.addFrame(pin.Frame("hand", bare.njoints - 1, pin.SE3.Random(), pin.FrameType.BODY))
+    system = pinred.System(bare, "tied", contents=case.system.contents)
+    load, point, rng = case.rng.normal(size=6), case.rng.normal(size=3), case.rng
+    force = ForceModel(system, [Wrench(load, link="hand", at=point, frame=axes)], {})
+    pose, x = system.group.exp(rng.normal(size=system.r)), rng.normal(size=system.m)
+    base = BaseInSpace(pose, *np.zeros((3, system.r)))
+    xdot, xi = np.zeros(system.m), np.zeros(system.r)
+    acting = force.acting(0.0, x, xdot, xi, xi, force.numbers, base)
+    model, data = system.model, system.model.createData()
+    hand, q = model.getBodyId("hand"), system.model_q(pose, x)
+    jacobian = pin.computeFrameJacobian(
+        model, data, q, hand, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    )
+    own = data.oMf[hand].rotation
+    R = own if axes == "body" else model.jointPlacements[1].rotation
+    F, N = R @ load[:3], R @ load[3:]
+    expected = case.whole.T @ jacobian.T @ np.append(F, N + np.cross(own @ point, F))
+    found = np.append(acting.wrench, acting.torque)
+    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())

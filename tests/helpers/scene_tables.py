@@ -57,6 +57,7 @@ def tables() -> str:
         out.append(
             table(f'`[[forces]]` `kind = "{one["properties"]["kind"]["enum"][0]}"`', one, defs)
         )
+    out.append(table("`[[events]]`", keys["events"]["items"], defs))
     return "\n".join(out)
 
 

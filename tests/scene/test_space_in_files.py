@@ -38,12 +38,12 @@ frame = "world"
 function = [0.01, 0, 0, 0, 0, "0.01*t"]
 
 [[events]]
-function = "xi[5] - 0.2*gain/0.4"
+function = "xi[5] - 0.25*gain/0.4"
 name = "slow"
 direction = -1
 
 [[events]]
-function = "x['panel_hinge'] - 0.11"
+function = "x['panel_hinge'] - 0.09"
 name = "open"
 terminal = true
 """
@@ -65,8 +65,8 @@ def in_python() -> dict[str, Any]:
             Wrench(lambda s: ca.vertcat(0.01, 0, 0, 0, 0, 0.01 * s.t), frame="world", name="tug"),
         ],
         "events": [
-            pinred.Event(lambda s: s.xi[5] - 0.2 * gain / 0.4, "slow", direction=-1),
-            pinred.Event("x['panel_hinge'] - 0.11", "open", terminal=True),
+            pinred.Event(lambda s: s.xi[5] - 0.25 * gain / 0.4, "slow", direction=-1),
+            pinred.Event("x['panel_hinge'] - 0.09", "open", terminal=True),
         ],
     }  # fmt: skip
 
@@ -88,13 +88,13 @@ def test_a_file_says_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('link = "panel"', 'link = "pannel"', "forces.*link.*no link 'pannel'; did you mean 'panel'"),
+        ('link = "panel"', 'link = "pannel"', "forces.*link.*no link 'pannel'; did you mean"),
         ("at = [0.5, 0.0, 0.1]", "at = [0.5, 0.0]", "at.*list of 3"),
-        ('frame = "world"\nfunction = [0.1', 'frame = "hand"\nfunction = [0.1', "frame.*body, world"),
+        ('frame = "world"\nfunction = [0.1', 'frame = "hand"\nfunction = [0.1', "frame.*body"),
         ('function = [0.1, "-0.2*xi[1]", 0.05]', "function = [0.1, 2]", "3 or 6 entries on a link"),
         ("pose[5]", "pose[7]", "pose has no entry 7"),
         ("direction = -1", "direction = 2", "direction.*-1 to 1"),
-        ("- 0.11", "- 0.11 +", "events.*function"),
+        ("- 0.09", "- 0.09 +", "events.*function"),
         ('name = "slow"', 'name = "open"', "two events are called 'open'"),
         ("gain = 0.4", "gain = 0.4, J = 1.0", "parameters.*name of letters and digits"),
         ('link = "panel"\n', "", "at.*no meaning without 'link'"),

@@ -235,3 +235,27 @@ def test_refusals() -> None:
         flow.vjp({"q": [1.0]})
     with pytest.raises(InputError, match="the covector must be finite"):
         flow.vjp(np.full(18, np.nan))
+
+
+@pytest.mark.slow
+def test_what_a_flow_map_does_not_know_is_refused() -> None:
+    """Places of the base in forces, and events; one that sees the attitude has derivatives."""
+    system = pinred.load("coupled_planar")
+    joint = system.shape_names[0]
+
+    def seeing(entry: int) -> pinred.forces.Torque:
+        return pinred.forces.Torque(lambda s: {joint: -0.3 * s.pose[entry]})
+
+    with pytest.raises(pinred.InputError, match="a force sees where the base is"):
+        pinred.flow(system, seed=0, forces=[seeing(0)], wrt=["x0"])
+    with pytest.raises(pinred.InputError, match="looks for no events"):
+        pinred.flow(system, seed=0, events=[pinred.Event("x[0]")], wrt=["x0"])
+    scene = pinred.Scene(system=system, seed=0, duration=0.5, forces=[seeing(2)])
+    f = pinred.flow(scene, wrt=["pose0"])
+    h, own = 1e-5, scene.given.pose[0]
+    ends = [f(pose0=own + np.array([0.0, 0.0, sign * h])).xdot for sign in (1.0, -1.0)]
+    slope = f.jvp({"pose0": [0.0, 0.0, 1.0]})
+    names = f.outputs
+    np.testing.assert_allclose(
+        slope[names["xdot"]], (ends[0] - ends[1]) / (2.0 * h), rtol=1e-5, atol=1e-7
+    )

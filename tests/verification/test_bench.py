@@ -15,7 +15,7 @@ from commands import python
 import pinred
 from pinred.cli.main import main
 from pinred.common.errors import InputError
-from pinred.verification.bench import Scaling, bench_scaling, bench_threads, timing
+from pinred.verification.bench import Scaling, bench_forces, bench_scaling, bench_threads, timing
 from pinred.verification.bench.chains import chain
 
 pytestmark = pytest.mark.slow
@@ -49,6 +49,16 @@ def test_chains_are_what_they_say() -> None:
     assert names == ["RY", "RZ", "RY", "RZ"]
     with pytest.raises(InputError, match="planar or spatial"):
         chain("helical", 3)
+
+
+def test_forces(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A torque adds nothing to integrate, a wrench momentum and a path, its place the time."""
+    (found,) = bench_forces(["planar_chain5"])
+    assert found.numbers == (11, 11, 16, 17)
+    assert min(found.torque, found.wrench, found.full) > 0.0
+    assert main(["bench", "forces", "elroys_beanie", "--out", str(tmp_path)]) == 0
+    assert "torque, attitude" in capsys.readouterr().out
+    assert (tmp_path / "forces.csv").read_text().startswith("robot,free,torque,wrench,full")
 
 
 def test_scaling() -> None:

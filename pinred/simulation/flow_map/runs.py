@@ -58,6 +58,13 @@ class Course:
                 f"{controller.name} is a function of Python, which has no derivatives; write it as "
                 "a Torque of CasADi expressions, or use simulate"
             )
+        if plan.forces is not None and plan.forces.sees_place:
+            raise InputError(
+                "a force sees where the base is or how fast it moves, which maps of flows do not "
+                "know; one that sees the attitude alone is no trouble, or use simulate"
+            )
+        if plan.scene.events_given:
+            raise InputError("a flow map looks for no events; use simulate for them")
         refuse_without_derivatives(self.method)
         self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum)
         motion: TwistOrMomentum = "mu" if motion_of(plan.scene) == "mu" else "xi"

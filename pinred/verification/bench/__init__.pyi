@@ -11,6 +11,8 @@ from .floquet import FloquetTiming as FloquetTiming
 from .floquet import bench_floquet as bench_floquet
 from .flow_timing import FlowTiming as FlowTiming
 from .flow_timing import bench_flow as bench_flow
+from .forces_in_space import ForcesTiming as ForcesTiming
+from .forces_in_space import bench_forces as bench_forces
 from .kernel_timing import KernelTiming as KernelTiming
 from .kernel_timing import bench_kernels as bench_kernels
 from .many import ManyTiming as ManyTiming

@@ -32,22 +32,25 @@ def alternating(
     actions: Sequence[Callable[[int], object]],
     *,
     rounds: int = ROUNDS,
+    span: float | None = None,
     budget: float = np.inf,
     progress: Progress = quiet,
 ) -> Array:
     """Return seconds per call, (rounds, actions), the actions taking turns.
 
     actions: each does its work as often as it is told.  It is called once or twice before the clock
-    runs, and then so often in each round that a round takes it at least SPAN.
+    runs, and then so often in each round that a round takes it at least `span` [s], SPAN
+    if None.
     budget: s an action may take in all; a slow one sits out some of the rounds, though never
     so many that it has less than FEWEST, and its time there is NaN.
     """
     counts, turns = [], []
+    span = SPAN if span is None else span
     for j, action in enumerate(actions):
         first, count = _seconds(action, 1), 1
-        if SPAN <= first < LOADING:
+        if span <= first < LOADING:
             first = _seconds(action, 1)
-        while (last := _seconds(action, count) if first < SPAN else first) < SPAN:
+        while (last := _seconds(action, count) if first < span else first) < span:
             count *= 2
         counts.append(count)
         turns.append(int(min(rounds, max(FEWEST, budget / last))))

@@ -13,7 +13,6 @@ import pinocchio as pin
 
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
-from ...scene.scene import Scene
 from ...simulation.recording import Recording
 from ...simulation.state import State
 from ...simulation.trajectory import Trajectory
@@ -82,7 +81,7 @@ def playback(source: MotionSource, view: View) -> Playback:
                 "a file of a motion holds no forces, so the full simulation cannot be made from "
                 "it; play the trajectory or its scene file with ghost=True"
             )
-        ghost = _ghost(source.scene, states.t, placements)
+        ghost = _ghost(source, states.t, placements)
     return _drawn(source.system, states, placements, ghost)
 
 
@@ -126,9 +125,10 @@ def _placements(system: System, q: Array) -> Array:
     return out
 
 
-def _ghost(scene: Scene, t: Array, placements: Array) -> Ghost:
-    """Return the full simulation of the scene at its own tolerance."""
-    full, start = FullState(scene), scene.start
+def _ghost(traj: Trajectory, t: Array, placements: Array) -> Ghost:
+    """Return the full simulation of a trajectory's scene at its own tolerance."""
+    scene = traj.scene
+    full, start = FullState(scene, traj.motion.replay), scene.start
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     motion = full.run(y0, t, scene.rtol, scene.atol)
     seen = _placements(scene.system, motion.q)
