@@ -299,10 +299,9 @@ def main(arguments: list[str]) -> int:
                     return 2
                 sound.add(tuple(tests))
             every, survived = list(mutants(text)), 0
-            chosen = every
-            if options.sample is not None and options.sample < len(every):
-                which = Random(options.seed).sample(range(len(every)), options.sample)
-                chosen = [every[k] for k in sorted(which)]
+            if options.sample is not None:  # a larger sample holds a smaller one
+                Random(options.seed).shuffle(every)
+            chosen = every[: options.sample]
             for mutant in chosen:
                 found = copied.outcome(module, mutant.text, tests, options.seconds)
                 rows.append([module, mutant.line, mutant.what, found])
