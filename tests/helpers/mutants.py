@@ -85,16 +85,21 @@ _TYPED = (ast.AnnAssign, ast.arg, ast.FunctionDef)
 
 @dataclass(frozen=True)
 class Mutant:
-    """A change.  line: of the module.  what: before and after.  tree: the whole module then."""
+    """A change.  line: of the module.  what: before and after.  index, number: which node, how."""
 
+    source: str
     line: int
     what: str
-    tree: ast.Module
+    index: int
+    number: int
 
     @property
     def text(self) -> str:
-        """Return the source of the module."""
-        return ast.unparse(ast.fix_missing_locations(self.tree))
+        """Return the source of the module with the change."""
+        tree = ast.parse(self.source)
+        twin = next(node for k, node in enumerate(ast.walk(tree)) if k == self.index)
+        _change(tree, twin, self.number)
+        return ast.unparse(ast.fix_missing_locations(tree))
 
 
 def mutants(source: str) -> Iterator[Mutant]:
@@ -105,13 +110,14 @@ def mutants(source: str) -> Iterator[Mutant]:
         if id(node) in skipped or not isinstance(node, _CHANGED):
             continue
         for number in range(3):
-            changed = ast.parse(source)
-            twin = next(each for k, each in enumerate(ast.walk(changed)) if k == index)
+            twin = copy.deepcopy(node)
+            alone = ast.Module([twin], [])  # type: ignore[list-item]
             before = ast.unparse(twin)
-            after = _change(changed, twin, number)
+            after = _change(alone, twin, number)
             if after is None:
                 break
-            yield Mutant(getattr(node, "lineno", 0), f"{_short(before)}  ->  {after}", changed)
+            line = getattr(node, "lineno", 0)
+            yield Mutant(source, line, f"{_short(before)}  ->  {after}", index, number)
 
 
 def _unseen(tree: ast.AST) -> Iterator[ast.AST]:
@@ -299,10 +305,9 @@ def main(arguments: list[str]) -> int:
                     return 2
                 sound.add(tuple(tests))
             every, survived = list(mutants(text)), 0
-            chosen = every
-            if options.sample is not None and options.sample < len(every):
-                which = Random(options.seed).sample(range(len(every)), options.sample)
-                chosen = [every[k] for k in sorted(which)]
+            if options.sample is not None:  # a larger sample holds a smaller one
+                Random(options.seed).shuffle(every)
+            chosen = every[: options.sample]
             for mutant in chosen:
                 found = copied.outcome(module, mutant.text, tests, options.seconds)
                 rows.append([module, mutant.line, mutant.what, found])

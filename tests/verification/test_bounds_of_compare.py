@@ -263,6 +263,7 @@ def test_a_report_is_true_and_one_line() -> None:
     assert bool(replace(passed(), reasons=("no",))) is False
     failed = replace(passed(), equations=1.0)
     assert bool(failed) is False
+    assert [str(report).count("FAILED") for report in (passed(), failed)] == [0, 2]
     for report in (passed(), failed, replace(passed(), reasons=("no reason",))):
         assert "\n" not in repr(report)
         assert str(report.verdict) in repr(report)

@@ -126,3 +126,13 @@ def test_kinks_of_forces_stand_out(monkeypatch: pytest.MonkeyPatch, kinks: bool)
     assert found.worst == (9.9 if kinks else 10.1)
     steps[0] = np.nan
     assert np.isnan(defects(traj, FullState(scene)).worst)
+
+
+def test_what_controllers_hold_is_what_acts() -> None:
+    """In each stretch its own torque, for the full simulation, the equations and the defects."""
+    system = pinred.load("coupled_planar")
+    wave = pinred.forces.Controller(lambda t, *_: [np.cos(9.0 * t)], 0.1, system.shape_names)
+    traj = pinred.simulate(system, duration=0.4, xdot0=[0.3], forces=wave)
+    report = pinred.compare(traj)
+    assert report.passed, str(report)
+    assert np.ptp(traj.xdot) > 0.01
