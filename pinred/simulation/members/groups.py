@@ -86,7 +86,7 @@ def of_scenes(scenes: Sequence[Scene]) -> Members:
             )
         sets.setdefault(_structure(plan), []).append(k)
     groups = [_group(np.array(some), [plans[k] for k in some]) for some in sets.values()]
-    return Members(len(scenes), groups, lambda k: plans[k].scene)
+    return Members(len(scenes), groups, [plan.scene for plan in plans].__getitem__)
 
 
 def _structure(plan: Plan) -> Hashable:

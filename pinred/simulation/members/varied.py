@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from ...common.arrays import Array, as_floats, dimensions, vectors
 from ...common.errors import InputError, ShapeError, SymmetryError
 from ...common.names import nearest
 from ...common.plain_names import brief, listed
+from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
 from ...scene import forms
 from ...scene.angles import refuse_vague
@@ -122,6 +124,10 @@ class Varied:
             base = replace(base, system=moved) if isinstance(base, Scene) else moved
         return as_scene(base, options, "simulate_many")
 
+    def _scene_by(self, method: Method | str, member: int) -> Scene:
+        """Return the scene of one member, by the method that members are given to."""
+        return replace(self.scene(member), method=method)
+
     def members(self) -> Members:
         """Return the members in groups.  Raises InputError for scenes that make no sense."""
         # With parameters that all share, so that no number depends on who is the first.
@@ -144,9 +150,7 @@ class Varied:
         )
         method = members_plan(first).scene.method
 
-        def scene_of(member: int) -> Scene:
-            return replace(self.scene(member), method=method)
-
+        scene_of = partial(self._scene_by, method)
         if self.gravity is None:
             own = None if numbers is None else OwnNumbers(numbers=numbers)
             every = np.arange(self.count)
