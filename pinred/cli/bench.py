@@ -41,7 +41,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     command("floquet", _floquet, "Floquet multipliers by three routes, against their closed form")
     sub = command("many", _many, "trajectories per second of many members, by pinred and others")
     sub.add_argument("scenes", nargs="*", metavar="SCENE", help="five if none is named")
-    sub.add_argument("--members", metavar="N", type=int, default=256, help="trajectories (256)")
+    sub.add_argument("--members", metavar="N", type=int, default=512, help="trajectories (512)")
     sub = command("threads", _threads, "simulate_many on one and two threads, and its memory")
     sub.add_argument("robot", nargs="?", default="solo12", metavar="ROBOT", help="(solo12)")
     sub.add_argument("--members", metavar="N", type=int, default=1000, help="trajectories (1000)")

@@ -18,7 +18,7 @@ from ..scene.options import SceneOptions
 from ..scene.scene import ENGINES, Engine, Scene
 from ..system.system import System, checked_system
 from .piece import Flow, Integrate
-from .pieces import Motion, follow
+from .pieces import follow
 from .plan import Plan, plan_of
 from .trajectory import Run, Trajectory
 
@@ -85,12 +85,6 @@ def _pinocchio(plan: Plan, progress: Progress | None) -> Trajectory:
 
 def _compiled(plan: Plan, progress: Progress | None) -> Trajectory:
     return _followed(plan, *_ready(plan, progress), "compiled", plan.method.name)
-
-
-def motion_of_scene(scene: Scene) -> Motion:
-    """Return the motion of a scene by the compiled engine."""
-    plan = plan_of(scene)
-    return follow(plan, *_ready(plan, None))
 
 
 def trajectory_of(scene: Scene) -> Trajectory:

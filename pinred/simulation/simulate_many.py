@@ -21,7 +21,6 @@ from ..system.system import System, checked_system
 from .members.groups import Group, Members, of_scenes
 from .members.trajectories import Batch, Failure, Trajectories
 from .members.varied import Varied
-from .plan import Plan
 from .simulate import trajectory_of
 from .trajectory import Trajectory
 
@@ -58,8 +57,9 @@ def simulate_many(
     its own.  A member's numbers are the same to the bit beside any others, in any order and on any
     number of threads.  They are those of `simulate` within round-off times the stretch of the flow;
     with other methods they are those of `simulate` to the bit.  Where `simulate` would choose
-    AdaptiveGauss, members are given to DOP853, which costs less of many.  Members with controllers
-    or with tables that have breaks run one by one, as in `simulate`.
+    AdaptiveGauss, members are given to DOP853, which costs less of many.  Members with controllers,
+    events, tables that have breaks, or inertias among their parameters run one by one, as in
+    `simulate`.
     A member that fails is reported in `failures` and disturbs no other.
     Raises InputError or ShapeError for scenes that make no sense.
     """
@@ -92,18 +92,6 @@ def _checked(seeds: Sequence[int] | None) -> list[int] | None:
     return [checked_seed(seed) for seed in drawn]
 
 
-def _in_pieces(plan: Plan) -> str:
-    """Return why members of a plan run one by one, if they do."""
-    if plan.scene.events_given:
-        return "events are looked for"
-    if plan.forces is not None and plan.forces.held:
-        controller, _ = plan.forces.held[0]
-        return f"{controller.name} has to be called every {controller.period:g} s"
-    if len(plan.stops) > 1:
-        return f"a function of time is not smooth at t = {plan.stops[0]:g} s"
-    return ""
-
-
 def _explained(found: Members) -> str:
     """Return how members run, a line for each group."""
     from .compiled.compiled_flow import flows_of
@@ -112,7 +100,7 @@ def _explained(found: Members) -> str:
     lines = []
     for group in found.groups:
         plan = group.plan
-        if why := _in_pieces(plan):
+        if why := group.one_by_one:
             lines.append(f"{len(group.members)} members one by one, {plan.method.name}: {why}")
             continue
         for members, flows in flows_of(plan, group.given, group.own):
@@ -147,7 +135,7 @@ def _run(found: Members, threads: int | None, progress: Progress | None) -> Traj
 
     results = _Results(found.count, progress)
     for group in found.groups:
-        if _in_pieces(group.plan):
+        if group.one_by_one:
             _one_by_one(found, group, results)
             continue
         # Members without momentum have a kernel of their own.
@@ -191,11 +179,17 @@ def _together(found: Members, results: _Results) -> Array:
     times = found.scene_of(0).report_times
     parts = [(batch.members, y) for batch, y in zip(results.batches, results.y, strict=True)]
     parts += [
-        (np.array([member]), traj.motion.reduced(times)[None])
-        for member, traj in results.single.items()
+        (np.array([member]), _up_to(traj, times)[None]) for member, traj in results.single.items()
     ]
     most = max((y.shape[2] for _, y in parts), default=0)
     whole = np.full((found.count, len(times), most), np.nan)
     for members, y in parts:
         whole[members, :, : y.shape[2]] = y
     return whole
+
+
+def _up_to(traj: Trajectory, times: Array) -> Array:
+    """Return the reduced states at times (T,), (T, k), NaN after an event has ended a motion."""
+    known = times[times <= traj.scene.end]
+    y = traj.motion.reduced(known)
+    return np.concatenate([y, np.full((len(times) - len(known), y.shape[1]), np.nan)])

@@ -58,7 +58,7 @@ class Trajectory(OverTime):
         self._again = again
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _trajectory_of, (self.scene, self.run, self.outputs, self._again)
+        return known_trajectory, (self.scene, self.run, self.outputs, self._again)
 
     @property
     def motion(self) -> Motion:
@@ -209,10 +209,13 @@ class Trajectory(OverTime):
         save(self, path)
 
 
-def _trajectory_of(
+def known_trajectory(
     scene: Scene, run: Run, outputs: State | ShapeState, again: Callable[[], Trajectory] | None
 ) -> Trajectory:
-    """Return a trajectory that was pickled, with the states at its report times."""
+    """Return a trajectory of which the states at its report times are known.
+
+    again: gives it with its motion at all times, once that is asked for.
+    """
     trajectory = Trajectory.__new__(Trajectory)
     trajectory.scene, trajectory.run, trajectory._again = scene, run, again
     trajectory._motion = None

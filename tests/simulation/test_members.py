@@ -106,6 +106,32 @@ def test_a_list_of_scenes() -> None:
     assert many.q.shape == (5, 4, 10)
 
 
+def test_inertias_and_events_one_by_one(capsys: pytest.CaptureFixture[str]) -> None:
+    """Members with bodies of their own, and those that an event ends; numbers are NaN after it."""
+    name = next(name for name in CAT.shape_names)
+    masses = np.array([0.8, 1.7])
+    options: dict[str, Any] = {"seed": 1, "times": TIMES}
+    many = pinred.simulate_many(CAT, members={f"{name}.mass": masses}, explain=True, **options)
+    assert "2 members one by one" in capsys.readouterr().out
+    scenes = [
+        pinred.Scene(system=CAT, parameters={f"{name}.mass": mass}, **options) for mass in masses
+    ]
+    again = pinred.simulate_many(scenes)
+    for k, scene in enumerate(scenes):
+        one = pinred.simulate(scene, method="DOP853")
+        np.testing.assert_array_equal(many[k].q, one.q)
+        np.testing.assert_array_equal(again.q[k], many.q[k])
+    assert abs(many.q[0] - many.q[1]).max() > 1e-6
+    stop = pinred.Event(lambda s: s.t - 0.2, name="stop", terminal=True)
+    ended = pinred.simulate_many(CAT, seeds=[1, 2], times=TIMES, events=[stop])
+    assert ended[0].ended_by == "stop"
+    free = pinred.simulate_many(CAT, seeds=[1, 2], times=TIMES)
+    before = TIMES < 0.2
+    np.testing.assert_allclose(ended.q[:, before], free.q[:, before], **NEAR)
+    assert np.isnan(ended.energy[:, ~before]).all()
+    assert np.isnan(ended.y[:, ~before]).all()
+
+
 def _held(_t: float, _x: Any, xdot: Any, _mu: Any) -> list[float]:
     return [0.1, 0.0, -float(xdot[2])]
 

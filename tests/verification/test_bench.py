@@ -15,8 +15,16 @@ from commands import python
 import pinred
 from pinred.cli.main import main
 from pinred.common.errors import InputError
-from pinred.verification.bench import Scaling, bench_forces, bench_scaling, bench_threads, timing
+from pinred.verification.bench import (
+    Scaling,
+    bench_forces,
+    bench_many,
+    bench_scaling,
+    bench_threads,
+    timing,
+)
 from pinred.verification.bench.chains import chain
+from pinred.verification.bench.many import CROWD_SOLVERS
 
 pytestmark = pytest.mark.slow
 
@@ -77,6 +85,22 @@ def test_scaling() -> None:
         assert np.isnan(each.slope)
     with pytest.raises(InputError, match="increasing"):
         bench_scaling((4, 2))
+
+
+def test_many() -> None:
+    """Each way keeps to the error, by the judgement of ABA, or says that it does not."""
+    (found,) = bench_many(["planar1"], members=4, rounds=1, error=1e-6)
+    rates = {rate.solver: rate for rate in found.rates}
+    assert {"lanes", "one by one"} <= rates.keys()
+    assert all(0.0 < rate.error <= 1e-6 for rate in found.rates)
+    assert all(rate.per_second > 0.0 for rate in found.rates)
+    own, other = rates["lanes"], rates["one by one"]
+    assert own.tolerance == other.tolerance
+    assert own.error == pytest.approx(other.error, rel=1e-3)
+    assert found.times("lanes") == pytest.approx(own.per_second / other.per_second)
+    assert len(found.rates) + len(found.missing) == len(CROWD_SOLVERS)
+    with pytest.raises(InputError, match="at least 2"):
+        bench_many(["planar1"], members=1)
 
 
 def test_threads() -> None:

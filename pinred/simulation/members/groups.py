@@ -24,12 +24,32 @@ class Group:
 
     members: their indices, sorted.  plan: of all of them, but for what is their own.  given: (k, …)
     their initial states.  own: numbers of the kernel that differ between them, if some do.
+    apart: why they cannot share a kernel and run one by one, "" if they share one.
     """
 
     members: Indices
     plan: Plan
     given: GivenStates
     own: OwnNumbers | None = None
+    apart: str = ""
+
+    @property
+    def one_by_one(self) -> str:
+        """Why these members run one by one; "" if they run together."""
+        plan = self.plan
+        if self.apart:
+            return self.apart
+        if plan.scene.events_given:
+            return "events are looked for"
+        if plan.forces is not None and plan.forces.held:
+            controller, _ = plan.forces.held[0]
+            return f"{controller.name} has to be called every {controller.period:g} s"
+        if len(plan.stops) > 1:
+            return f"a function of time is not smooth at t = {plan.stops[0]:g} s"
+        return ""
+
+
+INERTIAS = "inertias of bodies are among the parameters"
 
 
 @dataclass(frozen=True)
@@ -68,7 +88,7 @@ def of_scenes(scenes: Sequence[Scene]) -> Members:
     plans = [members_plan(scene) for scene in scenes]
     sets: dict[Hashable, list[int]] = {}
     for k, (scene, plan) in enumerate(zip(scenes, plans, strict=True)):
-        if scene.system is not first.system:
+        if scene.system.nominal is not first.system.nominal:
             raise InputError(
                 f"the Scenes of simulate_many must be of one System, but that of entry {k} is "
                 "another; load a robot once and use it in all"
@@ -86,13 +106,13 @@ def of_scenes(scenes: Sequence[Scene]) -> Members:
             )
         sets.setdefault(_structure(plan), []).append(k)
     groups = [_group(np.array(some), [plans[k] for k in some]) for some in sets.values()]
-    return Members(len(scenes), groups, lambda k: plans[k].scene)
+    return Members(len(scenes), groups, [plan.scene for plan in plans].__getitem__)
 
 
 def _structure(plan: Plan) -> Hashable:
     """Return what scenes have in common that run with one kernel and one method."""
     forces, given = plan.forces, plan.scene.given
-    pieces: Hashable = plan.stops.tobytes()
+    pieces: Hashable = (plan.stops.tobytes(), plan.scene.varied_bodies is None)
     if forces is not None and forces.held:
         pieces = id(plan)  # a controller is its member's own
     return (None if forces is None else forces.key, plan.method, pieces, given.mu is None)
@@ -105,5 +125,6 @@ def _group(members: Indices, plans: Sequence[Plan]) -> Group:
         else np.concatenate([getattr(p.scene.given, name) for p in plans])
         for name, part in vars(plans[0].scene.given).items()
     }
-    own = OwnNumbers(numbers=np.array([plan.numbers for plan in plans]))
-    return Group(members, plans[0], GivenStates(**columns), own)
+    apart = "" if plans[0].scene.varied_bodies is None else INERTIAS
+    own = None if apart else OwnNumbers(numbers=np.array([plan.numbers for plan in plans]))
+    return Group(members, plans[0], GivenStates(**columns), own, apart)

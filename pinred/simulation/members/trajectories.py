@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,9 @@ from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...scene.scene import Scene
 from ...system.system import Indices, System
-from ..pieces import Motion
-from ..simulate import motion_of_scene
+from ..simulate import trajectory_of
 from ..state import OverTime, ShapeState, State
-from ..trajectory import Run, Trajectory
+from ..trajectory import Run, Trajectory, known_trajectory
 
 if TYPE_CHECKING:
     from ..compiled.compiled_flow import CompiledFlows
@@ -136,10 +135,8 @@ class Trajectories(OverTime):
             return self._single[member]
         scene, (batch, k) = self._scene_of(member), self._place(member)
         steps, evaluations = int(batch.steps[k]), int(batch.evaluations[k])
-        motion = _MemberMotion(scene, self._states(member), steps, evaluations)
-        return Trajectory(
-            scene, motion, Run("compiled", batch.method, steps, evaluations, batch.wall)
-        )
+        run = Run("compiled", batch.method, steps, evaluations, batch.wall)
+        return known_trajectory(scene, run, self._states(member), partial(trajectory_of, scene))
 
     def save(self, path: str | Path) -> None:
         """Write all members to a .npz or .zarr file (see members/files.py).  Raises InputError."""
@@ -150,7 +147,7 @@ class Trajectories(OverTime):
     def _states(self, member: int) -> State | ShapeState:
         """Return the states of one member over the report times, those of a failed one too."""
         if member in self._single:
-            return self._single[member].outputs
+            return _up_to(self._single[member], self.t, self.system, wanted=self._wanted)
         if not any(member in batch.members for batch in self._batches):
             return _nothing(self.system, self.t, wanted=self._wanted)
         from ..compiled.compiled_flow import CompiledFlow
@@ -168,38 +165,20 @@ class Trajectories(OverTime):
         raise IndexError(member)
 
 
-class _MemberMotion(Motion):
-    """The motion of a member, of which states at the report times are known beforehand."""
-
-    def __init__(
-        self, scene: Scene, known: State | ShapeState, steps: int, evaluations: int
-    ) -> None:
-        self._scene, self._known = scene, known
-        self._counted = steps, evaluations
-
-    @cached_property
-    def _whole(self) -> Motion:
-        return motion_of_scene(self._scene)
-
-    @property
-    def steps(self) -> int:
-        """Accepted steps."""
-        return self._counted[0]
-
-    @property
-    def evaluations(self) -> int:
-        """Evaluations of the vector field."""
-        return self._counted[1]
-
-    def states(self, t: Array) -> State | ShapeState:
-        """Return the full states at times (T,)."""
-        return self._known if t is self._scene.report_times else self._whole.states(t)
-
-    def __getattr__(self, name: str) -> Any:
-        # What a Motion is made of is there once it is needed.
-        if name in ("_flow", "_pieces", "_varies", "_ends"):
-            return getattr(self._whole, name)
-        raise AttributeError(f"a motion has no '{name}'")
+def _up_to(traj: Trajectory, t: Array, system: System, *, wanted: bool) -> State | ShapeState:
+    """Return the states of a motion at times (T,), NaN after an event has ended it."""
+    known = traj.outputs
+    if np.array_equal(known.t, t):
+        return known
+    columns = {
+        name: np.array(rows) for name, rows in vars(_nothing(system, t, wanted=wanted)).items()
+    }
+    ended = t <= traj.scene.end
+    found = traj.at(t[ended])
+    for name, rows in columns.items():
+        if name != "t":
+            rows[ended] = getattr(found, name)
+    return type(known)(**columns)
 
 
 def _nothing(system: System, t: Array, *, wanted: bool) -> State | ShapeState:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,17 +14,19 @@ from ...common.arrays import Array, as_floats, dimensions, vectors
 from ...common.errors import InputError, ShapeError, SymmetryError
 from ...common.names import nearest
 from ...common.plain_names import brief, listed
+from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
 from ...scene import forms
 from ...scene.angles import refuse_vague
 from ...scene.initial_state import GivenStates
 from ...scene.random_state import random_state
 from ...scene.scene import Scene
+from ...system.body_parameters import body_parameter
 from ...system.in_gravity import in_gravity
 from ...system.system import System
 from ..own_numbers import OwnNumbers
 from ..simulate import as_scene
-from .groups import Group, Members, members_plan
+from .groups import INERTIAS, Group, Members, members_plan
 
 STATES = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
 _BY_JOINT = ("x0", "xdot0")
@@ -48,7 +51,7 @@ class Varied:
     ) -> None:
         """Take options of a scene, and members by name.  Raises InputError and ShapeError."""
         self.base, self.seeds = base, seeds
-        system = base.system if isinstance(base, Scene) else base
+        system = base.system.nominal if isinstance(base, Scene) else base
         self.common = dict(options)
         parameters = self.common.pop("parameters", None)
         parameters = {} if parameters is None else parameters
@@ -75,8 +78,11 @@ class Varied:
             for name in STATES
             if self.common.get(name) is not None and dimensions(self.common[name]) == 2
         }
+        self.bodies = {n: part for n in given if (part := body_parameter(system, n)) is not None}
         self.parameters = {
-            name: _column(value, name) for name, value in given.items() if dimensions(value) == 1
+            name: _column(value, name)
+            for name, value in given.items()
+            if dimensions(value) == (2 if name in self.bodies and self.bodies[name].size > 1 else 1)
         }
         fixed = {name: value for name, value in given.items() if name not in self.parameters}
         if isinstance(base, Scene):
@@ -109,7 +115,7 @@ class Varied:
     def scene(self, member: int, *, common_parameters: bool = False) -> Scene:
         """Return the scene of one member, perhaps with parameters as all members share them."""
         options: dict[str, Any] = {name: values[member] for name, values in self.states.items()}
-        own = {name: float(values[member]) for name, values in self.parameters.items()}
+        own = {name: values[member] for name, values in self.parameters.items()}
         options |= self.common
         if not common_parameters:
             options["parameters"] = {**self.common["parameters"], **own}
@@ -117,10 +123,14 @@ class Varied:
             options["seed"] = self.seeds[member]
         base = self.base
         if self.gravity is not None:
-            system = base.system if isinstance(base, Scene) else base
+            system = base.system.nominal if isinstance(base, Scene) else base
             moved = in_gravity(system, self.gravity[member])
             base = replace(base, system=moved) if isinstance(base, Scene) else moved
         return as_scene(base, options, "simulate_many")
+
+    def _scene_by(self, method: Method | str, member: int) -> Scene:
+        """Return the scene of one member, by the method that members are given to."""
+        return replace(self.scene(member), method=method)
 
     def members(self) -> Members:
         """Return the members in groups.  Raises InputError for scenes that make no sense."""
@@ -129,14 +139,19 @@ class Varied:
         model = template.force_model
         known = [] if model is None else [each.name for each in model.parameters]
         for name in self.parameters:
-            if name not in known:
+            if name not in (*known, *self.bodies):
                 hint = nearest(name, [*STATES, "gravity", *known])
                 raise InputError(
                     f"members: nothing called {brief(name)} varies in these scenes; {hint}"
                     f"what may is {_WHAT}: {listed(known, 60) or 'none'}"
                 )
         first = self.scene(0)  # checks all that is common
-        system = self.base.system if isinstance(self.base, Scene) else self.base
+        if self.bodies.keys() & self.parameters.keys():
+            every = np.arange(self.count)
+            plan = members_plan(first)
+            scene_of = partial(self._scene_by, plan.scene.method)
+            return Members(self.count, [Group(every, plan, first.given, apart=INERTIAS)], scene_of)
+        system = self.base.system.nominal if isinstance(self.base, Scene) else self.base
         template = replace(template, system=system) if self.gravity is not None else template
         numbers = self._numbers(template)
         given = (
@@ -144,9 +159,7 @@ class Varied:
         )
         method = members_plan(first).scene.method
 
-        def scene_of(member: int) -> Scene:
-            return replace(self.scene(member), method=method)
-
+        scene_of = partial(self._scene_by, method)
         if self.gravity is None:
             own = None if numbers is None else OwnNumbers(numbers=numbers)
             every = np.arange(self.count)
@@ -245,9 +258,9 @@ def _named(members: Mapping[str, Any] | None) -> Mapping[str, Any]:
 
 
 def _column(value: Any, name: str) -> Array:
-    """Return the values (N,) of a parameter.  Raises ShapeError."""
+    """Return the values (N,), or (N, k), of a parameter.  Raises ShapeError."""
     column = as_floats(value, name)
-    return vectors(column, len(column), f"parameters['{name}']")
+    return vectors(column, column.shape[-1], f"parameters['{name}']")
 
 
 def _with_prescribed(

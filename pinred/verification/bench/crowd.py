@@ -22,6 +22,7 @@ from ...system.system import InitialState
 from .problems import Problem
 from .solver import End
 
+_TOLERANCES = tuple(10.0 ** (-k / 3) for k in range(18, 40))
 _SPREAD = 0.05  # of rates, relative, and of shapes [rad | m]
 
 
@@ -114,13 +115,13 @@ OWN = (
     CrowdSolver(
         "lanes",
         "DOP853, members in lanes",
-        tuple(float(f"1e-{k}") for k in range(6, 14)),
+        _TOLERANCES,
         partial(_own, in_lanes=True),
     ),
     CrowdSolver(
         "one by one",
         "DOP853, the scalar integrator, one after another",
-        tuple(float(f"1e-{k}") for k in range(6, 14)),
+        _TOLERANCES,
         partial(_own, in_lanes=False),
     ),
 )

@@ -22,7 +22,7 @@ from .peers.mujoco_rollout import ROLLOUT
 from .problems import Problem
 from .scenes import problems_named
 
-MEMBERS, ROUNDS, ERROR = 256, 5, 1e-8
+MEMBERS, ROUNDS, ERROR = 512, 5, 1e-8
 JUDGED = 2  # members whose ends Pinocchio's ABA judges
 CROWD_SOLVERS = (*OWN, *HEYOKA_BATCH, *ROLLOUT)
 _BUDGET = 10.0  # s, beyond which a way takes no further turn
@@ -57,7 +57,7 @@ class ManyTiming:
     def times(self, solver: str) -> float:
         """Return how many times the trajectories per second of the scalar integrator it makes."""
         by_name = {rate.solver: rate.per_second for rate in self.rates}
-        return by_name[solver] / by_name["one by one"]
+        return by_name[solver] / by_name.get(OWN[1].name, float("nan"))
 
     def __str__(self) -> str:
         lines = [
@@ -144,12 +144,12 @@ def _tolerance(
     """
     reached = np.inf
     for tolerance in solver.tolerances:
-        few = solver.prepare(members[: len(truth)], tolerance)
-        ends = few.ends(few.run(), len(truth))
+        way = solver.prepare(members, tolerance)
+        ends = way.ends(way.run(), len(truth))
         reached = max(
             member.apart(FullMotion(x=end.x[None], q=end.q[None]), true)
             for member, end, true in zip(members, ends, truth, strict=False)
         )
         if reached <= error:
-            return tolerance, reached, solver.prepare(members, tolerance)
+            return tolerance, reached, way
     raise InputError(f"the error does not come below {reached:.1e}")

@@ -13,11 +13,12 @@ from ....common.arrays import Array
 from ....common.errors import IntegrationError
 from ..crowd import CrowdPrepared, CrowdSolver, ends_of, flows_of_crowd
 from ..problems import Problem
+from ..solver import decades
 from ..taylor import has_heyoka, reduced_graph, taylor_expressions
 from .equality import INSTALL
 from .heyoka import MOST_UNROLLED
 
-_TOLERANCES = tuple(float(f"1e-{k}") for k in range(8, 15, 2))
+_TOLERANCES = decades(7, 14)
 
 
 def _prepare(members: Sequence[Problem], tolerance: float, *, unrolled: bool) -> CrowdPrepared:
