@@ -16,6 +16,7 @@ from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import acting_gravity, falling, translations
 from ..reduction.tree.free_bodies import free_numbers
 from ..system.inertias import moved_masses, radius_of_gyration
+from ..system.other_inertias import with_inertias
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
@@ -238,7 +239,7 @@ def with_other_inertias(system: System, structure: Structure) -> System:
         moments = own.inertia + np.trace(spread) * np.eye(3) - spread
         lever = own.lever + reach * rng.normal(size=3)
         changed[i + 1] = pin.Inertia(own.mass * rng.uniform(0.5, 1.5), lever, moments)
-    return system.with_inertias(changed)
+    return with_inertias(system, changed)
 
 
 def _in_space(

@@ -19,6 +19,7 @@ from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method
 from ..system.body_parameters import Bodies
+from ..system.other_inertias import nominal
 from ..system.system import System, checked_system
 from . import forms
 from .angles import refuse_vague
@@ -161,7 +162,7 @@ class Scene:
 
     def __reduce__(self) -> tuple[Any, ...]:
         options = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        options |= {"system": self.system.nominal, "parameters": dict(self.parameters)}
+        options |= {"system": nominal(self.system), "parameters": dict(self.parameters)}
         return _scene_of, (options,)
 
     def _repr_html_(self) -> str:
@@ -268,12 +269,12 @@ class Scene:
         """Give bodies the inertias among the parameters; the system is then one that has them."""
         if not isinstance(self.parameters, Mapping):
             raise InputError(f"parameters must be {{name: value}}, got {brief(self.parameters)}")
-        nominal = self.system.nominal
-        bodies = Bodies(nominal, list(self.parameters))
+        own = nominal(self.system)
+        bodies = Bodies(own, list(self.parameters))
         self._keep("_bodies", bodies if bodies.free else None)
         values = bodies.checked(self.parameters)
         self._keep("_values", values)
-        self._keep("system", bodies.system(values) if bodies.free else nominal)
+        self._keep("system", bodies.system(values) if bodies.free else own)
 
     def _check_forces(self) -> None:
         """Write the forces down, if there are any."""

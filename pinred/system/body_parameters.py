@@ -20,6 +20,7 @@ from ..common.arrays import Array, vector
 from ..common.errors import InputError
 from ..common.names import nearest
 from ..common.plain_names import listed, quoted
+from .other_inertias import with_inertias
 from .system import System
 
 # Each kind of parameter, and how many numbers it has.
@@ -172,7 +173,7 @@ class Bodies:
             total, _ = self.dynamic(body, values)
             theirs = np.concatenate([total[:4], total[4:][list(_THEIRS)]])
             changed[body + 1] = pin.Inertia.FromDynamicParameters(theirs)
-        return self._system.with_inertias(changed)
+        return with_inertias(self._system, changed)
 
     def perturbed(self, rng: np.random.Generator) -> dict[str, Array]:
         """Return physical values that have nothing in common with those of the system."""

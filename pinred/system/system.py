@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
-from copy import copy
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, TypeVar
 
@@ -347,22 +346,6 @@ class System:
     def sorted_v(self, v: Array) -> Array:
         """Return v (..., n) of the model that was given as `model` takes it."""
         return v if self._given_v is None else _scattered(v, self._given_v)
-
-    @property
-    def nominal(self) -> System:
-        """The system as it was loaded: itself, unless its bodies were given other inertias."""
-        found: System = vars(self).get("_nominal", self)
-        return found
-
-    def with_inertias(self, inertias: Mapping[int, pin.Inertia]) -> System:
-        """Return this system with other inertias of some bodies, {joint of the model: inertia}."""
-        other = copy(self)
-        own = vars(other)
-        own.pop("_once", None)  # what was made for these inertias
-        own["model"], own["_nominal"] = self.model.copy(), self.nominal
-        for joint, inertia in inertias.items():
-            other.model.inertias[joint] = inertia
-        return other
 
     @property
     def data(self) -> pin.Data:

@@ -64,7 +64,7 @@ def integrate_many(
         failures.append((int(k), float(found.end[k]), reason))
     failed = {k for k, _, _ in failures}
     for k, states in enumerate(found.y):
-        wild = None if k in failed else _wild(kernel, plan, states, plan.scene.report_times)
+        wild = None if k in failed else wild_steps(kernel, plan, states, plan.scene.report_times)
         if wild:
             failures.append((k, plan.scene.end, wild))
     return ManyRuns(found.y, found.steps, found.evaluations, failures)
@@ -174,7 +174,7 @@ def integrator(
             )
         except IntegrationError as stop:
             raise explained(stop, flow, scene, start) from None
-        wild = _wild(flow.kernel, plan, found.states, found.knots)
+        wild = wild_steps(flow.kernel, plan, found.states, found.knots)
         if wild:
             raise IntegrationError(wild)
         return made(found, complete=found.complete)
@@ -182,7 +182,7 @@ def integrator(
     return run
 
 
-def _wild(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
+def wild_steps(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
     """Return what is wrong with a run of equal steps in one of which a joint turns many times.
 
     Nothing controls the error of such steps, and no method follows a joint so far in one.  Joints

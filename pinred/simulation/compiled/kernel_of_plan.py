@@ -5,6 +5,7 @@ from __future__ import annotations
 from ...common.memo import once
 from ...kernels.build import build_kernel
 from ...kernels.kernel import Kernel
+from ...system.other_inertias import nominal
 from ..plan import Kind, Plan
 
 
@@ -22,5 +23,5 @@ def _kernel(kind: Kind) -> Kernel:
     system, structure, forces = kind.system, kind.structure, kind.forces
     key = (Kernel, structure, None if forces is None else forces.key)
     # Inertias that vary are inputs: what is built for some of them serves all.
-    owner = system.nominal if structure.free else system
+    owner = nominal(system) if structure.free else system
     return once(owner, key, lambda: build_kernel(system, structure, forces))

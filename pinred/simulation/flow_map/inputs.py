@@ -19,6 +19,7 @@ from ...reduction.tree.free_bodies import NUMBERS, frame_map, free_numbers
 from ...scene import forms
 from ...scene.scene import Scene
 from ...system.body_parameters import Bodies
+from ...system.other_inertias import nominal
 
 STATE = ("x0", "xdot0", "pose0", "xi0", "momentum")
 
@@ -210,7 +211,7 @@ def with_varied(scene: Scene, names: Sequence[str]) -> Scene:
 
     Raises InputError for bodies that are not there, and for forces that rely on the inertias.
     """
-    bodies = Bodies(scene.system.nominal, [names] if isinstance(names, str) else list(names))
+    bodies = Bodies(nominal(scene.system), [names] if isinstance(names, str) else list(names))
     new = {k: v for k, v in bodies.own().items() if k not in scene.parameters}
     if new:
         scene = replace(scene, parameters={**scene.parameters, **new})

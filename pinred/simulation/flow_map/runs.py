@@ -16,7 +16,7 @@ from ...kernels.tangent import tangent_of
 from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import root_of
 from ..compiled.compiled_flow import CompiledFlow
-from ..compiled.integrator import explained
+from ..compiled.integrator import explained, wild_steps
 from ..compiled.kernel_of_plan import kernel_of
 from ..pieces import joined
 from ..plan import Plan
@@ -110,6 +110,8 @@ class Course:
             except IntegrationError as stopped:
                 at = CompiledFlow.made(kernel, y, here, line)
                 raise explained(stopped, at, self._plan.scene, begin) from None
+            if wild := wild_steps(kernel, self._plan, solution.states, solution.knots):
+                raise IntegrationError(wild)
             stretches.append(Stretch(begin, times, here, solution))
             y = solution.states[-1].copy()
             if layout.quaternion >= 0 and self.method.lanes == 1:
