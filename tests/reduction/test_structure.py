@@ -123,4 +123,4 @@ def test_small_bodies_about_one_point_are_not_cyclic(kind: Any, size: float) -> 
         at = model.addJoint(at, hinge, turned, f"gimbal_{k}")
         model.appendBodyToJoint(at, body(size), pin.SE3.Identity())
     model.gravity.setZero()
-    assert cyclic_of(pinred.load(model), frozenset()) == ()
+    assert cyclic_of(pinred.load(model), frozenset(), pushed=False) == ()
