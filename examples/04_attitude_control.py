@@ -56,11 +56,13 @@ PERIOD, MOST, LEAST = 0.5, 2.0, 0.005  # s, N m, s
 def pulse(axis: int, t: float, integral: float, seen: SeenState) -> tuple[Command, float]:  # noqa: ARG001
     """Return a pulse about one axis of the wanted impulse, and the integral of the error."""
     error = np.sign(seen.pose[6]) * seen.pose[3 + axis]
-    wanted = -3.0 * error - 0.02 * integral - 6.0 * seen.xi[3 + axis]
+    wanted = -3.0 * error - 0.02 * integral - 5.0 * seen.xi[3 + axis]
     width = PERIOD * min(abs(wanted) / MOST, 1.0)
     wrench = np.zeros(6)
     wrench[3 + axis] = MOST * np.sign(wanted)
-    return Command(wrench=wrench, width=width if width >= LEAST else 0.0), integral + error * PERIOD
+    if abs(error) < 0.05:  # not on the way there, which would wind it up
+        integral += error * PERIOD
+    return Command(wrench=wrench, width=width if width >= LEAST else 0.0), integral
 
 
 thrusters = [
@@ -72,7 +74,7 @@ locked = pinred.load("reaction_wheel_satellite", lock=wheels)
 by_thrusters = pinred.simulate(
     locked,
     **(start | {"x0": [0.0]}),
-    duration=25.0,
+    duration=20.0,
     forces=[*thrusters, sunlight, *hinge],
     events=[pinred.Event(closeness, "settled", direction=1)],
 )

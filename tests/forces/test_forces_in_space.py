@@ -239,10 +239,8 @@ def test_links_that_follow_others(group: str, axes: Any, seed: int) -> None:
     bare = case.system.model.copy()
     bare.addFrame(pin.Frame("hand", bare.njoints - 1, pin.SE3.Random(), pin.FrameType.BODY))
     system = pinred.System(bare, "tied", contents=case.system.contents)
-    load, point, rng = case.rng.normal(size=6), case.rng.normal(size=3), case.rng
-    force = ForceModel(
-        system, [Wrench(load.tolist(), link="hand", at=point.tolist(), frame=axes)], {}
-    )
+    load, point, rng = case.rng.normal(size=6), case.rng.normal(size=3).tolist(), case.rng
+    force = ForceModel(system, [Wrench(load.tolist(), link="hand", at=point, frame=axes)], {})
     pose, x = system.group.exp(rng.normal(size=system.r)), rng.normal(size=system.m)
     base = BaseInSpace(pose, *np.zeros((3, system.r)))
     xdot, xi = np.zeros(system.m), np.zeros(system.r)
