@@ -39,6 +39,9 @@ from .analysis.gait_files.reader import load_gait as load_gait
 from .analysis.gaits.gait import Gait as Gait
 from .analysis.inspection import Inspection as Inspection
 from .analysis.inspection import inspect as inspect
+from .analysis.optimisation.best_gait import BestGait as BestGait
+from .analysis.optimisation.optimise import optimise_gait as optimise_gait
+from .analysis.optimisation.optimum import Optimum as Optimum
 from .analysis.phases.phase import Phase as Phase
 from .analysis.phases.phase import phase as phase
 from .analysis.phases.rigid_body import RigidBodyPhase as RigidBodyPhase
@@ -62,6 +65,7 @@ from .common.errors import ModelError as ModelError
 from .common.errors import ModelWarning as ModelWarning
 from .common.errors import NoConvergence as NoConvergence
 from .common.errors import NonFiniteState as NonFiniteState
+from .common.errors import NoOptimum as NoOptimum
 from .common.errors import NotCopyable as NotCopyable
 from .common.errors import OutputError as OutputError
 from .common.errors import PinredError as PinredError

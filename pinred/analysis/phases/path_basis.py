@@ -43,15 +43,21 @@ def fourier_basis(
     harmonics: int, pieces: int, *, start: float = 0.0, turn: float = 2.0 * np.pi
 ) -> PathBasis:
     """Return 1, cos kφ, sin kφ, k = 1 … harmonics, with φ = start + turn s: K = 1 + 2 harmonics."""
-    s = piece_nodes(pieces)
+    values, slopes, bends = fourier_rows(harmonics, piece_nodes(pieces), start=start, turn=turn)
+    return PathBasis(np.full(pieces, 1.0 / pieces), values, slopes, bends)
+
+
+def fourier_rows(
+    harmonics: int, s: Array, *, start: float = 0.0, turn: float = 2.0 * np.pi
+) -> tuple[Array, Array, Array]:
+    """Return 1, cos kφ, sin kφ at s (N,), and their first and second derivatives, (N, K) each."""
     k = np.arange(1, harmonics + 1)
     angle, rate = np.multiply.outer(start + turn * s, k), turn * k
     c, s_, none = np.cos(angle), np.sin(angle), np.zeros((len(s), 1))
-    return PathBasis(
-        h=np.full(pieces, 1.0 / pieces),
-        values=np.hstack([none + 1.0, c, s_]),
-        slopes=np.hstack([none, -rate * s_, rate * c]),
-        bends=np.hstack([none, -(rate**2) * c, -(rate**2) * s_]),
+    return (
+        np.hstack([none + 1.0, c, s_]),
+        np.hstack([none, -rate * s_, rate * c]),
+        np.hstack([none, -(rate**2) * c, -(rate**2) * s_]),
     )
 
 
