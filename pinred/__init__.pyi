@@ -55,6 +55,8 @@ from .analysis.stability.along_motions import floquet as floquet
 from .analysis.stability.along_motions import linearise as linearise
 from .analysis.stability.along_motions import lyapunov as lyapunov
 from .analysis.stability.linearised import Linearisation as Linearisation
+from .analysis.reorientation.reorient import reorient as reorient
+from .analysis.reorientation.turn_plan import TurnPlan as TurnPlan
 from .common.errors import InputError as InputError
 from .common.errors import IntegrationError as IntegrationError
 from .common.errors import KernelMismatch as KernelMismatch

@@ -117,8 +117,7 @@ def test_a_target_at_least_cost() -> None:
     target = np.radians(30.0)
     options = {"objective": "target", "target": target, "cost": "torque", "limits": 3.0}
     one, two = (
-        pinred.optimise_gait(rods(), **options, harmonics=1, starts=1, period=T)
-        for T in (1.0, 2.0)
+        pinred.optimise_gait(rods(), **options, harmonics=1, starts=1, period=T) for T in (1.0, 2.0)
     )
     assert one.phase.pose[2] == pytest.approx(target, abs=1e-9)
     assert one.cost == pytest.approx(8.0 * two.cost, rel=1e-5)  # ∫τ² dt goes with T⁻³

@@ -48,13 +48,13 @@ def rest_to_rest(
 ) -> dict[str, Signal]:
     """Return each joint's motion through so many cycles, from rest to rest.
 
-    The phase angle is φ = 2π cycles (10 u³ − 15 u⁴ + 6 u⁵), u = t/duration: speeds and
-    accelerations are zero at both ends.
+    The phase angle is φ = cycles (a − sin a), a = 2πt/duration, a cycloid: speeds and accelerations
+    are zero at both ends.
     """
     c = coefficients_of(gait)
     h = (len(c) - 1) // 2
-    u = f"(t/{float(duration)!r})"
-    angle = f"({2.0 * np.pi * cycles!r}*{u}**3*(10 - 15*{u} + 6*{u}**2))"
+    a = f"(2*pi*t/{float(duration)!r})"
+    angle = f"({cycles}*({a} - sin({a})))"
     out: dict[str, Signal] = {}
     for j, name in enumerate(joints):
         terms = [repr(float(c[0, j]))]

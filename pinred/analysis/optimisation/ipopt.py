@@ -56,7 +56,7 @@ def minimum(problem: Problem, start: Array, *, tolerance: float = 1e-8, most: in
         out = function(z)
         constraints = [out[1:]] if problem.constraints else []
         if len(problem.rows):
-            constraints.append(ca.mtimes(ca.sparsify(ca.DM(problem.rows)), z))
+            constraints.append(ca.densify(ca.mtimes(ca.sparsify(ca.DM(problem.rows)), z)))
         parts: Any = {"x": z, "f": out[0], "g": ca.vertcat(ca.MX(0, 1), *constraints)}
         slope = float(np.linalg.norm(problem.evaluate(start)[1][0]))
         options: Any = {
