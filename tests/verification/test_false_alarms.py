@@ -9,8 +9,6 @@ from random_scenes import FAR, TINY
 
 import pinred
 
-import pinred
-
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")

@@ -15,7 +15,6 @@ from ...system.system import System
 from ...verification.compare import compare
 from ...verification.report import Report
 from ..gaits.gait import Gait
-from ..gaits.signals import signals_of
 from ..phases.phase import Phase
 from .aims import Along, Reach
 from .costs import ABOUT, DEGREES
@@ -151,5 +150,5 @@ class BestGait:
 def cycle(system: System, gait: Gait) -> Trajectory:
     """Return one cycle of a gait from zero momentum, the base free and the joints on the loop."""
     x, xdot = gait.at(0.0)
-    plan = signals_of(gait, system.shape_names)
+    plan = gait.signals(system.shape_names)
     return simulate(system, x0=x, xdot0=xdot, momentum=0, prescribed=plan, duration=gait.period)

@@ -12,8 +12,8 @@ from ...common.errors import InputError, IntegrationError, NoOptimum, SingularIn
 from ...common.plain_names import brief
 from ...common.progress import Progress, shown
 from ..connections.connection import Connection
+from ..gaits.coefficients import coefficients_of
 from ..gaits.gait import Gait
-from ..gaits.signals import coefficients_of
 from ..phases.path_basis import path_lift
 from ..phases.phase import phase
 from .aims import AIMS, AimKind, Along, Reach, along, reach

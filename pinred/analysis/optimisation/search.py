@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...common.arrays import Array
+from ..gaits.coefficients import coefficients_of
 from ..gaits.gait import Gait
-from ..gaits.signals import coefficients_of
 from .ipopt import Minimum, minimum
 from .margins import tightened, worst_times
 from .transcription import Path, Task, fourier_path, problem_of

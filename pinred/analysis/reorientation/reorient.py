@@ -16,8 +16,8 @@ from ...lie.rotations import quaternion_log
 from ...scene import forms
 from ...system.system import System, checked_system
 from ..connections.connection import Connection
+from ..gaits.coefficients import coefficients_of
 from ..gaits.gait import Gait
-from ..gaits.signals import coefficients_of
 from ..optimisation.aims import Reach, reach
 from ..optimisation.limits import Limits, LimitsLike, limits_of
 from ..optimisation.margins import margins

@@ -13,8 +13,8 @@ import numpy as np
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ..connections.connection import Connection
+from ..gaits.coefficients import coefficients_of
 from ..gaits.gait import Gait
-from ..gaits.signals import coefficients_of
 from ..optimisation.costs import torques
 from ..optimisation.limits import Limits
 from ..phases.path_basis import fourier_rows

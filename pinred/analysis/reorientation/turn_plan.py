@@ -14,8 +14,8 @@ from ...simulation.trajectory import Trajectory
 from ...system.system import System
 from ...verification.compare import compare
 from ...verification.report import Report
+from ..gaits.coefficients import rest_to_rest
 from ..gaits.gait import Gait
-from ..gaits.signals import rest_to_rest
 from ..optimisation.aims import Reach
 from ..phases.phase import Phase
 

@@ -1,4 +1,4 @@
-"""Gaits as signals, by which joints of a simulation are prescribed."""
+"""Coefficients of Fourier gaits, and gaits from rest to rest as plans of a simulation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ...forces.signals import Expression, Fourier, Signal
+from ...forces.signals import Expression, Signal
 from .arcs import FourierArc
 from .gait import Gait
 
@@ -31,16 +31,6 @@ def coefficients_of(gait: Gait, harmonics: int | None = None) -> Array:
     out[1 : 1 + len(k)] = c * arc.cos + s * arc.sin
     out[1 + count : 1 + count + len(k)] = sense * (c * arc.sin - s * arc.cos)
     return out
-
-
-def signals_of(gait: Gait, joints: Sequence[str]) -> dict[str, Signal]:
-    """Return each joint's motion, cycle after cycle, of a gait that is one Fourier series."""
-    c = coefficients_of(gait)
-    h = (len(c) - 1) // 2
-    return {
-        name: Fourier(float(c[0, k]), c[1 : 1 + h, k], c[1 + h :, k], gait.period)
-        for k, name in enumerate(joints)
-    }
 
 
 def rest_to_rest(
