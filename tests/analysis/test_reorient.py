@@ -59,7 +59,7 @@ def test_the_falling_cat_rights_itself() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "seed"), [("satellite_two_arms", 2), ("falling_cat", 3)])
 def test_random_targets(name: str, seed: int) -> None:
-    """Reached within limits, rest to rest; 20 for each robot by `python tests/by_hand/...`."""
+    """Reached within limits, rest to rest; tests/helpers/gait_trials.py has more."""
     system = pinred.load(name)
     plan = pinred.reorient(
         system, target(np.random.default_rng(seed), 20.0, 60.0), limits=ROBOTS[name]
