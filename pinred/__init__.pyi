@@ -39,9 +39,6 @@ from .analysis.gait_files.reader import load_gait as load_gait
 from .analysis.gaits.gait import Gait as Gait
 from .analysis.inspection import Inspection as Inspection
 from .analysis.inspection import inspect as inspect
-from .analysis.optimisation.best_gait import BestGait as BestGait
-from .analysis.optimisation.optimise import optimise_gait as optimise_gait
-from .analysis.optimisation.optimum import Optimum as Optimum
 from .analysis.phases.phase import Phase as Phase
 from .analysis.phases.phase import phase as phase
 from .analysis.phases.rigid_body import RigidBodyPhase as RigidBodyPhase
@@ -55,8 +52,6 @@ from .analysis.stability.along_motions import floquet as floquet
 from .analysis.stability.along_motions import linearise as linearise
 from .analysis.stability.along_motions import lyapunov as lyapunov
 from .analysis.stability.linearised import Linearisation as Linearisation
-from .analysis.reorientation.reorient import reorient as reorient
-from .analysis.reorientation.turn_plan import TurnPlan as TurnPlan
 from .common.errors import InputError as InputError
 from .common.errors import IntegrationError as IntegrationError
 from .common.errors import KernelMismatch as KernelMismatch
@@ -86,6 +81,11 @@ from .integrators.methods import Radau as Radau
 from .integrators.methods import Tsit5 as Tsit5
 from .integrators.methods import Variational as Variational
 from .kernels.casadi_functions import casadi_functions as casadi_functions
+from .planning.optimisation.best_gait import BestGait as BestGait
+from .planning.optimisation.optimise import optimise_gait as optimise_gait
+from .planning.optimisation.optimum import Optimum as Optimum
+from .planning.reorientation.reorient import reorient as reorient
+from .planning.reorientation.turn_plan import TurnPlan as TurnPlan
 from .reduction.at_a_shape import ReducedShape as ReducedShape
 from .reduction.at_a_shape import Reduction as Reduction
 from .reduction.over_shapes import ShapeField as ShapeField

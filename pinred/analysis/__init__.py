@@ -1,4 +1,4 @@
 """Questions about a robot beside its motions: connections, gaits, phases, inspection.
 
-Imports `verification` and what lies below it.
+Imports `simulation` and what lies below it.
 """

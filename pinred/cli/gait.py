@@ -21,8 +21,8 @@ _SAMPLES = 400
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..analysis.optimisation.aims import AIMS
-    from ..analysis.optimisation.costs import COSTS
+    from ..planning.optimisation.aims import AIMS
+    from ..planning.optimisation.costs import COSTS
 
     sub.add_argument(
         "source", metavar="SOURCE",
@@ -49,8 +49,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the best loop and its certificate.  Returns 0, or the verdict of --compare."""
-    from ..analysis.optimisation.optimise import optimise_gait
     from ..common.files import check_path
+    from ..planning.optimisation.optimise import optimise_gait
     from ..verification.report import EXIT_CODES
 
     path = None if options.out is None else check_path(options.out, SUFFIXES)

@@ -29,8 +29,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the plan.  Returns 0, or the verdict of --compare."""
-    from ..analysis.reorientation.reorient import reorient
     from ..common.files import check_path
+    from ..planning.reorientation.reorient import reorient
     from ..verification.report import EXIT_CODES
 
     path = None if options.out is None else check_path(options.out)

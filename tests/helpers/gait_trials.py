@@ -2,7 +2,7 @@
 
 turns: random targets of 20 to 180 degrees, each reached within limits or an error; with `compare`
 of the hardest.  gaits: five starts of three links, and of solo12 (extra `robots`).  Short forms are
-part of the suite (tests/analysis/test_reorient.py, test_optimise_gait.py).
+part of the suite (tests/planning/).
 """
 
 from __future__ import annotations

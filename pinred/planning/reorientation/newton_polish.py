@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...analysis.connections.connection import Connection
+from ...analysis.phases.path_basis import path_lift
 from ...common.arrays import Array
-from ..connections.connection import Connection
 from ..optimisation.aims import Reach
 from ..optimisation.transcription import Path
-from ..phases.path_basis import path_lift
 
 _STEPS = 4
 _DONE = 1e-14  # rad

@@ -6,20 +6,20 @@ import re
 
 import numpy as np
 import pytest
+from inverse_dynamics import joint_torques
 from lifts import by_pinocchio
 from nearness import close
-from test_covariant_forces import joint_torques
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
-from pinred.analysis.optimisation import search
-from pinred.analysis.optimisation.aims import along, reach
-from pinred.analysis.optimisation.costs import COSTS
-from pinred.analysis.optimisation.ipopt import Problem, kkt_residual, minimum
-from pinred.analysis.optimisation.limits import limits_of
-from pinred.analysis.optimisation.search import fourier_path_of
-from pinred.analysis.optimisation.transcription import Task, problem_of
 from pinred.common.arrays import Array
+from pinred.planning.optimisation import search
+from pinred.planning.optimisation.aims import along, reach
+from pinred.planning.optimisation.costs import COSTS
+from pinred.planning.optimisation.ipopt import Problem, kkt_residual, minimum
+from pinred.planning.optimisation.limits import limits_of
+from pinred.planning.optimisation.search import fourier_path_of
+from pinred.planning.optimisation.transcription import Task, problem_of
 
 TURN = 0.033787199534  # of three rods, around half of the square |α| ≤ 1
 RODS = {name: pinred.Rod(LENGTH, 2.0, 1.0, centre=(CENTRES[name], 0.0, 0.0)) for name in LINKS}

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...analysis.connections.connection import Connection
+from ...analysis.phases.path_basis import PathBasis, fourier_basis, fourier_rows, path_lift
 from ...common.arrays import Array
 from ...common.errors import NoConvergence, SingularInertiaError
-from ..connections.connection import Connection
-from ..phases.path_basis import PathBasis, fourier_basis, fourier_rows, path_lift
 from .aims import Along, Reach
 from .costs import DEGREES, CostKind, cost_of, torque_order, torque_slopes, torques
 from .ipopt import Problem

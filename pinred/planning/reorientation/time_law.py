@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...analysis.connections.connection import Connection
+from ...analysis.gaits.coefficients import coefficients_of
+from ...analysis.gaits.gait import Gait
+from ...analysis.phases.path_basis import fourier_rows
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
-from ..connections.connection import Connection
-from ..gaits.coefficients import coefficients_of
-from ..gaits.gait import Gait
 from ..optimisation.costs import torques
 from ..optimisation.limits import Limits
-from ..phases.path_basis import fourier_rows
 
 _TIMES = 512  # a cycle
 _ROOM = 1.0 + 1e-6

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from ..gaits.gait import Gait
-from ..phases.phase import Phase
+from ...analysis.gaits.gait import Gait
+from ...analysis.phases.phase import Phase
 
 SAME = 1e-5  # relative, of merits; loops that are images of each other count as one
 

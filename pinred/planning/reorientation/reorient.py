@@ -5,6 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...analysis.connections.connection import Connection
+from ...analysis.gaits.coefficients import coefficients_of
+from ...analysis.gaits.gait import Gait
+from ...analysis.phases.path_basis import path_lift
+from ...analysis.phases.phase import phase
 from ...common.arrays import Array, positive, vector
 from ...common.errors import (
     InputError,
@@ -15,16 +20,11 @@ from ...common.errors import (
 from ...lie.rotations import quaternion_log
 from ...scene import forms
 from ...system.system import System, checked_system
-from ..connections.connection import Connection
-from ..gaits.coefficients import coefficients_of
-from ..gaits.gait import Gait
 from ..optimisation.aims import Reach, reach
 from ..optimisation.limits import Limits, LimitsLike, limits_of
 from ..optimisation.margins import margins
 from ..optimisation.search import Lost, Search, fourier_path_of, within
 from ..optimisation.transcription import Task, fourier_path
-from ..phases.path_basis import path_lift
-from ..phases.phase import phase
 from .first_loops import first_loop
 from .newton_polish import polished
 from .time_law import peaks_of

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from inverse_dynamics import joint_torques
 from lifts import by_pinocchio
 from nearness import close
-from test_covariant_forces import joint_torques
 
 import pinred
-from pinred.analysis.reorientation import reorient as module
-from pinred.analysis.reorientation.first_loops import first_loop
 from pinred.common.arrays import Array
+from pinred.planning.reorientation import reorient as module
+from pinred.planning.reorientation.first_loops import first_loop
 
 ROBOTS = {"falling_cat": 1.6, "satellite_two_arms": 2.6, "solo12": 1.0}  # their limits [rad]
 

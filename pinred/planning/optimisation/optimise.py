@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...analysis.connections.connection import Connection
+from ...analysis.gaits.coefficients import coefficients_of
+from ...analysis.gaits.gait import Gait
+from ...analysis.phases.path_basis import path_lift
+from ...analysis.phases.phase import phase
 from ...common.arrays import positive
 from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError
 from ...common.plain_names import brief
 from ...common.progress import Progress, shown
-from ..connections.connection import Connection
-from ..gaits.coefficients import coefficients_of
-from ..gaits.gait import Gait
-from ..phases.path_basis import path_lift
-from ..phases.phase import phase
 from .aims import AIMS, AimKind, Along, Reach, along, reach
 from .best_gait import BestGait
 from .costs import CostKind, check_cost, cost_of

@@ -13,10 +13,10 @@ from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
+from ...analysis.connections.connection import Connection
+from ...analysis.phases.path_basis import PathBasis, PathLift, by_coefficients
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ..connections.connection import Connection
-from ..phases.path_basis import PathBasis, PathLift, by_coefficients
 
 CostKind: TypeAlias = Literal["length", "torque", "power", "acceleration", "time"]
 COSTS: tuple[CostKind, ...] = get_args(CostKind)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...analysis.gaits.gait import Gait
+from ...analysis.phases.path_basis import polygon_basis
 from ...common.arrays import Array
-from ..gaits.gait import Gait
-from ..phases.path_basis import polygon_basis
 from .transcription import Path
 
 _EACH = 1  # pieces of order 16 of an edge

@@ -9,10 +9,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...analysis.connections.connection import Connection
 from ...common.arrays import Array, as_floats, freeze
 from ...common.errors import InputError, ShapeError
 from ...common.names import joint_index
-from ..connections.connection import Connection
 
 # One for all joints, or by joint: a number r for [−r, r], or a pair; of speeds and torques, r.
 LimitsLike: TypeAlias = float | ArrayLike | Mapping[str, ArrayLike]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...analysis.connections.connection import Connection
+from ...analysis.gaits.arcs import FourierArc
+from ...analysis.gaits.gait import Gait
+from ...analysis.phases.path_basis import fourier_rows
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ..connections.connection import Connection
-from ..gaits.arcs import FourierArc
-from ..gaits.gait import Gait
-from ..phases.path_basis import fourier_rows
 from .costs import torque_order, torques
 from .limits import Limits
 

@@ -7,6 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
+from ...analysis.gaits.gait import Gait
+from ...analysis.phases.phase import Phase
 from ...common.errors import InputError
 from ...lie.group import PoseError
 from ...simulation.simulate import simulate
@@ -14,8 +16,6 @@ from ...simulation.trajectory import Trajectory
 from ...system.system import System
 from ...verification.compare import compare
 from ...verification.report import Report
-from ..gaits.gait import Gait
-from ..phases.phase import Phase
 from .aims import Along, Reach
 from .costs import ABOUT, DEGREES
 from .optimum import Optimum

@@ -8,16 +8,16 @@ from functools import cached_property
 
 import numpy as np
 
+from ...analysis.gaits.coefficients import rest_to_rest
+from ...analysis.gaits.gait import Gait
+from ...analysis.phases.phase import Phase
 from ...common.arrays import Array
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
 from ...verification.compare import compare
 from ...verification.report import Report
-from ..gaits.coefficients import rest_to_rest
-from ..gaits.gait import Gait
 from ..optimisation.aims import Reach
-from ..phases.phase import Phase
 
 TOLERANCES = (1e-12, 1e-14)  # of the simulation of a plan: relative, absolute
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...analysis.gaits.coefficients import coefficients_of
+from ...analysis.gaits.gait import Gait
 from ...common.arrays import Array
-from ..gaits.coefficients import coefficients_of
-from ..gaits.gait import Gait
 from .ipopt import Minimum, minimum
 from .margins import tightened, worst_times
 from .transcription import Path, Task, fourier_path, problem_of

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...analysis.connections.connection import Connection
+from ...analysis.gaits.gait import Gait
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ..connections.connection import Connection
-from ..gaits.gait import Gait
 
 _MOST = 0.7  # of the room that joints have, at most
 _ASIDE = 0.3  # of that room
