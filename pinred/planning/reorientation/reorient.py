@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -46,7 +48,7 @@ def reorient(
     limits: LimitsLike | None = None,
     speeds: LimitsLike | None = None,
     torques: LimitsLike | None = None,
-    x0: ArrayLike | None = None,
+    x0: ArrayLike | Mapping[str, ArrayLike] | None = None,
     cycles: int | None = None,
     duration: float | None = None,
 ) -> TurnPlan:
@@ -90,7 +92,7 @@ def reorient(
     )
 
 
-def _start(system: System, bounds: Limits, x0: ArrayLike | None) -> Array:
+def _start(system: System, bounds: Limits, x0: ArrayLike | Mapping[str, ArrayLike] | None) -> Array:
     """Return the shape at the start, (m,).  Raises InputError outside the limits."""
     if x0 is None:
         zero = np.zeros(system.m)
