@@ -62,6 +62,7 @@ from .common.errors import ModelError as ModelError
 from .common.errors import ModelWarning as ModelWarning
 from .common.errors import NoConvergence as NoConvergence
 from .common.errors import NonFiniteState as NonFiniteState
+from .common.errors import NoOptimum as NoOptimum
 from .common.errors import NotCopyable as NotCopyable
 from .common.errors import OutputError as OutputError
 from .common.errors import PinredError as PinredError
@@ -80,6 +81,11 @@ from .integrators.methods import Radau as Radau
 from .integrators.methods import Tsit5 as Tsit5
 from .integrators.methods import Variational as Variational
 from .kernels.casadi_functions import casadi_functions as casadi_functions
+from .planning.optimisation.best_gait import BestGait as BestGait
+from .planning.optimisation.optimise import optimise_gait as optimise_gait
+from .planning.optimisation.optimum import Optimum as Optimum
+from .planning.reorientation.reorient import reorient as reorient
+from .planning.reorientation.turn_plan import TurnPlan as TurnPlan
 from .reduction.at_a_shape import ReducedShape as ReducedShape
 from .reduction.at_a_shape import Reduction as Reduction
 from .reduction.over_shapes import ShapeField as ShapeField

@@ -17,6 +17,7 @@ import nbformat
 import numpy as np
 import pinocchio as pin
 import pytest
+from lifts import by_pinocchio
 from nbclient import NotebookClient
 
 import pinred
@@ -264,6 +265,33 @@ def test_identification(tell: Callable[[str], Told]) -> None:
         assert abs(found - true) < 4.0 * spread
     (residual,) = told.numbers(r"residual N rad")
     assert residual == pytest.approx(1e-3, rel=0.2)
+
+
+def test_best_stroke(tell: Callable[[str], Told]) -> None:
+    """What no simple loop exceeds; rotation per length, by SciPy over Pinocchio's mass matrix."""
+    told = tell("13")
+    turn, part = told.numbers(r"turns by N rad, the polygon by N% of that")
+    assert turn == pytest.approx(0.033787199534, abs=1e-12)
+    assert 99.99 <= part <= 100.0
+    best = told.names["best"]
+    pose = by_pinocchio(pinred.load("three_rods"), best.gait, np.zeros(3))
+    assert pose[2] / best.phase.length == pytest.approx(2.38599, abs=6e-6)
+    assert told.text.count("verdict: PASSED") == 1
+
+
+def test_satellite_turns_by_its_arms(tell: Callable[[str], Told]) -> None:
+    """A quarter turn by Pinocchio's centroidal map; full ABA."""
+    told = tell("14")
+    plan = told.names["plan"]
+    turn = turned_by_momentum_map(
+        pinred.load("satellite_two_arms"), lambda t: plan.gait.at(t)[0], plan.gait.period
+    )
+    np.testing.assert_allclose(plan.cycles * turn, [0.0, 0.0, np.pi / 2], atol=1e-4)
+    (row,) = re.findall(r"the bus turns by \[(.*?)\] degrees", told.text)
+    np.testing.assert_allclose(np.array(row.split(), float), [0.0, 0.0, 90.0], atol=1e-5)
+    (missed,) = told.numbers("missed by N rad")
+    assert missed < 1e-8
+    assert told.text.count("verdict: PASSED") == 1
 
 
 def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -31,6 +31,8 @@ COMMANDS = {  # name of the command and of its file: what it does
     "plot": "draw a motion, or what bench accuracy measured",
     "play": "play a motion in a browser, or write it as a film",
     "phase": "what a gait does to the body, cycle after cycle",
+    "gait": "find the loop that does most to the body for what it costs",
+    "reorient": "turn the base by a motion of the joints",
     "field": "draw the connection of a robot over two joints",
     "robots": "list the robots that can be loaded by name",
     "cache": "show the compiled kernels kept on disk",

@@ -29,7 +29,7 @@ STATE = {  # the initial state, by the names that Scene has for it: the form, an
     "v0": ("V1,V2,…", "Pinocchio's velocity instead of xdot0, xi0 and momentum"),
 }
 # Options of numbers with commas.
-VECTORS = ("--at", "--gravity", "--limits", *(f"--{name}" for name in STATE))
+VECTORS = ("--at", "--gravity", "--axis", "--target", "--limits", *(f"--{name}" for name in STATE))
 
 
 def one_of(names: Iterable[str], default: Any) -> str:

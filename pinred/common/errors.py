@@ -68,6 +68,10 @@ class IntegrationError(PinredError, ArithmeticError):
     """An integration had to stop before its end time."""
 
 
+class NoOptimum(PinredError, ArithmeticError):  # noqa: N818
+    """An optimisation found nothing that satisfies what was asked for."""
+
+
 class UnsupportedOperationError(PinredError, NotImplementedError):
     """An expression contains an operation that cannot be compiled."""
 

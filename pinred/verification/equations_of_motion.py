@@ -24,6 +24,7 @@ from .full_state import FullState
 
 _LEFT = 1e-5  # of that, beside what the row is a sum of: 1e-12 of it is a part of round-off
 _APART = 10.0  # times what two derivatives leave
+_AT_REST = 1e-2  # of the greatest forces of the motion; smaller ones are judged as parts of that
 _LEAST = 1e-290  # forces that round-off of the smallest numbers would be a part of
 
 
@@ -36,7 +37,7 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     found, numbers = accelerations(traj, times, size), traj.motion.numbers(times)
     states, r, leads = found.states, full.system.r, full.ties.leads
     driven = [r + k for k in traj.plan.acting.driven]
-    out = np.zeros_like(found.v)
+    out, whole = np.zeros_like(found.v), np.zeros_like(found.v)
     for k, t in enumerate(times.tolist()):
         full.hold(numbers[k])
         y = full.state(states.pose[k], states.x[k], states.xi[k], states.xdot[k])
@@ -52,8 +53,10 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
         # A drive gives whatever force its plan takes: what counts is whether it follows that.
         own = np.diag(H) * (np.abs(found.a[k] - a) - _APART * found.spread[k])
         off[driven] = own[driven]
-        out[k] = np.maximum(off, 0.0) / np.maximum(terms, _LEAST)
-    return out
+        out[k], whole[k] = np.maximum(off, 0.0), terms
+    # At rest nothing is left of forces but their round-off, which is part of what they are else.
+    least = np.maximum(_AT_REST * whole.max(axis=0, initial=0.0), _LEAST)
+    return np.asarray(out / np.maximum(whole, least))
 
 
 def _weights(system: System, q: Array) -> tuple[Array, Array]:

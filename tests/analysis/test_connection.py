@@ -83,7 +83,7 @@ def test_code_that_disagrees_never_runs(what: str, call: object) -> None:
 def test_the_judge_looks_at_healthy_shapes() -> None:
     """The trial shapes exist: a judge without any would pass everything."""
     form = pinred.Connection.mechanical(pinred.load("falling_cat")).form
-    assert len(list(connection_judge._shapes(form))) == 2
+    assert len(list(connection_judge.shapes_to_judge(form))) == 2
 
 
 def test_wrong_shapes_are_refused() -> None:

@@ -40,3 +40,17 @@ def test_extremes_do_not_fail(robot: str, speed: float, offset: float) -> None:
     )
     expected = "CANNOT TELL" if speed == TINY else "PASSED"
     assert str(report.verdict) == expected, str(report)
+
+
+def test_from_rest_to_rest() -> None:
+    """At rest, accelerations are round-off alone, and no part of what is left of nothing."""
+    rods = pinred.load("three_rods")
+    angle = "(2*pi*t/2.0 - sin(2*pi*t/2.0))"
+    plan = {"alpha1": f"0.3 - 0.3*cos({angle})", "alpha2": f"0.7*sin({angle})"}
+    for duration in (2.0, 4.0):
+        report = pinred.compare(
+            pinred.simulate(
+                rods, x0=[0.0, 0.0], momentum=0, prescribed=plan, duration=duration, rtol=1e-12
+            )
+        )
+        assert report.passed, report

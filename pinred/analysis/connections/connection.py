@@ -111,6 +111,7 @@ class Connection:
     form: ConnectionForm = field(repr=False)
     code: ConnectionCode = field(repr=False)
     system: System | None = field(default=None, repr=False)
+    is_mechanical: bool = field(default=False, repr=False)
 
     @classmethod
     def of(cls, form: ConnectionForm) -> Connection:
@@ -120,7 +121,7 @@ class Connection:
     @classmethod
     def mechanical(cls, system: System) -> Connection:
         """Return the mechanical connection of a system: A = I⁻¹ H_bs, metric M (kg m², …)."""
-        return replace(cls.of(mechanical_form(system)), system=system)
+        return replace(cls.of(mechanical_form(system)), system=system, is_mechanical=True)
 
     @classmethod
     def viscous(cls, system: System, drag: Mapping[str, Rod | ArrayLike]) -> Connection:

@@ -1,8 +1,4 @@
-"""Derivatives of a phase and of the effort of a gait by its Fourier coefficients, exact.
-
-If a motion ġ = g ξ is varied, then g⁻¹δg = Ad_{g⁻¹} ∫ Ad_{g(t)} δξ(t) dt at its end, with
-δξ = (∂ξ/∂x) δx + (∂ξ/∂ẋ) δẋ from machine code.
-"""
+"""Derivatives of a phase and of the effort of a gait by its Fourier coefficients, exact."""
 
 from __future__ import annotations
 
@@ -12,12 +8,10 @@ import numpy as np
 
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
-from ...integrators.gauss.tables import tables
-from ...lie.group import Group
 from ..connections.connection import Connection
 from ..gaits.arcs import FourierArc
 from ..gaits.gait import Gait
-from .lift import STAGES, Pieces, in_space, lifted, nodes
+from .path_basis import PathBasis, by_coefficients, fourier_basis, path_lift
 
 _PER_HARMONIC = 8  # pieces
 
@@ -51,60 +45,23 @@ def phase_slopes(connection: Connection, gait: Gait, *, pieces: int | None = Non
     arc = gait.arcs[0]
     if not gait.is_smooth or not isinstance(arc, FourierArc):
         raise InputError("derivatives by coefficients need a gait that is one Fourier series")
-    group, m, harmonics = connection.group, connection.m, len(arc.cos)
+    harmonics, m = len(arc.cos), connection.m
     count = _PER_HARMONIC * (harmonics + 1) if pieces is None else int(pieces)
-    h = np.full(count, gait.period / count)
-    s = ((np.arange(count)[:, None] + nodes()) / count).ravel()
-    x, slope = arc.at(s)
-    xdot = slope / arc.time
-    xi, square = connection.horizontal(x, xdot)
-    S = connection.horizontal_slopes(x, xdot)
-    on_way = Pieces(
-        h=h,
-        a=in_space(group, xi).reshape(count, STAGES, 6),
-        L=np.zeros((0, STAGES, 6, 6)),
-    )
-    found = lifted(group, on_way, np.zeros(group.dim))
-    pose, r = found.path[-1], group.dim
-    weights = np.tile(tables(STAGES).b, count) * h[0]
-    values, rates = _basis(arc, s)
-    carried = weights[:, None, None] * _adjoints(group, found.inner.reshape(-1, 7))
-
-    def by_coefficients(rows: Array) -> Array:
-        """Return the sums over the nodes of rows (N, k, 2m), as (k, 1 + 2 harmonics, m)."""
-        by_x = np.tensordot(values.T, rows[..., :m], 1)
-        by_rate = np.tensordot(rates.T, rows[..., m:], 1)
-        return np.asarray(np.swapaxes(by_x + by_rate, 0, 1))
-
-    twist = np.tensordot(group.Ad(group.inverse(pose)), by_coefficients(carried @ S[:, :r]), 1)
-    none = np.full((1 + 2 * harmonics, m), np.nan)
+    basis = fourier_basis(harmonics, count, start=arc.start, turn=arc.end - arc.start)
+    found = path_lift(connection, basis, np.vstack([arc.mean[None], arc.cos, arc.sin]))
     length = action = np.nan
-    length_slope = action_slope = none
+    length_slope = action_slope = np.full((1 + 2 * harmonics, m), np.nan)
     if connection.has_metric:
-        speed = np.sqrt(square)
-        length, action = float(weights @ speed), float(weights @ square)
+        speed, weights = np.sqrt(found.square), basis.weights
+        length, action = float(weights @ speed), float(weights @ found.square) / arc.time
         with np.errstate(divide="ignore", invalid="ignore"):
             factors = np.where(speed > 0.0, 0.5 / speed, 0.0)
-        length_slope = by_coefficients((weights * factors)[:, None, None] * S[:, r:])[0]
-        action_slope = by_coefficients(weights[:, None, None] * S[:, r:])[0]
-    return PhaseSlopes(pose.copy(), twist, length, length_slope, action, action_slope)
+        length_slope = _summed(basis, (weights * factors)[:, None] * found.square_slopes)
+        action_slope = _summed(basis, weights[:, None] * found.square_slopes) / arc.time
+    return PhaseSlopes(found.pose, found.twist, length, length_slope, action, action_slope)
 
 
-def _basis(arc: FourierArc, s: Array) -> tuple[Array, Array]:
-    """Return 1, cos kφ, sin kφ and their rates, (N, 1 + 2 harmonics) each."""
-    k = np.arange(1, len(arc.cos) + 1)
-    turn = arc.end - arc.start
-    angle = np.multiply.outer(arc.start + turn * s, k)
-    c, s_, rate = np.cos(angle), np.sin(angle), turn / arc.time * k
-    one = np.ones((len(s), 1))
-    return np.hstack([one, c, s_]), np.hstack([0.0 * one, -rate * s_, rate * c])
-
-
-def _adjoints(group: Group, inner: Array) -> Array:
-    """Return Ad_g (N, r, r) of positions and quaternions (N, 7)."""
-    linear = inner[:, list(group.axes[: group.linear])]
-    q = inner[:, 3:] / np.linalg.norm(inner[:, 3:], axis=1, keepdims=True)
-    if group.turns == 3:
-        return group.Ad(np.concatenate([linear, q], axis=1))
-    angle = 2.0 * np.arctan2(q[:, 2:3], q[:, 3:])
-    return group.Ad(np.concatenate([linear, angle], axis=1) if group.turns else linear)
+def _summed(basis: PathBasis, rows: Array) -> Array:
+    """Return the sum over the nodes of rows (N, 2m) by (x, x′), as (K, m)."""
+    by_x, by_slope = np.split(rows[:, None], 2, axis=2)
+    return np.asarray(by_coefficients(basis, by_x, by_slope)[0])

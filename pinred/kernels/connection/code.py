@@ -15,6 +15,7 @@ from ..evaluate import evaluate
 from ..machine.native import NativeCode, compile_object, load_object
 from ..object_cache import ObjectCache, cache_key
 from .connection_judge import judge_curvature, judge_local, judge_slope, judge_velocity
+from .covariant import covariant_graph, judge_covariant
 from .form import ConnectionForm
 from .graphs import curvature_graph, local_graph, velocity_graph, velocity_slope_graph
 
@@ -79,6 +80,17 @@ class ConnectionCode:
         rows, columns = form.r + form.symmetric, 2 * form.m
         out = evaluate(code.address, _NONE, np.hstack([x, xdot]), rows * columns)
         return np.swapaxes(out.reshape(len(x), columns, rows), 1, 2)
+
+    def covariant_forces(
+        self, x: Array, xdot: Array, xddot: Array, along: Array
+    ) -> tuple[Array, Array]:
+        """Return the covariant forces f of motions, (N, m), and the slopes of λᵀf, (N, 3m).
+
+        along: λ (N, m).  The slopes are by (x, ẋ, ẍ).  Only where there is a metric.
+        """
+        code, m = self._code("covariant", covariant_graph, judge_covariant), self.form.m
+        out = evaluate(code.address, _NONE, np.hstack([x, xdot, xddot, along]), 4 * m)
+        return out[:, :m], out[:, m:]
 
     def locals(self, x: Array) -> Locals:
         """Return A, P_b and M."""

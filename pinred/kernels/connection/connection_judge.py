@@ -22,20 +22,20 @@ _SLOPE = 1e-7  # relative, of differences
 def judge_velocity(form: ConnectionForm, code: NativeCode) -> None:
     """Compare ξ and ẋᵀ M ẋ.  Raises KernelMismatch."""
     r = form.r
-    for x, rng in _shapes(form):
+    for x, rng in shapes_to_judge(form):
         xdot = rng.normal(size=form.m)
         found = _one(code, np.concatenate([x, xdot]), r + 1 + form.symmetric)
         A, M, size = _expected(form, x)
-        agree(_who(form), "the body velocity", found[:r], -A @ xdot, size * np.abs(xdot).sum())
+        agree(who(form), "the body velocity", found[:r], -A @ xdot, size * np.abs(xdot).sum())
         if form.symmetric:
-            agree(_who(form), "the metric", found[r + 1 :], np.array([xdot @ M @ xdot]), 0.0)
+            agree(who(form), "the metric", found[r + 1 :], np.array([xdot @ M @ xdot]), 0.0)
 
 
 def judge_slope(form: ConnectionForm, code: NativeCode) -> None:
     """Compare the derivatives by x with differences of the reference, those by ẋ with A and M."""
     r, m = form.r, form.m
     rows = r + form.symmetric
-    for x, rng in _shapes(form):
+    for x, rng in shapes_to_judge(form):
         xdot = rng.normal(size=m)
         found = _one(code, np.concatenate([x, xdot]), rows * 2 * m).reshape(2 * m, rows).T
         expected = np.zeros((rows, 2 * m))
@@ -47,37 +47,38 @@ def judge_slope(form: ConnectionForm, code: NativeCode) -> None:
             expected[r, m:] = 2.0 * M @ xdot
         noise = max(size, float(np.abs(M).max(initial=0.0))) * (1.0 + xdot @ xdot) / _STEP
         what = "the slope of its velocity"
-        agree(_who(form), what, found.ravel(), expected.ravel(), noise, _SLOPE)
+        agree(who(form), what, found.ravel(), expected.ravel(), noise, _SLOPE)
 
 
 def judge_local(form: ConnectionForm, code: NativeCode) -> None:
     """Compare A, P_b and M."""
     r, m = form.r, form.m
-    for x, _ in _shapes(form):
+    for x, _ in shapes_to_judge(form):
         found = _one(code, x, r * m + r * r + 1 + m * m * form.symmetric)
         A, M, size = _expected(form, x)
         P = form.reference(x)[:r, :r]
-        agree(_who(form), "A", found[: r * m], A.T.ravel(), size)
-        agree(_who(form), "P_b", found[r * m : r * m + r * r], P.T.ravel(), np.abs(P).max())
+        agree(who(form), "A", found[: r * m], A.T.ravel(), size)
+        agree(who(form), "P_b", found[r * m : r * m + r * r], P.T.ravel(), np.abs(P).max())
         if form.symmetric:
-            agree(_who(form), "M", found[r * m + r * r + 1 :], M.ravel(), 0.0)
+            agree(who(form), "M", found[r * m + r * r + 1 :], M.ravel(), 0.0)
 
 
 def judge_curvature(form: ConnectionForm, code: NativeCode) -> None:
     """Compare dA and the brackets, dA with differences of the reference."""
     r, m = form.r, form.m
     first, second = np.triu_indices(m, 1)
-    for x, _ in _shapes(form):
+    for x, _ in shapes_to_judge(form):
         found = _one(code, x, 1 + 2 * r * len(first))[1:]
         A, _, size = _expected(form, x)
         dA, _ = _slopes(form, x)
         exterior = (np.swapaxes(dA, 1, 2) - dA)[:, first, second]
         bracket = form.group.bracket(A.T[first], A.T[second])
         both = np.concatenate([exterior.T.ravel(), bracket.ravel()])
-        agree(_who(form), "the curvature", found, both, (size + size**2) / _STEP, _SLOPE)
+        agree(who(form), "the curvature", found, both, (size + size**2) / _STEP, _SLOPE)
 
 
-def _who(form: ConnectionForm) -> str:
+def who(form: ConnectionForm) -> str:
+    """Return what a message calls the machine code of a form."""
     return f"the machine code of {form.what}"
 
 
@@ -85,7 +86,7 @@ def _one(code: NativeCode, y: Array, size: int) -> Array:
     return np.asarray(evaluate(code.address, np.zeros(1), y[None], size)[0])
 
 
-def _shapes(form: ConnectionForm) -> Iterator[tuple[Array, np.random.Generator]]:
+def shapes_to_judge(form: ConnectionForm) -> Iterator[tuple[Array, np.random.Generator]]:
     """Yield random shapes at which P_b is far from singular."""
     rng, judged = np.random.default_rng(0), 0
     for _ in range(_TRIED):
@@ -98,6 +99,11 @@ def _shapes(form: ConnectionForm) -> Iterator[tuple[Array, np.random.Generator]]
         judged += 1
         if judged == _TRIALS:
             return
+
+
+def metric_slopes(form: ConnectionForm, x: Array) -> tuple[Array, Array]:
+    """Return M (m, m) by the reference, and ∂M (m, m, m) by differences, ∂ last."""
+    return _expected(form, x)[1], _slopes(form, x)[1]
 
 
 def _expected(form: ConnectionForm, x: Array) -> tuple[Array, Array, float]:

@@ -13,6 +13,7 @@ from ...common.plain_names import brief
 from ...integrators.methods import DOP853_LEAST, AdaptiveGauss
 from ...scene.initial_state import GivenStates
 from ...scene.scene import Scene
+from ...system.other_inertias import nominal
 from ...system.system import Indices
 from ..own_numbers import OwnNumbers
 from ..plan import Plan, plan_of
@@ -88,7 +89,7 @@ def of_scenes(scenes: Sequence[Scene]) -> Members:
     plans = [members_plan(scene) for scene in scenes]
     sets: dict[Hashable, list[int]] = {}
     for k, (scene, plan) in enumerate(zip(scenes, plans, strict=True)):
-        if scene.system.nominal is not first.system.nominal:
+        if nominal(scene.system) is not nominal(first.system):
             raise InputError(
                 f"the Scenes of simulate_many must be of one System, but that of entry {k} is "
                 "another; load a robot once and use it in all"

@@ -23,6 +23,7 @@ from ...scene.random_state import random_state
 from ...scene.scene import Scene
 from ...system.body_parameters import body_parameter
 from ...system.in_gravity import in_gravity
+from ...system.other_inertias import nominal
 from ...system.system import System
 from ..own_numbers import OwnNumbers
 from ..simulate import as_scene
@@ -51,7 +52,7 @@ class Varied:
     ) -> None:
         """Take options of a scene, and members by name.  Raises InputError and ShapeError."""
         self.base, self.seeds = base, seeds
-        system = base.system.nominal if isinstance(base, Scene) else base
+        system = nominal(base.system) if isinstance(base, Scene) else base
         self.common = dict(options)
         parameters = self.common.pop("parameters", None)
         parameters = {} if parameters is None else parameters
@@ -123,7 +124,7 @@ class Varied:
             options["seed"] = self.seeds[member]
         base = self.base
         if self.gravity is not None:
-            system = base.system.nominal if isinstance(base, Scene) else base
+            system = nominal(base.system) if isinstance(base, Scene) else base
             moved = in_gravity(system, self.gravity[member])
             base = replace(base, system=moved) if isinstance(base, Scene) else moved
         return as_scene(base, options, "simulate_many")
@@ -151,7 +152,7 @@ class Varied:
             plan = members_plan(first)
             scene_of = partial(self._scene_by, plan.scene.method)
             return Members(self.count, [Group(every, plan, first.given, apart=INERTIAS)], scene_of)
-        system = self.base.system.nominal if isinstance(self.base, Scene) else self.base
+        system = nominal(self.base.system) if isinstance(self.base, Scene) else self.base
         template = replace(template, system=system) if self.gravity is not None else template
         numbers = self._numbers(template)
         given = (

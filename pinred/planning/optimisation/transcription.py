@@ -1,0 +1,233 @@
+"""The transcription: a loop as finitely many numbers, what is wanted of it, and its limits.
+
+The coefficients of the path are affine in the unknowns, c = L y + c₀; the unknowns are y, and the
+period where that is free.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...analysis.connections.connection import Connection
+from ...analysis.phases.path_basis import PathBasis, fourier_basis, fourier_rows, path_lift
+from ...common.arrays import Array
+from ...common.errors import NoConvergence, SingularInertiaError
+from .aims import Along, Reach
+from .costs import DEGREES, CostKind, cost_of, torque_order, torque_slopes, torques
+from .ipopt import Problem
+from .limits import Limits
+
+_INSIDE = 1e-6  # of what the joints may do; IPOPT's round-off, and the last ripple, stay within
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is asked for.
+
+    cost: None to leave it out of account.  most: bound on the cost, or None.  period: T [s], where
+    it is not what is to be small.
+    """
+
+    connection: Connection
+    aim: Along | Reach
+    cost: CostKind | None
+    most: float | None
+    limits: Limits
+    period: float
+
+    @property
+    def period_is_free(self) -> bool:
+        """Whether the period is an unknown."""
+        return self.cost == "time"
+
+    @property
+    def per_cost(self) -> bool:
+        """Whether the objective per cost is to be great."""
+        return isinstance(self.aim, Along) and self.cost is not None and self.most is None
+
+    def merit(self, value: float, cost: float) -> float:
+        """Return what is to be great: the value, per cost to the power that fits; or −cost."""
+        if isinstance(self.aim, Reach):
+            return -cost
+        if self.cost is None or not self.per_cost:
+            return value
+        return float(value / cost ** (1.0 / DEGREES[self.cost]))
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Paths whose coefficients (K, m) are affine in unknowns y.
+
+    basis: the functions at Gauss nodes.  checked: values, slopes and bends (C, K) where limits are
+    imposed.  matrix: L (K m, n).  shift: c₀ (K, m).
+    """
+
+    basis: PathBasis
+    checked: tuple[Array, Array, Array]
+    matrix: Array
+    shift: Array
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return int(self.matrix.shape[1])
+
+    def coefficients(self, y: Array) -> Array:
+        """Return the coefficients (K, m)."""
+        return np.asarray(self.shift + (self.matrix @ y).reshape(self.shift.shape))
+
+    def unknowns(self, coefficients: Array) -> Array:
+        """Return the unknowns (n,) of the path nearest to coefficients (K, m)."""
+        rest = (coefficients - self.shift).ravel()
+        return np.asarray(np.linalg.lstsq(self.matrix, rest, rcond=None)[0])
+
+
+def fourier_path(
+    harmonics: int, m: int, *, pieces: int, checks: Array, power: int, start: Array | None = None
+) -> Path:
+    """Return Fourier series whose unknowns are the coefficients, scaled: mean, cosines, sines.
+
+    checks: (C,) s at which limits are imposed.  power: unknowns of harmonic k are k^power times
+    its coefficients, so that each counts alike in a cost of derivatives of that order.
+    start: (m,) a shape in which all of them begin, or None; then the mean is no unknown.
+    """
+    K, k = 1 + 2 * harmonics, np.arange(1.0, harmonics + 1.0)
+    scale: Array = np.concatenate([[1.0], k ** float(-power), k ** float(-power)])
+    matrix: Array = np.kron(np.diag(scale), np.eye(m)).astype(float)
+    shift = np.zeros((K, m))
+    if start is not None:  # mean = start − Σ cosines
+        matrix = matrix[:, m:]
+        for j in range(m):
+            matrix[j, j : harmonics * m : m] = -scale[1 : 1 + harmonics]
+        shift[0] = start
+    return Path(fourier_basis(harmonics, pieces), fourier_rows(harmonics, checks), matrix, shift)
+
+
+def problem_of(task: Task, path: Path) -> Problem:
+    """Return the problem for IPOPT."""
+    connection, aim, limits = task.connection, task.aim, task.limits
+    m, n, free = connection.m, path.size, int(task.period_is_free)
+    size = n + free
+    values, slopes, bends = path.checked
+    limited = np.flatnonzero(np.isfinite(limits.torque))
+    order = torque_order(connection) if len(limited) else 0
+
+    def evaluate(z: Array) -> tuple[Array, Array]:
+        c, T = path.coefficients(z[:n]), float(z[n]) if free else task.period
+        out: list[Array] = []
+        rows: list[Array] = []
+
+        def add(value: Array, by_c: Array, by_T: Array | float = 0.0) -> None:
+            """Take values (k,) with slopes (k, K, m)."""
+            row = np.zeros((len(value), size))
+            row[:, :n] = by_c.reshape(len(value), -1) @ path.matrix
+            if free:
+                row[:, n] = by_T
+            out.append(value)
+            rows.append(row)
+
+        lift = path_lift(connection, path.basis, c)
+        cost = None
+        if task.cost is not None:
+            cost = cost_of(task.cost, connection, path.basis, c, lift, T)
+        spent = 1.0 if cost is None else max(cost.value, 1e-300)
+        power = 1.0 / DEGREES[task.cost or "time"]
+        root = spent**power
+        if isinstance(aim, Reach) and cost is not None:
+            factor = power * root / spent
+            add(np.array([root]), factor * cost.slope[None], factor * cost.by_log_period / T)
+            missed, by_twist = aim.missed(lift.pose)
+        elif isinstance(aim, Along):
+            value, by = aim.value(lift.pose)
+            slope = np.tensordot(by, lift.twist, 1)
+            if cost is None or not task.per_cost:
+                add(np.array([-value]), -slope[None])
+            else:
+                factor = power * value / (root * spent)
+                by_c = factor * cost.slope - slope / root
+                add(np.array([-value / root]), by_c[None], factor * cost.by_log_period / T)
+            missed, by_twist = aim.held(lift.pose)
+        if len(missed):
+            add(missed, np.tensordot(by_twist, lift.twist, 1))
+        if task.most is not None and cost is not None:
+            add(
+                np.array([cost.value / task.most]), cost.slope[None] / task.most,
+                cost.by_log_period / T / task.most,
+            )  # fmt: skip
+        if len(limited):
+            x, x1, x2 = values @ c, slopes @ c, bends @ c
+            tau = torques(connection, x, x1, x2) / T**order
+            for k in limited:
+                most = limits.torque[k] * (1.0 - _INSIDE)
+                along = np.zeros_like(x)
+                along[:, k] = 1.0 / (most * T**order)
+                S = torque_slopes(connection, x, x1, x2, along)
+                by_c = (
+                    values[:, :, None] * S[:, None, :m]
+                    + slopes[:, :, None] * S[:, None, m : 2 * m]
+                    + bends[:, :, None] * S[:, None, 2 * m :]
+                )
+                add(tau[:, k] / most, by_c, -order * tau[:, k] / (most * T))
+        return np.concatenate(out), np.vstack(rows)
+
+    def safe(z: Array) -> tuple[Array, Array]:
+        """Return NaN where the path cannot be lifted, from which IPOPT turns back."""
+        try:
+            return evaluate(z)
+        except (SingularInertiaError, NoConvergence, FloatingPointError):
+            count = 1 + len(g_lower)
+            return np.full(count, np.nan), np.full((count, size), np.nan)
+
+    g_lower, g_upper = _bounds(task, len(values), len(limited))
+    rows, lower, upper = _linear(task, path)
+    return Problem(
+        size, safe, rows, np.concatenate([g_lower, lower]), np.concatenate([g_upper, upper])
+    )
+
+
+def _bounds(task: Task, checks: int, limited: int) -> tuple[Array, Array]:
+    """Return the bounds of the constraints that are not linear."""
+    identity = task.connection.group.identity()
+    equal = task.aim.missed(identity) if isinstance(task.aim, Reach) else task.aim.held(identity)
+    lower, upper = [np.zeros(len(equal[0]))], [np.zeros(len(equal[0]))]
+    if task.most is not None:
+        lower.append(np.array([-np.inf]))
+        upper.append(np.ones(1))
+    lower.append(np.full(checks * limited, -1.0))
+    upper.append(np.full(checks * limited, 1.0))
+    return np.concatenate(lower), np.concatenate(upper)
+
+
+def _linear(task: Task, path: Path) -> tuple[Array, Array, Array]:
+    """Return rows R and bounds of the linear constraints: shapes, speeds, a period above zero."""
+    limits, n, free = task.limits, path.size, int(task.period_is_free)
+    values, slopes, _ = path.checked
+    L = path.matrix.reshape(*path.shift.shape, n)
+    rows, lower, upper = [], [], []
+    by_y = np.tensordot(values, L, 1).reshape(-1, n)  # (C m, n)
+    shift = (values @ path.shift).ravel()
+    edge = _INSIDE * limits.reach
+    rows.append(np.hstack([by_y, np.zeros((len(by_y), free))]))
+    lower.append(np.tile(limits.shape[:, 0] + edge, len(values)) - shift)
+    upper.append(np.tile(limits.shape[:, 1] - edge, len(values)) - shift)
+    fast = np.flatnonzero(np.isfinite(limits.speed))
+    if len(fast):
+        by_y = np.tensordot(slopes, L[:, fast], 1).reshape(-1, n)
+        shift = (slopes @ path.shift[:, fast]).ravel()
+        most = np.tile(limits.speed[fast] * (1.0 - _INSIDE), len(slopes))
+        if free:
+            for sign in (1.0, -1.0):
+                rows.append(np.hstack([sign * by_y, -most[:, None]]))
+                lower.append(np.full(len(most), -np.inf))
+                upper.append(-sign * shift)
+        else:
+            rows.append(by_y)
+            lower.append(-most * task.period - shift)
+            upper.append(most * task.period - shift)
+    if free:
+        rows.append(np.eye(n + 1)[-1:])
+        lower.append(np.array([1e-6]))
+        upper.append(np.array([np.inf]))
+    return np.vstack(rows), np.concatenate(lower), np.concatenate(upper)

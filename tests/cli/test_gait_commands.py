@@ -1,0 +1,53 @@
+"""`pinred gait` and `pinred reorient`: what they print, write and refuse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pinred
+from pinred.cli.main import main
+
+
+def test_gait(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The certificate; the loop that is written is the one found."""
+    for suffix in ("npz", "csv"):
+        path = tmp_path / f"loop.{suffix}"
+        words = "gait three_rods --limits 1.5 --harmonics 1 --starts 1 --out"
+        assert main([*words.split(), str(path)]) == 0
+        said = capsys.readouterr().out
+        for part in ("rotation / length", "winding number", "KKT residual", "margin to limits"):
+            assert part in said
+        A = pinred.Connection.mechanical(pinred.load("three_rods"))
+        best = pinred.optimise_gait(A, limits=1.5, harmonics=1, starts=1)
+        assert f"{best.value:.10g}" in said
+        read = pinred.phase(A, pinred.Gait.read(path))
+        assert read.pose[2] == pytest.approx(best.phase.pose[2], rel=1e-6)
+
+
+def test_reorient(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The plan, and its motion as an archive."""
+    path = tmp_path / "turn.npz"
+    words = "reorient three_rods --target -0.3 --limits alpha1=2.5,alpha2=2 --x0 0.4,0.5 --out"
+    assert main([*words.split(), str(path)]) == 0
+    assert "turned [°]              -17.188734" in capsys.readouterr().out
+    with np.load(path) as file:
+        assert file["pose"][-1, 2] == pytest.approx(-0.3, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("gait three_rods --objective spin", "objective must be one of"),
+        ("gait three_rods --limits much", "--limits takes numbers"),
+        ("gait three_rods --out loop.png", "loop.png"),
+        ("reorient three_rods --target up", "--target takes numbers"),
+        ("reorient elroys_beanie --target 1", "needs two joints"),
+    ],
+)
+def test_refusals(words: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """One line, and code 2."""
+    assert main(words.split()) == 2
+    assert says in capsys.readouterr().err

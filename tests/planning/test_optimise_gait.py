@@ -1,0 +1,245 @@
+"""Best gaits: published numbers, other routes to what they do, and what holds them in bounds."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from inverse_dynamics import joint_torques
+from lifts import by_pinocchio
+from nearness import close
+from three_links import CENTRES, LENGTH, LINKS
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.planning.optimisation import search
+from pinred.planning.optimisation.aims import along, reach
+from pinred.planning.optimisation.costs import COSTS
+from pinred.planning.optimisation.ipopt import Problem, kkt_residual, minimum
+from pinred.planning.optimisation.limits import limits_of
+from pinred.planning.optimisation.search import fourier_path_of
+from pinred.planning.optimisation.transcription import Task, problem_of
+
+TURN = 0.033787199534  # of three rods, around half of the square |α| ≤ 1
+RODS = {name: pinred.Rod(LENGTH, 2.0, 1.0, centre=(CENTRES[name], 0.0, 0.0)) for name in LINKS}
+
+
+def swimmer() -> pinred.Connection:
+    """Purcell's, with drag ratio 2."""
+    return pinred.Connection.viscous(pinred.load("purcell_swimmer"), RODS)
+
+
+def rods() -> pinred.Connection:
+    """Three equal rods, by their momenta."""
+    return pinred.Connection.mechanical(pinred.load("three_rods"))
+
+
+@pytest.mark.slow
+def test_purcells_swimmer() -> None:
+    """Displacement per metric length, above the published efficient stroke's 0.11094879."""
+    best = pinred.optimise_gait(swimmer(), objective="displacement", harmonics=5, starts=5)
+    first = best.optima[0]
+    assert first.found >= 4
+    assert 0.11119 < best.merit < 0.1112
+    assert abs(first.winding or 0.0) == 1.0
+    assert first.residual < 1e-5
+    assert abs(first.phase.pose[2]) < 1e-8  # it swims straight on
+    assert best.merit == pytest.approx(first.phase.pose[0] / first.phase.length, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_three_rods() -> None:
+    """Rotation over metric length, by SciPy over Pinocchio's mass matrix as well."""
+    best = pinred.optimise_gait(rods(), objective="rotation", harmonics=9, starts=1)
+    assert best.merit == pytest.approx(2.38599, abs=6e-6)
+    assert abs(best.winding or 0.0) == 1.0
+    system = pinred.load("three_rods")
+    pose = by_pinocchio(system, best.gait, np.zeros(3))
+    red = pinred.Reduction(system)
+    x, xdot = best.gait.samples(400)
+    speeds = [np.sqrt(v @ red.reduced_metric(y) @ v) for y, v in zip(x, xdot, strict=True)]
+    assert pose[2] / (best.gait.period * np.mean(speeds)) == pytest.approx(best.merit, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_largest_turn_of_a_simple_loop() -> None:
+    """Half of the square: what no simple loop exceeds, found from every start by polygons."""
+    best = pinred.optimise_gait(rods(), cost=None, vertices=24, limits=1.0, starts=3)
+    assert best.optima[0].found == 3
+    for each in best.optima:
+        assert 0.9999 * TURN <= each.value <= TURN
+        assert abs(each.winding or 0.0) == 1.0
+        assert each.margins["limits"] >= 0.0
+
+
+@pytest.mark.slow
+def test_what_the_best_loop_needs() -> None:
+    """The certificate: full ABA under its torques, the torques by RNEA, limits between nodes."""
+    torque, speed = 0.1, 3.0
+    best = pinred.optimise_gait(
+        rods(), cost="time", limits={"alpha1": 1.0, "alpha2": (-0.8, 1.0)}, speeds=speed,
+        torques={"alpha1": torque}, harmonics=3, starts=1,
+    )  # fmt: skip
+    assert best.report.passed
+    assert best.flow_error.rotation < 1e-8
+    assert best.flow_error.translation < 1e-8
+    t = np.linspace(0.0, best.gait.period, 2001)
+    x, xdot = best.gait.at(t)
+    assert np.abs(x).max() <= 1.0
+    assert x[:, 1].min() >= -0.8
+    assert np.abs(xdot).max() <= speed
+    step = 1e-4
+    bend = (best.gait.at(t + step)[1] - best.gait.at(t - step)[1]) / (2.0 * step)
+    system = pinred.load("three_rods")
+    tau = np.array([joint_torques(system, *each) for each in zip(x, xdot, bend, strict=True)])
+    assert 0.99 * torque < np.abs(tau[:, 0]).max() <= torque * (1.0 + 1e-6)
+    driving = best.trajectory.driving_torques
+    assert np.abs(driving[:, 0]).max() == pytest.approx(np.abs(tau[:, 0]).max(), rel=1e-2)
+    for name, size in (("limits", 1e-2), ("speeds", 3.0), ("torques", 1e-3)):
+        assert 0.0 <= best.optima[0].margins[name] <= size
+    assert "verdict" not in str(best)
+    assert re.search(r"time +\S+ +T, the period", str(best))
+
+
+@pytest.mark.slow
+def test_limits_hold_between_the_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Imposed at even times alone, they are overshot."""
+    best = pinred.optimise_gait(rods(), cost="power", limits=1.0, harmonics=3, starts=1)
+    assert np.abs(best.gait.limits).max() <= 1.0
+    monkeypatch.setattr(search, "worst_times", lambda *_: np.zeros(0))
+    loose = pinred.optimise_gait(rods(), cost="power", limits=1.0, harmonics=3, starts=1)
+    assert np.abs(loose.gait.limits).max() > 1.0001
+
+
+def test_a_target_at_least_cost() -> None:
+    """30 degrees of three rods; a loop twice as long in time needs a quarter of the torque."""
+    target = np.radians(30.0)
+    options = {"objective": "target", "target": target, "cost": "torque", "limits": 3.0}
+    one, two = (
+        pinred.optimise_gait(rods(), **options, harmonics=1, starts=1, period=T) for T in (1.0, 2.0)
+    )
+    assert one.phase.pose[2] == pytest.approx(target, abs=1e-9)
+    assert one.cost == pytest.approx(8.0 * two.cost, rel=1e-5)  # ∫τ² dt goes with T⁻³
+    assert one.value < 1e-9
+
+
+def test_under_a_bound_on_the_cost() -> None:
+    """It is used up, and what is reached under it is more than random loops of that length."""
+    best = pinred.optimise_gait(rods(), most=0.2, harmonics=1, starts=1)
+    assert best.cost <= 0.2 + 1e-9
+    rng, A = np.random.default_rng(0), rods()
+    for _ in range(20):
+        mean, cos, sin = rng.uniform(-1.5, 1.5, (3, 2))
+        gait = pinred.Gait.fourier(mean, [cos], [sin])
+        p = pinred.phase(A, gait.scaled(0.2 / pinred.phase(A, gait).length))
+        if p.length <= 0.2:
+            assert abs(p.pose[2]) < best.value
+
+
+@pytest.mark.parametrize("cost", COSTS)
+def test_slopes_of_the_transcription(cost: str) -> None:
+    """Of the objective and of all constraints, by differences of order 4."""
+    for A in (rods(), swimmer()):
+        limits = limits_of(A, 1.0, 2.0, 0.3)
+        bound = along(A.group, "displacement", "x")
+        for aim, most in ((bound, None), (bound, 1.0), (reach(A.group, [0.1, 0.2, 0.3]), None)):
+            task = Task(A, aim, cost, most, limits, 1.3)  # type: ignore[arg-type]
+            path = fourier_path_of(task, 2)
+            problem = problem_of(task, path)
+            rng = np.random.default_rng(3)
+            z = np.append(rng.uniform(-0.5, 0.5, path.size), 1.3)[: problem.size]
+            along_z, step = rng.normal(size=problem.size), 1e-3
+            expected = sum(
+                weight * problem.evaluate(z + k * step * along_z)[0] / (12.0 * step)
+                for k, weight in ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0))
+            )
+            found = problem.evaluate(z)[1] @ along_z
+            size = 1.0 + np.abs(expected)
+            close(found / size, expected / size, 1e-8)
+
+
+def test_costs_by_hand() -> None:
+    """Of an ellipse of three rods: torques by RNEA, the metric by Pinocchio."""
+    A, system = rods(), pinred.load("three_rods")
+    red, T = pinred.Reduction(system), 1.7
+    gait = pinred.Gait.fourier([0.2, -0.1], [[0.5, 0.1]], [[-0.2, 0.6]], period=T)
+    x, xdot = gait.samples(200)
+    bend = -((2.0 * np.pi / T) ** 2) * (x - gait.centre)
+    tau = np.array([joint_torques(system, *each) for each in zip(x, xdot, bend, strict=True)])
+    M = [red.reduced_metric(each) for each in x]
+    expected = {
+        "length": T * np.mean([np.sqrt(v @ m @ v) for v, m in zip(xdot, M, strict=True)]),
+        "torque": T * np.mean(np.sum(tau**2, axis=1)),
+        "power": T * np.mean(np.sum((tau * xdot) ** 2, axis=1)),
+        "acceleration": T
+        * np.mean([f @ np.linalg.solve(m, f) for f, m in zip(tau, M, strict=True)]),
+    }
+    c = np.array([[0.2, -0.1], [0.5, 0.1], [-0.2, 0.6]])
+    for cost, value in expected.items():
+        task = Task(A, reach(A.group, 0.1), cost, None, limits_of(A, 3.0, None, None), T)  # type: ignore[arg-type]
+        path = fourier_path_of(task, 1)
+        root = problem_of(task, path).evaluate(path.unknowns(c))[0][0]
+        power = {"length": 1, "torque": 2, "power": 4, "acceleration": 2}[cost]
+        if cost == "length":  # its action stands in for it, never less
+            assert root >= value
+            assert root == pytest.approx(value, rel=0.2)
+        else:
+            assert root**power == pytest.approx(value, rel=1e-9)
+
+
+def test_residuals() -> None:
+    """Zero at optima, inside and at bounds; not where a bound would have to pull."""
+
+    def parabola(z: Array) -> tuple[Array, Array]:
+        return np.array([1.0 + (z[0] - 2.0) ** 2]), np.array([[2.0 * (z[0] - 2.0)]])
+
+    def problem(lower: float, upper: float) -> Problem:
+        return Problem(1, parabola, np.eye(1), np.array([lower]), np.array([upper]))
+
+    assert kkt_residual(problem(-9.0, 9.0), np.array([2.0])) == 0.0
+    assert kkt_residual(problem(-9.0, 1.0), np.array([1.0])) < 1e-12
+    assert kkt_residual(problem(1.0, 9.0), np.array([1.0])) == pytest.approx(1.0)
+    assert kkt_residual(problem(-9.0, 9.0), np.array([1.0])) == pytest.approx(1.0)
+    assert minimum(problem(-9.0, 1.0), np.zeros(1)).z == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_loop_that_unwinds_is_no_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The winding number is counted in the end, whatever continuation does."""
+    monkeypatch.setattr(pinred.Gait, "winding", lambda _: 3.0)
+    with pytest.raises(pinred.NoOptimum, match="winding number 3"):
+        pinred.optimise_gait(rods(), harmonics=1, starts=1)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"objective": "spin"}, "objective must be one of rotation, displacement, target"),
+        ({"cost": "love"}, "unknown cost 'love'; the costs are length"),
+        ({"winding": 2}, "winding is 1, or None"),
+        ({"winding": None, "cost": None}, "unless the winding number is held"),
+        ({"objective": "target"}, "go together"),
+        ({"cost": "time"}, "needs limits of speeds or torques"),
+        ({"most": 1.0, "cost": None}, "most is a bound on a cost"),
+        ({"limits": {"alpha3": 1.0}}, "no shape joint 'alpha3'; did you mean 'alpha"),
+        ({"limits": -1.0}, "above zero, or a pair"),
+        ({"vertices": 2}, "from 3 on"),
+        ({"vertices": 24, "cost": "torque"}, "costs no finite torque"),
+        ({"starts": 0}, "starts must be a whole number from 1 on"),
+        ({"objective": "displacement", "axis": "z"}, "axis must be x, y or a vector"),
+        ({"objective": "target", "target": [1.0, 2.0]}, "pose of SE2"),
+    ],
+)
+def test_refusals(options: dict[str, object], says: str) -> None:
+    """What makes no sense is refused by name."""
+    with pytest.raises(pinred.InputError, match=re.escape(says)):
+        pinred.optimise_gait(rods(), **options)  # type: ignore[arg-type]
+
+
+def test_more_joints_need_a_cost() -> None:
+    """'More in a cycle' means nothing with three joints, and rotation in space needs an axis."""
+    A = pinred.Connection.mechanical(pinred.load("falling_cat"))
+    with pytest.raises(pinred.InputError, match="means nothing with 3 joints"):
+        pinred.optimise_gait(A, axis="x", cost=None)
+    with pytest.raises(pinred.InputError, match="needs an axis"):
+        pinred.optimise_gait(A)

@@ -1,0 +1,152 @@
+"""Plans that turn the base: judged by SciPy over Pinocchio's mass matrix, and by full ABA."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from inverse_dynamics import joint_torques
+from lifts import by_pinocchio
+from nearness import close
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.planning.reorientation import reorient as module
+from pinred.planning.reorientation.first_loops import first_loop
+
+ROBOTS = {"falling_cat": 1.6, "satellite_two_arms": 2.6, "solo12": 1.0}  # their limits [rad]
+
+
+def target(rng: np.random.Generator, least: float = 20.0, most: float = 180.0) -> Array:
+    """A rotation vector of random direction, and of so many degrees."""
+    w = rng.normal(size=3)
+    return np.asarray(np.radians(rng.uniform(least, most)) * w / np.linalg.norm(w))
+
+
+def ends_at_rest(plan: pinred.TurnPlan) -> None:
+    """The joints begin and end at rest, in the same shape, within their limits."""
+    traj = plan.trajectory
+    start = plan.gait.at(0.0)[0]
+    for k in (0, -1):
+        close(traj.x[k], start, 1e-12)
+        close(traj.xdot[k], np.zeros(plan.system.m), 1e-10)
+    low, high = plan.gait.limits.T
+    assert ((traj.x >= low - 1e-12) & (traj.x <= high + 1e-12)).all()
+
+
+@pytest.mark.slow
+def test_the_falling_cat_rights_itself() -> None:
+    """Half a turn about its length, as SciPy has it, too, and full ABA."""
+    cat = pinred.load("falling_cat")
+    w = np.array([np.pi, 0.0, 0.0])
+    plan = pinred.reorient(cat, w, limits=1.6)
+    assert plan.remaining < 1e-9
+    assert plan.missed < 1e-8
+    assert plan.report.passed
+    assert np.abs(plan.gait.limits).max() <= 1.6
+    ends_at_rest(plan)
+    group = cat.group
+    once = by_pinocchio(cat, plan.gait, np.zeros(6))
+    pose = group.identity()
+    for _ in range(plan.cycles):
+        pose = group.compose(pose, once)
+    wanted = group.exp(np.concatenate([np.zeros(3), w]))
+    assert group.error(wanted, pose).rotation < 1e-8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "seed"), [("satellite_two_arms", 2), ("falling_cat", 3)])
+def test_random_targets(name: str, seed: int) -> None:
+    """Reached within limits, rest to rest; tests/helpers/gait_trials.py has more."""
+    system = pinred.load(name)
+    plan = pinred.reorient(
+        system, target(np.random.default_rng(seed), 20.0, 60.0), limits=ROBOTS[name]
+    )
+    assert plan.missed < 1e-8
+    assert np.abs(plan.gait.limits).max() <= ROBOTS[name]
+    ends_at_rest(plan)
+
+
+def test_a_planar_base_turns_by_an_angle() -> None:
+    """Three rods, also from a line, where their curvature vanishes; a turn takes several cycles."""
+    rods = pinred.load("three_rods")
+    for angle, start in ((0.5, {"alpha1": 0.4, "alpha2": 0.5}), (-7.0, None)):
+        plan = pinred.reorient(rods, angle, limits=2.5, x0=start)
+        close(plan.gait.at(0.0)[0], list(start.values()) if start else [0.0, 0.0], 1e-12)
+        pose = by_pinocchio(rods, plan.gait, np.zeros(3))
+        assert plan.cycles * pose[2] == pytest.approx(angle, abs=1e-9)
+    assert plan.cycles > 1
+
+
+def test_speeds_and_torques_decide_how_long_it_takes() -> None:
+    """Peaks by differences of the motion, torques by RNEA; one more hurry breaks them."""
+    rods = pinred.load("three_rods")
+    options: dict[str, Any] = {"limits": 2.5, "x0": [0.4, 0.5]}
+    plan = pinred.reorient(rods, 0.3, **options, speeds=1.0, torques=0.02)
+    traj = plan.trajectory
+    fastest = np.abs(traj.xdot).max()
+    strongest = np.abs(traj.driving_torques).max()
+    assert fastest <= 1.0
+    assert strongest <= 0.02
+    assert max(fastest, strongest / 0.02) > 0.98
+    k, h = 60, 1e-4
+    t = float(traj.t[k])
+    bend = (traj(t + h).xdot - traj(t - h).xdot) / (2.0 * h)
+    tau = joint_torques(rods, traj.x[k], traj.xdot[k], bend)
+    close(traj.driving_torques[k], tau, 1e-6)
+    with pytest.raises(pinred.InputError, match="speeds and torques need"):
+        pinred.reorient(rods, 0.3, **options, speeds=1.0, torques=0.02, duration=0.5)
+
+
+@pytest.mark.parametrize("name", ["falling_cat", "satellite_two_arms"])
+def test_first_loops_are_right_to_leading_order(name: str) -> None:
+    """Small loops of the least bivector turn by the curvature, with an error of the next order."""
+    system = pinred.load(name)
+    A = pinred.Connection.mechanical(system)
+    start = np.full(system.m, 0.3)
+    w = np.array([0.0, 1.0, 0.5]) if name == "falling_cat" else np.array([0.3, -1.0, 0.5])
+    B = A.curvature(start)[3:]
+    wrong = []
+    for size in (1e-5, 2.5e-6):
+        gait = first_loop(A, start, size * w, np.tile([-3.0, 3.0], (system.m, 1)))
+        turned = pinred.phase(A, gait, tolerance=1e-13).log[3:]
+        t = np.linspace(0.0, 1.0, 2001)[:-1]
+        x, xdot = gait.at(t)
+        S = np.einsum("ta,tb->ab", x - start, xdot) / len(t)
+        expected = -0.25 * np.einsum("rab,ab->r", B, S - S.T)
+        wrong.append(float(np.linalg.norm(turned - expected)) / size)
+    assert wrong[1] < 0.6 * wrong[0]
+    assert wrong[1] < 0.1 * np.linalg.norm(w)
+
+
+def test_the_polish_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without it, the target is missed by what IPOPT leaves."""
+    monkeypatch.setattr(module, "polished", lambda _A, _aim, _path, y: y + 1e-8)
+    with pytest.raises(pinred.NoOptimum, match=r"leaves .* of the target"):
+        pinred.reorient(pinred.load("three_rods"), 0.3, limits=2.5, x0=[0.4, 0.5], cycles=1)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"target": [0.1, 0.2]}, "pose of SE2"),
+        ({"target": 0.0}, "nothing has to move"),
+        ({"target": 0.3, "cycles": 0}, "cycles must be a whole number"),
+        ({"target": 0.3, "x0": [3.0, 0.0], "limits": 1.0}, "x0 must lie within the limits"),
+        ({"target": 0.3, "duration": -1.0}, "duration must be finite and above zero"),
+    ],
+)
+def test_refusals(options: dict[str, object], says: str) -> None:
+    """What makes no sense is refused by name."""
+    with pytest.raises(pinred.InputError, match=re.escape(says)):
+        pinred.reorient(pinred.load("three_rods"), **options)  # type: ignore[arg-type]
+
+
+def test_what_cannot_be_reached_is_said() -> None:
+    """A joint that hardly moves turns nothing far."""
+    with pytest.raises(pinred.NoOptimum, match="give wider limits"):
+        pinred.reorient(pinred.load("three_rods"), 3.0, limits=0.05, x0=[0.03, 0.03], cycles=1)
+    with pytest.raises(pinred.InputError, match="needs two joints"):
+        pinred.reorient(pinred.load("elroys_beanie"), 1.0)
