@@ -14,9 +14,9 @@ from ...common.arrays import Array
 from ..evaluate import evaluate
 from ..judge import agree
 from ..machine.native import NativeCode
+from .connection_judge import metric_slopes, shapes_to_judge, who
 from .form import ConnectionForm
 from .graphs import velocity_graph
-from .connection_judge import metric_slopes, shapes_to_judge, who
 
 _STEP = 1e-3  # of differences of order 6
 _DIFFERENCES = 1e-7  # relative
