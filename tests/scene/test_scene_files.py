@@ -312,7 +312,7 @@ def test_keys_are_those_of_python() -> None:
     """Every option of the Python API has its key, by the same name, and no other is there."""
     scene = {entry.name for entry in fields(pinred.Scene)} - {"system"}
     keys = {*START.keys, *RUN.keys, "springs", "forces", "prescribed", "passive", "friction"}
-    keys |= {"parameters"}
+    keys |= {"parameters", "events"}
     assert keys == scene | {"samples", "engine"}
     assert set(LOAD.keys) == {"group", "gravity", "lock", "root", "strict", "meshes"}
     for kind in FORCES.values():
