@@ -17,11 +17,20 @@ settings.register_profile("pinred", deadline=None, print_blob=True)
 settings.load_profile("pinred")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What opens pages is slow."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that runs what is left out otherwise."""
+    parser.addoption("--by-hand", action="store_true", help="run the tests marked by_hand, too")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """What opens pages is slow; what is run by hand is left out unless asked for."""
     for item in items:
-        if item.get_closest_marker("browser"):
+        if item.get_closest_marker("browser") or item.get_closest_marker("by_hand"):
             item.add_marker(pytest.mark.slow)
+    if not config.getoption("--by-hand"):
+        left_out = [item for item in items if item.get_closest_marker("by_hand")]
+        items[:] = [item for item in items if not item.get_closest_marker("by_hand")]
+        config.hook.pytest_deselected(items=left_out)
 
 
 @pytest.fixture(scope="module")

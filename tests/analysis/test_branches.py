@@ -138,7 +138,7 @@ def test_rigid_bodies_have_straight_branches() -> None:
         np.testing.assert_allclose(sorted(ends), [0.5, 1.5], rtol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_bundled_pendulum() -> None:
     """A fold at J = 0.908178: there are two equilibria more beyond it."""
     pendulum = pinred.load("double_spherical_pendulum")

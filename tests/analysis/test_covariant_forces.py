@@ -11,7 +11,7 @@ from strategies import make_case
 import pinred
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize("group", ["SO2", "SE2", "SO3", "SE3"])
 def test_torques_at_zero_momentum(group: str) -> None:
     """On random trees, values by RNEA and slopes by differences of RNEA."""

@@ -95,7 +95,7 @@ def test_least_means_least() -> None:
         assert abs(first) < 0.2 * size
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_attitudes_in_space() -> None:
     """SO(3) over three joints on 20³ nodes: the same norm from two sections, and stationary."""
     case = make_case("SO3", 3, 4)

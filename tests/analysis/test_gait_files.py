@@ -29,7 +29,7 @@ def read(folder: Path, text: str) -> pinred.GaitFile:
 
 def test_the_example() -> None:
     """The file in examples is Purcell's circle."""
-    file = pinred.load_gait(ROOT / "examples/purcell_circle.toml")
+    file = pinred.load_gait(ROOT / "examples/gaits/purcell_circle.toml")
     p = pinred.phase(file.connection, file.gait, file.momentum, tolerance=1e-12)
     assert float(np.hypot(*p.pose[:2])) == pytest.approx(0.0512808243, abs=5e-11)
 

@@ -32,7 +32,7 @@ def agree(group: Group, found: Array, expected: Array, tolerance: float) -> None
     assert apart.translation <= tolerance * size
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @settings(max_examples=2)
 @given(joints=st.integers(1, 2), seed=seeds)
 def test_any_link_may_be_the_base(joints: int, seed: int) -> None:

@@ -29,7 +29,7 @@ def coefficients_of(gait: pinred.Gait) -> Array:
     return np.vstack([arc.mean[None], arc.cos, arc.sin])
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize("group", ["SE2", "SO3", "SE3"])
 def test_slopes_of_the_phase(group: str) -> None:
     """Along a random direction of all coefficients, by differences."""

@@ -87,7 +87,7 @@ def test_hanging_and_tilted_tops() -> None:
     assert sum(e.dimension for e in found) >= 1
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @settings(max_examples=5)
 @given(st.sampled_from(["SO2", "SE2", "SO3", "SE3"]), st.integers(1, 3), seeds)
 def test_parity(group: str, joints: int, seed: int) -> None:

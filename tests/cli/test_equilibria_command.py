@@ -32,7 +32,7 @@ def test_momenta_of_wheels_and_springs(capsys: pytest.CaptureFixture[str]) -> No
     assert capsys.readouterr().out == f"{found}\n"
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_a_diagram_and_a_mode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Branches as a figure; the motion on a mode as a page."""
     figure, page = tmp_path / "cart.png", tmp_path / "mode.html"

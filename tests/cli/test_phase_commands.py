@@ -11,7 +11,7 @@ import pytest
 import pinred
 from pinred.cli.main import main
 
-EXAMPLE = str(Path(__file__).parents[2] / "examples/purcell_circle.toml")
+EXAMPLE = str(Path(__file__).parents[2] / "examples/gaits/purcell_circle.toml")
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:

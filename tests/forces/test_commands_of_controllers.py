@@ -93,7 +93,7 @@ def noise(period: float = 0.1) -> tuple[Controller, list[float]]:
     return Controller(law, period), calls
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_compare_replays() -> None:
     """It passes for a controller that gives other torques at every call, and calls it no more."""
     controller, calls = noise()
@@ -104,7 +104,7 @@ def test_compare_replays() -> None:
     assert calls == before == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_a_wrong_measurement_is_found() -> None:
     """What a controller was given is judged, for its actions are not asked for again."""
     controller, _ = noise()

@@ -35,7 +35,7 @@ def rods() -> pinred.Connection:
     return pinred.Connection.mechanical(pinred.load("three_rods"))
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_purcells_swimmer() -> None:
     """Displacement per metric length, above the published efficient stroke's 0.11094879."""
     best = pinred.optimise_gait(swimmer(), objective="displacement", harmonics=5, starts=5)
@@ -48,7 +48,7 @@ def test_purcells_swimmer() -> None:
     assert best.merit == pytest.approx(first.phase.pose[0] / first.phase.length, rel=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_three_rods() -> None:
     """Rotation over metric length, by SciPy over Pinocchio's mass matrix as well."""
     best = pinred.optimise_gait(rods(), objective="rotation", harmonics=9, starts=1)
@@ -62,7 +62,7 @@ def test_three_rods() -> None:
     assert pose[2] / (best.gait.period * np.mean(speeds)) == pytest.approx(best.merit, rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_largest_turn_of_a_simple_loop() -> None:
     """Half of the square: what no simple loop exceeds, found from every start by polygons."""
     best = pinred.optimise_gait(rods(), cost=None, vertices=24, limits=1.0, starts=3)
@@ -73,7 +73,7 @@ def test_largest_turn_of_a_simple_loop() -> None:
         assert each.margins["limits"] >= 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_what_the_best_loop_needs() -> None:
     """The certificate: full ABA under its torques, the torques by RNEA, limits between nodes."""
     torque, speed = 0.1, 3.0
@@ -102,7 +102,7 @@ def test_what_the_best_loop_needs() -> None:
     assert re.search(r"time +\S+ +T, the period", str(best))
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_limits_hold_between_the_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Imposed at even times alone, they are overshot."""
     best = pinred.optimise_gait(rods(), cost="power", limits=1.0, harmonics=3, starts=1)

@@ -56,7 +56,7 @@ def test_the_falling_cat_rights_itself() -> None:
     assert group.error(wanted, pose).rotation < 1e-8
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize(("name", "seed"), [("satellite_two_arms", 2), ("falling_cat", 3)])
 def test_random_targets(name: str, seed: int) -> None:
     """Reached within limits, rest to rest; tests/helpers/gait_trials.py has more."""

@@ -10,7 +10,7 @@ import pytest
 
 import pinred
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.by_hand
 
 EXAMPLE = Path(__file__).parents[2] / "examples/04_attitude_control.py"
 

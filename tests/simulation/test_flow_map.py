@@ -41,7 +41,7 @@ def covector_of(flow: Flow, jacobian: dict[str, Any]) -> Any:
     return np.random.default_rng(0).normal(size=shape)
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     "name", ["cartpole", "rigid_body", "falling_cat", "coupled_planar", "double_spherical_pendulum"]
@@ -58,7 +58,7 @@ def test_adjoint_is_the_tangent_turned_round(name: str, method: str) -> None:
             assert np.abs(found - expected).max(initial=0.0) < 1e-13 * size, key
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", ["planar_chain5", "satellite_two_arms", "falling_cat"])
 def test_tangent_is_that_of_frozen_steps(name: str, method: str) -> None:
@@ -90,7 +90,7 @@ def test_tangent_is_that_of_frozen_steps(name: str, method: str) -> None:
     assert min(errors[1::2]) < 1e-8
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_tangent_is_that_of_the_exact_flow() -> None:
     """The Jacobian agrees with variational equations by CasADi's slopes under SciPy."""
     system = pinred.load("planar_chain5")
@@ -237,7 +237,7 @@ def test_refusals() -> None:
         flow.vjp(np.full(18, np.nan))
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_what_a_flow_map_does_not_know_is_refused() -> None:
     """Places of the base in forces, and events; one that sees the attitude has derivatives."""
     system = pinred.load("coupled_planar")

@@ -215,7 +215,7 @@ def test_files_of_zarr(tmp_path: Path) -> None:
         many.save(tmp_path / "many.zarr")
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_the_example_of_the_docs(capsys: pytest.CaptureFixture[str]) -> None:
     """It runs as it stands, and its member passes its comparison."""
     text = (Path(__file__).parents[2] / "docs/many.md").read_text(encoding="utf-8")

@@ -65,9 +65,9 @@ def test_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     def counting(name: str) -> Any:
         function = getattr(plan, name)
 
-        def call(*args: Any) -> Any:
+        def call(*args: Any, **options: Any) -> Any:
             counted[name] += 1
-            return function(*args)
+            return function(*args, **options)
 
         return call
 

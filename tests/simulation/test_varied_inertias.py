@@ -30,7 +30,7 @@ VALUES: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize("name", [*VALUES])
 def test_a_robot_with_other_inertias(name: str) -> None:
     """The motion is that of ABA on a model which Pinocchio itself would change so."""
@@ -56,7 +56,7 @@ def test_a_robot_with_other_inertias(name: str) -> None:
     np.testing.assert_allclose(states.pose, traj.pose[-1], rtol=0, atol=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 @pytest.mark.parametrize("name", [*VALUES])
 def test_derivatives_by_inertias(name: str) -> None:
     """They agree with differences, and the adjoint with the tangent."""
