@@ -52,16 +52,16 @@ def pulled(t: float, angle: float, rate: float) -> Array:
 
 def errors(
     monkeypatch: pytest.MonkeyPatch, off: Any, *, spread: Any = (0.0, 0.0), pace: float = 0.0,
-    driven: bool = False, speed: float = 1.0,
+    driven: bool = False, speed: Any = 1.0,
 ) -> Array:  # fmt: skip
     """The errors of a route whose accelerations are off by that.
 
-    spread, pace: of its accelerations.  speed: of all; 0 at rest, hanging.
+    spread, pace: of its accelerations.  speed: of all, or at each time; 0 at rest, hanging.
     """
     traj = swinging(driven)
     states = traj(TIMES)
-    moving = {name: speed * getattr(states, name) for name in ("x", "xdot", "xi")}
-    states = states if speed == 1.0 else replace(states, **moving)
+    speeds = np.broadcast_to(speed, TIMES.shape)[:, None]
+    states = replace(states, **{k: speeds * getattr(states, k) for k in ("x", "xdot", "xi")})
     v = np.hstack([states.xi, states.xdot])
     a = [
         pulled(t, x, xdot) if driven else closed_form(x, xdot)
@@ -127,3 +127,12 @@ def test_forces_that_are_hardly_numbers(monkeypatch: pytest.MonkeyPatch) -> None
     off = 1e-297 * OFF
     found = errors(monkeypatch, off, speed=0.0)
     assert found == pytest.approx(np.abs([mass_matrix(0.0) @ off] * len(TIMES)) / 1e-290)
+
+
+def test_at_rest_a_hundredth_of_the_greatest_forces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where nothing is left of a row's forces, they are judged as parts of that, and no less."""
+    sums, H = terms()
+    found = errors(monkeypatch, OFF, speed=[1.0, 1.0, 1.0, 0.0])
+    assert found[:3] == pytest.approx((np.abs(H @ OFF) / sums)[:3], rel=1e-8)
+    least = 1e-2 * sums[:3].max(axis=0)
+    assert found[3] == pytest.approx(np.abs(mass_matrix(0.0) @ OFF) / least, rel=1e-8)
