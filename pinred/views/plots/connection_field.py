@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from ...analysis.connections.connection import Connection
@@ -16,14 +15,13 @@ from ...common.arrays import Array, vector
 from ...common.errors import InputError
 from ...common.names import joint_index
 from .curvature_field import component_of
+from .level_sets import fill, name_axes, outline
 from .shape_plane import Limits, around, draw_path, plane
-from .style import BLACK, FIELD, figure, legend, styled
+from .style import BLACK, figure, styled
 
 Part = Literal["curvature", "exterior", "bracket", "connection"]
 _PARTS = ("curvature", "exterior", "bracket", "connection")
 _ALONG_GAIT = 400
-_LEVELS = 20
-_NONE = 1e-12
 
 
 @styled
@@ -76,31 +74,19 @@ def field(
         title += _enclosed(source, gait, pair, part, which)
     made = figure(title, height=4.4)
     axes = made.subplots()
-    low, high = float(values.min()), float(values.max())
-    if high - low < _NONE:
-        low, high = low - 1.0, high + 1.0
-    elif low < 0.0 < high:  # then the middle of the colours is zero
-        low, high = -max(-low, high), max(-low, high)
-    levels = MaxNLocator(_LEVELS).tick_values(low, high)
-    filled = axes.contourf(*shapes.axes, values, levels=levels, cmap=FIELD)
+    filled = fill(axes, shapes.axes, values)
     if part == "connection":
         along = rows[..., which, :]
         u, v = shapes.axes
         axes.streamplot(
             u, v, along[..., 0], along[..., 1], color=BLACK, linewidth=0.6, arrowsize=0.8
         )
-    elif high - low > _NONE and values.min() < 0.0 < values.max():
-        axes.contour(*shapes.axes, values, levels=levels[::2], colors=BLACK, linewidths=0.4)
-        axes.contour(*shapes.axes, values, levels=[0.0], colors=BLACK, linewidths=2.0)
-        axes.plot([], [], color=BLACK, linewidth=2.0, label="zero")
+    else:
+        outline(axes, shapes.axes, values, filled)
     if path is not None:
         draw_path(axes, path[:, pair[0]], path[:, pair[1]])
-    axes.grid(visible=False)
-    axes.set(xlabel=f"{a} [{units[0]}]", ylabel=f"{b} [{units[1]}]")
-    axes.set(xlim=limits[0], ylim=limits[1])
-    bar = made.colorbar(filled, ax=axes, location="left", pad=0.02, shrink=0.9)
-    bar.set_label(f"{titles[part]}, component {label}")
-    legend(axes)
+    what = f"{titles[part]}, component {label}"
+    name_axes(axes, filled, (a, b), units, limits, what)
     return made
 
 

@@ -7,7 +7,6 @@ from typing import TypeAlias
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, vector
@@ -19,15 +18,13 @@ from ...simulation.trajectory import Trajectory
 from ...system.system import System, checked_system
 from ..motion_source import MotionSource
 from .fine_path import fine_path
+from .level_sets import NONE, fill, name_axes, outline
 from .motion_labels import labels_of
 from .shape_plane import Limits, around, checked_path, draw_path, plane, reach, title_at
-from .style import BLACK, FIELD, figure, legend, styled
+from .style import figure, styled
 from .time_series import require_joints
 
 Source: TypeAlias = System | Reduction | MotionSource
-
-_NONE = 1e-12  # a curvature below it is round-off
-_LEVELS = 20
 
 
 @styled
@@ -69,8 +66,7 @@ def curvature(
     B = Reduction(system).grid(shapes.shapes).curvature[..., pair[0], pair[1]]
     which = component_of(system.group, component, B)
     values = B[..., which]
-    most = float(np.abs(values).max())
-    flat = most < _NONE
+    flat = float(np.abs(values).max()) < NONE
     label = system.group.twist_names[which]
     a, b = (names.joints[k] for k in pair)
     rest = title_at(names, pair, stands)
@@ -81,24 +77,12 @@ def curvature(
         height=4.4,
     )
     axes = made.subplots()
-    low, high = (-1.0, 1.0) if flat else (float(values.min()), float(values.max()))
-    if low < 0.0 < high:  # then the middle of the colours is zero
-        low, high = -max(-low, high), max(-low, high)
-    levels = MaxNLocator(_LEVELS).tick_values(low, high)
-    field = axes.contourf(*shapes.axes, values, levels=levels, cmap=FIELD)
-    if not flat:
-        axes.contour(*shapes.axes, values, levels=levels[::2], colors=BLACK, linewidths=0.4)
-        if values.min() < 0.0 < values.max():
-            axes.contour(*shapes.axes, values, levels=[0.0], colors=BLACK, linewidths=2.0)
-            axes.plot([], [], color=BLACK, linewidth=2.0, label="zero")
+    filled = fill(axes, shapes.axes, values)
+    outline(axes, shapes.axes, values, filled)
     if drawn is not None:
         draw_path(axes, drawn[:, pair[0]], drawn[:, pair[1]])
-    axes.grid(visible=False)
-    axes.set(xlabel=f"{a} [{units[0]}]", ylabel=f"{b} [{units[1]}]")
-    axes.set(xlim=limits[0], ylim=limits[1])
-    bar = made.colorbar(field, ax=axes, location="left", pad=0.02, shrink=0.9)
-    bar.set_label(f"B, component {label} [{_unit(label, units)}]")
-    legend(axes)
+    what = f"B, component {label} [{_unit(label, units)}]"
+    name_axes(axes, filled, (a, b), units, limits, what)
     return made
 
 
