@@ -12,6 +12,7 @@ from ...scene.toml.schema import (
     Table,
     Tagged,
     Text,
+    document_schema,
 )
 from ...scene.toml.signal_keys import NUMBER, NUMBERS, POSITIVE
 
@@ -154,11 +155,4 @@ GAIT_FILE = Table(
 
 def gait_schema() -> Schema:
     """Return the JSON Schema (draft 2020-12) of gait files, as read from TOML."""
-    defs: dict[str, Schema] = {}
-    body = GAIT_FILE.schema(defs)
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "pinred gait",
-        **body,
-        "$defs": defs,
-    }
+    return document_schema(GAIT_FILE, "pinred gait")

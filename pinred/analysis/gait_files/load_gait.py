@@ -11,9 +11,8 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ...scene.toml.csv_columns import read_text
-from ...scene.toml.documents import parsed, robot_in
-from ...scene.toml.places import Place, naming
+from ...scene.toml.documents import read_document, robot_in
+from ...scene.toml.places import naming
 from ...system.system import System
 from ..connections.connection import Connection
 from ..connections.fluid import Ellipse, Ellipsoid
@@ -39,20 +38,16 @@ def load_gait(path: str | Path) -> GaitFile:
     Raises LoadError if the file, or one that it names, cannot be read; InputError, or what the
     parts raise, naming file and key.
     """
-    if not isinstance(path, (str, Path)):
-        raise InputError(f"load_gait takes the path of a TOML file, got {type(path).__name__}")
-    path = Path(path)
-    text = read_text(path, "gait file")
-    place = Place(str(path), text)
-    document = GAIT_FILE.read(parsed(text, place, "a gait"), place)
-    system = robot_in(document, path.parent, place)
+    document, place = read_document(path, GAIT_FILE, "gait")
+    folder = Path(path).parent
+    system = robot_in(document, folder, place)
     with naming(place / "connection"):
         connection = _connection(system, document.get("connection", {"kind": "mechanical"}))
     if "base" in document:
         with naming(place / "base"):
             connection = connection.seen_from(document["base"])
     with naming(place / "gait"):
-        gait = _gait(document["gait"], connection, path.parent)
+        gait = _gait(document["gait"], connection, folder)
     momentum = np.zeros(connection.r)
     given = document.get("momentum", 0.0)
     if given != 0.0:

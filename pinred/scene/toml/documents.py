@@ -12,12 +12,27 @@ from ...common.errors import InputError, LoadError, PinredError
 from ...system.catalogue import bundled_robots
 from ...system.load import load
 from ...system.system import System
+from .csv_columns import read_text
 from .places import Place, one_line
+from .schema import Table
 
 _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+\s*\.\s*){50}""")
 
 
-def parsed(text: str, place: Place, what: str) -> dict[str, Any]:
+def read_document(path: str | Path, table: Table, kind: str) -> tuple[dict[str, Any], Place]:
+    """Return the document of a file, which has the keys that it should have, and its place.
+
+    kind: "scene" or "gait", for messages.  Raises LoadError for a file that cannot be read, and
+    InputError for a key.
+    """
+    if not isinstance(path, (str, Path)):
+        raise InputError(f"load_{kind} takes the path of a TOML file, got {type(path).__name__}")
+    text = read_text(Path(path), f"{kind} file")
+    place = Place(str(Path(path)), text)
+    return table.read(_parsed(text, place, f"a {kind}"), place), place
+
+
+def _parsed(text: str, place: Place, what: str) -> dict[str, Any]:
     """Return the tables of a text.  Raises LoadError, that it is not `what`, if it is not TOML."""
     if _LONG_KEY.search(text):
         raise LoadError(f"{place.file}: not {what}: a key of more than 50 parts")

@@ -22,6 +22,7 @@ from .schema import (
     Tagged,
     Text,
     Whole,
+    document_schema,
 )
 from .signal_keys import NUMBER, NUMBERS, POSITIVE, SHAPE, SIGNAL
 
@@ -198,11 +199,4 @@ SCENE = Table(
 
 def scene_schema() -> Schema:
     """Return the JSON Schema (draft 2020-12) of scene files, as read from TOML."""
-    defs: dict[str, Schema] = {}
-    body = SCENE.schema(defs)
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "pinred scene",
-        **body,
-        "$defs": defs,
-    }
+    return document_schema(SCENE, "pinred scene")

@@ -10,7 +10,7 @@ from typing import Any, Literal, NoReturn
 
 import numpy as np
 
-from ...common.errors import InputError, PinredError
+from ...common.errors import PinredError
 from ...common.parameter import Parameter
 from ...forces.columns import symbols_of
 from ...forces.force import Force, Limit
@@ -24,8 +24,7 @@ from .. import forms
 from ..event import Event
 from ..random_state import DURATION
 from ..scene import Engine, Scene
-from .csv_columns import read_text
-from .documents import parsed, robot_in
+from .documents import read_document, robot_in
 from .force_kinds import FORCES
 from .keys import SCENE
 from .places import Place, naming, one_line, unknown
@@ -56,13 +55,8 @@ def load_scene(path: str | Path) -> Scene:
 
 def read_scene_file(path: str | Path) -> SceneFile:
     """Return the scene in a TOML file and the engine it asks for; errors as of load_scene."""
-    if not isinstance(path, (str, Path)):
-        raise InputError(f"load_scene takes the path of a TOML file, got {type(path).__name__}")
-    path = Path(path)
-    text = read_text(path, "scene file")
-    place = Place(str(path), text)
-    document = SCENE.read(parsed(text, place, "a scene"), place)
-    return _Builder(path.parent, place, document).built()
+    document, place = read_document(path, SCENE, "scene")
+    return _Builder(Path(path).parent, place, document).built()
 
 
 class _Builder:

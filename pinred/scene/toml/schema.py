@@ -336,3 +336,15 @@ class Named(Node):
         if self.name not in defs:
             defs[self.name] = self.node.schema(defs)
         return {"$ref": f"#/$defs/{self.name}"}
+
+
+def document_schema(table: Table, title: str) -> Schema:
+    """Return the JSON Schema (draft 2020-12) of documents of TOML that are such a table."""
+    defs: dict[str, Schema] = {}
+    body = table.schema(defs)
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": title,
+        **body,
+        "$defs": defs,
+    }
