@@ -30,6 +30,40 @@ _CLOSE = 1e-10  # relative change above which an iteration that stops has not co
 
 
 @compiled
+def _turn(
+    start: Array, a: Array, lanes: int, h: float, rates: Array, found: Array
+) -> tuple[float, float]:
+    """Set stages (n lanes,) to start + h Σ a_jk rates_k; return their change and their size."""
+    change = size = 0.0
+    for i in range(start.shape[0]):
+        for j in range(lanes):
+            total = 0.0
+            for k in range(lanes):
+                total += a[j, k] * rates[i * lanes + k]
+            new = start[i] + h * total
+            change = max(change, abs(new - found[i * lanes + j]))
+            size = max(size, abs(new))
+            found[i * lanes + j] = new
+    return change, size
+
+
+@compiled
+def _settled(change: float, size: float, best: float, idle: int) -> bool:
+    """Whether further turns of a fixed point leave nothing to gain."""
+    return change == 0.0 or idle >= (_PATIENCE if best <= _CLOSE * size else _WAVES)
+
+
+@compiled
+def _move(y: Array, b: Array, lanes: int, h: float, F: Array, out: Array) -> None:
+    """Write the end of a step with rates F, which may overlap `out`."""
+    for i in range(y.shape[0]):
+        total = 0.0
+        for k in range(lanes):
+            total += b[k] * F[i * lanes + k]
+        out[i] = y[i] + h * total
+
+
+@compiled
 def find_stages(
     address: int, params: Array, a: Array, lanes: int, h: float, y: Array, Y: Array, F: Array
 ) -> int:
@@ -44,22 +78,13 @@ def find_stages(
     call(address, Y, params, F)
     best, idle = np.inf, 0
     for turn in range(_MOST):
-        change = size = 0.0
-        for i in range(n):
-            for j in range(lanes):
-                total = 0.0
-                for k in range(lanes):
-                    total += a[j, k] * F[i * lanes + k]
-                new = y[i] + h * total
-                change = max(change, abs(new - Y[i * lanes + j]))
-                size = max(size, abs(new))
-                Y[i * lanes + j] = new
+        change, size = _turn(y, a, lanes, h, F, Y)
         if not change < np.inf:
             return -1
         call(address, Y, params, F)
         idle = idle + 1 if change >= best else 0
         best = min(best, change)
-        if change == 0.0 or idle >= (_PATIENCE if best <= _CLOSE * size else _WAVES):
+        if _settled(change, size, best, idle):
             return turn + 1 if best <= _CLOSE * size else -1
     return -1
 
@@ -89,29 +114,16 @@ def step_forward(
     call_slopes(slopes, Y, params, D, along_params, G)
     best, idle, turns = np.inf, 0, -1
     for turn in range(_MOST):
-        change = size = 0.0
-        for i in range(n):
-            for j in range(lanes):
-                total = 0.0
-                for k in range(lanes):
-                    total += a[j, k] * G[i * lanes + k]
-                new = along[i] + h * total
-                change = max(change, abs(new - D[i * lanes + j]))
-                size = max(size, abs(new))
-                D[i * lanes + j] = new
+        change, size = _turn(along, a, lanes, h, G, D)
         if not change < np.inf:
             return -1
         call_slopes(slopes, Y, params, D, along_params, G)
         idle = idle + 1 if change >= best else 0
         best = min(best, change)
-        if change == 0.0 or idle >= (_PATIENCE if best <= _CLOSE * size else _WAVES):
+        if _settled(change, size, best, idle):
             turns = turn + 1 if best <= _CLOSE * size else -1
             break
-    for i in range(n):
-        total = 0.0
-        for k in range(lanes):
-            total += b[k] * G[i * lanes + k]
-        along[i] += h * total
+    _move(along, b, lanes, h, G, along)
     return turns
 
 
@@ -155,7 +167,7 @@ def step_reverse(
         call_adjoint(adjoint, Y, params, G, Z)
         idle = idle + 1 if change >= best else 0
         best = min(best, change)
-        if change == 0.0 or idle >= (_PATIENCE if best <= _CLOSE * size else _WAVES):
+        if _settled(change, size, best, idle):
             turns = turn + 1 if best <= _CLOSE * size else -1
             break
     for i in range(n):
@@ -316,16 +328,6 @@ def reverse(
         for i in range(n):
             covector[i] += at_times[r, i]
     return 0
-
-
-@compiled
-def _move(y: Array, b: Array, lanes: int, h: float, F: Array, out: Array) -> None:
-    """Write the end of a step with rates F, which may overlap `out`."""
-    for i in range(y.shape[0]):
-        total = 0.0
-        for k in range(lanes):
-            total += b[k] * F[i * lanes + k]
-        out[i] = y[i] + h * total
 
 
 @compiled

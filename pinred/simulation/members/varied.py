@@ -40,7 +40,7 @@ class Varied:
     """Options of many members, apart by what differs between them.
 
     states: {option: (N, …)}.  parameters: {name: (N,)}.  gravity: (N, 3) in the world frame
-    [m/s²], or None.  common: all other options.  count: N.
+    [m/s²], or None.  common: all other options.  count: N.  system: as it was loaded.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class Varied:
     ) -> None:
         """Take options of a scene, and members by name.  Raises InputError and ShapeError."""
         self.base, self.seeds = base, seeds
-        system = nominal(base.system) if isinstance(base, Scene) else base
+        self.system = system = nominal(base.system) if isinstance(base, Scene) else base
         self.common = dict(options)
         parameters = self.common.pop("parameters", None)
         parameters = {} if parameters is None else parameters
@@ -124,8 +124,7 @@ class Varied:
             options["seed"] = self.seeds[member]
         base = self.base
         if self.gravity is not None:
-            system = nominal(base.system) if isinstance(base, Scene) else base
-            moved = in_gravity(system, self.gravity[member])
+            moved = in_gravity(self.system, self.gravity[member])
             base = replace(base, system=moved) if isinstance(base, Scene) else moved
         return as_scene(base, options, "simulate_many")
 
@@ -152,8 +151,8 @@ class Varied:
             plan = members_plan(first)
             scene_of = partial(self._scene_by, plan.scene.method)
             return Members(self.count, [Group(every, plan, first.given, apart=INERTIAS)], scene_of)
-        system = nominal(self.base.system) if isinstance(self.base, Scene) else self.base
-        template = replace(template, system=system) if self.gravity is not None else template
+        if self.gravity is not None:
+            template = replace(template, system=self.system)
         numbers = self._numbers(template)
         given = (
             self._given(template, numbers) if self.seeds is None else self._drawn(template, numbers)
