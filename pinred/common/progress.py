@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from html import escape
 from importlib import import_module
 from types import TracebackType
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 from .errors import InputError
 
 Progress: TypeAlias = Callable[[float], None]
+_T = TypeVar("_T")
+_R = TypeVar("_R")
 
 _WIDTH = 30
 _EVERY = 0.1  # s between redraws
@@ -61,6 +63,19 @@ def shown(progress: Progress | bool | None, title: str) -> AbstractContextManage
     if not (progress is None or progress is False or callable(progress)):
         raise InputError(f"progress must be True or a function of the part done, got {progress!r}")
     return nullcontext(progress if callable(progress) else None)
+
+
+def one_by_one(
+    items: Sequence[_T], measure: Callable[[_T], _R], progress: Progress | bool | None, title: str
+) -> list[_R]:
+    """Return what `measure` makes of each item, one after the other; progress as for `shown`."""
+    found = []
+    with shown(progress, title) as bar:
+        done = bar or quiet
+        for k, item in enumerate(items):
+            found.append(measure(item))
+            done((k + 1) / len(items))
+    return found
 
 
 def quiet(part: float) -> None:

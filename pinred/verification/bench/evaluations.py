@@ -22,7 +22,7 @@ from scipy.integrate import solve_ivp
 
 from ...common.arrays import Array
 from ...common.errors import InputError, IntegrationError
-from ...common.progress import Progress, quiet, shown
+from ...common.progress import Progress, one_by_one
 from ...integrators.methods import METHODS, AdaptiveGauss, Explicit
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
@@ -82,13 +82,7 @@ def bench_evaluations(
     progress: as for `simulate`.  Raises InputError.
     """
     problems, _ = problems_named(scenes)
-    found = []
-    with shown(progress, "evaluations") as bar:
-        done = bar or quiet
-        for k, problem in enumerate(problems):
-            found.append(_measured(problem))
-            done((k + 1) / len(problems))
-    return found
+    return one_by_one(problems, _measured, progress, "evaluations")
 
 
 def _measured(problem: Problem) -> Evaluations:

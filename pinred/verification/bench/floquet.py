@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from ...analysis.equilibria.relative_equilibrium import RelativeEquilibrium
 from ...analysis.stability.along_motions import floquet, linearise
 from ...analysis.stability.variational import without_base
 from ...common.arrays import Array, freeze
-from ...common.progress import Progress, shown
+from ...common.progress import Progress, one_by_one
 from ...kernels.tangent import jacobian_of
 from ...reduction.at_a_shape import Reduction
 from ...scene.scene import Scene
@@ -63,17 +64,12 @@ def bench_floquet(
     *, rounds: int = _ROUNDS, progress: Progress | bool | None = None
 ) -> list[FloquetTiming]:
     """Measure the routes on the least steady motion of each robot in PROBLEMS."""
-    out = []
-    with shown(progress, "floquet") as done:
-        for k, (name, J) in enumerate(PROBLEMS.items()):
-            out.append(_timing(name, J, rounds))
-            if done is not None:
-                done((k + 1) / len(PROBLEMS))
-    return out
+    timing = partial(_timing, rounds=rounds)
+    return one_by_one(list(PROBLEMS), timing, progress, "floquet")
 
 
-def _timing(name: str, J: float, rounds: int) -> FloquetTiming:
-    least = relative_equilibria(load(name), momentum=J, starts=50)[0]
+def _timing(name: str, rounds: int) -> FloquetTiming:
+    least = relative_equilibria(load(name), momentum=PROBLEMS[name], starts=50)[0]
     T = 2.0 * np.pi / float(least.frequencies[0])
     traj = simulate(least.scene(duration=T))
     values = linearise(traj).eigenvalues

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...common.progress import Progress, quiet, shown
+from ...common.progress import Progress, one_by_one
 from ...integrators.integrate import integrate_checked
 from ...kernels.build import build_kernel
 from ...kernels.differentiable import repeat_adjoint
@@ -78,13 +78,7 @@ def bench_flow(
     progress: as for `simulate`.
     """
     names = list(robots) or [*BUNDLED, *(EXAMPLES if has_example_robots() else ())]
-    found = []
-    with shown(progress, "flows") as bar:
-        done = bar or quiet
-        for k, name in enumerate(names):
-            done(k / len(names))
-            found.append(_bench_flow(name))
-    return found
+    return one_by_one(names, _bench_flow, progress, "flows")
 
 
 def _bench_flow(name: str) -> FlowTiming:

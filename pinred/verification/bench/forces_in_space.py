@@ -13,7 +13,7 @@ from typing import Any
 
 import casadi as ca
 
-from ...common.progress import Progress, quiet, shown
+from ...common.progress import Progress, one_by_one
 from ...forces import SeenState, Torque, Wrench
 from ...forces.force_model import ForceModel
 from ...kernels.build import build_kernel
@@ -68,16 +68,11 @@ def bench_forces(
     robots: names or files; four by default.  progress: as for `simulate`.
     """
     names = list(robots) or [*BUNDLED, *(EXAMPLES if has_example_robots() else ())]
-    found = []
-    with shown(progress, "forces") as bar:
-        done = bar or quiet
-        for k, name in enumerate(names):
-            done(k / len(names))
-            found.append(_bench(load(name, gravity=(0.0, 0.0, 0.0)), name))
-    return found
+    return one_by_one(names, _bench, progress, "forces")
 
 
-def _bench(system: System, name: str) -> ForcesTiming:
+def _bench(name: str) -> ForcesTiming:
+    system = load(name, gravity=(0.0, 0.0, 0.0))
     kernels = [_kernel(system, force) for force in (None, *_forces(system))]
     times = alternating([evaluations(kernel) for kernel in kernels], rounds=_ROUNDS, span=_SPAN)
     # A few percent show only where nothing else ran: the fastest of many rounds each.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from ...common.progress import Progress, quiet, shown
+from ...common.progress import Progress, one_by_one
 from ...kernels.build import build_kernel
 from ...kernels.layout import Structure
 from ...reduction.at_a_shape import Reduction
@@ -62,13 +62,7 @@ def bench_kernels(
     progress: as for `simulate`.
     """
     names = list(robots) or [*BUNDLED, *(EXAMPLES if has_example_robots() else ())]
-    found = []
-    with shown(progress, "kernels") as bar:
-        done = bar or quiet
-        for k, name in enumerate(names):
-            done(k / len(names))
-            found.append(_bench_kernel(name))
-    return found
+    return one_by_one(names, _bench_kernel, progress, "kernels")
 
 
 def _bench_kernel(name: str) -> KernelTiming:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from ...common.errors import InputError, PinredError
-from ...common.progress import Progress, quiet, shown
+from ...common.progress import Progress, one_by_one
 from ..distances import FullMotion
 from ..full_state import FINEST
 from .crowd import OWN, CrowdPrepared, CrowdSolver, crowd
@@ -90,13 +91,8 @@ def bench_many(
     if members < JUDGED:
         raise InputError(f"members must be at least {JUDGED}, got {members}")
     problems, _ = problems_named(scenes)
-    with shown(progress, "many") as bar:
-        done = bar or quiet
-        found = []
-        for k, problem in enumerate(problems):
-            found.append(_measured(problem, members, error, rounds))
-            done((k + 1) / len(problems))
-        return found
+    measure = partial(_measured, count=members, error=error, rounds=rounds)
+    return one_by_one(problems, measure, progress, "many")
 
 
 def _measured(problem: Problem, count: int, error: float, rounds: int) -> ManyTiming:
