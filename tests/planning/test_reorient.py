@@ -10,6 +10,7 @@ import pytest
 from inverse_dynamics import joint_torques
 from lifts import by_pinocchio
 from nearness import close
+from trees import random_model
 
 import pinred
 from pinred.common.arrays import Array
@@ -150,3 +151,11 @@ def test_what_cannot_be_reached_is_said() -> None:
         pinred.reorient(pinred.load("three_rods"), 3.0, limits=0.05, x0=[0.03, 0.03], cycles=1)
     with pytest.raises(pinred.InputError, match="needs two joints"):
         pinred.reorient(pinred.load("elroys_beanie"), 1.0)
+
+
+def test_weight_at_a_pivot_is_refused() -> None:
+    """Its momentum does not stay zero; without gravity, or about the vertical, it does."""
+    model = random_model("SO3", 2, 1)
+    model.gravity.linear = np.array([0.0, 0.0, -9.81])
+    with pytest.raises(pinred.SymmetryError, match="its momentum does not stay zero"):
+        pinred.reorient(pinred.load(model), [0.0, 0.0, 0.1], limits=1.5)

@@ -18,8 +18,10 @@ from ...common.errors import (
     IntegrationError,
     NoOptimum,
     SingularInertiaError,
+    SymmetryError,
 )
 from ...lie.rotations import quaternion_log
+from ...reduction.potential import pivot_weight
 from ...scene import forms
 from ...system.system import System, checked_system
 from ..optimisation.aims import Reach, reach
@@ -63,12 +65,18 @@ def reorient(
         will do if not given.
     duration: of all of it [s]; 2 s a cycle if not given, or as long as speeds and torques need.
 
-    Raises InputError for what makes no sense, NoOptimum if no loop within the limits was found.
+    Raises InputError for what makes no sense, SymmetryError for a pivoted base that gravity turns,
+    NoOptimum if no loop within the limits was found.
     """
     system = checked_system(system, "reorient")
     connection, group = Connection.mechanical(system), system.group
     if not group.turns:
         raise InputError(f"the group {group.name} has no rotation")
+    if pivot_weight(system).any():
+        raise SymmetryError(
+            f"gravity turns the base of '{system.name}', so that its momentum does not stay zero; "
+            "take gravity=(0, 0, 0)"
+        )
     if system.m < 2:
         raise InputError("a loop needs two joints: with one, every way back is the way there")
     bounds = limits_of(connection, limits, speeds, torques)
