@@ -160,7 +160,7 @@ class FullState:
         actions = self._replay or Control(self._scene)
         found = {0.0: y0}
         while t < end:
-            stop = float(self._stops[min((self._stops <= t).sum(), len(self._stops) - 1)])
+            stop = next((float(stop) for stop in self._stops if stop > t), end)
             stop = actions.begin(self._numbers, t, stop, partial(self.sample, y))
             solver = Hairer(self.rate, method, y, t, rtol, atol, self._scene.end)
             inside = times[(times > t) & (times <= stop)]

@@ -37,7 +37,7 @@ with events.install_recorder("numba:compile") as record:
         one = pinred.simulate(cat, seed=1, times=times, method=method)
         two = pinred.simulate_many(cat, seeds=[1, 2], threads=1, times=times, method=method)
         assert np.abs(one.x - exact.x).max() < 1e-4, name
-        assert np.array_equal(two[0].x, one.x), name
+        assert np.abs(two[0].x - one.x).max() < 1e-14, name  # in lanes, or one by one
         assert np.abs(one(between).x - exact(between).x).max() < 1e-4, name
 print(sum(event.is_start for _, event in record.buffer))
 """
