@@ -7,7 +7,6 @@ momentum and energy by Pinocchio's functions; of forces, it evaluates the same e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -22,42 +21,21 @@ from ..simulation.state import Sample, State
 from ..simulation.stops import stops_of
 from ..system.joints import joint_units
 from ..system.system import System
+from .audit import Audit, difference
 from .distances import Distance, FullMotion, Size
 from .hairer import Hairer
 from .loads_by_pinocchio import LoadsByPinocchio
 from .root_motion import root_motion
 from .ties import Ties
+from .weights import weights
 
 FINEST = (2e-14, 1e-16)  # the tightest rtol and atol that Hairer's codes can keep
 OFFSET = 1e-5  # part of a distance from the origin that lengths are told in beside round-off
+APART = 10.0  # times what two ways to the same are apart is what round-off leaves of either
 KICK = 1e-6  # relative size of the perturbation whose growth is measured
 _ENERGY_ROUND_OFF = 1e-14  # of kinetic and potential energy, which cancel
+_PART = 1e-6  # of the units of joints, over which a slope is measured
 _LEAST = 1e-290  # J; energies below are counted in steps of the smallest numbers
-
-
-@dataclass(frozen=True)
-class Audit:
-    """The verdict of Pinocchio's own functions on the states of a trajectory, all relative.
-
-    energies: (T,) change over the largest kinetic energy T about the centre of mass.
-    momenta: (T, r) change of each conserved component, angular about the centre of mass if
-    the group moves it freely, over √(2mT), for angular ones times the radius of gyration.
-    fields: largest difference of pose, twist, momenta and energy from those that q and v have.
-    """
-
-    energies: Array
-    momenta: Array
-    fields: float
-
-    @property
-    def energy(self) -> float:
-        """The largest change of energy."""
-        return float(np.abs(self.energies).max())
-
-    @property
-    def momentum(self) -> float:
-        """The largest change of momentum."""
-        return float(np.abs(self.momenta).max())
 
 
 class FullState:
@@ -91,6 +69,9 @@ class FullState:
         self._bare.armature = np.zeros(system.model.nv)
         self._root = root = root_motion(system.model)
         self._axes, self._linear, self._size = root.axes, root.linear, root.size
+        self._held = system.model.copy()  # where the root slides, a weight only makes all fall
+        falls = system.model.jointPlacements[1].rotation @ root.axes[:3, : root.linear]
+        self._held.gravity.linear -= falls @ (falls.T @ system.model.gravity.linear)
         placed = () if self._forces is None else self._forces.loads
         self._loads = LoadsByPinocchio(system, root.axes, placed) if placed else None
         self._driven = [] if self._forces is None else list(self._forces.joints)
@@ -202,12 +183,12 @@ class FullState:
         J = self.momentum(q, v, np.zeros(3), about_pivot=True)
         return BaseInSpace(pose, v[:r].copy(), mu, J)
 
-    def rate(self, t: float, y: Array) -> Array:
-        """Return dy/dt with Pinocchio's ABA."""
+    def rate(self, t: float, y: Array, axes: pin.Convention = pin.Convention.LOCAL) -> Array:
+        """Return dy/dt with Pinocchio's ABA, computed in these axes."""
         size, m, r = self._size, self._m, self._r
         if self._forces is None:
             v, q = y[size + m :], self.q(y)
-            a = self.ties.acceleration(q, v, np.zeros(len(v)))
+            a = self.ties.acceleration(self._seen(q, axes), v, np.zeros(len(v)), axes=axes)
             return np.concatenate([self._root.rate(y[:size], v[:r]), v[r:], a])
         y = y.copy()
         accelerations = np.empty(0)
@@ -225,7 +206,8 @@ class FullState:
         tau = np.append(acting.wrench, self.ties.at_leaders(acting.torque))
         if self._loads is not None:
             tau += self._loads.generalised(q, loads)
-        a = self.ties.acceleration(q, v, tau, self._driven, accelerations)
+        q = self._seen(q, axes)
+        a = self.ties.acceleration(q, v, tau, self._driven, accelerations, axes)
         return np.concatenate([self._root.rate(y[:size], v[:r]), v[r:], a])
 
     def _relative(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -275,12 +257,16 @@ class FullState:
         place, radius = motion.q[:, : self._linear], self.radius(motion.q[0])
         travelled = float(np.abs(place - place[0]).max(initial=0.0))
         away = float(np.abs(place).max(initial=0.0))
-        least = np.where([unit == "m" for unit in joint_units(self._model)], radius, 1.0)
         return Size(
-            joints=np.maximum(np.abs(motion.x).max(axis=0), least),
+            joints=self._units(motion.x, radius),
             position=max(travelled, radius, OFFSET * away),
             away=away,
         )
+
+    def _units(self, x: Array, radius: float) -> Array:
+        """Return the units (M,) of errors of joints whose values are x (T, M)."""
+        least = np.where([unit == "m" for unit in joint_units(self._model)], radius, 1.0)
+        return np.asarray(np.maximum(np.abs(x).max(axis=0), least))
 
     def radius(self, q: Array) -> float:
         """Return the radius of gyration at q about the centre of mass, √(tr I / m) [m]."""
@@ -294,10 +280,12 @@ class FullState:
         in the root's fixed frame, if momentum is not conserved for itself.
         """
         model, data, r = self._model, self._data, self._r
-        energy, total, internal, conserved = [], [], [], []
+        energy, total, internal, conserved, lift, weight = [], [], [], [], [], []
         body, spatial = np.empty_like(state.xi), np.empty_like(state.xi)
         rest = np.zeros(model.nv)
         qs, vs = self._sorted_q(state.q), self._sorted_v(state.v)
+        joints, radius = self.ties.values(state.x), self.radius(qs[0])
+        units = self._units(joints, radius)
         for k, (t, q, v) in enumerate(zip(state.t, qs, vs, strict=True)):
             kinetic = self.kinetic_energy(q, v)
             height = self.potential_energy(q)
@@ -310,10 +298,16 @@ class FullState:
             conserved.append(self.momentum(q, v, fall, about_pivot=self._root.is_pivoted))
             total.append(kinetic)
             internal.append(kinetic - self.carried_energy(q, v))
+            lift.append(self._lift(q, state.x[k], units))
+            weight.append(weights(self._held, data, q)[self._linear : r])
         # A body that only falls has no internal motion to measure its changes by.
         most = max(internal) if max(internal) > 1e-9 * max(total) else max(total)
         scale = np.full(r, np.sqrt(2.0 * data.Ig.mass * most))
-        scale[self._linear :] *= self.radius(qs[0])
+        scale[self._linear :] *= radius
+        if self._root.is_pivoted:
+            pull = np.max(weight, axis=0)
+            swing = np.minimum(pull * np.ptp(state.t), radius * np.sqrt(data.Ig.mass * pull))
+            scale[self._linear :] = np.maximum(scale[self._linear :], swing)
         energies = np.array(energy)
         gained = energies - energies[0] - (work - work[0])
         # Of a fast fall, a slow turn is what round-off leaves.
@@ -324,23 +318,35 @@ class FullState:
             scale = np.maximum(scale, np.abs(spatial).max())
         scale[scale == 0.0] = 1.0
         found = np.array(
-            [
-                self.q(np.concatenate(row))
-                for row in zip(state.pose, self.ties.values(state.x), strict=True)
-            ]
+            [self.q(np.concatenate(row)) for row in zip(state.pose, joints, strict=True)]
         )
         mismatch = [
-            _difference(found, qs, 1.0),
-            _difference(np.hstack([state.xi, self.ties.rates(state.xdot)]), vs, 0.0),
-            _difference(state.body_momentum, body, float(scale.max())),
-            _difference(state.spatial_momentum, spatial, float(scale.max())),
-            _difference(state.energy, energies, max(most, _LEAST)),
+            difference(found, qs, 1.0),
+            difference(np.hstack([state.xi, self.ties.rates(state.xdot)]), vs, 0.0),
+            difference(state.body_momentum, body, float(scale.max())),
+            difference(state.spatial_momentum, spatial, float(scale.max())),
+            difference(state.energy, energies, max(most, _LEAST)),
         ]
+        # What wrenches do to all of it is work, too.
+        done = 0.0 if impulse is None else float(np.abs(work - work[0]).max())
+        unit = max(most, done, *lift)
         return Audit(
-            energies=gained / most if most > _LEAST else gained,
+            energies=gained / unit if unit > _LEAST else gained,
             momenta=(np.array(conserved) - conserved[0]) / scale,
             fields=float(np.max(mismatch)),
         )
+
+    def _lift(self, q: Array, x: Array, units: Array) -> float:
+        """Return what the units of all joints, and 1 rad about a pivot, take by the slopes [J]."""
+        lift = 0.0
+        if self._held.gravity.linear.any():
+            slopes = np.abs(pin.computeGeneralizedGravity(self._held, self._data, q))
+            lift = float(slopes[self._r :] @ units + slopes[self._linear : self._r].sum())
+        if self._forces is not None and self._forces.potential_function.nnz_out():
+            for part in _PART * np.diag(self.ties.shape(units)):
+                ends = (self._forces.potential(x + step, self._numbers) for step in (part, -part))
+                lift += abs(np.subtract(*ends)) / (2.0 * _PART)
+        return lift
 
     def kinetic_energy(self, q: Array, v: Array) -> float:
         """Return the kinetic energy, armature included [J]."""
@@ -357,6 +363,9 @@ class FullState:
         pin.ccrba(self._model, data, self._near(q), v)
         carried = self._axes[:3].T @ root.T @ data.hg.linear
         return 0.5 * float(carried @ carried) / float(data.Ig.mass)
+
+    def _seen(self, q: Array, axes: pin.Convention) -> Array:
+        return self._near(q) if axes == pin.Convention.WORLD else q
 
     def _near(self, q: Array) -> Array:
         """Return q with the base at the origin.
@@ -385,14 +394,3 @@ class FullState:
         rotor = model.armature[: self._r] * v[: self._r]
         parts = np.append(to_root @ (linear - fall), to_root @ angular)
         return np.asarray(self._axes.T @ parts + rotor)
-
-
-def _difference(a: Array, b: Array, least: float) -> float:
-    """Return the largest difference over the largest entry of b, or over `least`; NaN stays."""
-    if not b.size:
-        return 0.0
-    return _ratio(float(np.abs(a - b).max()), max(least, float(np.abs(b).max())))
-
-
-def _ratio(change: float, scale: float) -> float:
-    return change / scale if scale > 0.0 else change

@@ -81,10 +81,12 @@ class Ties:
         tau: Array,
         driven: Sequence[int] = (),
         given: Array | None = None,
+        axes: pin.Convention = pin.Convention.LOCAL,
     ) -> Array:
         """Return the acceleration (nv,) of the tied system under generalised forces (nv,).
 
-        driven: the joints, among all M, whose accelerations are `given`.
+        driven: the joints, among all M, whose accelerations are `given`.  axes: those in which
+        ABA is computed, which tells what round-off leaves of it.
         """
         if given is not None and len(driven):
             own = np.eye(len(v))[[len(v) - self._count + k for k in driven]]
@@ -93,10 +95,10 @@ class Ties:
         if not self._alone:
             return self._solved(q, v, tau, self.J, np.zeros(len(self.J)))
         model, data, rest = self._model, self._data, np.zeros(len(v))
-        free = pin.aba(model, data, q, v, tau).copy()
+        free = pin.aba(model, data, q, v, tau, axes).copy()
         if not self._rows:
             return np.asarray(free)
-        pushed = np.array([pin.aba(self._still, data, q, rest, row).copy() for row in self.J])
+        pushed = np.array([pin.aba(self._still, data, q, rest, row, axes).copy() for row in self.J])
         push = np.linalg.solve(self.J @ pushed.T, self.J @ free)
         return np.asarray(free - push @ pushed)
 

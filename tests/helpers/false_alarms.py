@@ -1,6 +1,9 @@
 """Random scenes, each judged: `python tests/helpers/false_alarms.py 1000 [first] [table.csv]`.
 
-Every motion is right, so no verdict may be FAILED.  The short form is part of the suite
+Every motion is right, so no verdict may be FAILED, unless the motion is less accurate than it was
+asked to be: where a light joint or a thin axis turns a small error of momenta into a large one of
+rates, steps miss the tolerance, and that is what the judge is for.  Such a motion gets better with
+the tolerance, and is counted apart.  The short form is part of the suite
 (tests/verification/test_false_alarms.py).
 """
 
@@ -12,14 +15,16 @@ import sys
 import warnings
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from random_scenes import random_scene
+from random_scenes import RandomScene, random_scene
 
 import pinred
 
+INACCURATE = "less accurate than asked"
+_FINER = 1e-3  # of the tolerances
 _SECONDS = 40.0  # of the processor, for one scene
 
 
@@ -45,8 +50,22 @@ def judged(seed: int) -> Alarm:
         report = pinred.compare(scene.simulate())
     except pinred.PinredError as error:
         return Alarm(seed, type(error).__name__, scene.about, str(error).splitlines()[0], {})
+    verdict = str(report.verdict)
+    if verdict == "FAILED" and _is_right(scene, report):
+        verdict = INACCURATE
     used = {name: value / bound for name, (value, bound) in report.checks.items() if bound > 0.0}
-    return Alarm(seed, str(report.verdict), scene.about, repr(report), used)
+    return Alarm(seed, verdict, scene.about, repr(report), used)
+
+
+def _is_right(scene: RandomScene, report: pinred.Report) -> bool:
+    """Return whether nothing but steps and ends are off, by ten times less at finer tolerances."""
+    ends = ("defect", "shape", "rotation", "position")
+    checks = report.checks.items()
+    if any(not value <= bound for name, (value, bound) in checks if not name.startswith(ends)):
+        return False
+    finer = {name: _FINER * scene.options[name] for name in ("rtol", "atol")}
+    again = pinred.compare(replace(scene, options={**scene.options, **finer}).simulate())
+    return again.equations <= again.equations_bound and again.defect <= 0.1 * report.defect
 
 
 def alarms(seeds: range) -> Iterator[Alarm]:

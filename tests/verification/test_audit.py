@@ -139,6 +139,14 @@ def test_impulses_are_cleared(axis: int) -> None:
         assert audit(state, 0.0, impulse).momenta[1] * scale == pytest.approx(-impulse)
 
 
+def test_work_of_wrenches_is_what_energy_is_a_part_of() -> None:
+    """Where they push all of it, in parts of the work, if that is more than moves inside."""
+    state = held()
+    work = 5.0 * measures(state)[3]
+    assert audit(state, work, np.zeros(6)).energies == pytest.approx([0.0, -1.0, 0.0])
+    assert audit(state, work).energies == pytest.approx([0.0, -5.0, 0.0])
+
+
 @pytest.mark.parametrize(
     "name", ["pose", "xi", "xdot", "body_momentum", "spatial_momentum", "energy"]
 )

@@ -7,10 +7,12 @@ from functools import cache
 
 import casadi
 import numpy as np
+import pinocchio as pin
 import pytest
 from tampering import tampered
 
 import pinred
+from pinred.common.arrays import Array
 from pinred.verification import defect as module
 from pinred.verification.defect import Defects, defect, defects
 from pinred.verification.full_state import FullState
@@ -93,6 +95,39 @@ def test_what_jumps_between_the_ends_of_a_step() -> None:
     assert defect(traj, traj.system, inside=True) == pytest.approx(
         JUMP / np.abs(traj(knots).x).max(), rel=1e-6
     )
+
+
+class Rounded(FullState):
+    """One whose ABA has round-off in the world's axes."""
+
+    left = 0.0
+
+    def rate(self, t: float, y: Array, axes: pin.Convention = pin.Convention.LOCAL) -> Array:
+        """Off by that in the rate of a rate."""
+        out = super().rate(t, y, axes)
+        out[-1] += self.left * (axes == pin.Convention.WORLD)
+        return out
+
+
+def test_round_off_of_aba_is_no_defect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten times what two ways through it are apart, for as long as the step lasts."""
+    traj = jumped(cat(RTOL), "xdot", 2, END)
+    full = Rounded(traj.scene)
+    whole = defects(traj, full).worst
+    length = float(np.diff(traj.motion.knots)[-1])
+    size = JUMP / whole
+    monkeypatch.setattr(Rounded, "left", 0.03 * JUMP / length)
+    found = defects(traj, full)
+    assert found.worst == pytest.approx(whole - 0.3 * JUMP / size, rel=1e-3)
+    assert found.inside.max() > found.worst  # half as long, so half of that is taken off
+    monkeypatch.setattr(Rounded, "left", 0.3 * JUMP / length)
+    assert defects(traj, full).worst < 1e-6
+
+
+def test_round_off_far_away_is_none() -> None:
+    """Both ways begin where the base is."""
+    traj = jumped(cat(RTOL, 1e7), "xdot", 2, END)
+    assert defect(traj, traj.system) > 0.99 * JUMP / np.abs(traj.states.xdot).max()
 
 
 def test_steps_that_are_judged() -> None:
