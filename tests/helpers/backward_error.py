@@ -24,4 +24,5 @@ def backward_error(inertia: Array, a: Array, b: Array, *terms: Any) -> float:
 
     A badly conditioned inertia makes accelerations of round-off in any code, forces of none.
     """
-    return largest(inertia @ (a - b)) / largest(*terms)
+    apart = largest(inertia @ (a - b))
+    return apart / largest(*terms) if apart else 0.0
