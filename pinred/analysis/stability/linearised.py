@@ -48,10 +48,10 @@ def linearised(flow: CompiledFlow, y: Array) -> Linearisation:
     leaf = leaf_of(flow.kernel, y)
     kept = leaf.kept
     matrix = matrix[np.ix_(kept, kept)]
-    B = leaf.basis
-    values, left, right = eigen(B.T @ matrix @ B)
-    error = eigenvalue_errors(left, right, _ROUND_OFF * np.finfo(float).eps * norm(matrix))
-    return Linearisation(y[kept], leaf.names, matrix, values, B @ right, error, leaf)
+    on_leaf = leaf.restricted(matrix)
+    values, left, right = eigen(on_leaf)
+    error = eigenvalue_errors(left, right, _ROUND_OFF * np.finfo(float).eps * norm(on_leaf))
+    return Linearisation(y[kept], leaf.names, matrix, values, leaf.outward(right), error, leaf)
 
 
 def norm(matrix: Array) -> float:

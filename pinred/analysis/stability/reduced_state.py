@@ -8,11 +8,14 @@ the momentum of the base stays on its leaf, where the Casimirs are constant.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...kernels.kernel import Kernel
+from ...reduction.inertia_split import usual_inertias
 from ...system.system import System
 
 
@@ -20,15 +23,25 @@ from ...system.system import System
 class Leaf:
     """The tangent of the symplectic leaf at a reduced state.
 
-    kept: indices of y that count, (k,).  basis: (k, d) orthonormal.  names: of the kept entries.
-    places, momenta: where x and π of the active joints stand among the kept entries.
+    kept: indices of y that count, (k,).  scales: (k,) usual sizes of these entries: 1, and of a
+    momentum the inertia it belongs to.  basis: (k, d) of z/scales, orthonormal.  names: of the kept
+    entries.  places, momenta: where x and π of the active joints stand among the kept entries.
     """
 
     kept: Array
+    scales: Array
     basis: Array
     names: tuple[str, ...]
     places: slice
     momenta: slice
+
+    def restricted(self, matrix: Array) -> Array:
+        """Return what a matrix (k, k) on z does on the leaf, (d, d)."""
+        return np.asarray(self.basis.T @ (matrix / self.scales[:, None] * self.scales) @ self.basis)
+
+    def outward(self, vectors: NDArray[Any]) -> NDArray[Any]:
+        """Return vectors (k, …) in z from those on the leaf, (d, …)."""
+        return np.asarray((self.scales * (self.basis @ vectors).T).T)
 
 
 def leaf_of(kernel: Kernel, y: Array) -> Leaf:
@@ -36,7 +49,7 @@ def leaf_of(kernel: Kernel, y: Array) -> Leaf:
     system, layout = kernel.system, kernel.layout
     active, base = len(layout.active), layout.base
     kept = np.r_[: 2 * active, layout.base_at : layout.base_at + base.size].astype(np.intp)
-    basis = np.eye(len(kept))
+    basis, scales = np.eye(len(kept)), _scales(kernel)[kept]
     if not base.attitude:
         at, z = 2 * active, y[kept]
         down, momentum = z[at : at + base.down], z[at + base.down : at + base.down + base.momentum]
@@ -49,9 +62,10 @@ def leaf_of(kernel: Kernel, y: Array) -> Leaf:
             rows = np.zeros((1, len(kept)))
             rows[0, at : at + 3] = momentum
         if rows.size and rows.any():
-            basis = _null_space(rows)
+            basis = _null_space(rows * scales)
     return Leaf(
         kept,
+        scales,
         basis,
         reduced_names(system, kernel, kept),
         slice(0, active),
@@ -71,6 +85,18 @@ def reduced_names(system: System, kernel: Kernel, kept: Array) -> tuple[str, ...
     names += [f"Γ{k + 1}" for k in range(base.down)] + turns[: base.momentum]
     names += [f"push {k + 1}" for k in range(base.push)] + ["t"] * layout.clock
     return tuple(names[int(k)] for k in kept)
+
+
+def _scales(kernel: Kernel) -> Array:
+    """Return usual sizes of the reduced state's entries, (size,)."""
+    system, layout, base = kernel.system, kernel.layout, kernel.layout.base
+    usual, active, r = usual_inertias(system), len(layout.active), system.r
+    out = np.ones(layout.base_at + base.size)
+    out[active : 2 * active] = usual[r:][list(layout.active)]
+    if base.momentum:
+        at = layout.base_at + base.attitude + base.down
+        out[at : at + base.momentum] = usual[r - base.momentum : r].max()
+    return np.where(out > 0.0, out, 1.0)
 
 
 def _null_space(rows: Array) -> Array:
