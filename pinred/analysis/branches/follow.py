@@ -31,6 +31,7 @@ _MOST_CURVES = 200
 _UNIT = 0.3  # part of the range of momenta that counts as 1 rad
 _OFF = 0.02  # rad, the first step on a curve that branches off
 _STARTS = 300
+_ROUND_OFF = 1e-12  # rad | m; less is printed as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +106,9 @@ class Branches:
             )
         for name in ("folds", "pitchforks", "crossings"):
             for p in getattr(self, name):
-                shape = ", ".join(f"{value:.6g}" for value in p.x)
+                shape = ", ".join(
+                    f"{0.0 if abs(value) < _ROUND_OFF else value:.6g}" for value in p.x
+                )
                 lines.append(f"  {name[:-1]} at momentum {p.momentum:.10g}: ({shape})")
         return "\n".join(lines)
 
@@ -243,6 +246,8 @@ class _Follower:
     def _at_end(self, here: CurvePoint, there: CurvePoint) -> CurvePoint | None:
         """Return the point at the end of the range that lies between two."""
         J = self._low if self._low > there.J else self._high
+        if here.J == J:
+            return None
         part = (J - here.J) / (there.J - here.J)
         guess = Points(
             (here.x + part * (there.x - here.x))[None], (here.n + part * (there.n - here.n))[None]
