@@ -347,7 +347,7 @@ class Reduction:
     def com_slope(self, x: ArrayLike) -> Array:
         """∂c/∂x of the centre of mass in the root body's frame, (3, m)."""
         split = self._split_in_file(self._shape(x))
-        slope: Array = inertia_derivatives(self.system, split.x[None]).dcom[0]
+        slope: Array = inertia_derivatives(self.system, split.x[None], of=()).dcom[0]
         for frame in self._frames:
             split = frame.split(split)
             slope = frame.com_slope(split, slope)

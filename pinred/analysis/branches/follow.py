@@ -12,9 +12,10 @@ from ...common.arrays import Array, as_floats, freeze
 from ...common.errors import InputError
 from ...forces.force import Force
 from ...forces.signals import Signal
+from ...scene.checked import checked_seed
 from ...system.system import System, checked_system
 from ..equilibria.amended_energy import AmendedEnergy, Points
-from ..equilibria.find import equilibrium_at, found_points
+from ..equilibria.find import checked_starts, equilibrium_at, found_points
 from ..equilibria.problem import Problem, problem_of
 from ..equilibria.relative_equilibrium import RelativeEquilibrium
 from ..equilibria.same_shape import place_of
@@ -146,6 +147,7 @@ def branches(
         )
     if not (np.isfinite(step) and step > 0.0):
         raise InputError(f"step must be finite and above zero, got {step!r}")
+    starts, seed = checked_starts(starts), checked_seed(seed)
     follower = _Follower(problem, low, high, step)
     levels = (low, 0.5 * (low + high), high)
     for J in levels:

@@ -65,7 +65,7 @@ class HeavyTop:
 def heavy_top(problem: Problem, J: float) -> HeavyTop:
     """Return the top that a problem without active joints is; J sets its usual momentum."""
     system, cyclic = problem.system, list(problem.cyclic)
-    d = inertia_derivatives(system, problem.shapes(np.zeros((1, 0))))
+    d = inertia_derivatives(system, problem.shapes(np.zeros((1, 0))), of=())
     H, c = d.H[0], d.com[0]
     spins = [3 + k for k in cyclic]
     across, own = H[:3, spins], H[np.ix_(spins, spins)]

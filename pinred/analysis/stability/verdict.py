@@ -16,6 +16,7 @@ from .second_variation import SecondVariation
 Verdict: TypeAlias = Literal["stable", "unstable", "undecided"]
 _SURE = 10.0  # times its error, from where on a growth is one
 _ROUND_OFF = 1e-14  # of the matrix's norm
+_NO_GROWTH = 1e-9  # of the matrix's norm; swings that grow by less are pure
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +89,9 @@ def judge(
         for value, error, vector in zip(values, errors, right.T, strict=True)
         if value.imag > 0.0 or (value.imag == 0.0 and value.real >= 0.0)
     )
-    swings = (values.imag > 0.0) & (np.abs(growths) <= _SURE * np.maximum(errors, 1e-9))
+    swings = (values.imag > 0.0) & (
+        np.abs(growths) <= _SURE * np.maximum(errors, _NO_GROWTH * norm(on_leaf))
+    )
     return Stability(
         verdict=verdict,
         growth=float(growths[top]) if top is not None and sure[top] else 0.0,
