@@ -100,7 +100,7 @@ def test_directions_grow_as_two_motions_part_by_aba() -> None:
     np.testing.assert_allclose(whole.Y[:6, 0], grown, atol=1e-4 * size)
 
 
-@pytest.mark.by_hand
+@pytest.mark.slow
 def test_lyapunov_spectrum() -> None:
     """They add up to zero to 1e-8 and come in pairs to 2 %; the largest is ABA's to 10 %."""
     traj = wild(40.0)

@@ -100,6 +100,8 @@ def test_bundled_pendulum() -> None:
     (one,) = (e for e in found if e.verdict == "undecided")
     np.testing.assert_allclose(one.frequencies, [0.23173, 7.08424, 10.72249], atol=5e-6)
     np.testing.assert_allclose(np.abs(one.x), [0.355, np.pi / 2, np.pi / 2], atol=1e-3)
+    damped = [f"{name} {one.damped_growth[name]:+.5g}" for name in one.system.shape_names]
+    assert f"{verdicts.index('undecided')}, by damping: grows by {', '.join(damped)}" in str(found)
     stands_still(found)
 
 
@@ -110,7 +112,7 @@ def point_mass_pendulum(path: Path) -> pinred.System:
         return pinred.load(path, group="SO2")
 
 
-@pytest.mark.by_hand
+@pytest.mark.slow
 def test_point_masses(tmp_path: Path) -> None:
     """λ² = (L² − r²)/(L² − α²), L = α(m + α)/(m(1 + α)): both hanging branches, J = 0.2 … 30."""
     system = point_mass_pendulum(tmp_path / "pendulum.urdf")
@@ -455,5 +457,6 @@ def test_a_table_says_what_was_found() -> None:
     assert "3 relative equilibria found at momentum 1" in text
     assert "unstable" in text
     assert "grows by 0.223607" in str(found[1])
+    assert "0.223607 ± " in text
     assert "relative equilibria" in found._repr_html_()
     assert len(found[:2]) == 2
