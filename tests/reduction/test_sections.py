@@ -230,6 +230,15 @@ def test_a_wrong_derivative_is_refused() -> None:
         lagrange_poincare(first, case.x, case.xdot, case.xi)
 
 
+def test_a_derivative_agrees_to_a_millionth() -> None:
+    """A section that stands still with a Θ of 4e-6 is refused; 4e-7 is what differences see."""
+    red = pinred.Reduction(make_case("SE2", 2, 1).system)
+    identity = red.group.identity()
+    red.change_section(lambda _: (identity, np.full((3, 2), 4e-7)))
+    with pytest.raises(pinred.InputError, match="body twist of h per unit rate"):
+        red.change_section(lambda _: (identity, np.full((3, 2), 4e-6)))
+
+
 @settings(max_examples=30)
 @given(cases(0, 5))
 def test_global_forms(case: Case) -> None:

@@ -238,6 +238,9 @@ def test_gravity_at_a_pivot_needs_its_direction() -> None:
             missing(gamma=[0, 0, 1], pose=[0, 0, 0, 1])
         with pytest.raises(pinred.InputError, match="length 1, got length 2"):
             missing(gamma=[0, 0, 2])
+        with pytest.raises(pinred.InputError, match="length 1, got length 1"):
+            missing(gamma=[0, 0, 1 + 4e-6])
+        missing(gamma=[0, 0, 1 - 4e-7])
         missing(gamma=[0, 0, 1])
     free = pinred.Reduction(pinred.load(heavy, gravity=zero))
     assert not euler_poincare(free, zero[:2], zero).xidot.any()
