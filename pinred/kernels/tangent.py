@@ -24,6 +24,7 @@ _TRIALS, _NEEDED = 40, 2
 _STEP = 2e-3  # of the differences, for states of size one
 _TOLERANCE = 1e-7  # of the largest entry in a column
 _NOISE = 1e-13  # of the largest rate; what its round-off is to differences
+_SAFELY = 10.0  # times the round-off that is seen
 
 
 def tangent_of(kernel: Kernel) -> NativeCode:
@@ -76,7 +77,8 @@ def _judge(kernel: Kernel, native: NativeCode) -> None:
         rate = kernel.evaluate_rate(y, parameters)
         # Where a force has a kink or is not defined, differences say nothing.
         with np.errstate(invalid="ignore"):
-            noise = _NOISE * np.abs(rate).max(initial=0.0) / _STEP
+            noise = max(_NOISE * np.abs(rate).max(initial=0.0), _round_off(kernel, y, parameters))
+            noise /= _STEP
             most = _TOLERANCE * np.abs(expected).max(axis=0, initial=0.0) + noise
             smooth = np.abs(rough - expected).max(axis=0, initial=0.0) <= most
         smooth &= np.isfinite(found).all(axis=0)
@@ -90,6 +92,13 @@ def _judge(kernel: Kernel, native: NativeCode) -> None:
         f"the forces on '{kernel.system.name}' have no derivatives at {_TRIALS - judged} of "
         f"{_TRIALS} random states; an implicit method needs them"
     )
+
+
+def _round_off(kernel: Kernel, y: Array, parameters: Array) -> float:
+    """Return how far rates a few last digits beside y are apart; where all cancels, all of them."""
+    beside = y * (1.0 + np.finfo(float).eps * np.arange(-4.0, 5.0)[:, None])
+    rates = evaluate(kernel.rate.address, parameters, beside, len(y))
+    return _SAFELY * float(np.ptp(rates, axis=0).max(initial=0.0))
 
 
 def _differences(kernel: Kernel, y: Array, parameters: Array, h: float) -> Array:

@@ -9,6 +9,7 @@ by stages", 2001.
 
 from __future__ import annotations
 
+import math
 from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -47,9 +48,16 @@ class ReducedShape(InertiaSplit):
 
     curvature: Array
     dI: Array
-    dA: Array
     dM: Array
+    _dA: Array | InputError
     _potential: float | SymmetryError
+
+    @property
+    def dA(self) -> Array:
+        """∂A, (r, m, m).  Raises InputError in a section that gives no ∂Θ."""
+        if isinstance(self._dA, InputError):
+            raise self._dA
+        return self._dA
 
     @property
     def potential(self) -> float:
@@ -257,13 +265,19 @@ class Reduction:
         """Return the reduction whose base frame is g h(x), moved along with the shape.
 
         h: from a shape (m,) to (group element, Θ), where Θ = h⁻¹ ∂h, (r, m), holds the body twist
-        of h per unit rate of each joint; `at` also needs ∂Θ, (r, m, m), ∂ last, as a third value.
+        of h per unit rate of each joint.  What needs ∂A (`at(x).dA`, the accelerations of
+        Lagrange–Poincaré) also needs ∂Θ, (r, m, m), ∂ last, as a third value.
         Then A′ = Ad_{h⁻¹} A − Θ, B′ = Ad_{h⁻¹} B, I′ = Ad_hᵀ I Ad_h, M′ = M, μ′ = Ad_hᵀ μ.
         Raises InputError if Θ or ∂Θ is not the derivative.
         """
         moved = copy(self)
         moved._frames = (*self._frames, MovedFrame(self.system, h))
         return moved
+
+    def same_section(self, other: Reduction) -> bool:
+        """Whether another reduction is of this system in this section."""
+        sections = [[frame.section for frame in red._frames] for red in (self, other)]
+        return self.system is other.system and sections[0] == sections[1]
 
     def at(self, x: ArrayLike) -> ReducedShape:
         """Everything at one shape, computed once: 1 + n Pinocchio calls, or 1 without joints."""
@@ -284,16 +298,17 @@ class Reduction:
         dAtIA = np.einsum("iac,ib->abc", dA, I @ A) + np.einsum("ia,ibc->abc", A, dIA)
         bracket = np.einsum("aij,jb->iab", self.group.ad(A.T), A)
         curvature, com = np.swapaxes(dA, 1, 2) - dA - bracket, split.com
+        slope: Array | InputError = dA
         for frame in self._frames:
             split, curvature = frame.split(split), frame.curvature(x, curvature)
-            dI, dA = frame.slopes(split, dI, dA)
+            dI, slope = frame.inertia_slope(split, dI), frame.connection_slope(split, slope)
         known = self._potential
         return ReducedShape(
             **vars(split),
             curvature=curvature,
             dI=dI.copy(),
-            dA=dA,
             dM=dH[r:, r:] - dAtIA,
+            _dA=slope,
             _potential=(known if isinstance(known, SymmetryError) else known.value_at(x, com)),
         )
 
@@ -306,15 +321,15 @@ class Reduction:
 
         Each is computed when it is first looked at, by composite bodies and not by
         Pinocchio.  Raises ShapeError, with the index, for a wrong length or a number that
-        is not finite, and InputError after `change_section`.
+        is not finite.
         """
         from .over_shapes import ShapeField
 
-        if self._frames:
-            raise InputError("grid knows no change of section; take that of the Reduction before")
         what, names = f"shapes of {self.system.name!r}", self.system.shape_names
         x = vectors(shapes, self.system.m, what, names).copy()
-        return ShapeField(self.system, x, self._potential)
+        row = x.reshape(math.prod(x.shape[:-1]), self.system.m)
+        moves = tuple(frame.moves(row) for frame in self._frames)
+        return ShapeField(self.system, x, self._potential, moves)
 
     def checked_potential(self) -> Potential:
         """Return the potential.  Raises SymmetryError if gravity breaks the symmetry."""
@@ -332,7 +347,7 @@ class Reduction:
     def com_slope(self, x: ArrayLike) -> Array:
         """∂c/∂x of the centre of mass in the root body's frame, (3, m)."""
         split = self._split_in_file(self._shape(x))
-        slope: Array = inertia_derivatives(self.system, split.x[None]).dcom[0]
+        slope: Array = inertia_derivatives(self.system, split.x[None], of=()).dcom[0]
         for frame in self._frames:
             split = frame.split(split)
             slope = frame.com_slope(split, slope)

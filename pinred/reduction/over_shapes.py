@@ -19,6 +19,7 @@ from ..common.errors import SymmetryError
 from ..system.system import System
 from .inertia_split import cholesky, own_part
 from .potential import Potential
+from .section import Moves
 from .tree.composite_bodies import CompositeBodies
 
 _SHAPES = 2048  # at once through the bodies: few enough that work space stays in the cache
@@ -37,14 +38,18 @@ class ShapeField:
     system: System = field(repr=False)
     x: Array
     _potential: Potential | SymmetryError = field(repr=False)
+    _moves: tuple[Moves, ...] = field(repr=False, default=())
 
     def __post_init__(self) -> None:
         freeze(self)
 
-    @property
+    @cached_property
     def mass_matrix(self) -> Array:
         """H, (..., n, n), base rows first."""
-        return self._field(self._factored[0])
+        H = self._factored[0]
+        for move in self._moves:
+            H = move.mass_matrix(H)
+        return self._field(H)
 
     @property
     def locked_inertia(self) -> Array:
@@ -55,9 +60,10 @@ class ShapeField:
     @cached_property
     def local_connection(self) -> Array:
         """A = I⁻¹ H_bs, (..., r, m)."""
-        r, L = self.system.r, self._factored[1]
-        upper = np.swapaxes(L[:, :r, :r], 1, 2)
-        return self._field(np.asarray(np.linalg.solve(upper, np.swapaxes(L[:, r:, :r], 1, 2))))
+        A = self._connection
+        for move in self._moves:
+            A = move.local_connection(A)
+        return self._field(A)
 
     @cached_property
     def reduced_metric(self) -> Array:
@@ -70,21 +76,22 @@ class ShapeField:
     def curvature(self) -> Array:
         """B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (..., r, m, m), as `Reduction.curvature`."""
         r, m = self.system.r, self.system.m
-        I = self._flat(self.locked_inertia)
-        A = self._flat(self.local_connection)
+        I, A = self._factored[0][:, :r, :r], self._connection
         B = np.zeros((len(self._shapes), r, m, m))
         for some in _slices(len(B) if m else 0, _SHAPES):
             dI = self._bodies.derivatives(self._shapes[some], B[some])  # d(IA) where B will be
             for few in _slices(len(dI), max(1, _ENTRIES // (r * m * m))):
                 self._curve(I[some][few], A[some][few], dI[few], B[some][few])
+        for move in self._moves:
+            B = move.curvature(B)
         return self._field(B)
 
     @cached_property
     def com(self) -> Array:
         """Centre of mass in the root body's frame, (..., 3) [m]."""
-        com = np.empty((len(self._shapes), 3))
-        for some in _slices(len(com), _SHAPES):
-            com[some] = self._bodies.com(self._shapes[some])
+        com = self._com
+        for move in self._moves:
+            com = move.com(com)
         return self._field(com)
 
     @cached_property
@@ -92,7 +99,7 @@ class ShapeField:
         """V, (...,) [J].  Raises SymmetryError if gravity breaks the symmetry."""
         if isinstance(self._potential, SymmetryError):
             raise self._potential
-        return self._field(self._potential.values(self._shapes, self._flat(self.com)))
+        return self._field(self._potential.values(self._shapes, self._com))
 
     def amended_potential(self, mu: ArrayLike) -> Array:
         """V + ½ μᵀ I⁻¹ μ, (...,) [J], for one body momentum mu (r,), at every shape.
@@ -112,6 +119,21 @@ class ShapeField:
         for some in _slices(len(x), _SHAPES):
             self._bodies.mass_matrix(x[some], H[some])
         return read_only(H), _factors(H, self.system, x)
+
+    @cached_property
+    def _connection(self) -> Array:
+        """A in the section of the robot's file, (N, r, m)."""
+        r, L = self.system.r, self._factored[1]
+        upper = np.swapaxes(L[:, :r, :r], 1, 2)
+        return np.asarray(np.linalg.solve(upper, np.swapaxes(L[:, r:, :r], 1, 2)))
+
+    @cached_property
+    def _com(self) -> Array:
+        """The centre of mass in the root body's own frame, (N, 3)."""
+        com = np.empty((len(self._shapes), 3))
+        for some in _slices(len(com), _SHAPES):
+            com[some] = self._bodies.com(self._shapes[some])
+        return com
 
     @cached_property
     def _bodies(self) -> CompositeBodies:

@@ -219,8 +219,8 @@ def tensor(
 
 
 def _of_observables(f: Observable, g: Observable) -> Callable[..., float]:
-    if f.red.system is not g.red.system or f.form != g.form:
-        raise InputError("bracket takes Observables of one system and one form")
+    if not f.red.same_section(g.red) or f.form != g.form:
+        raise InputError("bracket takes Observables of one system, one section and one form")
 
     def value(x: ArrayLike, p: ArrayLike, mu: ArrayLike, gamma: ArrayLike | None = None) -> float:
         P = tensor(f.red, x, p, mu, gamma, form=f.form)

@@ -10,12 +10,13 @@ Source: Cendra, Marsden, Ratiu, "Lagrangian reduction by stages", 2001, ch. 2.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array, as_floats
+from ..common.arrays import Array, as_floats, freeze
 from ..common.errors import InputError, ShapeError
 from ..system.joints import axes_of
 from ..system.system import System
@@ -27,12 +28,50 @@ _STEP = 1e-3  # rad | m, of the differences that try a derivative
 _AGREE = 1e-6  # of the largest entry; what they are good for
 
 
+@dataclass(frozen=True)
+class Moves:
+    """Changes of frame at N shapes; arrays are read-only.
+
+    Ad, back: (N, r, r) Ad_h and Ad_{h⁻¹}.  theta: (N, r, m).  rotation: (N, 3, 3), translation:
+    (N, 3) of h in space, in the root joint's fixed frame.
+    """
+
+    Ad: Array
+    back: Array
+    theta: Array
+    rotation: Array
+    translation: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    def mass_matrix(self, H: Array) -> Array:
+        """Return H′ (N, n, n): the same energy of the velocities (ξ′, ẋ)."""
+        r = self.Ad.shape[-1]
+        T = np.zeros_like(H)
+        T[:, :r, :r], T[:, :r, r:] = self.Ad, -self.Ad @ self.theta
+        T[:, r:, r:] = np.eye(H.shape[-1] - r)
+        return np.asarray(np.swapaxes(T, 1, 2) @ H @ T)
+
+    def local_connection(self, A: Array) -> Array:
+        """Return A′, (N, r, m)."""
+        return np.asarray(self.back @ A - self.theta)
+
+    def curvature(self, B: Array) -> Array:
+        """Return B′, (N, r, m, m)."""
+        return np.asarray(np.einsum("nij,njab->niab", self.back, B))
+
+    def com(self, com: Array) -> Array:
+        """Return the centre of mass in the new frame, (N, 3)."""
+        return np.asarray(np.einsum("nji,nj->ni", self.rotation, com - self.translation))
+
+
 class MovedFrame:
     """A base frame g h(x) of one system: what it makes of the reduction at a shape."""
 
     def __init__(self, system: System, h: Section) -> None:
         """Take the section.  Raises InputError if its derivative is wrong."""
-        self._system, self._group, self._h = system, system.group, h
+        self._system, self._group, self.section = system, system.group, h
         rng = np.random.default_rng(0)
         for x in rng.uniform(-1.0, 1.0, (2, system.m)):
             self._try(x)
@@ -67,26 +106,44 @@ class MovedFrame:
         pose, _, _ = self._element(x)
         return np.asarray(np.einsum("ij,jab->iab", self._group.Ad(self._group.inverse(pose)), B))
 
-    def slopes(self, new: InertiaSplit, dI: Array, dA: Array) -> tuple[Array, Array]:
-        """Return ∂I′ and ∂A′ from ∂I and ∂A, ∂ last.
+    def inertia_slope(self, new: InertiaSplit, dI: Array) -> Array:
+        """Return ∂I′, (r, r, m), ∂ last, from ∂I."""
+        pose, theta, _ = self._element(new.x)
+        Ad, ad = self._group.Ad(pose), self._group.ad(theta.T)
+        half = np.einsum("ij,cjk->ikc", new.locked_inertia, ad)  # ∂ Ad_h = Ad_h ad_Θ
+        moved = np.einsum("ji,jkc,kl->ilc", Ad, dI, Ad)
+        return np.asarray(moved + half + np.swapaxes(half, 0, 1))
 
-        Raises InputError unless h gives ∂Θ.
-        """
+    def connection_slope(self, new: InertiaSplit, dA: Array | InputError) -> Array | InputError:
+        """Return ∂A′, (r, m, m), ∂ last, from ∂A; why not, if h does not give ∂Θ."""
         pose, theta, slope = self._element(new.x)
+        if isinstance(dA, InputError):
+            return dA
         if slope is None:
-            raise InputError(
+            return InputError(
                 "dA of this section needs the derivative of Θ = h⁻¹ ∂h: let h(x) return it as a "
                 "third value, (r, m, m), ∂ last"
             )
-        Ad, back = self._group.Ad(pose), self._group.Ad(self._group.inverse(pose))
-        ad = self._group.ad(theta.T)  # (m, r, r): of Θ_α
-        half = np.einsum("ij,cjk->ikc", new.locked_inertia, ad)  # ∂ Ad_h = Ad_h ad_Θ
-        dI = np.einsum("ji,jkc,kl->ilc", Ad, dI, Ad) + half + np.swapaxes(half, 0, 1)
+        back, ad = self._group.Ad(self._group.inverse(pose)), self._group.ad(theta.T)
         turned = np.einsum("cij,jb->ibc", ad, new.local_connection + theta)
-        return dI, np.einsum("ij,jbc->ibc", back, dA) - turned - slope
+        return np.asarray(np.einsum("ij,jbc->ibc", back, dA) - turned - slope)
+
+    def moves(self, x: Array) -> Moves:
+        """Return the change of frame at shapes x (N, m)."""
+        elements = [self._element(one)[:2] for one in x]
+        placed = [self._placement(pose, one) for (pose, _), one in zip(elements, x, strict=True)]
+        system = self._system
+        pose = np.array([g for g, _ in elements]).reshape(len(x), self._group.size)
+        return Moves(
+            Ad=self._group.Ad(pose),
+            back=self._group.Ad(self._group.inverse(pose)),
+            theta=np.array([theta for _, theta in elements]).reshape(-1, system.r, system.m),
+            rotation=np.array([at.rotation for at in placed]).reshape(-1, 3, 3),
+            translation=np.array([at.translation for at in placed]).reshape(-1, 3),
+        )
 
     def _element(self, x: Array) -> tuple[Array, Array, Array | None]:
-        given = self._h(x.copy())
+        given = self.section(x.copy())
         if not isinstance(given, tuple) or len(given) not in (2, 3):
             raise InputError(
                 "h(x) must return (group element, Θ), Θ = h⁻¹ ∂h with shape (r, m), and may return "

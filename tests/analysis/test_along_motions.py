@@ -100,7 +100,7 @@ def test_directions_grow_as_two_motions_part_by_aba() -> None:
     np.testing.assert_allclose(whole.Y[:6, 0], grown, atol=1e-4 * size)
 
 
-@pytest.mark.by_hand
+@pytest.mark.slow
 def test_lyapunov_spectrum() -> None:
     """They add up to zero to 1e-8 and come in pairs to 2 %; the largest is ABA's to 10 %."""
     traj = wild(40.0)
@@ -221,6 +221,13 @@ def test_the_edge_of_mathieus_tongue() -> None:
     assert found.multipliers.sum().real == pytest.approx(-2.0, abs=1e-9)
 
 
+def late(traj: pinred.Trajectory, closure: float) -> float:
+    """The time in which a body's momentum moves on by so much of its size and 1."""
+    mu = traj.body_momentum[0]
+    rate = np.abs(traj.system.group.coadjoint(traj.xi[0], mu)).max()
+    return float(closure * (1.0 + np.abs(mu).max()) / rate)
+
+
 def test_periodic_rotations() -> None:
     """Euler's top comes back: multipliers one; half of its period does not close."""
     body, xi = pinred.load("rigid_body"), [0.5, 0.0, 1.6]
@@ -241,8 +248,10 @@ def test_periodic_rotations() -> None:
     # A double one in a Jordan block: exact to the root of round-off.
     np.testing.assert_allclose(found.multipliers, 1.0, atol=1e-4)
     assert np.trace(found.monodromy) == pytest.approx(2.0, abs=1e-8)
-    with pytest.raises(pinred.InputError, match="misses its start"):
-        pinred.floquet(traj, period=0.5 * T)
+    for period in (0.5 * T, T + late(traj, 4e-6)):
+        with pytest.raises(pinred.InputError, match="misses its start"):
+            pinred.floquet(traj, period=period)
+    assert pinred.floquet(traj, period=T + late(traj, 4e-7)).closure == pytest.approx(4e-7, rel=0.1)
     with pytest.raises(pinred.InputError, match="before its period"):
         pinred.floquet(traj, period=50.0)
 

@@ -109,20 +109,34 @@ def test_an_artefact_is_no_fold(monkeypatch: pytest.MonkeyPatch) -> None:
     (fold,) = found_by.bifurcations_between(curve, here, there, 0.02)
     assert fold.kind == "fold"
     assert found_by.extended_residual(curve, fold.at) < 1e-9
-    with monkeypatch.context() as patch:
-        patch.setattr(found_by, "extended_residual", lambda *_: 1e-6)
-        assert found_by.bifurcations_between(curve, here, there, 0.02) == []
     whole = found_by.located
+    for factor, folds in ((4.0, []), (0.4, [fold])):
+        with monkeypatch.context() as patch:
+            patch.setattr(found_by, "extended_residual", lambda *_, f=factor: f * 1e-9)
+            again = found_by.bifurcations_between(curve, here, there, 0.02)
+            assert [each.at.J for each in again] == [each.at.J for each in folds]
+        off = factor * 1e-7 * max(1.0, fold.at.J)
 
-    def elsewhere(curve: Curve, a: CurvePoint, h: float, k: int) -> CurvePoint | None:
-        found = whole(curve, a, h, k)
-        return found if found is None or h < 0.02 else replace(found, J=found.J + 1e-5)
+        def elsewhere(
+            curve: Curve, a: CurvePoint, h: float, k: int, off: float = off
+        ) -> CurvePoint | None:
+            found = whole(curve, a, h, k)
+            return found if found is None or h >= 0.02 else replace(found, J=found.J + off)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(found_by, "located", elsewhere)
-        patch.setattr(found_by, "extended_residual", lambda *_: 0.0)
-        patch.setattr(found_by, "classified", lambda *_: fold)
-        assert found_by.bifurcations_between(curve, here, there, 0.02) == []
+        with monkeypatch.context() as patch:
+            patch.setattr(found_by, "located", elsewhere)
+            patch.setattr(found_by, "extended_residual", lambda *_: 0.0)
+            patch.setattr(found_by, "classified", lambda *_: fold)
+            assert len(found_by.bifurcations_between(curve, here, there, 0.02)) == len(folds)
+        v, e = curve.null_vector(fold.at), curve.energy(fold.at.points, fold.at.J)
+        size = max(float(np.abs(e.hessian).max()), float(e.scale[0]))
+        with monkeypatch.context() as patch:  # where ∂F/∂J hardly has a part along v
+            patch.setattr(
+                Curve, "slope_by_momentum", lambda *_, s=factor * 1e-6 * size * v / curve.unit: s
+            )
+            kind = found_by.classified(curve, fold.at)
+            assert kind is not None
+            assert (kind.kind == "fold") == (factor > 1.0)
 
 
 def test_rigid_bodies_have_straight_branches() -> None:

@@ -17,6 +17,7 @@ import pinred
 from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
 from pinred.analysis.equilibria.find import equilibrium_at
 from pinred.analysis.equilibria.problem import problem_of
+from pinred.analysis.equilibria.search import _quarters
 from pinred.common.arrays import Array
 from pinred.forces import Damper, PotentialEnergy
 from pinred.reduction.potential import falling
@@ -99,6 +100,8 @@ def test_bundled_pendulum() -> None:
     (one,) = (e for e in found if e.verdict == "undecided")
     np.testing.assert_allclose(one.frequencies, [0.23173, 7.08424, 10.72249], atol=5e-6)
     np.testing.assert_allclose(np.abs(one.x), [0.355, np.pi / 2, np.pi / 2], atol=1e-3)
+    damped = [f"{name} {one.damped_growth[name]:+.5g}" for name in one.system.shape_names]
+    assert f"{verdicts.index('undecided')}, by damping: grows by {', '.join(damped)}" in str(found)
     stands_still(found)
 
 
@@ -109,7 +112,7 @@ def point_mass_pendulum(path: Path) -> pinred.System:
         return pinred.load(path, group="SO2")
 
 
-@pytest.mark.by_hand
+@pytest.mark.slow
 def test_point_masses(tmp_path: Path) -> None:
     """λ² = (L² − r²)/(L² − α²), L = α(m + α)/(m(1 + α)): both hanging branches, J = 0.2 … 30."""
     system = point_mass_pendulum(tmp_path / "pendulum.urdf")
@@ -355,6 +358,19 @@ def test_families_count_once() -> None:
     assert [(e.dimension, e.verdict) for e in spins] == [(0, "stable"), (1, "stable")]
 
 
+@pytest.mark.parametrize("moment", [0.2, 0.3, 1e-9, 7e5])
+def test_a_ball_spins_about_any_axis(moment: float) -> None:
+    """One entry, a family of dimension 2: its rates are round-off of what cancels."""
+    ball = pin.Model()
+    root = ball.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    body = pin.Inertia(moment, np.array([0.1, 0.2, 0.0]), moment * np.eye(3))
+    ball.appendBodyToJoint(root, body, pin.SE3.Identity())
+    ball.gravity.setZero()
+    (only,) = pinred.relative_equilibria(pinred.load(ball), momentum=moment)
+    assert (only.dimension, only.verdict, only.growth) == (2, "stable", 0.0)
+    assert only.amended_potential == pytest.approx(0.5 * moment, rel=1e-14)
+
+
 def test_many_joints_have_their_minimum() -> None:
     """Every search from other starts ends at the same one; all residuals are round-off."""
     system = pinred.load("satellite_two_arms")
@@ -366,6 +382,34 @@ def test_many_joints_have_their_minimum() -> None:
         assert one is found[0]
         least.append(one.amended_potential)
     assert least[0] == pytest.approx(least[1], rel=1e-12)
+
+
+def test_starts_of_a_humanoid() -> None:
+    """Of all shapes with quarter turns, 4³² here, as many are taken as there are to be."""
+    rng = np.random.default_rng(0)
+    assert _quarters(32, 25, rng).shape == (25, 32)
+    assert _quarters(64, 25, rng).shape == (25, 64)
+    assert len(np.unique(_quarters(2, 16, rng), axis=0)) == 16
+    assert _quarters(0, 5, rng).shape == (1, 0)
+
+
+def test_no_momentum_but_a_rotors() -> None:
+    """Without momentum nothing of the base can change: a rotor turns, and no mode is left."""
+    system = gyrostat((0.9, 1.3, 1.1))
+    (only,) = pinred.relative_equilibria(system, momentum=0.0, cyclic={"wheel": 0.4})
+    assert (only.verdict, only.modes, only.momentum) == ("stable", (), 0.0)
+    assert only.xdot[0] == pytest.approx(0.4 / (0.03 - 0.03**2 / 1.3), rel=1e-12)
+
+
+@pytest.mark.parametrize("J", [1e-9, 1e-3, 1.0, 1e6, 1e12])
+def test_verdicts_do_not_depend_on_the_unit_of_time(J: float) -> None:
+    """A free robot at another momentum is the same film at another speed."""
+    found = pinred.relative_equilibria(pinred.load("falling_cat"), momentum=J, starts=150)
+    usual = pinred.relative_equilibria(pinred.load("falling_cat"), momentum=1.0, starts=150)
+    assert [e.verdict for e in found] == [e.verdict for e in usual]
+    for one, other in zip(found, usual, strict=True):
+        assert one.growth == pytest.approx(J * other.growth, rel=1e-6)
+        np.testing.assert_allclose(one.frequencies, J * other.frequencies, rtol=1e-6)
 
 
 def test_a_scene_begins_in_it() -> None:
@@ -391,6 +435,7 @@ def test_refusals() -> None:
         ("momentum must be a finite number", {"momentum": np.nan}),
         ("every shape is an equilibrium", {"momentum": 0.0}),
         ("starts must be a whole number", {"momentum": 1.0, "starts": 0}),
+        ("seed must be a whole number from 0", {"momentum": 1.0, "seed": -1}),
         ("the cyclic joints are none", {"momentum": 1.0, "cyclic": {"bend": 1.0}}),
         ("does work", {"momentum": 1.0, "forces": Damper("bend", 0.1)}),
         ("constant rate", {"momentum": 1.0, "prescribed": {"bend": "sin(t)"}}),
@@ -412,5 +457,6 @@ def test_a_table_says_what_was_found() -> None:
     assert "3 relative equilibria found at momentum 1" in text
     assert "unstable" in text
     assert "grows by 0.223607" in str(found[1])
+    assert "0.223607 ± " in text
     assert "relative equilibria" in found._repr_html_()
     assert len(found[:2]) == 2

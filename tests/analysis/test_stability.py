@@ -13,10 +13,9 @@ from trees import random_model
 
 import pinred
 from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
-from pinred.analysis.equilibria.find import equilibrium_at, flow_at
-from pinred.analysis.equilibria.problem import problem_of
+from pinred.analysis.equilibria.find import flow_at
 from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium
-from pinred.analysis.stability.second_variation import second_variation, symmetry_axis
+from pinred.analysis.stability.second_variation import second_variation
 from pinred.common.arrays import Array
 from pinred.forces import Damper
 from pinred.kernels.tangent import jacobian_of
@@ -24,55 +23,6 @@ from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
 
 ROOT = Path(__file__).parent.parent.parent
-NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}
-UP = Points(np.zeros((1, 0)), np.array([[0.0, 0.0, 1.0]]))
-I1, I3, PULL = 0.35, 0.05, 9.81 * 0.5  # of examples/heavy_top.urdf, I1 about its pivot; m g l
-
-
-def sleeping(spin: float) -> RelativeEquilibrium:
-    """The heavy top upright, at a spin [rad/s]."""
-    top = pinred.load(ROOT / "examples/heavy_top.urdf", group="SO3")
-    return equilibrium_at(problem_of(top, **NOTHING), UP, I3 * spin)  # type: ignore[arg-type]
-
-
-def test_sleeping_top() -> None:
-    """Stable above ω² = 4 m g l I₁/I₃², by its symmetry about its own axis; to 1e-10."""
-    threshold = np.sqrt(4.0 * PULL * I1) / I3
-    low, high = 0.9 * threshold, 1.1 * threshold
-    for _ in range(38):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if sleeping(middle).growth else (low, middle)
-    assert middle == pytest.approx(threshold, rel=1e-10)
-    slow, fast = sleeping(0.9 * threshold), sleeping(1.1 * threshold)
-    assert (slow.verdict, fast.verdict) == ("unstable", "stable")
-    assert fast.stability.index == 2  # the amended potential alone does not say so
-    # δ̈ I₁ − i I₃ ω δ̇ − m g l δ = 0 in the plane of Γ.
-    half, rest = 0.5 * I3 * 0.9 * threshold / I1, PULL / I1
-    assert slow.growth == pytest.approx(np.sqrt(rest - half**2), rel=1e-11)
-    half = 0.5 * I3 * 1.1 * threshold / I1
-    # In the body, which turns at ω beside.
-    spins = half + np.array([-1.0, 1.0]) * np.sqrt(half**2 - rest)
-    np.testing.assert_allclose(
-        fast.frequencies, np.sort(np.abs(1.1 * threshold - spins)), rtol=1e-10
-    )
-
-
-def test_a_top_without_symmetry_stays_undecided() -> None:
-    """With two moments that differ by a thousandth, nothing but the vertical's symmetry is left."""
-    import pinocchio as pin
-
-    model = pin.Model()
-    root = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "root")
-    body = pin.Inertia(1.0, np.array([0.0, 0.0, 0.5]), np.diag([0.1, 0.1001, 0.05]))
-    model.appendBodyToJoint(root, body, pin.SE3.Identity())
-    system = pinred.load(model)
-    fast = equilibrium_at(problem_of(system, **NOTHING), UP, I3 * 65.0)  # type: ignore[arg-type]
-    assert fast.verdict == "undecided"
-    assert len(fast.frequencies) == 2
-    lever = np.array([0.0, 0.0, 0.5])
-    assert symmetry_axis(np.diag([0.1, 0.1, 0.05]), lever) is not None
-    assert symmetry_axis(np.diag([0.1, 0.1001, 0.05]), lever) is None
-    assert symmetry_axis(np.diag([0.1, 0.1, 0.05]), np.array([0.1, 0.0, 0.5])) is None
 
 
 def test_hanging_and_tilted_tops() -> None:

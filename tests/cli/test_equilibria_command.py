@@ -76,11 +76,12 @@ def test_the_numbers_of_a_diagram() -> None:
     (axes,) = figure.axes
     assert axes.get_xlabel() == "momentum [N·s]"
     assert axes.get_ylabel() == "amended potential [J]"
-    lines = {str(line.get_label()): line for line in axes.lines}
-    data = lines["stable"].get_xydata()
-    wanted = [(p.momentum, p.amended_potential) for p in found.branch(0)]
-    np.testing.assert_array_equal(np.asarray(data), wanted)
-    assert "index odd: unstable" in lines
+    for k in range(2):
+        wanted = [(p.momentum, p.amended_potential) for p in found.branch(k)]
+        np.testing.assert_array_equal(np.asarray(axes.lines[k].get_xydata()), wanted)
+    legend = axes.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["stable", "index odd: unstable"]
     (axes,) = pinred.plot(found, "branches", joint="pole_pivot").axes
     assert axes.get_ylabel() == "pole_pivot [rad]"
     with pytest.raises(pinred.InputError, match="pole_pivot"):

@@ -26,6 +26,22 @@ def gyrostat(moments: tuple[float, float, float], *, group: str = "SO3") -> pinr
     return pinred.load(text_file(text), group=group, gravity=(0.0, 0.0, 0.0))
 
 
+def heavy_gyrostat(*, tilt: float = 0.0, skew: float = 0.0) -> pinred.System:
+    """A top on a pivot with a rotor on its axis, in gravity.
+
+    tilt: of the rotor's axis [rad].  skew: by how much the body's moments across its axis differ.
+    """
+    model = pin.Model()
+    root = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "root")
+    body = pin.Inertia(1.0, np.array([0.0, 0.0, 0.5]), np.diag([0.1, 0.1 + skew, 0.05]))
+    model.appendBodyToJoint(root, body, pin.SE3.Identity())
+    place = pin.SE3(pin.exp3(np.array([tilt, 0.0, 0.0])), np.array([0.0, 0.0, 0.7]))
+    wheel = model.addJoint(root, pin.JointModelRZ(), place, "wheel")
+    rotor = pin.Inertia(0.4, np.zeros(3), np.diag([0.01, 0.01, 0.02]))
+    model.appendBodyToJoint(wheel, rotor, pin.SE3.Identity())
+    return pinred.load(model)
+
+
 def text_file(text: str) -> Path:
     """A file with a robot in it, in a folder that the process leaves behind it."""
     folder = Path(tempfile.mkdtemp(prefix="pinred-spin-"))

@@ -118,7 +118,7 @@ def along(system: pinred.System, traj: pinred.Trajectory, t: float, step: float)
     assert (np.abs(found - expected) <= 1e-10 * np.maximum(1.0, scale)).all()
 
 
-@pytest.mark.by_hand
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["falling_cat", "double_spherical_pendulum", "planar_chain5", "upright_drone", "cartpole"],
@@ -131,7 +131,7 @@ def test_rates_along_motions(name: str) -> None:
         along(system, traj, t, 4e-3)
 
 
-@pytest.mark.by_hand
+@pytest.mark.slow
 def test_rates_along_a_heavy_top() -> None:
     """With Γ, on a pivoted tree in gravity."""
     system = heavy(1, 5)

@@ -81,3 +81,19 @@ def test_many_shapes_at_once(count: int) -> None:
         alone = inertia_derivatives(system, x[k : k + 1])
         for name in ("H", "dH", "d2H", "com", "dcom", "d2com"):
             np.testing.assert_allclose(getattr(every, name)[k], getattr(alone, name)[0], atol=1e-13)
+
+
+@settings(max_examples=15)
+@given(cases(1, 6))
+def test_some_entries_alone(case: Case) -> None:
+    """`of` some joints: their rows and columns and the base's, as in the whole."""
+    system, r = case.system, case.system.r
+    some = {k for k in range(system.m) if case.rng.random() < 0.4}
+    whole = inertia_derivatives(system, case.x[None])
+    part = inertia_derivatives(system, case.x[None], of=some)
+    asked = [*range(r), *(r + k for k in sorted(some))]
+    for name in ("H", "com", "dcom", "d2com"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(whole, name))
+    for name in ("dH", "d2H"):
+        block = np.ix_([0], asked, asked)
+        np.testing.assert_array_equal(getattr(part, name)[block], getattr(whole, name)[block])

@@ -12,9 +12,10 @@ from ...common.arrays import Array, as_floats, freeze
 from ...common.errors import InputError
 from ...forces.force import Force
 from ...forces.signals import Signal
+from ...scene.checked import checked_seed
 from ...system.system import System, checked_system
 from ..equilibria.amended_energy import AmendedEnergy, Points
-from ..equilibria.find import equilibrium_at, found_points
+from ..equilibria.find import checked_starts, equilibrium_at, found_points
 from ..equilibria.problem import Problem, problem_of
 from ..equilibria.relative_equilibrium import RelativeEquilibrium
 from ..equilibria.same_shape import place_of
@@ -31,6 +32,7 @@ _MOST_CURVES = 200
 _UNIT = 0.3  # part of the range of momenta that counts as 1 rad
 _OFF = 0.02  # rad, the first step on a curve that branches off
 _STARTS = 300
+_ROUND_OFF = 1e-12  # rad | m; less is printed as none
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +107,9 @@ class Branches:
             )
         for name in ("folds", "pitchforks", "crossings"):
             for p in getattr(self, name):
-                shape = ", ".join(f"{value:.6g}" for value in p.x)
+                shape = ", ".join(
+                    f"{0.0 if abs(value) < _ROUND_OFF else value:.6g}" for value in p.x
+                )
                 lines.append(f"  {name[:-1]} at momentum {p.momentum:.10g}: ({shape})")
         return "\n".join(lines)
 
@@ -143,6 +147,7 @@ def branches(
         )
     if not (np.isfinite(step) and step > 0.0):
         raise InputError(f"step must be finite and above zero, got {step!r}")
+    starts, seed = checked_starts(starts), checked_seed(seed)
     follower = _Follower(problem, low, high, step)
     levels = (low, 0.5 * (low + high), high)
     for J in levels:
@@ -243,6 +248,8 @@ class _Follower:
     def _at_end(self, here: CurvePoint, there: CurvePoint) -> CurvePoint | None:
         """Return the point at the end of the range that lies between two."""
         J = self._low if self._low > there.J else self._high
+        if here.J == J:
+            return None
         part = (J - here.J) / (there.J - here.J)
         guess = Points(
             (here.x + part * (there.x - here.x))[None], (here.n + part * (there.n - here.n))[None]

@@ -104,7 +104,8 @@ class AmendedEnergy:
         problem, N = self.problem, len(points)
         J = np.broadcast_to(np.asarray(J, dtype=float), (N,))
         x = problem.shapes(points.x)
-        d = inertia_derivatives(problem.system, x)
+        # The blocks of base, cyclic and driven joints are all that is differentiated.
+        d = inertia_derivatives(problem.system, x, of={*problem.cyclic, *problem.driven})
         K, K1, K2, s, s1, s2, sJ, sJ1 = self._terms(d, points, J)
         # Point masses on their axis have no inertia, and their coordinates say nothing there.
         regular = np.linalg.cond(d.H) < _SINGULAR

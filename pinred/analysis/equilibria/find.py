@@ -10,7 +10,8 @@ from ...common.arrays import Array
 from ...common.errors import InputError
 from ...forces.force import Force
 from ...forces.signals import Signal
-from ...reduction.tree.second_derivatives import inertia_derivatives
+from ...reduction.inertia_split import mass_matrix
+from ...scene.checked import checked_seed
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...system.system import System, checked_system
@@ -66,12 +67,17 @@ def relative_equilibria(
     if problem.kind == "free" and J == 0.0:
         problem = problem.at_rest()
     many = len(problem.active) >= MANY_JOINTS
-    count = _STARTS[many] if starts is None else starts
-    if isinstance(count, bool) or not (isinstance(count, (int, np.integer)) and count > 0):
-        raise InputError(f"starts must be a whole number from 1, got {starts!r}")
-    points, arrived, tried = found_points(problem, J, int(count), seed)
+    count = _STARTS[many] if starts is None else checked_starts(starts)
+    points, arrived, tried = found_points(problem, J, count, checked_seed(seed))
     entries = tuple(equilibrium_at(problem, points[k : k + 1], J) for k in range(len(points)))
     return Equilibria(problem.system, J, tried, arrived, _without_copies(entries))
+
+
+def checked_starts(starts: int) -> int:
+    """Return a number of starts.  Raises InputError unless it is a whole number from 1."""
+    if isinstance(starts, bool) or not (isinstance(starts, (int, np.integer)) and starts > 0):
+        raise InputError(f"starts must be a whole number from 1, got {starts!r}")
+    return int(starts)
 
 
 def found_points(problem: Problem, J: float, count: int, seed: int) -> tuple[Points, int, int]:
@@ -109,7 +115,7 @@ def equilibrium_at(problem: Problem, point: Points, J: float) -> RelativeEquilib
     heavy = problem.kind == "heavy"
     xi = eta[0] * point.n[0] if heavy else eta[:r]
     xdot = problem.rates(eta[1:] if heavy else eta[r:])
-    H = inertia_derivatives(system, x[None]).H[0]
+    H = mass_matrix(system, x)
     v = np.concatenate([xi, xdot])
     own = v.copy()
     own[r + np.array(problem.driven, dtype=np.intp)] = 0.0

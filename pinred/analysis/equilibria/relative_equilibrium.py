@@ -195,6 +195,7 @@ class Equilibria(Sequence[RelativeEquilibrium]):
             "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[-1]]).rstrip()
             for row in rows
         ]
+        lines += [f"{k}, by damping: {_damped(e)}" for k, e in enumerate(self) if e.damped_growth]
         return "\n".join([head, *lines])
 
     def _repr_html_(self) -> str:
@@ -216,8 +217,14 @@ def _row(each: RelativeEquilibrium) -> list[str]:
     if each.direction.size:
         shape += " about (" + ", ".join(f"{value:.4g}" for value in each.direction) + ")"
     verdict = each.verdict + (f", family of dimension {each.dimension}" if each.dimension else "")
-    growth = f"{each.growth:.6g}" if each.growth else ""
+    growth = f"{each.growth:.6g} ± {each.stability.growth_error:.0e}" if each.growth else ""
     return [f"{each.amended_potential:.8g}", verdict, growth, swings, shape]
+
+
+def _damped(each: RelativeEquilibrium) -> str:
+    """Return what each joint's damper does to an undecided equilibrium, as text."""
+    parts = [f"{joint} {growth:+.5g}" for joint, growth in each.damped_growth.items()]
+    return f"grows by {', '.join(parts)} 1/s per N·m·s/rad | N·s/m"
 
 
 def _growth(stability: Stability) -> str:

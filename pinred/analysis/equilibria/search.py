@@ -37,9 +37,7 @@ def starting_points(problem: Problem, count: int, rng: np.random.Generator) -> P
     ma = len(problem.active)
     low, high, turns = _reach(problem)
     x = rng.uniform(low, high, (count, ma))
-    quarters = np.array(list(product(range(4), repeat=int(turns.sum())))) if 4 ** turns.sum() <= (
-        count // 4
-    ) else rng.integers(4, size=(count // 4, int(turns.sum())))  # fmt: skip
+    quarters = _quarters(int(turns.sum()), count // 4, rng)
     few = min(len(quarters), count)
     x[:few, turns] = 0.5 * np.pi * (quarters[:few] - 1)
     if not problem.directional:
@@ -56,6 +54,13 @@ def starting_points(problem: Problem, count: int, rng: np.random.Generator) -> P
         which = rng.integers(3, size=len(along))
     n[along] = _principal_axes(problem, x[along])[np.arange(len(along)), :, which]
     return Points(x, n)
+
+
+def _quarters(turns: int, most: int, rng: np.random.Generator) -> NDArray[np.int_]:
+    """Return quarter turns (k, turns) of so many angles, each from 0 to 3: all, or at most some."""
+    if 4**turns <= most:
+        return np.array(list(product(range(4), repeat=turns)), dtype=int).reshape(4**turns, turns)
+    return rng.integers(4, size=(most, turns))
 
 
 def critical_points(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, Energies]:
@@ -172,7 +177,7 @@ def _reach(problem: Problem) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 def _principal_axes(problem: Problem, active: Array) -> Array:
     """Return principal axes (N, 3, 3), in columns, of the locked inertia about the pivot or CoM."""
-    d, r = inertia_derivatives(problem.system, problem.shapes(active)), problem.system.r
+    d, r = inertia_derivatives(problem.system, problem.shapes(active), of=()), problem.system.r
     I = d.H[:, r - 3 : r, r - 3 : r]
     if problem.system.group.turns_about_com:
         across = d.H[:, r - 3 : r, : r - 3]

@@ -45,13 +45,22 @@ class Linearisation:
 def linearised(flow: CompiledFlow, y: Array) -> Linearisation:
     """Return the linearised flow at a reduced state y (size,)."""
     matrix = jacobian_of(flow.kernel, y, flow.parameters)
-    leaf = leaf_of(flow.kernel, y)
+    leaf = leaf_of(flow.kernel, y, _usual_rate(flow, y))
     kept = leaf.kept
     matrix = matrix[np.ix_(kept, kept)]
-    B = leaf.basis
-    values, left, right = eigen(B.T @ matrix @ B)
-    error = eigenvalue_errors(left, right, _ROUND_OFF * np.finfo(float).eps * norm(matrix))
-    return Linearisation(y[kept], leaf.names, matrix, values, B @ right, error, leaf)
+    on_leaf = leaf.restricted(matrix)
+    values, left, right = eigen(on_leaf)
+    error = eigenvalue_errors(left, right, _ROUND_OFF * np.finfo(float).eps * norm(on_leaf))
+    return Linearisation(y[kept], leaf.names, matrix, values, leaf.outward(right), error, leaf)
+
+
+def _usual_rate(flow: CompiledFlow, y: Array) -> float:
+    """Return the largest rate at a state [rad/s]; where something acts, 1 rad/s at least."""
+    kernel, sample = flow.kernel, flow.sample(0.0, y, flow.numbers)
+    turning = sample.xi[kernel.system.group.linear :]
+    rate = max(float(np.abs(part).max(initial=0.0)) for part in (turning, sample.xdot))
+    acts = bool(kernel.layout.gravity) or kernel.forces is not None
+    return max(rate, 1.0) if acts or not rate else rate
 
 
 def norm(matrix: Array) -> float:

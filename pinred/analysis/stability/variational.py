@@ -105,7 +105,7 @@ def variational(traj: Trajectory) -> Variational:
     flow = CompiledFlow(plan_of(without_base(traj.scene)))
     leaf = leaf_of(flow.kernel, flow.y0)
     Y = np.zeros((len(flow.y0), leaf.basis.shape[1]))
-    Y[leaf.kept] = leaf.basis
+    Y[leaf.kept] = np.linalg.qr(leaf.outward(np.eye(leaf.basis.shape[1])))[0]
     knots = traj.motion.knots
     steps = np.diff(knots)
     longest = _FINER * float(np.median(steps)) if steps.size else 0.01 * traj.scene.end

@@ -16,6 +16,7 @@ from .second_variation import SecondVariation
 Verdict: TypeAlias = Literal["stable", "unstable", "undecided"]
 _SURE = 10.0  # times its error, from where on a growth is one
 _ROUND_OFF = 1e-14  # of the matrix's norm
+_NO_GROWTH = 1e-9  # of the matrix's norm; swings that grow by less are pure
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +68,10 @@ def judge(
 
     active: indices of the joints in the reduced state.  joints: names of all.
     """
-    B = linear.leaf.basis
-    values, left, right = eigen(B.T @ linear.matrix @ B)
-    errors = eigenvalue_errors(left, right, _ROUND_OFF * norm(linear.matrix))
+    leaf = linear.leaf
+    on_leaf = leaf.restricted(linear.matrix)
+    values, left, right = eigen(on_leaf)
+    errors = eigenvalue_errors(left, right, _ROUND_OFF * norm(on_leaf))
     kept = np.ones(len(values), dtype=bool)
     if second.dimension:  # of each family direction a double zero
         kept[np.argsort(np.abs(values))[: 2 * second.dimension]] = False
@@ -83,11 +85,13 @@ def judge(
     unstable = bool(sure.any())
     verdict: Verdict = "unstable" if unstable else "stable" if second.definite else "undecided"
     modes = tuple(
-        _mode(value, error, B @ vector, linear, active, len(joints))
+        _mode(value, error, leaf.outward(vector), linear, active, len(joints))
         for value, error, vector in zip(values, errors, right.T, strict=True)
         if value.imag > 0.0 or (value.imag == 0.0 and value.real >= 0.0)
     )
-    swings = (values.imag > 0.0) & (np.abs(growths) <= _SURE * np.maximum(errors, 1e-9))
+    swings = (values.imag > 0.0) & (
+        np.abs(growths) <= _SURE * np.maximum(errors, _NO_GROWTH * norm(on_leaf))
+    )
     return Stability(
         verdict=verdict,
         growth=float(growths[top]) if top is not None and sure[top] else 0.0,
@@ -131,11 +135,11 @@ def _damped(
     joints: tuple[str, ...],
 ) -> dict[str, float]:
     """Return the largest ∂Re λ/∂c by the coefficient c of a damper −c ẋ at each active joint."""
-    B, leaf, out = linear.leaf.basis, linear.leaf, {}
+    leaf, out = linear.leaf, {}
     for i, k in enumerate(active):
         change = np.zeros_like(linear.matrix)
         change[leaf.momenta.start + i] = -linear.matrix[leaf.places.start + i]
-        moved = np.einsum("ij,ik,kj->j", left.conj(), B.T @ change @ B, right)
+        moved = np.einsum("ij,ik,kj->j", left.conj(), leaf.restricted(change), right)
         rate = moved / np.einsum("ij,ij->j", left.conj(), right)
         out[joints[k]] = float(rate.real.max(initial=-np.inf)) if len(values) else 0.0
     return out

@@ -16,7 +16,7 @@ Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 2 and 6; di
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,10 +46,16 @@ class InertiaDerivatives:
         freeze(self)
 
 
-def inertia_derivatives(system: System, x: Array) -> InertiaDerivatives:
-    """Return mass matrix and centre of mass with their derivatives at shapes x (N, m)."""
+def inertia_derivatives(
+    system: System, x: Array, *, of: Collection[int] | None = None
+) -> InertiaDerivatives:
+    """Return mass matrix and centre of mass with their derivatives at shapes x (N, m).
+
+    of: joints whose entries of H with each other and with the base are differentiated, all if None,
+    which saves most of the work; what dH and d2H have between others says nothing.
+    """
     tree = system.workspace(_Tree, lambda: _Tree(system))
-    return tree.derivatives(x)
+    return tree.derivatives(x, None if system.coupled is not None else of)
 
 
 class _Tree:
@@ -77,8 +83,8 @@ class _Tree:
             k = self._parents[k]
         return path[::-1]
 
-    def derivatives(self, x: Array) -> InertiaDerivatives:
-        """Return the sums over the tree at shapes x (N, m)."""
+    def derivatives(self, x: Array, of: Collection[int] | None) -> InertiaDerivatives:
+        """Return the sums over the tree at shapes x (N, m); of: joints to differentiate, or all."""
         N, M, r = len(x), self._count, self._root.shape[1]
         screws, composites = self._composites(self._system.joint_values(x))
         ad = SE3.ad(screws)  # (N, M + 1, 6, 6); the root's is not looked at
@@ -104,6 +110,8 @@ class _Tree:
             at = [*range(r), *(r + k - 1 for k in on)]
             c = r + j - 1
             H[:, at, c] = (rows @ F)[..., 0]
+            if of is not None and j - 1 not in of:
+                continue
             for b, dF in self._slopes(j, ad, moved, S, F):
                 # H_ij does not depend on the joints before i.
                 some = len(at) if b not in on else r + on.index(b) + 1
@@ -118,9 +126,10 @@ class _Tree:
                     few = some if a not in on else r + on.index(a) + 1
                     entry = (rows[:, :few] @ d2F)[..., 0]
                     d2H[:, at[:few], c, a - 1, b - 1] = d2H[:, at[:few], c, b - 1, a - 1] = entry
-        for array in (H, dH, d2H):
-            for c in range(r, r + M):
-                array[:, c, :c] = array[:, :c, c]
+        for c in range(r, r + M):
+            H[:, c, :c] = H[:, :c, c]
+            if of is None or c - r in of:
+                dH[:, c, :c], d2H[:, c, :c] = dH[:, :c, c], d2H[:, :c, c]
         diagonal = np.arange(r + M)
         H[:, diagonal, diagonal] += self._armature
         mass = self._system.mass

@@ -1,0 +1,147 @@
+"""The bounds of equilibria and stability: what is just beyond each, and what is just within."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from spinning_robots import gyrostat, heavy_gyrostat
+
+import pinred
+from pinred.analysis.equilibria import search
+from pinred.analysis.equilibria.amended_energy import AmendedEnergy, Points
+from pinred.analysis.equilibria.find import _one_family, equilibrium_at
+from pinred.analysis.equilibria.problem import problem_of
+from pinred.analysis.equilibria.same_shape import Place
+from pinred.analysis.stability import verdict
+from pinred.analysis.stability.own_axis import _definite, definite_with_own_axis, heavy_top
+
+NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}
+BEYOND, WITHIN = 4.0, 0.4  # times a bound
+
+
+def body(*moments: float) -> pinred.System:
+    """A free body with these moments about its axes."""
+    model = pin.Model()
+    root = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "root")
+    inertia = pin.Inertia(1.0, np.zeros(3), np.diag(moments))
+    model.appendBodyToJoint(root, inertia, pin.SE3.Identity())
+    return pinred.load(model, gravity=np.zeros(3))
+
+
+@pytest.mark.parametrize(("factor", "found"), [(BEYOND, 0), (WITHIN, 1)])
+def test_a_residual(monkeypatch: pytest.MonkeyPatch, factor: float, found: int) -> None:
+    """A billionth of the size of the energies, and no more, may be left of the gradient."""
+    monkeypatch.setattr(search, "NEWTON", 0)
+    energy = AmendedEnergy(problem_of(body(2.0, 3.0, 4.0), **NOTHING))  # type: ignore[arg-type]
+    middle = Points(np.zeros((1, 0)), np.array([[0.0, 1.0, 0.0]]))
+    slope = search.residuals(energy(middle.moved(np.array([[1e-4, 0.0]])), 1.0))[0] / 1e-4
+    beside = middle.moved(np.array([[factor * 1e-9 / slope, 0.0]]))
+    assert len(search.critical_points(energy, beside, 1.0)[0]) == found
+
+
+@pytest.mark.parametrize(("factor", "same"), [(BEYOND, False), (WITHIN, True)])
+def test_where_bodies_are(factor: float, same: bool) -> None:
+    """Shapes are one within 1e-5 of the robot's size; an odd number may change its sign."""
+    one = Place(np.array([0.3, 0.7]), np.array([0.2]))
+    even = Place(one.even + np.array([0.0, factor * 1e-5]), one.odd)
+    odd = Place(one.even, -one.odd + factor * 1e-5)
+    assert one.same(even, reversible=False) == same
+    assert one.same(odd, reversible=True) == same
+    assert not one.same(odd, reversible=False)
+
+
+@pytest.mark.parametrize(("factor", "same"), [(BEYOND, False), (WITHIN, True)])
+def test_energies_of_a_family(factor: float, same: bool) -> None:
+    """Equilibria of one family have one energy to 1e-8."""
+    (_, one) = pinred.relative_equilibria(body(1.0, 2.0, 2.0), momentum=1.0, starts=50)[:2]
+    energy = one.amended_potential * (1.0 + factor * 1e-8)
+    assert _one_family(one, replace(one, amended_potential=energy)) == same
+    assert not _one_family(one, replace(one, stability=replace(one.stability, index=3)))
+
+
+def test_steady_plans() -> None:
+    """A rate may change by 1e-12 of itself, which is round-off of a formula, and not by more."""
+    wheel = gyrostat((0.9, 1.3, 1.1))
+    for factor in (WITHIN, BEYOND):
+        plan = {"wheel": f"{0.5 * factor * 1e-12!r}*t**2 + 0.7*t"}
+        if factor == WITHIN:
+            assert pinred.relative_equilibria(wheel, momentum=1.0, prescribed=plan, starts=20)
+            continue
+        with pytest.raises(pinred.InputError, match="constant rate"):
+            pinred.relative_equilibria(wheel, momentum=1.0, prescribed=plan)
+
+
+@pytest.mark.parametrize(("parts", "name"), [(5.0, "stable"), (20.0, "unstable")])
+def test_a_growth_and_its_error(monkeypatch: pytest.MonkeyPatch, parts: float, name: str) -> None:
+    """The error is 1e-14 of the matrix by the eigenvalue's condition; ten of them make a growth."""
+    I, J = (2.0, 3.0, 4.0), 1.0
+    problem = problem_of(body(*I), **NOTHING)  # type: ignore[arg-type]
+    middle = Points(np.zeros((1, 0)), np.array([[0.0, 1.0, 0.0]]))
+    a, b = J * (1.0 / I[1] - 1.0 / I[2]), J * (1.0 / I[0] - 1.0 / I[1])
+    error = 1e-14 * max(a, b) * (a + b) / (2.0 * np.sqrt(a * b))
+    found = equilibrium_at(problem, middle, J)
+    assert found.growth == pytest.approx(np.sqrt(a * b), rel=1e-12)
+    assert found.stability.growth_error == pytest.approx(error, rel=1e-6, abs=0.0)
+    monkeypatch.setattr(verdict, "_ROUND_OFF", 1e-14 * found.growth / (parts * error))
+    again = equilibrium_at(problem, middle, J)
+    assert (again.verdict == "unstable") == (name == "unstable")
+
+
+@pytest.mark.parametrize("part", [1e-7, 4e-6, 1e-3])
+def test_nearly_symmetric_bodies_have_no_family(part: float) -> None:
+    """Curvatures that differ by more than 1e-7 of the largest are not taken for none."""
+    found = pinred.relative_equilibria(body(1.0, 1.0 + part, 2.0), momentum=1.0)
+    assert [each.verdict for each in found] == ["stable", "unstable", "stable"]
+    assert [each.dimension for each in found] == [0, 0, 0]
+    growth = np.sqrt(part * (1.0 - part) / 2.0) / (1.0 + part)
+    assert found[1].growth == pytest.approx(growth, rel=1e-7)
+
+
+@pytest.mark.parametrize(("factor", "steady"), [(BEYOND, False), (WITHIN, True)])
+def test_tops_that_are_not_steady(factor: float, steady: bool) -> None:
+    """Off its equilibrium by 1e-8 of the forces, nothing is said of a top."""
+    system = heavy_gyrostat()
+    problem = problem_of(system, **(NOTHING | {"cyclic": {"wheel": 2.0}}))  # type: ignore[arg-type]
+    J = 6.0
+    top = heavy_top(problem, J)
+    pull = top.weight * np.linalg.norm(top.com)
+    omega = (J - top.offset[2]) / top.inertia[2, 2]
+    size = np.hypot(pull, top.scales[3] * omega)
+    # Aside by ε, the weight's moment along Γ and μ cannot be taken up by multipliers.
+    tilts = np.geomspace(1e-12, 1e-4, 161)
+    left = np.array([_left(top, tilt, J) for tilt in tilts])
+    tilt = float(np.exp(np.interp(np.log(factor * 1e-8), np.log(left), np.log(tilts))))
+    up = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+    assert size > 0.0
+    assert definite_with_own_axis(top, up, J) == steady
+
+
+def _left(top: object, tilt: float, J: float) -> float:
+    """What multipliers leave of the energy's slope at a tilt, by least squares of one's own."""
+    from pinred.analysis.stability.own_axis import HeavyTop
+
+    assert isinstance(top, HeavyTop)
+    up, D = np.array([np.sin(tilt), 0.0, np.cos(tilt)]), top.scales
+    omega = (J - up @ top.offset) / (up @ top.inertia @ up) * up
+    mu = top.inertia @ omega + top.offset
+    slope = D * np.r_[-top.weight * top.com, omega]
+    columns = (
+        D[:, None]
+        * np.array([np.r_[mu, -up], np.r_[-up, np.zeros(3)], np.r_[np.zeros(3), [0.0, 0.0, 1.0]]]).T
+    )
+    orthonormal = np.linalg.qr(columns)[0]
+    rest = slope - orthonormal @ (orthonormal.T @ slope)
+    return float(np.linalg.norm(rest) / np.linalg.norm(slope))
+
+
+def test_definite_forms() -> None:
+    """A curvature below 1e-14 of the largest entry is none; a multiplier may bring it."""
+    assert _definite(lambda _: np.diag([1.0, BEYOND * 1e-14]), 0.0)
+    assert not _definite(lambda _: np.diag([1.0, WITHIN * 1e-14]), 0.0)
+    assert _definite(lambda _: np.diag([-1.0, -2.0]), 0.0)
+    assert not _definite(lambda _: np.diag([-1.0, 2.0]), 0.0)
+    assert _definite(lambda k: np.diag([k - 3.0, 4.0 - k]), 10.0)
+    assert not _definite(lambda k: np.diag([k - 4.0, 3.0 - k, 1.0]), 10.0)

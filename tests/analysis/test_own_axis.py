@@ -1,0 +1,166 @@
+"""A heavy top's symmetry about its own axis, with a rotor too: thresholds, and ABA's spectrum."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from spinning_robots import heavy_gyrostat
+
+import pinred
+from pinred.analysis.equilibria.amended_energy import Points
+from pinred.analysis.equilibria.find import equilibrium_at
+from pinred.analysis.equilibria.problem import problem_of
+from pinred.analysis.equilibria.relative_equilibrium import RelativeEquilibrium
+from pinred.analysis.stability.own_axis import HeavyTop
+from pinred.common.arrays import Array
+
+TOP = Path(__file__).parent.parent.parent / "examples/heavy_top.urdf"
+NOTHING: dict[str, Any] = dict.fromkeys(("cyclic", "springs", "prescribed"), None)
+NOTHING |= {"forces": (), "passive": False}
+UP = Points(np.zeros((1, 0)), np.array([[0.0, 0.0, 1.0]]))
+# Of the gyrostat: moments about its pivot with the rotor's, and m g l of both.
+I1, I3, WHEEL = 0.1 + 0.25 + 0.01 + 0.4 * 0.49, 0.05 + 0.02, 0.02
+PULL = 9.81 * (1.0 * 0.5 + 0.4 * 0.7)
+THRESHOLD = float(np.sqrt(4.0 * PULL * I1))  # of the momentum about the axis
+
+
+def upright(system: pinred.System, J: float, **given: object) -> RelativeEquilibrium:
+    """What stands on its pivot, with a momentum about the vertical."""
+    return equilibrium_at(problem_of(system, **(NOTHING | given)), UP, J)
+
+
+def full_spectrum(each: RelativeEquilibrium) -> Array:
+    """Eigenvalues of ABA linearised about the motion, in body coordinates, where it is steady."""
+    model, n = each.system.model, each.system.n
+    start = each.scene().start
+    q = each.system.model_q(start.pose, start.x)
+    v = each.system.model_v(start.xi, start.xdot)
+    data = model.createData()
+    by_q, by_v, _ = pin.computeABADerivatives(model, data, q, v, np.zeros(n))
+    J = np.block([[np.zeros((n, n)), np.eye(n)], [by_q, by_v]])
+    J[:3, :3] = -pin.skew(each.xi)  # δg = g η̂:  η̇ = δξ − ξ × η
+    return np.asarray(np.linalg.eigvals(J))
+
+
+def test_sleeping_top() -> None:
+    """Stable above ω² = 4 m g l I₁/I₃², by its symmetry about its own axis; to 1e-10."""
+    top, I1, I3, pull = pinred.load(TOP, group="SO3"), 0.35, 0.05, 9.81 * 0.5
+    threshold = np.sqrt(4.0 * pull * I1) / I3
+
+    def sleeping(spin: float) -> RelativeEquilibrium:
+        return upright(top, I3 * spin)
+
+    low, high = 0.9 * threshold, 1.1 * threshold
+    for _ in range(38):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if sleeping(middle).growth else (low, middle)
+    assert middle == pytest.approx(threshold, rel=1e-10)
+    slow, fast = sleeping(0.9 * threshold), sleeping(1.1 * threshold)
+    assert (slow.verdict, fast.verdict) == ("unstable", "stable")
+    assert fast.stability.index == 2  # the amended potential alone does not say so
+    # δ̈ I₁ − i I₃ ω δ̇ − m g l δ = 0 in the plane of Γ.
+    half, rest = 0.5 * I3 * 0.9 * threshold / I1, pull / I1
+    assert slow.growth == pytest.approx(np.sqrt(rest - half**2), rel=1e-11)
+    half = 0.5 * I3 * 1.1 * threshold / I1
+    # In the body, which turns at ω beside.
+    spins = half + np.array([-1.0, 1.0]) * np.sqrt(half**2 - rest)
+    wanted = np.sort(np.abs(1.1 * threshold - spins))
+    np.testing.assert_allclose(fast.frequencies, wanted, rtol=1e-10)
+
+
+@pytest.mark.parametrize("momentum", [-2.0, 0.0, 0.6, 5.0])
+def test_threshold_of_a_sleeping_gyrostat(momentum: float) -> None:
+    """Stable above (I₃ ω + h)² = 4 m g l I₁, whatever the rotor has of it; by the verdict."""
+    system = heavy_gyrostat()
+    cyclic = {"wheel": momentum}
+    low, high = 0.9 * THRESHOLD, 1.1 * THRESHOLD
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        each = upright(system, middle, cyclic=cyclic)
+        low, high = (low, middle) if each.verdict == "stable" else (middle, high)
+    assert middle == pytest.approx(THRESHOLD, rel=1e-8)
+    for factor, verdict in ((0.95, "unstable"), (1.05, "stable"), (-1.05, "stable")):
+        each = upright(system, factor * THRESHOLD, cyclic=cyclic)
+        assert each.verdict == verdict
+        omega, rate = each.xi[2], each.xdot[0]
+        h = WHEEL * rate  # the rotor's own, relative to the body
+        assert I3 * omega + h == pytest.approx(factor * THRESHOLD, rel=1e-12)
+        assert WHEEL * (omega + rate) == pytest.approx(momentum, abs=1e-13)
+        half = 0.5 * (I3 * omega + h) / I1
+        left = half**2 - PULL / I1
+        if left < 0.0:
+            assert each.growth == pytest.approx(np.sqrt(-left), rel=1e-11)
+        else:
+            spins = half + np.array([-1.0, 1.0]) * np.sqrt(left)
+            wanted = np.sort(np.abs(omega - spins))  # in the body, which turns at ω
+            np.testing.assert_allclose(each.frequencies, wanted, rtol=1e-9)
+            assert each.stability.index == 2
+        found = full_spectrum(each)
+        assert found.real.max() == pytest.approx(each.growth, abs=1e-5)  # double zeros: √ε
+        for wanted in each.frequencies:
+            assert np.abs(found - 1j * wanted).min() < 1e-5
+
+
+def test_a_driven_rotor_can_hold_a_top_that_does_not_turn() -> None:
+    """With ω = 0 the rotor's own momentum alone must pass the threshold: h² > 4 m g l I₁."""
+    system = heavy_gyrostat()
+    for factor, verdict in ((0.99, "unstable"), (1.01, "stable"), (-1.01, "stable")):
+        h = factor * THRESHOLD
+        each = upright(system, h, prescribed={"wheel": f"{h / WHEEL!r}*t"})
+        assert each.xi[2] == pytest.approx(0.0, abs=1e-12)
+        assert each.verdict == verdict
+    held = upright(system, 1.01 * THRESHOLD, prescribed={"wheel": 0.3})
+    assert held.verdict == "stable"
+    assert held.xi[2] == pytest.approx(1.01 * THRESHOLD / I3, rel=1e-12)
+
+
+def test_it_stays_upright() -> None:
+    """In a simulation: pushed above the threshold it stays, below it falls."""
+    system = heavy_gyrostat()
+    for factor, stays in ((1.05, True), (0.95, False)):
+        each = upright(system, factor * THRESHOLD, cyclic={"wheel": 2.0})
+        traj = pinred.simulate(each.scene(0, amplitude=1e-4, duration=20.0))
+        tops = [pin.Quaternion(pose).matrix()[2, 2] for pose in traj.pose]
+        assert (min(tops) > 0.99999) == stays
+
+
+@pytest.mark.parametrize("changes", [{"tilt": 1e-5}, {"skew": 1e-4}])
+def test_without_the_symmetry_it_stays_undecided(changes: dict[str, float]) -> None:
+    """A rotor aside, or moments that differ: nothing but the vertical's symmetry is left."""
+    system = heavy_gyrostat(**changes)
+    found = pinred.relative_equilibria(system, momentum=1.2 * THRESHOLD, cyclic={"wheel": 2.0})
+    top = max(found, key=lambda each: each.direction[2])
+    assert top.direction[2] > 0.99
+    assert top.verdict == "undecided"
+    assert len(top.frequencies) == 2
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_units_do_not_matter(unit: float) -> None:
+    """A top as light as a grain or as heavy as a house has the same threshold in its own units."""
+    model = pin.Model()
+    root = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "root")
+    body = pin.Inertia(unit, np.array([0.0, 0.0, 0.5]), unit * np.diag([0.1, 0.1, 0.05]))
+    model.appendBodyToJoint(root, body, pin.SE3.Identity())
+    system = pinred.load(model)
+    threshold = unit * np.sqrt(4.0 * 9.81 * 0.5 * 0.35)
+    for factor, verdict in ((0.999, "unstable"), (1.001, "stable"), (100.0, "stable")):
+        assert upright(system, factor * threshold).verdict == verdict
+
+
+def test_a_symmetry_is_to_round_off() -> None:
+    """Twelve digits of the inertia, and the direction of centre of mass and rotors."""
+    lever = np.array([0.0, 0.0, 0.5])
+
+    def axis(moments: list[float], offset: list[float], com: Array = lever) -> Array | None:
+        scales = np.repeat([1.0, 1.0], 3)
+        return HeavyTop(np.diag(moments), np.array(offset), com, 9.81, scales, 1.0).axis
+
+    assert axis([0.1, 0.1, 0.05], [0.0, 0.0, 0.3]) is not None
+    assert axis([0.1, 0.1 + 5e-13, 0.05], [0.0, 0.0, 0.3]) is None
+    assert axis([0.1, 0.1, 0.05], [5e-12, 0.0, 0.3]) is None
+    assert axis([0.1, 0.1, 0.05], [0.0, 0.0, 0.3], np.array([0.1, 0.0, 0.5])) is None
