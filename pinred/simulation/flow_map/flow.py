@@ -121,6 +121,17 @@ class Flow:
         state, constants = self._inputs.basis(run.given)
         return self._inputs.by_name(by_state @ state + by_constants @ constants)
 
+    def explain(self) -> str:
+        """Return what the flow skips and integrates, and which numbers are its inputs, as lines."""
+        from ..explain import integrated, seen_and_integrated, skipped, varying
+
+        plan = self._course.plan
+        zero = self._course.zero_momentum
+        lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=zero)]
+        lines += [f"integrated: {integrated(plan)}", *seen_and_integrated(plan)]
+        lines += varying(plan, generic=True)
+        return "\n".join([*lines, f"method: {plan.method.name} ({plan.choice.why})"])
+
     def own(self, name: str) -> Array:
         """Return the scene's value of an input, (size,)."""
         return self._inputs.value(name)

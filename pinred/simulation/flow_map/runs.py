@@ -14,7 +14,6 @@ from ...kernels.begin_and_end import Outcome, begin_of, outcome_of, rate_of, siz
 from ...kernels.start_kernel import TwistOrMomentum
 from ...kernels.tangent import tangent_of
 from ...kernels.wide_rate import wide_rate
-from ...reduction.base_parts import root_of
 from ..compiled.compiled_flow import CompiledFlow
 from ..compiled.integrator import explained, wild_steps
 from ..compiled.kernel_of_plan import kernel_of
@@ -51,7 +50,7 @@ class Course:
 
     def __init__(self, plan: Plan, *, zero_momentum: bool) -> None:
         """Make the kernels ready.  Raises InputError for what has no derivatives."""
-        self._plan, self.method = plan, plan.method
+        self.plan, self.method, self.zero_momentum = plan, plan.method, zero_momentum
         if plan.forces is not None and plan.forces.held:
             controller, _ = plan.forces.held[0]
             raise InputError(
@@ -66,7 +65,7 @@ class Course:
         if plan.scene.events_given:
             raise InputError("a flow map looks for no events; use simulate for them")
         refuse_without_derivatives(self.method)
-        self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum)
+        self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum, generic=True)
         motion: TwistOrMomentum = "mu" if motion_of(plan.scene) == "mu" else "xi"
         self._begin = begin_of(kernel, motion)
         self._rate = rate_of(kernel)
@@ -81,7 +80,7 @@ class Course:
         )
         layout, k = kernel.layout, plan.system.group.linear
         self._sizes = [layout.size, layout.gravity_at, 2 * k]
-        self._fall = root_of(plan.system).g
+        self._falls = k
         asked, begins = plan.scene.report_times, np.append(0.0, plan.stops[:-1])
         self._stretches = []
         for begin, stop in zip(begins, plan.stops, strict=True):
@@ -92,10 +91,11 @@ class Course:
     def run(self, given: Given) -> Run:
         """Return the run that begins as given.  Raises IntegrationError."""
         kernel, layout = self.kernel, self.kernel.layout
-        out = self._begin.at(given.state, given.constants, sum(self._sizes))
+        constants, fall = self._apart(given.constants)
+        out = self._begin.at(given.state, constants, sum(self._sizes))
         y, head, start = np.split(out, np.cumsum(self._sizes[:2]))
-        parameters = np.concatenate([head, given.constants])
-        line = np.concatenate([start, self._fall])
+        parameters = np.concatenate([head, constants])
+        line = np.concatenate([start, fall])
         if not (np.isfinite(out).all()):
             raise InputError("the initial momentum or twist overflows: rates or momentum too large")
         y = y if y.size else np.zeros(1)
@@ -109,8 +109,8 @@ class Course:
                 )  # fmt: skip
             except IntegrationError as stopped:
                 at = CompiledFlow.made(kernel, y, here, line)
-                raise explained(stopped, at, self._plan.scene, begin) from None
-            if wild := wild_steps(kernel, self._plan, solution.states, solution.knots):
+                raise explained(stopped, at, self.plan.scene, begin) from None
+            if wild := wild_steps(kernel, self.plan, solution.states, solution.knots):
                 raise IntegrationError(wild)
             stretches.append(Stretch(begin, times, here, solution))
             y = solution.states[-1].copy()
@@ -125,7 +125,7 @@ class Course:
         return (
             parts[0]
             if len(parts) == 1
-            else joined(parts, np.arange(len(self._plan.scene.report_times)))
+            else joined(parts, np.arange(len(self.plan.scene.report_times)))
         )
 
     def _states(self, run: Run, part: Stretch) -> State | ShapeState:
@@ -135,13 +135,13 @@ class Course:
     def along(self, run: Run, rows: tuple[Outcome, ...], state: Array, constants: Array) -> Array:
         """Return the derivatives (T, rows, N) along directions of what the run began with."""
         kernel = self.kernel
-        found = self._begin.forward(
-            run.given.state, run.given.constants, state, constants, sum(self._sizes)
-        )
+        constants, fall = self._apart(constants)
+        own, _ = self._apart(run.given.constants)
+        found = self._begin.forward(run.given.state, own, state, constants, sum(self._sizes))
         moved, head, start = np.split(found, np.cumsum(self._sizes[:2]))
         moved = moved if len(moved) else np.zeros((1, state.shape[1]))
         parameters = np.vstack([head, constants])
-        line = np.vstack([start, np.zeros((len(self._fall), state.shape[1]))])
+        line = np.vstack([start, fall])
         outcome, out = outcome_of(kernel, rows), []
         for part in run.stretches:
             done = run_along(
@@ -182,8 +182,15 @@ class Course:
         ends_of_begin = np.concatenate(
             [covector[: layout.size], by_parameters[:head], by_line[: self._sizes[2]]]
         )
-        state, constants = self._begin.reverse(run.given.state, run.given.constants, ends_of_begin)
-        return state, constants + by_parameters[head:]
+        own, _ = self._apart(run.given.constants)
+        state, constants = self._begin.reverse(run.given.state, own, ends_of_begin)
+        by_fall = by_line[self._sizes[2] :]
+        return state, np.concatenate([constants + by_parameters[head:], by_fall])
+
+    def _apart(self, constants: Array) -> tuple[Array, Array]:
+        """Return the kernel's constants, and how the centre of mass falls."""
+        at = len(constants) - self._falls
+        return constants[:at], constants[at:]
 
     def _ends(self, run: Run, part: Stretch) -> list[tuple[Array, Array]]:
         """Return the arguments (a, b) of the outcome at each time of a stretch."""
@@ -192,7 +199,7 @@ class Course:
         kernel = self.kernel
         t = part.begin + part.times
         states = self._states(run, part)
-        poses = np.zeros((len(t), self._plan.system.group.size))
+        poses = np.zeros((len(t), self.plan.system.group.size))
         if isinstance(states, State):
             poses = states.pose
         constants = np.concatenate([part.parameters, run.line])
@@ -203,12 +210,12 @@ class Course:
         ]
 
     def _count(self, rows: tuple[Outcome, ...]) -> int:
-        sizes = sizes_of(self._plan.system)
+        sizes = sizes_of(self.plan.system)
         return sum(sizes[row] for row in rows)
 
     def _within(self, parameters: Array, begin: float, stop: float) -> Array:
         """Return the parameters with the time in them that says which piece of tables counts."""
-        forces, out = self._plan.forces, parameters.copy()
+        forces, out = self.plan.forces, parameters.copy()
         if forces is not None:
             first = len(out) - len(forces.numbers)
             out[first:][forces.within] = 0.5 * (begin + stop)
