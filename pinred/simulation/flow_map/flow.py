@@ -26,6 +26,7 @@ from .runs import Course, Run
 if TYPE_CHECKING:
     from .casadi_adapter import FlowCallback
     from .columns import Columns
+    from .step_map import StepMap
 
 _ROWS: tuple[Outcome, ...] = get_args(Outcome)
 _ALL: tuple[Outcome, ...] = ("x", "xdot", "pose", "xi")
@@ -135,6 +136,27 @@ class Flow:
     def own(self, name: str) -> Array:
         """Return the scene's value of an input, (size,)."""
         return self._inputs.value(name)
+
+    def step(self, h: float) -> StepMap:
+        """Return one step of this length [s] as a map with its Jacobians, for shooting solvers.
+
+        It takes a State and the flow's parameters, by any of which it has derivatives.
+        """
+        from .step_map import StepMap
+
+        return StepMap(self, h)
+
+    def of_scene(self, scene: Scene, wrt: Sequence[str], of: tuple[Outcome, ...]) -> Flow:
+        """Return the flow of another scene, over its times."""
+        return Flow(scene, wrt, of, over_times=True)
+
+    def one_step(
+        self, inputs: Mapping[str, Any], h: float, t: float, *, derivatives: bool
+    ) -> tuple[State | ShapeState, Array]:
+        """Return the states (1, …) after one step from time t [s], and slopes (rows, N)."""
+        given = self._inputs.given(inputs)
+        columns = self._inputs.basis(given) if derivatives else None
+        return self._course.one_step(given, h, t, self._rows, columns)
 
     def columns(self) -> Columns:
         """Return the flow between plain columns of numbers, in the order of `inputs`."""

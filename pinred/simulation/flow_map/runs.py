@@ -192,6 +192,76 @@ class Course:
         at = len(constants) - self._falls
         return constants[:at], constants[at:]
 
+    def one_step(
+        self,
+        given: Given,
+        h: float,
+        t: float,
+        rows: tuple[Outcome, ...],
+        columns: tuple[Array, Array] | None,
+    ) -> tuple[State | ShapeState, Array]:
+        """Return the states (1, …) after one step from time t, and slopes (rows, N).
+
+        columns: (…, N) directions of state and constants, if slopes are wanted.
+        Raises InputError where the step goes over a break, and IntegrationError.
+        """
+        kernel, layout, plan = self.kernel, self.kernel.layout, self.plan
+        self._check_step(t, h)
+        own, fall = self._apart(given.constants)
+        state, constants = (np.zeros((len(each), 0)) for each in (given.state, given.constants))
+        if columns is not None:
+            state, constants = columns
+        constants, fall_along = self._apart(constants)
+        out = self._begin.at(given.state, own, sum(self._sizes))
+        along = self._begin.forward(given.state, own, state, constants, sum(self._sizes))
+        cuts = np.cumsum(self._sizes[:2])
+        (y, head, start), (moved, heads, starts) = np.split(out, cuts), np.split(along, cuts)
+        if not np.isfinite(out).all():
+            raise InputError("the momentum or twist overflows: rates or momentum too large")
+        parameters = np.concatenate([head, own])
+        parameters = self._within(parameters, t, t + h)
+        if layout.clock:
+            y[-1] = t
+        # The centre of mass is where it is at time t.
+        line = _from(t, np.concatenate([start, fall]), self._falls)
+        lines = _from(t, np.vstack([starts, fall_along]), self._falls)
+        y, moved = (y, moved) if y.size else (np.zeros(1), np.zeros((1, state.shape[1])))
+        directions = np.vstack([heads, constants])
+        knots = np.array([0.0, h])
+        done = run_along(
+            self.method, self._address, self._slopes, parameters, y, knots, knots[1:],
+            layout.quaternion, moved, directions,
+        )  # fmt: skip
+        if not np.isfinite(done.y).all():
+            raise IntegrationError(
+                f"a step of {h:g} s of '{plan.system.name}' is not finite: take shorter ones"
+            )
+        flow = CompiledFlow.made(kernel, y, parameters, line)
+        end = flow.states(np.array([t + h]), done.y, flow.numbers)
+        if columns is None or not isinstance(end, State):
+            return end, np.zeros((0, 0))
+        a = np.zeros((layout.size + 1 + plan.system.group.size, state.shape[1]))
+        a[: layout.size] = done.slopes[0][: layout.size]
+        at = np.concatenate([done.y[0, : layout.size], [t + h], end.pose[0]])
+        rest, along_rest = np.concatenate([parameters, line]), np.vstack([directions, lines])
+        outcome = outcome_of(kernel, rows)
+        return end, outcome.forward(at, rest, a, along_rest, self._count(rows))
+
+    def _check_step(self, t: float, h: float) -> None:
+        plan = self.plan
+        if not (np.isfinite(t) and t >= 0.0 and t + h <= plan.scene.end * (1.0 + 1e-12)):
+            raise InputError(
+                f"a step of {h:g} s from t = {t:g} s is not within the scene's {plan.scene.end:g} s"
+            )
+        inside = plan.stops[(plan.stops > t + 1e-12) & (plan.stops < t + h - 1e-12)]
+        if inside.size:
+            raise InputError(
+                f"a function of time is not smooth at t = {inside[0]:g} s, within the step of "
+                f"{h:g} s from {t:g} s; let steps end there"
+            )
+        if t and plan.acting.driven:
+            raise InputError("a step of a scene with prescribed joints begins at t = 0")
+
     def _ends(self, run: Run, part: Stretch) -> list[tuple[Array, Array]]:
         """Return the arguments (a, b) of the outcome at each time of a stretch."""
         if not part.times.size:
@@ -220,3 +290,9 @@ class Course:
             first = len(out) - len(forces.numbers)
             out[first:][forces.within] = 0.5 * (begin + stop)
         return read_only(out)
+
+
+def _from(t: float, line: Array, k: int) -> Array:
+    """Return start, velocity and fall at time zero of what has these, (3k, …), at time t."""
+    c, v, g = line[:k], line[k : 2 * k], line[2 * k :]
+    return np.concatenate([c - t * v + 0.5 * t**2 * g, v - t * g, g])
