@@ -64,14 +64,15 @@ def test_motions_and_derivatives(case: str) -> None:
         np.testing.assert_allclose(found, covector @ jacobian[key], rtol=0, atol=1e-11)
     for key, value in values.items():
         v = rng.normal(size=np.shape(value))
-        low, high = (flow(**{**values, key: np.add(value, s * h * v)}) for s in (-1, 1))
+        sides: list[Any] = [flow(**{**values, key: np.add(value, s * h * v)}) for s in (-1, 1)]
+        low, high = sides
         found = flow.jvp({key: v}, **values)
         for row in ("x", "xdot", "xi", "energy"):
-            expected = (vars(high)[row] - vars(low)[row]) / (2.0 * h)
+            expected = (getattr(high, row) - getattr(low, row)) / (2.0 * h)
             size = max(1.0, float(np.abs(expected).max()))
             np.testing.assert_allclose(found[flow.outputs[row]], [expected] if row == "energy"
                                        else expected, rtol=0, atol=2e-6 * size)  # fmt: skip
-        poses = [vars(side)["pose"] for side in (low, high)]
+        poses = [side.pose for side in (low, high)]
         turned = group.log(group.compose(group.inverse(poses[0]), poses[1])) / (2.0 * h)
         np.testing.assert_allclose(found[flow.outputs["pose"]], turned, rtol=0, atol=2e-6)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Unpack, get_args
 
 import numpy as np
 
-from ...common.arrays import Array, as_floats, read_only, vector
+from ...common.arrays import Array, as_floats, vector
 from ...common.errors import InputError, ShapeError
 from ...common.plain_names import brief
 from ...common.signatures import shows_fields
@@ -90,8 +90,8 @@ class Flow:
 
         Raises InputError, and IntegrationError as `simulate` does.
         """
-        states = self._course.states(self._run(inputs))
-        return states if self.over_times else _last(states)
+        run = self._run(inputs)
+        return self._course.states(run) if self.over_times else self._course.end(run)
 
     def jvp(self, along: Mapping[str, Any], /, **inputs: Any) -> Array:
         """Return the derivative of the outputs along directions of inputs, (…, rows).
@@ -272,7 +272,3 @@ def _checked_rows(of: Sequence[Outcome] | None, *, wanted: bool) -> tuple[Outcom
                 f"got {brief(of)}"
             )
     return rows
-
-
-def _last(states: State | ShapeState) -> State | ShapeState:
-    return type(states)(**{name: read_only(np.array(a[-1])) for name, a in vars(states).items()})

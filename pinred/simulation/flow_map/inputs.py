@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from types import MappingProxyType
 from typing import Any
 
@@ -20,6 +21,7 @@ from ...scene import forms
 from ...scene.scene import Scene
 from ..robot_columns import RobotColumns, relies_on_robot, with_own
 
+_NONE: Mapping[str, Array] = MappingProxyType({})
 STATE = ("x0", "xdot0", "pose0", "xi0", "momentum")
 
 
@@ -73,6 +75,7 @@ class Inputs:
         self._robot = None if scene.varied is None else RobotColumns(scene, layout, len(numbers))
         self._robot_values = {} if self._robot is None else self._robot.values
         self._values = {each.name: each.value for each in self._parameters}
+        self._of = {name: k for k, name in enumerate(self._values)}
         self._values |= {
             name: float(np.ravel(as_floats(value, name))[0])
             for name, value in scene.parameters.items()
@@ -104,15 +107,15 @@ class Inputs:
             return self.own
         system = self._scene.system
         state, constants = self.own.state.copy(), self.own.constants.copy()
-        mine = self._robot_values.keys() & values.keys()
+        mine = self._robot_values.keys() & values.keys() if self._robot_values else ()
         now: dict[str, Array] = {}
         if mine and self._robot is not None:
             now = self._robot.now({k: values[k] for k in mine})
             self._robot.put(constants, now)
         for name, value in values.items():
-            place = self._place.get(name)
             if name in mine:
                 continue
+            place = self._place.get(name)
             if place is None:
                 if name not in self._values:
                     checked_names([name], self.known)
@@ -121,15 +124,14 @@ class Inputs:
                 state[place] = system.group.pose(value)
             elif isinstance(value, Mapping):
                 state[place] = forms.in_order(value, system, name)
+            elif type(value) is np.ndarray and value.shape == (place.stop - place.start,):
+                state[place] = value
             else:
-                array = np.asarray(value, dtype=float) if _is_numbers(value) else value
-                if isinstance(array, np.ndarray) and array.shape == (place.stop - place.start,):
-                    state[place] = array
-                else:
-                    state[place] = vector(value, place.stop - place.start, name)
-        if not np.isfinite(state).all():
+                state[place] = vector(value, place.stop - place.start, name)
+        # A sum of finite numbers may overflow, which the numbers themselves then do not.
+        if not isfinite(np.add.reduce(state)) and not np.isfinite(state).all():
             raise ShapeError(f"the inputs of a flow must be finite, got {brief(dict(values))}")
-        return Given(state, constants, MappingProxyType(now))
+        return Given(state, constants, now or _NONE)
 
     def directions(self, along: Mapping[str, Any], at: Given) -> tuple[Array, Array]:
         """Return the columns (…, 1) of state and constants along directions by name."""
@@ -186,8 +188,8 @@ class Inputs:
         return out
 
     def _set(self, constants: Array, name: str, value: Any) -> None:
-        number = float(vector(np.ravel(value), 1, name)[0])
-        k = [each.name for each in self._parameters].index(name)
+        number = value if type(value) is float and isfinite(value) else _number(value, name)
+        k = self._of[name]
         moved = number - self._values[name]
         constants[self._numbers_at] += self._slopes[:, k] * moved
 
@@ -227,5 +229,5 @@ def checked_names(names: Sequence[str], known: Sequence[str]) -> list[str]:
     return given
 
 
-def _is_numbers(value: Any) -> bool:
-    return isinstance(value, (np.ndarray, list, tuple))
+def _number(value: Any, name: str) -> float:
+    return float(vector(np.ravel(value), 1, name)[0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 
@@ -10,7 +11,9 @@ from ...common.arrays import Array, read_only
 from ...common.errors import InputError, IntegrationError
 from ...integrators.derivatives import Slopes, refuse_without_derivatives, run_along, run_back
 from ...integrators.integrate import Solution, integrate_checked
+from ...integrators.methods import Explicit
 from ...kernels.begin_and_end import Outcome, begin_of, outcome_of, rate_of, sizes_of
+from ...kernels.differentiable import call_value
 from ...kernels.start_kernel import TwistOrMomentum
 from ...kernels.tangent import tangent_of
 from ...kernels.wide_rate import wide_rate
@@ -21,6 +24,8 @@ from ..pieces import joined
 from ..plan import Plan
 from ..state import ShapeState, State
 from .inputs import Given, motion_of
+from .later import made_later
+from .prepared import Prepared, Ran
 
 
 @dataclass(frozen=True)
@@ -33,7 +38,12 @@ class Stretch:
     begin: float
     times: Array
     parameters: Array
-    solution: Solution
+    ran: Ran | Solution
+
+    @property
+    def solution(self) -> Solution:
+        """The run, as `integrate` gives it."""
+        return self.ran if isinstance(self.ran, Solution) else self.ran.solution
 
 
 @dataclass(frozen=True)
@@ -79,27 +89,43 @@ class Course:
             adjoints=lambda count: rate.wide_adjoint(count).address,
         )
         layout, k = kernel.layout, plan.system.group.linear
+        self._clock, self._wanted = layout.clock, layout.wanted
         self._sizes = [layout.size, layout.gravity_at, 2 * k]
         self._falls = k
         asked, begins = plan.scene.report_times, np.append(0.0, plan.stops[:-1])
-        self._stretches = []
+        self._stretches: list[tuple[float, float, Array]] = []
         for begin, stop in zip(begins, plan.stops, strict=True):
             # Where one ends, the next begins only after it, as in Motion.
             inside = (asked > begin) & (asked <= stop) | ((asked == 0.0) & (begin == 0.0))
             self._stretches.append((float(begin), float(stop), read_only(asked[inside] - begin)))
+        self._begun, self._begin_at = sum(self._sizes), self._begin.value.address
+        self._ready = None
+        if isinstance(self.method, Explicit) and len(self._stretches) == 1:
+            (_, stop, times), n = self._stretches[0], max(layout.size, 1)
+            self._ready = Prepared(
+                self.method, self._address, n, stop, times, layout.quaternion, layout.canonical
+            )
 
     def run(self, given: Given) -> Run:
         """Return the run that begins as given.  Raises IntegrationError."""
-        kernel, layout = self.kernel, self.kernel.layout
         constants, fall = self._apart(given.constants)
-        out = self._begin.at(given.state, constants, sum(self._sizes))
-        y, head, start = np.split(out, np.cumsum(self._sizes[:2]))
-        parameters = np.concatenate([head, constants])
-        line = np.concatenate([start, fall])
-        if not (np.isfinite(out).all()):
+        out = np.empty(self._begun)
+        call_value(self._begin_at, given.state, constants, out)
+        if not isfinite(np.add.reduce(out)) and not np.isfinite(out).all():
             raise InputError("the initial momentum or twist overflows: rates or momentum too large")
-        y = y if y.size else np.zeros(1)
-        stretches = []
+        n, head = self._sizes[0], self._sizes[0] + self._sizes[1]
+        y, line = out[:n] if n else np.zeros(1), np.concatenate([out[head:], fall])
+        parameters = np.concatenate([out[n:head], constants])
+        if self._ready is not None:
+            ((begin, stop, times),) = self._stretches
+            here = self._within(parameters, begin, stop)
+            if (ran := self._ready(here, y)) is not None:
+                return Run(given, [Stretch(begin, times, here, ran)], line)
+        return self._run_all(given, y, parameters, line)
+
+    def _run_all(self, given: Given, y: Array, parameters: Array, line: Array) -> Run:
+        """Return the run from stop to stop."""
+        kernel, layout, stretches = self.kernel, self.kernel.layout, []
         for begin, stop, times in self._stretches:
             here = self._within(parameters, begin, stop)
             try:
@@ -112,12 +138,31 @@ class Course:
                 raise explained(stopped, at, self.plan.scene, begin) from None
             if wild := wild_steps(kernel, self.plan, solution.states, solution.knots):
                 raise IntegrationError(wild)
+            if self._ready is not None:
+                self._ready.make_room(solution.steps)
             stretches.append(Stretch(begin, times, here, solution))
             y = solution.states[-1].copy()
             if layout.quaternion >= 0 and self.method.lanes == 1:
                 q = slice(layout.quaternion, layout.quaternion + 4)
                 y[q] /= np.linalg.norm(y[q])
         return Run(given, stretches, line)
+
+    def end(self, run: Run) -> State | ShapeState:
+        """Return the full state at the end of a run; its fields are made when looked at."""
+        part, size, clock = run.stretches[-1], self._sizes[0], self._clock
+        time, where = part.begin + part.times[-1], self.kernel.where
+
+        def outputs() -> Array:
+            row = np.empty(size + 1 - clock)
+            row[:size] = part.ran.y[-1, :size]
+            if not clock:
+                row[size] = time
+            out = np.empty(where.size)
+            rest = np.concatenate([part.parameters, run.line])
+            call_value(self.kernel.outputs.address, row, rest, out)
+            return out
+
+        return made_later(self.plan.system, where, time, outputs, wanted=self._wanted)
 
     def states(self, run: Run) -> State | ShapeState:
         """Return the full states of a run at its times."""
@@ -129,8 +174,8 @@ class Course:
         )
 
     def _states(self, run: Run, part: Stretch) -> State | ShapeState:
-        flow = CompiledFlow.made(self.kernel, part.solution.y[:0], part.parameters, run.line)
-        return flow.states(part.begin + part.times, part.solution.y, flow.numbers)
+        flow = CompiledFlow.made(self.kernel, part.ran.y[:0], part.parameters, run.line)
+        return flow.states(part.begin + part.times, part.ran.y, flow.numbers)
 
     def along(self, run: Run, rows: tuple[Outcome, ...], state: Array, constants: Array) -> Array:
         """Return the derivatives (T, rows, N) along directions of what the run began with."""
@@ -273,7 +318,7 @@ class Course:
         if isinstance(states, State):
             poses = states.pose
         constants = np.concatenate([part.parameters, run.line])
-        rows = part.solution.y[:, : kernel.layout.size]
+        rows = part.ran.y[:, : kernel.layout.size]
         return [
             (np.concatenate([y, [time], pose]), constants)
             for y, time, pose in zip(rows, t.tolist(), poses, strict=True)
@@ -286,7 +331,7 @@ class Course:
     def _within(self, parameters: Array, begin: float, stop: float) -> Array:
         """Return the parameters with the time in them that says which piece of tables counts."""
         forces, out = self.plan.forces, parameters.copy()
-        if forces is not None:
+        if forces is not None and forces.within.stop > forces.within.start:
             first = len(out) - len(forces.numbers)
             out[first:][forces.within] = 0.5 * (begin + stop)
         return read_only(out)

@@ -36,8 +36,9 @@ class Failure:
 class Batch:
     """Members that share a kernel and have run together.
 
-    members: their indices, sorted.  flows: theirs; None of members that came from elsewhere.  method: name of the integrator.  steps,
-    evaluations: of each.  wall: seconds that one has taken in the mean.
+    members: their indices, sorted.  flows: theirs; None of members that came from elsewhere.
+    method: name of the integrator.  steps, evaluations: of each.  wall: seconds that one has
+    taken in the mean.
     """
 
     members: Indices
@@ -153,7 +154,9 @@ class Trajectories(OverTime):
     def _states(self, member: int) -> State | ShapeState:
         """Return the states of one member over the report times, those of a failed one too."""
         if "outputs" in vars(self):  # which members that came from elsewhere have
-            columns = {name: rows[member] for name, rows in vars(self.outputs).items() if name != "t"}
+            columns = {
+                name: rows[member] for name, rows in vars(self.outputs).items() if name != "t"
+            }
             return type(self.outputs)(t=self.t, **columns)
         if member in self._single:
             return _up_to(self._single[member], self.t, self.system, wanted=self._wanted)
