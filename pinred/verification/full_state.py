@@ -81,7 +81,8 @@ class FullState:
         self._numbers = np.empty(0) if self._forces is None else self._forces.numbers.copy()
         self._model, self._data = system.model, pin.Data(system.model)
         self._r, self._m = system.r, system.model.njoints - 2
-        self._unseen = np.full((2, system.r), np.nan)  # would be seen if a force did look there
+        unseen = np.full(system.r, np.nan)  # which would be seen if a force did look there
+        self._unseen = unseen, unseen
         self._circles = [i for i, joint in enumerate(system.model.joints[2:]) if joint.nq == 2]
         self.ties = Ties(system)
         # Pinocchio 4.1 leaves the armature of slanted revolute joints out of the kinetic energy.

@@ -14,6 +14,7 @@ from ...integrators.integrate import Solution, integrate_checked
 from ...integrators.methods import Explicit
 from ...kernels.begin_and_end import Outcome, begin_of, outcome_of, rate_of, sizes_of
 from ...kernels.differentiable import call_value
+from ...kernels.evaluate import evaluate
 from ...kernels.start_kernel import TwistOrMomentum
 from ...kernels.tangent import tangent_of
 from ...kernels.wide_rate import wide_rate
@@ -214,8 +215,8 @@ class Course:
                 by_parameters += by_rest[:p]
                 by_line += by_rest[p:]
             done = run_back(
-                self.method, self._address, self._slopes, part.parameters, part.solution,
-                part.times, layout.quaternion, covector, at_times,
+                self.method, self._address, self._slopes, part.parameters, part.ran, part.times,
+                layout.quaternion, covector, at_times,
             )  # fmt: skip
             covector = done.by_state
             by_parameters += done.by_parameters
@@ -227,7 +228,9 @@ class Course:
         )
         own = self._known(run.given)
         state, constants = self._begin.reverse(run.given.state, own, ends_of_begin)
-        by_constants = np.delete(constants + by_parameters[head:], path - head)
+        by_constants = constants + by_parameters[head:]
+        if layout.line:
+            by_constants = np.delete(by_constants, path - head)
         return state, np.concatenate([by_constants, by_line[self._sizes[2] :]])
 
     def _known(self, given: Given) -> Array:
@@ -324,18 +327,17 @@ class Course:
         """Return the arguments (a, b) of the outcome at each time of a stretch."""
         if not part.times.size:
             return []
-        kernel = self.kernel
-        t = part.begin + part.times
-        states = self._states(run, part)
-        poses = np.zeros((len(t), self.plan.system.group.size))
-        if isinstance(states, State):
-            poses = states.pose
+        kernel, where, t = self.kernel, self.kernel.where, part.begin + part.times
+        size, clock = self._sizes[0], self._clock
         constants = np.concatenate([part.parameters, run.line])
-        rows = part.ran.y[:, : kernel.layout.size]
-        return [
-            (np.concatenate([y, [time], pose]), constants)
-            for y, time, pose in zip(rows, t.tolist(), poses, strict=True)
-        ]
+        whole = np.empty((len(t), size + 1 + self.plan.system.group.size))
+        whole[:, :size], whole[:, size] = part.ran.y[:, :size], t
+        whole[:, size + 1 :] = 0.0
+        if self._wanted:
+            given = whole[:, : size + 1 - clock]
+            out = evaluate(kernel.outputs.address, constants, given, where.size)
+            whole[:, size + 1 :] = out[:, where.pose]
+        return [(row, constants) for row in whole]
 
     def _count(self, rows: tuple[Outcome, ...]) -> int:
         sizes = sizes_of(self.plan.system)
