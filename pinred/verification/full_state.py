@@ -219,8 +219,8 @@ class FullState:
             y[[size + m + r + k for k in self._driven]] = given.xdot
             y = self._tied(y)
         x, v, q = y[size : size + m], y[size + m :], self.q(y)
-        moves = self._relative(q, v) if self._forces.sees_momentum else self._unseen
-        state = self.ties.shape(x), self.ties.shape(v[r:]), *moves, self._numbers
+        xi, mu = self._relative(q, v) if self._forces.sees_momentum else self._unseen
+        state = self.ties.shape(x), self.ties.shape(v[r:]), xi, mu, self._numbers
         base = self.base_in_space(q, y[:size], v) if self._forces.sees_base else None
         acting, loads = self._forces.acting_apart(t, *state, base)
         tau = np.append(acting.wrench, self.ties.at_leaders(acting.torque))
