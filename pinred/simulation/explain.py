@@ -63,8 +63,8 @@ def varying(plan: Plan, *, generic: bool = False) -> list[str]:
         )
     if any_turn:
         lines.append(
-            f"inputs: placements of {', '.join(any_turn)}, of any kind (of all joints, up to "
-            "2.5 × an evaluation)"
+            f"inputs: placements of {', '.join(any_turn)}, of any kind (of all joints, two "
+            "to four evaluations)"
         )
     if varied.gravity:
         lines.append("inputs: gravity")

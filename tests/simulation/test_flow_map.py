@@ -331,8 +331,10 @@ def test_prepared_runs() -> None:
     few = pinred.flow(system, seed=1, duration=20.0, method=pinred.DOP853(max_steps=20))
     with pytest.raises(pinred.IntegrationError, match="20 steps have led to"):
         few()
-    with pytest.raises(InputError, match="finite"):
-        long(x0=[np.inf, -np.inf, 0.0])
+    with pytest.raises(InputError, match="the inputs of a flow must be finite"):
+        long(x0=np.array([np.inf, -np.inf, 0.0]))
+    with pytest.raises(InputError, match="the inputs of a flow must be finite"):
+        long(x0=np.array([np.nan, 0.0, 0.0]))
     shape = pinred.flow(system, seed=1, duration=0.2, outputs="shape", method="DOP853")()
     assert type(pickle.loads(pickle.dumps(shape))) is pinred.ShapeState
     with pytest.raises(AttributeError):
