@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import Any
 
 import casadi as ca
@@ -11,10 +12,11 @@ from scipy.integrate import solve_ivp
 
 import pinred
 from pinred import InputError, Parameter
-from pinred.forces import Controller, Torque
+from pinred.forces import Controller, Torque, Wrench
 from pinred.integrators.derivatives import run_along
 from pinred.signals import Fourier, Hold, Spline
 from pinred.simulation.flow_map.flow import Flow
+from pinred.verification.bench.flow_adjoints import beside_cvodes
 
 ROWS = ["x", "xdot", "pose", "xi", "body_momentum", "spatial_momentum", "energy"]
 METHODS = ["DOP853", "Tsit5", "AdaptiveGauss", "Gauss(0.01)"]
@@ -133,7 +135,7 @@ def test_derivatives_of_what_simulate_gives(name: str) -> None:
     values = {"x0": given.x[0], "xdot0": given.xdot[0], "xi0": given.xi[0], "gain": 2.0}
     for key, size in flow.inputs.items():
         v = rng.normal(size=size)
-        sides = []
+        sides: list[Any] = []
         for s in (-h, h):
             value = group.compose(given.pose[0], group.exp(s * v)) if key == "pose0" else None
             moved = value if value is not None else values[key] + s * (v if size > 1 else v[0])
@@ -144,7 +146,7 @@ def test_derivatives_of_what_simulate_gives(name: str) -> None:
             expected = (high - low) / (2.0 * h)
             error = np.abs(found[..., flow.outputs[row]] - expected).max()
             assert error < 2e-6 * max(1.0, np.abs(found).max()), (key, row)
-        low, high = (vars(side)["pose"] for side in sides)
+        low, high = (side.pose for side in sides)
         turned = group.log(group.compose(group.inverse(low), high)) / (2.0 * h)
         error = np.abs(found[..., flow.outputs["pose"]] - turned).max()
         assert error < 2e-6 * max(1.0, np.abs(found).max()), (key, "pose")
@@ -193,7 +195,8 @@ def test_inputs() -> None:
     named = flow(x0={"bend": 0.3})
     np.testing.assert_array_equal(named.x, flow(x0=[0.3, 0.0, 0.0]).x)
     still = pinred.flow(system, x0=[0.1, 0.2, 0.0], momentum=0, duration=0.2, wrt=["x0"])
-    assert not np.abs(vars(still())["body_momentum"]).max() > 1e-14
+    state: Any = still()
+    assert not np.abs(state.body_momentum).max() > 1e-14
     moving = pinred.flow(system, x0=[0.1, 0.2, 0.0], momentum=0, duration=0.2, wrt=["momentum"])
     assert moving.jacobian()["momentum"].shape == (18, 6)
     assert "falling_cat" in repr(flow)
@@ -237,20 +240,63 @@ def test_refusals() -> None:
         flow.vjp(np.full(18, np.nan))
 
 
-@pytest.mark.by_hand
-def test_what_a_flow_map_does_not_know_is_refused() -> None:
-    """Places of the base in forces, and events; one that sees the attitude has derivatives."""
+def seeing(joint: str, entry: int) -> Torque:
+    """Return a torque that sees a number of the pose."""
+    return Torque(lambda s: {joint: -0.3 * s.pose[entry]})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["coupled_planar", "falling_cat"])
+def test_forces_that_see_the_place(name: str) -> None:
+    """Derivatives go through what forces see of pose and speed; both ways, over times and steps."""
+    system = pinred.load(name, gravity=(0.0, 0.0, -3.0) if name == "falling_cat" else None)
+    joint, push = system.shape_names[0], Parameter("push", 0.4)
+    forces = [
+        Torque(lambda s: {joint: -push * s.pose[0] - 0.2 * s.xi[0] + 0.1 * s.pose[2]}),
+        Wrench(lambda s: -push * s.xi, name="drag"),
+    ]
+    wrt = ["x0", "xdot0", "pose0", "xi0", "push", "gravity"]
+    wrt = wrt if name == "falling_cat" else wrt[:-1]
+    options: Any = {"of": ROWS, "method": "DOP853", "rtol": 1e-12, "times": [0.1, 0.4]}
+    flow = pinred.flow(system, seed=1, forces=forces, wrt=wrt, **options)
+    scene, group, h = flow.scene, system.group, 1e-4
+    states = pinred.simulate(scene).states
+    ends, given = flow(), scene.given  # type: Any, Any
+    np.testing.assert_allclose(ends.q, states.q, rtol=0, atol=1e-13)
+    jacobian = flow.jacobian()
+    covector = np.random.default_rng(0).normal(size=jacobian["pose0"].shape[:-1])
+    for key, found in flow.vjp(covector).items():
+        expected = np.tensordot(covector, jacobian[key], covector.ndim)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
+    own: dict[str, Any] = {"x0": given.x[0], "xdot0": given.xdot[0], "xi0": given.xi[0]}
+    own |= {"push": 0.4, "gravity": system.gravity}
+    for key, size in flow.inputs.items():
+        v = np.random.default_rng(1).normal(size=size)
+        sides: list[Any] = []
+        for s in (-h, h):
+            moved = own[key] + s * (v if size > 1 else v[0]) if key in own else None
+            if moved is None:
+                moved = group.compose(given.pose[0], group.exp(s * v))
+            sides.append(flow(**{key: moved}))
+        found = flow.jvp({key: v})
+        for row in ("x", "xdot", "xi", "body_momentum", "spatial_momentum"):
+            low, high = (getattr(side, row) for side in sides)
+            expected = (high - low) / (2.0 * h)
+            error = np.abs(found[..., flow.outputs[row]] - expected).max()
+            assert error < 2e-6 * max(1.0, np.abs(found).max()), (key, row)
+    step, state = flow.step(0.02), scene.start  # type: Any, Any
+    for k in range(20):
+        state = step(state, t=0.02 * k)
+    np.testing.assert_allclose(state.pose, states.pose[-1], rtol=0, atol=1e-7)
+
+
+def test_events_are_refused_and_attitudes_seen() -> None:
+    """Events have no place in a flow; a torque that sees the attitude has derivatives."""
     system = pinred.load("coupled_planar")
     joint = system.shape_names[0]
-
-    def seeing(entry: int) -> pinred.forces.Torque:
-        return pinred.forces.Torque(lambda s: {joint: -0.3 * s.pose[entry]})
-
-    with pytest.raises(pinred.InputError, match="a force sees where the base is"):
-        pinred.flow(system, seed=0, forces=[seeing(0)], wrt=["x0"])
     with pytest.raises(pinred.InputError, match="looks for no events"):
         pinred.flow(system, seed=0, events=[pinred.Event("x[0]")], wrt=["x0"])
-    scene = pinred.Scene(system=system, seed=0, duration=0.5, forces=[seeing(2)])
+    scene = pinred.Scene(system=system, seed=0, duration=0.5, forces=[seeing(joint, 2)])
     f = pinred.flow(scene, wrt=["pose0"])
     h, own = 1e-5, scene.given.pose[0]
     ends = [f(pose0=own + np.array([0.0, 0.0, sign * h])).xdot for sign in (1.0, -1.0)]
@@ -259,3 +305,57 @@ def test_what_a_flow_map_does_not_know_is_refused() -> None:
     np.testing.assert_allclose(
         slope[names["xdot"]], (ends[0] - ends[1]) / (2.0 * h), rtol=1e-5, atol=1e-7
     )
+
+
+def test_prepared_runs() -> None:
+    """Long runs, failing ones and overflowing sums are what `simulate` says; fields come later."""
+    system = pinred.load("falling_cat")
+    long = pinred.flow(system, seed=1, duration=20.0, method="DOP853", rtol=1e-10)
+    scene = long.scene
+    traj = pinred.simulate(scene)
+    assert traj.run.steps > 128
+    for _ in range(2):  # without room for its steps, and with it
+        end: Any = long()
+        np.testing.assert_array_equal(end.q, traj.states.q[-1])
+        long._last = None
+    assert "xdot" not in vars(end)
+    for name in ("t", "energy", "xi", "pose", "body_momentum"):
+        np.testing.assert_array_equal(getattr(end, name), getattr(traj.states, name)[-1])
+    with pytest.raises(ValueError, match="read-only"):
+        end.q[0] = 1.0
+    with pytest.raises(AttributeError, match="qs"):
+        _ = end.qs
+    again = pickle.loads(pickle.dumps(end))
+    assert type(again) is pinred.State
+    np.testing.assert_array_equal(again.pose, end.pose)
+    few = pinred.flow(system, seed=1, duration=20.0, method=pinred.DOP853(max_steps=20))
+    with pytest.raises(pinred.IntegrationError, match="20 steps have led to"):
+        few()
+    with pytest.raises(InputError, match="the inputs of a flow must be finite"):
+        long(x0=np.array([np.inf, -np.inf, 0.0]))
+    with pytest.raises(InputError, match="the inputs of a flow must be finite"):
+        long(x0=np.array([np.nan, 0.0, 0.0]))
+    shape = pinred.flow(system, seed=1, duration=0.2, outputs="shape", method="DOP853")()
+    assert type(pickle.loads(pickle.dumps(shape))) is pinred.ShapeState
+    with pytest.raises(AttributeError):
+        _ = getattr(shape, "pose")  # noqa: B009
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "duration"), [("planar_chain5", 2.0), ("satellite_two_arms", 0.5)]
+)
+def test_adjoints_are_those_of_cvodes(name: str, duration: float) -> None:
+    """Slopes of the end agree with CVODES's where the flow stretches little."""
+    system = pinred.load(name, gravity=(0, 0, 0))
+    flow = pinred.flow(system, seed=1, duration=duration, method="DOP853", rtol=1e-9)
+    (part,) = flow._run({}).stretches
+    y, p, course = part.solution.states[0].copy(), part.parameters, flow._course
+    stretch = run_along(
+        course.method, course._address, course._slopes, p, y, part.solution.knots, part.times,
+        course.kernel.layout.quaternion, np.eye(len(y)), np.zeros((len(p), len(y))),
+    ).end_slopes  # fmt: skip
+    assert np.linalg.norm(stretch, 2) < 1e3
+    found = beside_cvodes(flow, 1e-9, timed=False)
+    assert found.error < 1e-6
+    assert len(found.own) == len(y) + len(p)

@@ -97,7 +97,7 @@ class Columns:
         if "pose" not in self.outputs:
             return np.empty(0)
         group, states = self.flow.system.group, self.flow(**named)
-        poses = np.reshape(vars(states)["pose"], (self._times, -1))
+        poses = np.reshape(states.pose, (self._times, -1))
         return np.array(
             [np.transpose([group.rate(pose, e) for e in np.eye(group.dim)]) for pose in poses]
         )
