@@ -1,4 +1,4 @@
-"""`pinred reorient`: joint motion from rest to rest that turns the base at zero momentum."""
+"""`pinred reorient`: joint motion from rest to rest that turns the base."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--x0", metavar="V1,V2,… or J1=V1,…", help="shape at start and end; zero if not given"
     )
+    sub.add_argument("--momentum", metavar="V1,V2,…", help="body momentum at the start, or 0")
     sub.add_argument("--cycles", metavar="N", type=int, help="of equal loops; as few as will do")
     sub.add_argument("--time", metavar="T", type=float, help="of all of it (2 s a cycle)")
     sub.add_argument("--compare", action="store_true", help="judge the motion by full ABA")
@@ -37,10 +38,12 @@ def run(options: argparse.Namespace) -> int:
     target = numbers_in(options.target, "target")
     if not target:
         raise InputError("--target takes numbers separated by commas, got nothing")
+    momentum = numbers_in(options.momentum, "momentum")
     plan = reorient(
         system_of(options),
         target,
         x0=None if options.x0 is None else by_joint_in(options.x0, "x0"),
+        momentum=0 if momentum in (None, [0.0]) else momentum,
         cycles=options.cycles,
         duration=options.time,
         **limits_in(options),
