@@ -100,9 +100,11 @@ def phase(
     tolerance: on the error of the pose, rotation [rad] and translation [m] alike; the samples
     are doubled until the difference that makes is below it.  Exact derivatives are not needed:
     where the gait is a Fourier series, convergence is spectral.
-    Raises SingularInertiaError where the gait meets a singular shape, IntegrationError if the
+    Raises SymmetryError where gravity turns the base, so that momenta are not conserved,
+    SingularInertiaError where the gait meets a singular shape, IntegrationError if the
     tolerance is out of reach, InputError if gait and connection do not belong together.
     """
+    connection.refuse_gravity()
     wanted = max(positive(tolerance, "tolerance"), _LEAST)
     mu = _momentum(connection, momentum)
     group, moving = connection.group, bool(mu.any())

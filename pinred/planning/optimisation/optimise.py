@@ -73,7 +73,8 @@ def optimise_gait(
     starts: random first loops.  seed: of their random numbers.
     progress: True for a bar, or a function called with the part that is done.
 
-    Raises InputError for what makes no sense, NoOptimum if no start led to one.
+    Raises InputError for what makes no sense, SymmetryError where gravity turns the base, NoOptimum
+    if no start led to one.
     """
     task = _task(connection, objective, axis, target, cost, most, limits, speeds, torques, period)
     _check_loops(task, harmonics, vertices, winding, starts)
@@ -117,6 +118,7 @@ def _task(
             f"optimise_gait takes a Connection, got {type(connection).__name__}; "
             "Connection.mechanical(system) makes one"
         )
+    connection.refuse_gravity()
     if objective not in AIMS:
         raise InputError(f"objective must be one of {', '.join(AIMS)}, got {brief(objective)}")
     if connection.m < 2:

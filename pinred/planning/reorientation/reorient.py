@@ -19,10 +19,8 @@ from ...common.errors import (
     IntegrationError,
     NoOptimum,
     SingularInertiaError,
-    SymmetryError,
 )
 from ...lie.rotations import quaternion_log
-from ...reduction.potential import pivot_weight
 from ...scene import forms
 from ...system.system import System, checked_system
 from ..optimisation.aims import Reach, reach
@@ -66,18 +64,14 @@ def reorient(
         As few as will do if not given.
     duration: of all of it [s]; 2 s a cycle if not given, or as long as speeds and torques need.
 
-    Raises InputError for what makes no sense, SymmetryError for a pivoted base that gravity turns,
+    Raises InputError for what makes no sense, SymmetryError for a base that gravity turns,
     NoOptimum if no loop within the limits was found.
     """
     system = checked_system(system, "reorient")
     connection, group = Connection.mechanical(system), system.group
     if not group.turns:
         raise InputError(f"the group {group.name} has no rotation")
-    if pivot_weight(system).any():
-        raise SymmetryError(
-            f"gravity turns the base of '{system.name}', so that its momentum does not stay what "
-            "it is; take gravity=(0, 0, 0)"
-        )
+    connection.refuse_gravity()
     if system.m < 2:
         raise InputError("a loop needs two joints: with one, every way back is the way there")
     bounds = limits_of(connection, limits, speeds, torques)

@@ -19,7 +19,7 @@ from .first_loops import first_loop
 from .newton_polish import approached, polished
 
 _HARMONICS = 3
-_ITERATIONS = 150
+_ITERATIONS = 70  # more make loops hardly shorter
 _EDGE = 1e-3  # of what joints may do, left to the polish of a base that tumbles
 _REACHED = 1e-5  # rad; what the polish starts from, at most
 _FINE = 64  # pieces of order 16 of the polish
