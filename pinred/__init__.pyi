@@ -6,6 +6,7 @@ from . import lie as lie
 from . import plots as plots
 from . import poisson as poisson
 from . import signals as signals
+from .analysis.arm_workspace import Workspace as Workspace
 from .analysis.branches.follow import Branches as Branches
 from .analysis.branches.follow import BranchPoint as BranchPoint
 from .analysis.branches.follow import branches as branches
@@ -26,7 +27,6 @@ from .analysis.equilibria.relative_equilibrium import Equilibria as Equilibria
 from .analysis.equilibria.relative_equilibrium import RelativeEquilibrium as RelativeEquilibrium
 from .analysis.floating_arm import FloatingArm as FloatingArm
 from .analysis.floating_arm import Singularity as Singularity
-from .analysis.floating_arm import Workspace as Workspace
 from .analysis.frames.corrected import CorrectedIntegral as CorrectedIntegral
 from .analysis.frames.corrected import corrected_integral as corrected_integral
 from .analysis.frames.flatness import Flatness as Flatness

@@ -6,6 +6,7 @@ import re
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from inverse_dynamics import joint_torques
 from lifts import by_pinocchio
@@ -55,6 +56,33 @@ def test_the_falling_cat_rights_itself() -> None:
         pose = group.compose(pose, once)
     wanted = group.exp(np.concatenate([np.zeros(3), w]))
     assert group.error(wanted, pose).rotation < 1e-8
+
+
+@pytest.mark.by_hand
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.48, -0.64, 0.6)])
+def test_a_satellite_turns_a_quarter_about_any_axis(axis: tuple[float, ...]) -> None:
+    """By its two arms, without thrusters; full ABA agrees."""
+    satellite = pinred.load("satellite_two_arms")
+    plan = pinred.reorient(satellite, 0.5 * np.pi * np.array(axis), limits=2.6)
+    assert plan.missed < 1e-8
+    assert plan.report.passed
+    assert np.abs(plan.gait.limits).max() <= 2.6
+    ends_at_rest(plan)
+
+
+@pytest.mark.by_hand
+def test_solo12_rights_itself_in_flight() -> None:
+    """Half a roll within a radian of each joint, while it falls; full ABA agrees."""
+    solo = pinred.load("solo12")
+    assert solo.gravity.any()
+    plan = pinred.reorient(solo, [np.pi, 0.0, 0.0], limits=1.0)
+    assert plan.missed < 1e-8
+    assert plan.report.passed
+    assert np.abs(plan.gait.limits).max() <= 1.0
+    ends_at_rest(plan)
+    before, after = plan.trajectory.pose[[0, -1]]
+    up = np.array([pin.Quaternion(q[3:]).toRotationMatrix()[2, 2] for q in (before, after)])
+    close(up, [1.0, -1.0], 1e-8)
 
 
 @pytest.mark.by_hand
