@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, freeze, read_only, vector, vectors
+from ..common.arrays import Array, freeze, read_only, vector, vectors, whole
 from ..common.errors import InputError
 from ..common.names import joint_index, nearest
 from ..common.plain_names import listed, quoted
@@ -239,11 +239,10 @@ class FloatingArm:
         bounds = vectors(given, 2, "limits")
         if bounds.shape != (system.m, 2) or not (bounds[:, 0] < bounds[:, 1]).all():
             raise InputError(f"limits must be (low, high) for each of {system.m} joints")
-        if isinstance(samples, bool) or int(samples) != samples or samples < 2:
-            raise InputError(f"samples must be a whole number from 2 on, got {samples!r}")
         return workspace_of(
-            self._radius, self._radius_slope, self.determinants, bounds, int(samples), seed
-        )
+            self._radius, self._radius_slope, self.determinants, bounds,
+            whole(samples, "samples", 2), whole(seed, "seed", 0),
+        )  # fmt: skip
 
     def _radius(self, shapes: Array) -> Array:
         """Distance of the hand from the centre of mass, (...,) [m], at shapes (..., m)."""

@@ -273,3 +273,22 @@ def test_gravity_that_turns_the_base_is_refused(group: str) -> None:
     for call in calls:
         with pytest.raises(pinred.SymmetryError, match=says):
             call()
+
+
+def test_what_is_no_number() -> None:
+    """Refused by name, whatever it is."""
+    A = mechanical("three_rods")
+    calls: list[Callable[[], object]] = [
+        lambda: pinred.phase(A, 3),  # type: ignore[arg-type]
+        lambda: pinred.phase(3, CIRCLE),  # type: ignore[arg-type]
+        lambda: pinred.phase(A, CIRCLE).cycles(np.nan),  # type: ignore[arg-type]
+        lambda: CIRCLE.shifted("a"),  # type: ignore[arg-type]
+        lambda: CIRCLE.shifted(np.nan),
+        lambda: pinred.optimise_gait(A, starts=np.nan),  # type: ignore[arg-type]
+        lambda: pinred.optimise_gait(A, seed=-1),
+        lambda: pinred.reorient(pinred.load("three_rods"), "a"),
+        lambda: pinred.reorient(pinred.load("three_rods"), 0.3, momentum=[0.0, 0.0, 1e6]),
+    ]
+    for call in calls:
+        with pytest.raises(pinred.PinredError):
+            call()

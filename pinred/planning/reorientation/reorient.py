@@ -13,7 +13,7 @@ from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...analysis.phases.phase import phase
-from ...common.arrays import Array, positive, vector
+from ...common.arrays import Array, as_floats, positive, vector, whole
 from ...common.errors import (
     InputError,
     IntegrationError,
@@ -83,7 +83,7 @@ def reorient(
             "torques= is for zero momentum, where they scale with the duration; with momentum see "
             "`plan.trajectory.driving_torques`"
         )
-    numbers = CYCLES if cycles is None else (_whole(cycles),)
+    numbers = CYCLES if cycles is None else (whole(cycles, "cycles"),)
     if not (np.linalg.norm(turn) > 0.0 or mu.any()):
         raise InputError("the target is where the base is: nothing has to move")
     asked = _Asked(system, connection, turn, start, bounds, mu, duration)
@@ -136,19 +136,13 @@ def _turn(system: System, target: ArrayLike) -> Array:
     """Return the target as a rotation vector or an angle, (turns,)."""
     group = system.group
     if group.turns == 1 and np.ndim(target) == 0:
-        return vector(np.atleast_1d(np.asarray(target, dtype=float)), 1, "target")
+        return vector(np.atleast_1d(as_floats(target, "target")), 1, "target")
     aim = reach(group, target)
     if np.shape(target) == (group.turns,):
         return vector(np.asarray(target, dtype=float), group.turns, "target")
     if group.turns == 1:
         return aim.attitude
     return quaternion_log(aim.attitude)
-
-
-def _whole(cycles: int) -> int:
-    if isinstance(cycles, bool) or int(cycles) != cycles or cycles < 1:
-        raise InputError(f"cycles must be a whole number from 1 on, got {cycles!r}")
-    return int(cycles)
 
 
 def _still(asked: _Asked, n: int) -> TurnPlan:

@@ -12,12 +12,14 @@ from numpy.typing import ArrayLike
 from ...analysis.phases.drift import Drift
 from ...analysis.phases.lift import STAGES, Pieces, in_space_by_momenta, lift
 from ...common.arrays import Array, vector
+from ...common.errors import InputError
 from ...system.system import System
 from ..optimisation.aims import Reach, rotation_between
 from ..optimisation.transcription import Passage
 
 _TURN = 2.0 * np.pi
 _PER_RADIAN = 4  # pieces
+_MOST = 200.0  # rad of tumbling that a plan takes on
 
 
 def momentum_of(system: System, momentum: ArrayLike | float) -> Array:
@@ -32,6 +34,11 @@ def passage_of(system: System, momentum: Array, start: Array, cycles: int, time:
     drift = Drift(system, time * momentum)
     (inverse,) = drift.inverse(start[None])
     turned = float(np.linalg.norm((inverse @ drift.momentum)[system.group.linear :]))
+    if not turned <= _MOST:
+        raise InputError(
+            f"at rest the joints would see the base tumble through {turned:.3g} rad in {time:g} s; "
+            "give a shorter duration"
+        )
     return Passage(cycles, drift, int(_PER_RADIAN * turned) + 1)
 
 
