@@ -6,6 +6,7 @@ from . import lie as lie
 from . import plots as plots
 from . import poisson as poisson
 from . import signals as signals
+from .analysis.arm_workspace import Workspace as Workspace
 from .analysis.branches.follow import Branches as Branches
 from .analysis.branches.follow import BranchPoint as BranchPoint
 from .analysis.branches.follow import branches as branches
@@ -26,16 +27,12 @@ from .analysis.equilibria.relative_equilibrium import Equilibria as Equilibria
 from .analysis.equilibria.relative_equilibrium import RelativeEquilibrium as RelativeEquilibrium
 from .analysis.floating_arm import FloatingArm as FloatingArm
 from .analysis.floating_arm import Singularity as Singularity
-from .analysis.floating_arm import Workspace as Workspace
 from .analysis.frames.corrected import CorrectedIntegral as CorrectedIntegral
 from .analysis.frames.corrected import corrected_integral as corrected_integral
 from .analysis.frames.flatness import Flatness as Flatness
 from .analysis.frames.flatness import flatness as flatness
 from .analysis.frames.optimal_frame import OptimalFrame as OptimalFrame
 from .analysis.frames.optimal_frame import optimal_frame as optimal_frame
-from .analysis.gait_files.gait_keys import gait_schema as gait_schema
-from .analysis.gait_files.load_gait import GaitFile as GaitFile
-from .analysis.gait_files.load_gait import load_gait as load_gait
 from .analysis.gaits.gait import Gait as Gait
 from .analysis.inspection import Inspection as Inspection
 from .analysis.inspection import inspect as inspect
@@ -81,6 +78,9 @@ from .integrators.methods import Radau as Radau
 from .integrators.methods import Tsit5 as Tsit5
 from .integrators.methods import Variational as Variational
 from .kernels.casadi_functions import casadi_functions as casadi_functions
+from .planning.gait_files.gait_keys import gait_schema as gait_schema
+from .planning.gait_files.load_gait import GaitFile as GaitFile
+from .planning.gait_files.load_gait import load_gait as load_gait
 from .planning.optimisation.best_gait import BestGait as BestGait
 from .planning.optimisation.optimise import optimise_gait as optimise_gait
 from .planning.optimisation.optimum import Optimum as Optimum

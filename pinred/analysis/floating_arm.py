@@ -19,12 +19,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, freeze, read_only, vector, vectors
+from ..common.arrays import Array, freeze, read_only, vector, vectors, whole
 from ..common.errors import InputError
 from ..common.names import joint_index, nearest
 from ..common.plain_names import listed, quoted
 from ..reduction.at_a_shape import Reduction
 from ..system.system import System, checked_system
+from .arm_workspace import Workspace, workspace_of
 
 Axes = Literal["local", "world"]
 _FRAMES = {"local": pin.LOCAL, "world": pin.LOCAL_WORLD_ALIGNED}
@@ -58,22 +59,6 @@ class Singularity:
     def condition(self) -> float:
         """Largest over least singular value."""
         return float(self.values[0] / self.values[-1]) if self.values[-1] > 0.0 else np.inf
-
-
-@dataclass(frozen=True)
-class Workspace:
-    """Distances of the hand from the centre of mass, at zero momentum the one fixed point.
-
-    reach: (2,) least and greatest [m].  dependent: (K, 2) ranges in which a shape is singular, so
-    that whether the hand gets through depends on the path.  independent: (L, 2) the others.
-    """
-
-    reach: Array
-    dependent: Array
-    independent: Array
-
-    def __post_init__(self) -> None:
-        freeze(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,36 +215,34 @@ class FloatingArm:
         return read_only(right[rank:].T.copy())
 
     def workspace(
-        self, *, limits: Sequence[tuple[float, float]] | None = None, samples: int = 121
+        self,
+        *,
+        limits: Sequence[tuple[float, float]] | None = None,
+        samples: int = 121,
+        seed: int = 0,
     ) -> Workspace:
         """Return which distances from the centre of mass the hand reaches, and how surely.
 
-        limits: (low, high) of each joint; a whole turn if not given.  samples: of each joint on a
-        grid; between its points, singular shapes are found where the determinant changes sign.
-        For arms of one or two joints.
+        limits: (low, high) of each joint; a whole turn if not given.  samples: of each of one or
+        two joints on a grid; of more joints, so many straight lines through their box, of random
+        directions (seed).  Singular shapes are found where the determinant changes sign between
+        samples, so that ranges are as sure as samples are dense; the reach is found by descent.
+        For as many joints as rows of the task.
         """
         system = self.system
-        if system.m not in (1, 2) or len(self.task) != system.m:
-            raise InputError("workspaces are made for arms of one or two joints, and as many rows")
-        bounds = [(-np.pi, np.pi)] * system.m if limits is None else list(limits)
-        axes = [np.linspace(low, high, samples) for low, high in bounds]
-        shapes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        radius = self._radius(shapes)
-        det = self.determinants(shapes)
-        found = []
-        for axis in range(system.m):
-            a, b = (np.take(det, k, axis) for k in (range(samples - 1), range(1, samples)))
-            p, q = (np.take(radius, k, axis) for k in (range(samples - 1), range(1, samples)))
-            cross = np.sign(a) != np.sign(b)
-            share = a[cross] / (a[cross] - b[cross])
-            found.append(p[cross] + share * (q[cross] - p[cross]))
-        singular = np.sort(np.concatenate(found))
-        reach = np.array([radius.min(), radius.max()])
-        gap = 4.0 * float(np.ptp(reach)) / samples
-        dependent = _ranges(singular, gap)
-        edges = [reach[0], *dependent.ravel(), reach[1]]
-        free = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > gap]
-        return Workspace(reach, dependent, np.array(free).reshape(-1, 2))
+        if not system.m or len(self.task) != system.m:
+            raise InputError(
+                f"workspaces are made for as many joints as rows of the task; there are {system.m} "
+                f"and {len(self.task)}"
+            )
+        given = [(-np.pi, np.pi)] * system.m if limits is None else limits
+        bounds = vectors(given, 2, "limits")
+        if bounds.shape != (system.m, 2) or not (bounds[:, 0] < bounds[:, 1]).all():
+            raise InputError(f"limits must be (low, high) for each of {system.m} joints")
+        return workspace_of(
+            self._radius, self._radius_slope, self.determinants, bounds,
+            whole(samples, "samples", 2), whole(seed, "seed", 0),
+        )  # fmt: skip
 
     def _radius(self, shapes: Array) -> Array:
         """Distance of the hand from the centre of mass, (...,) [m], at shapes (..., m)."""
@@ -272,6 +255,17 @@ class FloatingArm:
             pin.updateFramePlacements(model, data)
             out[k] = np.linalg.norm(data.oMf[self._id].translation - com)
         return out.reshape(shapes.shape[:-1])
+
+    def _radius_slope(self, x: Array) -> Array:
+        """Return the derivative of that distance by the joints, (m,), for the base at rest."""
+        system, model, data = self.system, self.system.model, self.system.data
+        q = system.model_q(system.group.identity(), x)
+        arm = pin.jacobianCenterOfMass(model, data, q)
+        hand = pin.computeFrameJacobian(model, data, q, self._id, pin.LOCAL_WORLD_ALIGNED)[:3]
+        pin.updateFramePlacements(model, data)
+        reach = data.oMf[self._id].translation - data.com[0]
+        along = reach / max(float(np.linalg.norm(reach)), 1e-300)
+        return np.asarray(along @ system.on_shape(hand - arm))[system.r :]
 
     def _roots(self, to: Callable[[float], Array]) -> Array:
         """Return shares in [0, 1] at which the determinant along a path changes sign."""
@@ -306,12 +300,3 @@ class FloatingArm:
         q = self.system.model_q(g, x)
         J = pin.computeFrameJacobian(model, data, q, self._id, _FRAMES[axes])
         return np.asarray(self.system.on_shape(J))
-
-
-def _ranges(values: Array, gap: float) -> Array:
-    """Return the ranges (K, 2) that sorted values fill, with no hole larger than a gap."""
-    if not len(values):
-        return np.zeros((0, 2))
-    cuts = np.flatnonzero(np.diff(values) > gap)
-    starts, ends = np.append(0, cuts + 1), np.append(cuts, len(values) - 1)
-    return np.stack([values[starts], values[ends]], axis=1)

@@ -47,7 +47,6 @@ def run(options: argparse.Namespace) -> int:
             raise InputError(f"--limits takes LOW,HIGH, got {options.limits}")
         limits = [(given[0], given[1])] * 2
     at = numbers_in(options.at, "at")
-    still = not source.gait.amplitude.any()
     if path.suffix == ".npz":
         found = _numbers(source.connection, joints, limits, at, options.samples)
         write_atomic(path, lambda file: np.savez(file, **found))
@@ -57,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
 
         made = plot(
             source.connection, "field", joints=joints, component=options.component,
-            part=options.part, limits=limits, at=at, gait=None if still else source.gait,
+            part=options.part, limits=limits, at=at, gait=source.gait,
         )  # fmt: skip
         save(made, path)
     print(written(path))

@@ -15,8 +15,10 @@ from .written import written
 if TYPE_CHECKING:
     from ..analysis.gaits.gait import Gait
 
-SUFFIXES = (".npz", ".csv")
+DATA = (".npz", ".csv")
+FIGURES = (".png", ".pdf", ".svg")
 _SAMPLES = 400
+_PLAIN = ("objective", "most", "harmonics", "vertices", "period", "starts", "seed")
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -26,25 +28,27 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
     sub.add_argument(
         "source", metavar="SOURCE",
-        help="a gait file (.toml), for its connection, or a robot (`pinred robots`, a file)",
+        help="a gait file (.toml), for its connection and objective, or a robot (`pinred robots`, "
+        "a file)",
     )  # fmt: skip
     sub.add_argument("--group", metavar="G", help="the symmetry of a robot")
-    sub.add_argument("--objective", metavar="O", default=AIMS[0], help=one_of(AIMS, AIMS[0]))
+    sub.add_argument("--objective", metavar="O", help=one_of(AIMS, AIMS[0]))
     sub.add_argument("--axis", metavar="A", help="x, y, z, or V1,V2,…: about or along which")
     sub.add_argument("--target", metavar="V1,…", help="of objective target: rotation [rad] or pose")
-    sub.add_argument(
-        "--cost", metavar="C", default=COSTS[0], help=one_of((*COSTS, "none"), COSTS[0])
-    )
+    sub.add_argument("--cost", metavar="C", help=one_of((*COSTS, "none"), COSTS[0]))
     sub.add_argument("--most", metavar="C", type=float, help="bound on the cost")
-    sub.add_argument("--harmonics", metavar="H", type=int, default=5, help="(5)")
+    sub.add_argument("--harmonics", metavar="H", type=int, help="(5)")
     sub.add_argument("--vertices", metavar="N", type=int, help="a polygon instead")
     sub.add_argument("--any-winding", action="store_true", help="do not hold the winding number")
     add_limits(sub)
-    sub.add_argument("--period", metavar="T", type=float, default=1.0, help="(1 s)")
-    sub.add_argument("--starts", metavar="N", type=int, default=5, help="random first loops (5)")
-    sub.add_argument("--seed", metavar="S", type=int, default=0, help="of their numbers (0)")
+    sub.add_argument("--period", metavar="T", type=float, help="(1 s)")
+    sub.add_argument("--starts", metavar="N", type=int, help="random first loops (5)")
+    sub.add_argument("--seed", metavar="S", type=int, help="of their numbers (0)")
     sub.add_argument("--compare", action="store_true", help="judge a cycle by full ABA")
-    sub.add_argument("--out", metavar="FILE", help="the loop as joint data, npz or csv")
+    sub.add_argument(
+        "--out", metavar="FILE",
+        help="the loop as joint data, npz or csv, or a figure of it on the curvature",
+    )  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> int:
@@ -53,38 +57,41 @@ def run(options: argparse.Namespace) -> int:
     from ..planning.optimisation.optimise import optimise_gait
     from ..verification.report import EXIT_CODES
 
-    path = None if options.out is None else check_path(options.out, SUFFIXES)
+    path = None if options.out is None else check_path(options.out, (*DATA, *FIGURES))
     options.gait = options.circle = None
-    connection = source_of(options, gait=False).connection
-    given: dict[str, Any] = limits_in(options)
-    axis = options.axis
-    if axis is not None and axis not in ("x", "y", "z"):
-        axis = numbers_in(axis, "axis")
-    target = numbers_in(options.target, "target")
-    best = optimise_gait(
-        connection,
-        objective=options.objective,
-        axis=axis,
-        target=target,
-        cost=None if options.cost == "none" else options.cost,
-        most=options.most,
-        harmonics=options.harmonics,
-        vertices=options.vertices,
-        winding=None if options.any_winding else 1,
-        period=options.period,
-        starts=options.starts,
-        seed=options.seed,
-        progress=True,
-        **given,
-    )
+    source = source_of(options, gait=False)
+    best = optimise_gait(source.connection, **{**source.optimise, **_given(options)}, progress=True)
     print(best)
     if path is not None:
-        _write(best.gait, connection.joints, path)
+        if path.suffix in FIGURES:
+            from ..views.plots.by_kind import plot
+            from .plot import save
+
+            save(plot(best, "loop"), path)
+        else:
+            _write(best.gait, source.connection.joints, path)
         print(written(path))
     if options.compare:
         print(best.report)
         return EXIT_CODES[best.report.verdict]
     return 0
+
+
+def _given(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the options that are given, by the names that Python has for them."""
+    out: dict[str, Any] = {
+        name: getattr(options, name) for name in _PLAIN if getattr(options, name) is not None
+    }
+    if options.axis is not None:
+        axis = options.axis
+        out["axis"] = axis if axis in ("x", "y", "z") else numbers_in(axis, "axis")
+    if options.target is not None:
+        out["target"] = numbers_in(options.target, "target")
+    if options.cost is not None:
+        out["cost"] = None if options.cost == "none" else options.cost
+    if options.any_winding:
+        out["winding"] = None
+    return out | limits_in(options)
 
 
 def _write(gait: Gait, joints: tuple[str, ...], path: Path) -> None:

@@ -11,7 +11,7 @@ from ..common.plain_names import quoted
 from .options import numbers_in
 
 if TYPE_CHECKING:
-    from ..analysis.gait_files.load_gait import GaitFile
+    from ..planning.gait_files.load_gait import GaitFile
 
 
 def add_source(sub: argparse.ArgumentParser) -> None:
@@ -32,9 +32,9 @@ def source_of(options: argparse.Namespace, *, gait: bool) -> GaitFile:
     import numpy as np
 
     from ..analysis.connections.connection import Connection
-    from ..analysis.gait_files.load_gait import GaitFile, load_gait
     from ..analysis.gaits.gait import Gait
     from ..common.names import joint_index
+    from ..planning.gait_files.load_gait import GaitFile, load_gait
     from ..system.load import load
 
     if Path(options.source).suffix == ".toml":
@@ -46,7 +46,7 @@ def source_of(options: argparse.Namespace, *, gait: bool) -> GaitFile:
     connection = Connection.mechanical(system)
     if (options.gait is None) == (options.circle is None) and (gait or options.gait is not None):
         raise InputError("a robot needs a gait: give --gait FILE or --circle J1,J2,RADIUS")
-    none = np.zeros((1, system.m))
+    none, path = np.zeros((1, system.m)), None
     if options.gait is not None:
         path = Gait.read(options.gait)
     elif options.circle is not None:
@@ -58,6 +58,4 @@ def source_of(options: argparse.Namespace, *, gait: bool) -> GaitFile:
         cos[0, joint_index(words[0], system.shape_names, "--circle")] = radius
         sin[0, joint_index(words[1], system.shape_names, "--circle")] = radius
         path = Gait.fourier(none[0], cos, sin)
-    else:
-        path = Gait.fourier(none[0], none, none)
     return GaitFile(system, connection, path, np.zeros(system.r))

@@ -37,13 +37,13 @@ def one_of(names: Iterable[str], default: Any) -> str:
     return ", ".join(f"{name} (default)" if name == default else name for name in names)
 
 
-def add_robot(sub: argparse.ArgumentParser) -> None:
-    """Add a robot and how to load it."""
+def add_robot(
+    sub: argparse.ArgumentParser, what: str = "a name (`pinred robots`), or a URDF or MJCF file"
+) -> None:
+    """Add a robot and how to load it.  what: may stand for it."""
     from ..lie import GROUPS
 
-    sub.add_argument(
-        "robot", metavar="ROBOT", help="a name (`pinred robots`), or a URDF or MJCF file"
-    )
+    sub.add_argument("robot", metavar="ROBOT", help=what)
     sub.add_argument("--group", metavar="G", help=f"{', '.join(GROUPS)}; the robot's own root")
     sub.add_argument("--lock", metavar="J1,J2,…", help="joints to freeze, as NAME or NAME=VALUE")
     sub.add_argument("--gravity", metavar="GX,GY,GZ", help="in the world frame [m/s²]")

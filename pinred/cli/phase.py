@@ -37,8 +37,8 @@ def run(options: argparse.Namespace) -> int:
     source = source_of(options, gait=True)
     given = numbers_in(options.momentum, "momentum")
     momentum = source.momentum if given is None else (0 if given == [0.0] else given)
-    found = phase(source.connection, source.gait, momentum, tolerance=options.tolerance)
-    print(f"{source.connection}: one cycle of {source.gait.period:g} s")
+    found = phase(source.connection, source.path, momentum, tolerance=options.tolerance)
+    print(f"{source.connection}: one cycle of {source.path.period:g} s")
     _print(found)
     if options.cycles != 1:
         print(_pose(f"after {options.cycles} cycles", found, found.cycles(options.cycles)))

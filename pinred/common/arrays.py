@@ -109,3 +109,14 @@ def freeze(value: Any) -> None:
         array = getattr(value, entry.name)
         if isinstance(array, np.ndarray):
             array.flags.writeable = False
+
+
+def whole(value: object, what: str, least: int = 1) -> int:
+    """Return a whole number, not below `least`.  Raises InputError naming `what`."""
+    try:
+        number = int(value)  # type: ignore[call-overload]
+        if not isinstance(value, bool) and number == value and number >= least:
+            return int(number)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise InputError(f"{what} must be a whole number from {least} on, got {brief(value)}")

@@ -128,14 +128,22 @@ def pivot_weight(system: System) -> Array:
 
 
 def _pivot_weight(system: System) -> Array:
-    if system.group.is_pivot:
+    if system.group.is_pivot and broken_by_gravity(system):
+        return np.asarray(system.mass * system.model.jointPlacements[1].rotation.T @ system.gravity)
+    return np.zeros(3)
+
+
+def broken_by_gravity(system: System) -> str:
+    """Return why gravity turns the base, so that its momentum changes; empty if it does not."""
+
+    def why() -> str:
         try:
             Potential(system)
-        except SymmetryError:
-            return np.asarray(
-                system.mass * system.model.jointPlacements[1].rotation.T @ system.gravity
-            )
-    return np.zeros(3)
+        except SymmetryError as error:
+            return str(error)
+        return ""
+
+    return once(system, broken_by_gravity, why)
 
 
 def shape_gravity(system: System) -> Potential:

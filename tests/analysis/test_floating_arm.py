@@ -219,6 +219,36 @@ def test_workspace() -> None:
     assert found.reach[1] == pytest.approx(2.5 - (4.0 * 1.0 + 3.0 * 2.0) / 47.0, abs=1e-3)
 
 
+@pytest.mark.slow
+def test_workspace_of_many_joints() -> None:
+    """Six joints: singular shapes found one by one, and random shapes, lie where it says."""
+    arm = spatial()
+    found = arm.workspace(samples=60)
+    model, data, system = arm.system.model, arm.system.model.createData(), arm.system
+    g, rng = system.group.identity(), np.random.default_rng(5)
+
+    def radius(x: Array) -> float:
+        com = pin.centerOfMass(model, data, system.q(g, x))
+        return float(np.linalg.norm(arm.hand_pose(x).translation - com))
+
+    random = [radius(x) for x in rng.uniform(-np.pi, np.pi, (500, 6))]
+    assert found.reach[0] <= min(random)
+    assert max(random) <= found.reach[1] <= 1.2 * max(random)
+    gap = 4.0 * float(np.ptp(found.reach)) / 60
+    seen = []
+    for start in rng.uniform(-2.0, 2.0, (4, 6)):
+        for value in arm.singular_values_of(system.shape_names[2], start):
+            x = np.array([*start[:2], value, *start[3:]])
+            assert arm.singularity(x).condition > 1e6
+            seen.append(radius(x))
+    assert len(seen) >= 4
+    assert all(any(a - gap <= r <= b + gap for a, b in found.dependent) for r in seen)
+    # Descent knows the slope: no small step from where it is farthest goes farther.
+    slope, h = arm._radius_slope(start), 1e-6
+    ahead = [(radius(start + h * e) - radius(start - h * e)) / (2.0 * h) for e in np.eye(6)]
+    close(slope, ahead, 1e-8)
+
+
 def test_refusals() -> None:
     """Frames, rows and axes that are not there."""
     system = pinred.load("floating_arm")
@@ -230,5 +260,10 @@ def test_refusals() -> None:
         planar().generalized_jacobian([0.0, 0.0], axes="fixed")  # type: ignore[arg-type]
     with pytest.raises(pinred.InputError, match="of must be base or attitude"):
         planar().null_space([0.0, 0.0], of="hand")  # type: ignore[arg-type]
-    with pytest.raises(pinred.InputError, match="one or two joints"):
-        spatial().workspace()
+    with pytest.raises(pinred.InputError, match="as many joints as rows of the task"):
+        pinred.FloatingArm(planar().system, "hand", task=(0, 1, 5)).workspace()
+    for wrong in ([(1.0, -1.0)] * 2, [(0.0, np.nan)] * 2, [(0.0, 1.0)]):
+        with pytest.raises(pinred.InputError, match="limits"):
+            planar().workspace(limits=wrong)
+    with pytest.raises(pinred.InputError, match="samples must be"):
+        planar().workspace(samples=1)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +14,7 @@ from nearness import close
 from scipy.integrate import quad, solve_ivp
 from strategies import groups, make_case, seeds
 from textbook import DELTA, I1, I2, J2, M2, D, M
+from trees import random_model
 
 import pinred
 from pinred.common.arrays import Array
@@ -244,3 +248,47 @@ def test_refusals() -> None:
         pinred.phase(A, CIRCLE, tolerance=0.0)
     with pytest.raises(pinred.InputError, match="whole number"):
         pinred.phase(A, CIRCLE).cycles(1.5)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("group", ["SO3", "SO2"])
+def test_gravity_that_turns_the_base_is_refused(group: str) -> None:
+    """No motion follows A then, though A is there; nor does it in other frames."""
+    model = random_model(group, 2, 1)
+    model.gravity.linear = np.array([0.0, 0.0, -9.81])
+    heavy = pinred.Connection.mechanical(pinred.load(model))
+    model.gravity.linear = np.zeros(3)
+    light = pinred.Connection.mechanical(pinred.load(model))
+    gait = pinred.Gait.fourier([0.0, 0.0], [[0.3, 0.0]], [[0.0, 0.3]])
+    assert pinred.phase(light, gait).length > 0.0
+    close(heavy.curvature([0.1, 0.2]), light.curvature([0.1, 0.2]), 1e-13)
+    still = heavy.group.identity()
+    framed = heavy.in_section(lambda x: ca.vertcat(*(0.0 * x[0] + float(each) for each in still)))
+    says = "momenta do not stay what they are: gravity"
+    calls: list[Callable[[], object]] = [
+        lambda: pinred.phase(heavy, gait),
+        lambda: pinred.phase(framed, gait),
+        lambda: pinred.phase_slopes(heavy, gait),
+        lambda: pinred.optimise_gait(heavy, axis="z" if group == "SO3" else None),
+    ]
+    for call in calls:
+        with pytest.raises(pinred.SymmetryError, match=says):
+            call()
+
+
+def test_what_is_no_number() -> None:
+    """Refused by name, whatever it is."""
+    A = mechanical("three_rods")
+    calls: list[Callable[[], object]] = [
+        lambda: pinred.phase(A, 3),  # type: ignore[arg-type]
+        lambda: pinred.phase(3, CIRCLE),  # type: ignore[arg-type]
+        lambda: pinred.phase(A, CIRCLE).cycles(np.nan),  # type: ignore[arg-type]
+        lambda: CIRCLE.shifted("a"),  # type: ignore[arg-type]
+        lambda: CIRCLE.shifted(np.nan),
+        lambda: pinred.optimise_gait(A, starts=np.nan),  # type: ignore[arg-type]
+        lambda: pinred.optimise_gait(A, seed=-1),
+        lambda: pinred.reorient(pinred.load("three_rods"), "a"),
+        lambda: pinred.reorient(pinred.load("three_rods"), 0.3, momentum=[0.0, 0.0, 1e6]),
+    ]
+    for call in calls:
+        with pytest.raises(pinred.PinredError):
+            call()

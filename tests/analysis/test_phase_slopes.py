@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from lifts import by_pinocchio, random_gait
 from nearness import close
+from scipy.integrate import solve_ivp
 from strategies import make_case
 
 import pinred
 from pinred.analysis.gaits.arcs import FourierArc
+from pinred.analysis.phases.drift import Drift
+from pinred.analysis.phases.path_basis import cycloid_basis, path_lift
 from pinred.common.arrays import Array
 
 
@@ -76,3 +79,38 @@ def test_only_fourier_gaits_have_coefficients() -> None:
     A = pinred.Connection.mechanical(pinred.load("three_rods"))
     with pytest.raises(pinred.InputError, match="one Fourier series"):
         pinred.phase_slopes(A, pinred.Gait.waypoints([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+
+
+@pytest.mark.parametrize(
+    "name", ["three_rods", pytest.param("falling_cat", marks=pytest.mark.slow)]
+)
+def test_slopes_of_a_lift_with_momentum(name: str) -> None:
+    """From rest to rest, twice round, against differences of SciPy's lift over Pinocchio."""
+    system = pinred.load(name)
+    red, group, rng = pinred.Reduction(system), system.group, np.random.default_rng(1)
+    c, along = 0.4 * rng.normal(size=(2, 5, system.m))
+    J = red.locked_inertia(c[0]) @ (2.0 * rng.normal(size=system.r))
+    A = pinred.Connection.mechanical(system)
+    found = path_lift(A, cycloid_basis(2, 40, 2), c, Drift(system, J))
+
+    def end(coefficients: Array) -> Array:
+        def rate(t: float, y: Array) -> Array:
+            g, a = group.normalize(y), 2.0 * np.pi * t
+            phi, speed = 2.0 * (a - np.sin(a)), 4.0 * np.pi * (1.0 - np.cos(a))
+            rows = np.array([1.0, *(f(k * phi) for f in (np.cos, np.sin) for k in (1, 2))])
+            slopes = np.array([0.0, -np.sin(phi), -2.0 * np.sin(2.0 * phi), np.cos(phi),
+                               2.0 * np.cos(2.0 * phi)])  # fmt: skip
+            split = red.split(rows @ coefficients)
+            drift = np.linalg.solve(split.locked_inertia, group.Ad(g).T @ J)
+            return group.rate(g, drift - split.local_connection @ (speed * slopes @ coefficients))
+
+        start = group.identity()
+        y = solve_ivp(rate, (0.0, 1.0), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+        return group.normalize(y)
+
+    error = group.error(end(c), found.pose)
+    assert max(float(error.rotation), float(error.translation)) < 1e-9
+    h, back = 1e-5, group.inverse(found.pose)
+    steps = [group.log(group.compose(back, end(c + s * h * along))) for s in (1.0, -1.0)]
+    expected = (steps[0] - steps[1]) / (2.0 * h)
+    close(np.tensordot(found.twist, along, 2), expected, 1e-7 * (1.0 + np.abs(expected).max()))

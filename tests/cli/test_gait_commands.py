@@ -37,12 +37,38 @@ def test_reorient(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert file["pose"][-1, 2] == pytest.approx(-0.3, abs=1e-8)
 
 
+def test_files_hold_objectives(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Words go before what the file says; figures are drawn of what is found."""
+    path, figure = tmp_path / "rods.toml", tmp_path / "loop.png"
+    path.write_text(
+        "robot = 'three_rods'\nmomentum = [0.0, 0.0, 0.01]\n"
+        "[optimise]\nlimits = 1.5\nharmonics = 1\nstarts = 1\n"
+        "[reorient]\ntarget = 0.3\nlimits = 2.5\nx0 = [0.4, 0.5]\n"
+    )
+    assert main(["gait", str(path), "--limits", "1.2", "--out", str(figure)]) == 0
+    A = pinred.Connection.mechanical(pinred.load("three_rods"))
+    best = pinred.optimise_gait(A, limits=1.2, harmonics=1, starts=1)
+    assert f"{best.value:.10g}" in capsys.readouterr().out
+    assert figure.read_bytes()[:4] == b"\x89PNG"
+    figure.unlink()
+    assert main(["reorient", str(path), "--out", str(figure)]) == 0
+    said = capsys.readouterr().out
+    assert "turned [°]              17.188734" in said
+    assert "tumble left" in said
+    assert figure.stat().st_size > 10_000
+    assert main(["phase", str(path)]) == 2
+    assert "no gait of 'three_rods' is given" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
         ("gait three_rods --objective spin", "objective must be one of"),
         ("gait three_rods --limits much", "--limits takes numbers"),
-        ("gait three_rods --out loop.png", "loop.png"),
+        ("gait three_rods --out loop.gif", "loop.gif"),
+        ("reorient three_rods", "give --target"),
+        ("reorient three_rods --target 0.3 --momentum 1,2", "momentum"),
+        ("reorient examples/gaits/satellite_turns.toml --group SE3", "--group is for robots"),
         ("reorient three_rods --target up", "--target takes numbers"),
         ("reorient elroys_beanie --target 1", "needs two joints"),
     ],

@@ -6,6 +6,7 @@ import re
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from inverse_dynamics import joint_torques
 from lifts import by_pinocchio
@@ -14,7 +15,7 @@ from trees import random_model
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.planning.reorientation import reorient as module
+from pinred.planning.reorientation import turning_loop
 from pinred.planning.reorientation.first_loops import first_loop
 
 ROBOTS = {"falling_cat": 1.6, "satellite_two_arms": 2.6, "solo12": 1.0}  # their limits [rad]
@@ -55,6 +56,33 @@ def test_the_falling_cat_rights_itself() -> None:
         pose = group.compose(pose, once)
     wanted = group.exp(np.concatenate([np.zeros(3), w]))
     assert group.error(wanted, pose).rotation < 1e-8
+
+
+@pytest.mark.by_hand
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.48, -0.64, 0.6)])
+def test_a_satellite_turns_a_quarter_about_any_axis(axis: tuple[float, ...]) -> None:
+    """By its two arms, without thrusters; full ABA agrees."""
+    satellite = pinred.load("satellite_two_arms")
+    plan = pinred.reorient(satellite, 0.5 * np.pi * np.array(axis), limits=2.6)
+    assert plan.missed < 1e-8
+    assert plan.report.passed
+    assert np.abs(plan.gait.limits).max() <= 2.6
+    ends_at_rest(plan)
+
+
+@pytest.mark.by_hand
+def test_solo12_rights_itself_in_flight() -> None:
+    """Half a roll within a radian of each joint, while it falls; full ABA agrees."""
+    solo = pinred.load("solo12")
+    assert solo.gravity.any()
+    plan = pinred.reorient(solo, [np.pi, 0.0, 0.0], limits=1.0)
+    assert plan.missed < 1e-8
+    assert plan.report.passed
+    assert np.abs(plan.gait.limits).max() <= 1.0
+    ends_at_rest(plan)
+    before, after = plan.trajectory.pose[[0, -1]]
+    up = np.array([pin.Quaternion(q[3:]).toRotationMatrix()[2, 2] for q in (before, after)])
+    close(up, [1.0, -1.0], 1e-8)
 
 
 @pytest.mark.by_hand
@@ -124,9 +152,57 @@ def test_first_loops_are_right_to_leading_order(name: str) -> None:
 
 def test_the_polish_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without it, the target is missed by what IPOPT leaves."""
-    monkeypatch.setattr(module, "polished", lambda _A, _aim, _path, y: y + 1e-8)
+    monkeypatch.setattr(turning_loop, "polished", lambda _task, _aim, _path, y: y + 1e-8)
     with pytest.raises(pinred.NoOptimum, match=r"leaves .* of the target"):
         pinred.reorient(pinred.load("three_rods"), 0.3, limits=2.5, x0=[0.4, 0.5], cycles=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "omega", "target"),
+    [
+        ("three_rods", [0.1, -0.2, 1.5], [-0.7]),
+        ("falling_cat", [0.3, 0.2, -0.5, 0.7, -0.9, 1.2], [0.6, -0.3, 0.4]),
+    ],
+)  # fmt: skip
+def test_a_base_that_tumbles(name: str, omega: list[float], target: list[float]) -> None:
+    """It passes through the target with the twist that momentum leaves it; full ABA agrees."""
+    system = pinred.load(name)
+    red, start = pinred.Reduction(system), np.full(system.m, 0.2)
+    limit = ROBOTS.get(name, 2.5)
+    mu = red.locked_inertia(start) @ omega
+    plan = pinred.reorient(system, target, limits=limit, x0=start, momentum=mu)
+    assert plan.missed < 1e-8
+    quicker = pinred.simulate(plan.trajectory.scene, rtol=1e-8, atol=1e-10)
+    assert pinred.compare(quicker).passed
+    assert np.abs(plan.gait.limits).max() <= limit
+    ends_at_rest(plan)
+    group, k = system.group, system.group.linear
+    wanted = group.exp(np.concatenate([np.zeros(k), target]))
+    mu_there = group.Ad(plan.pose).T @ mu
+    close(plan.left, np.linalg.solve(red.locked_inertia(start), mu_there), 1e-12)
+    close(plan.trajectory.xi[-1][k:], plan.left[k:], 1e-9)
+    assert group.error(wanted, plan.pose).rotation < 1e-8
+    assert plan.tumble == pytest.approx(np.linalg.norm(plan.left[k:]))
+    assert plan.tumble > 0.3
+    assert "which momentum fixes" in str(plan)
+
+
+def test_what_momentum_makes_of_limits() -> None:
+    """Speeds hold or are an error, as the duration decides the drift; torques are refused."""
+    rods = pinred.load("three_rods")
+    options: dict[str, Any] = {"limits": 2.5, "x0": [0.4, 0.5], "momentum": [0.0, 0.0, 0.01]}
+    plan = pinred.reorient(rods, 0.3, **options, speeds=9.0)
+    assert 0.0 <= plan.margins["speeds"] < 9.0
+    assert np.abs(plan.trajectory.xdot).max() <= 9.0 - plan.margins["speeds"] + 1e-9
+    with pytest.raises(pinred.InputError, match="how far the base drifts"):
+        pinred.reorient(rods, 0.3, **options, speeds=0.1)
+    with pytest.raises(pinred.InputError, match="is for zero momentum"):
+        pinred.reorient(rods, 0.3, **options, torques=1.0)
+    with pytest.raises(pinred.ShapeError, match="momentum"):
+        pinred.reorient(rods, 0.3, **options | {"momentum": [0.1]})
+    with pytest.raises(pinred.InputError, match="momentum"):
+        pinred.reorient(rods, 0.3, **options | {"momentum": [0.0, 0.0, np.nan]})
 
 
 @pytest.mark.parametrize(
@@ -157,5 +233,5 @@ def test_weight_at_a_pivot_is_refused() -> None:
     """Its momentum does not stay zero; without gravity, or about the vertical, it does."""
     model = random_model("SO3", 2, 1)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
-    with pytest.raises(pinred.SymmetryError, match="its momentum does not stay zero"):
+    with pytest.raises(pinred.SymmetryError, match="momenta do not stay what they are"):
         pinred.reorient(pinred.load(model), [0.0, 0.0, 0.1], limits=1.5)

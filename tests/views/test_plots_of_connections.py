@@ -70,10 +70,34 @@ def test_cycles_in_the_plane_and_in_space() -> None:
     assert turned[-1] == pytest.approx(cat.group.log(q.cycles(2))[3], abs=1e-12)
 
 
+def test_loops_that_were_looked_for() -> None:
+    """The best gait and a plan: the path, the joints, and where the base ends."""
+    best = pinred.optimise_gait(rods(), limits=1.5, harmonics=1, starts=1)
+    plan = pinred.reorient(pinred.load("three_rods"), 0.3, limits=2.5, x0=[0.4, 0.5])
+    for source, gait, end in (
+        (best, best.gait, best.phase.pose[2]),
+        (plan, plan.gait, 0.3),
+    ):
+        on_curvature, joints, base = (
+            axes for axes in pinred.plot(source, "loop").axes if axes.get_label() != "<colorbar>"
+        )
+        x, y = drawn(on_curvature, "path")
+        np.testing.assert_allclose([x.min(), x.max()], gait.limits[0], atol=1e-3)
+        np.testing.assert_allclose([y.min(), y.max()], gait.limits[1], atol=1e-3)
+        assert drawn(joints, "alpha1")[1][0] == pytest.approx(gait.at(0.0)[0][0])
+        assert drawn(base, "θ")[1][-1] == pytest.approx(np.degrees(end), abs=1e-6)
+    cat = pinred.Connection.mechanical(pinred.load("falling_cat"))
+    turning = pinred.optimise_gait(cat, axis="x", limits=1.0, harmonics=1, starts=1)
+    t, _ = drawn(pinred.plot(turning, "loop").axes[-1], "θx")
+    assert t[-1] == pytest.approx(1.0)
+
+
 def test_refusals() -> None:
     """What is no connection, no phase, or not two joints."""
     with pytest.raises(pinred.InputError, match="field draws a Connection"):
         plots.field(pinred.load("three_rods"))  # type: ignore[arg-type]
+    with pytest.raises(pinred.InputError, match="loop draws a BestGait or a TurnPlan"):
+        plots.loop(rods())  # type: ignore[arg-type]
     with pytest.raises(pinred.InputError, match="cycles draws a Phase"):
         plots.cycles(rods())  # type: ignore[arg-type]
     with pytest.raises(pinred.InputError, match="count must be"):

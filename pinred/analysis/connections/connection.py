@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.arrays import Array, read_only, vector, vectors
-from ...common.errors import InputError, SingularInertiaError
+from ...common.errors import InputError, SingularInertiaError, SymmetryError
 from ...kernels.connection.code import ConnectionCode, Curvatures
 from ...kernels.connection.form import ConnectionForm
 from ...lie.group import Group
+from ...reduction.potential import broken_by_gravity
 from ...system.system import System
 from .fluid import Ellipse, Ellipsoid, fluid_form
 from .mechanical import mechanical_form
@@ -105,13 +106,15 @@ class Connection:
     B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β] (r, m, m), with the bracket of body twists.  It comes from
     momenta, drag or fluid (then it has a metric M on shape space as well: inertia, or
     dissipation), or from wheels.  Everything is evaluated by machine code that Pinocchio has
-    judged; it is compiled when it is first used.
+    judged; it is compiled when it is first used.  turned_by_gravity: why momenta are not
+    conserved, so that A is geometry alone and no motion follows it; empty if they are.
     """
 
     form: ConnectionForm = field(repr=False)
     code: ConnectionCode = field(repr=False)
     system: System | None = field(default=None, repr=False)
     is_mechanical: bool = field(default=False, repr=False)
+    turned_by_gravity: str = field(default="", repr=False)
 
     @classmethod
     def of(cls, form: ConnectionForm) -> Connection:
@@ -121,7 +124,10 @@ class Connection:
     @classmethod
     def mechanical(cls, system: System) -> Connection:
         """Return the mechanical connection of a system: A = I⁻¹ H_bs, metric M (kg m², …)."""
-        return replace(cls.of(mechanical_form(system)), system=system, is_mechanical=True)
+        return replace(
+            cls.of(mechanical_form(system)), system=system, is_mechanical=True,
+            turned_by_gravity=broken_by_gravity(system),
+        )  # fmt: skip
 
     @classmethod
     def viscous(cls, system: System, drag: Mapping[str, Rod | ArrayLike]) -> Connection:
@@ -143,7 +149,10 @@ class Connection:
         bodies: of links by name, an Ellipsoid, an Ellipse, or the added inertia per density as a
         symmetric tensor (6, 6) in the link's frame.  Bodies do not see each other's flow.
         """
-        return replace(cls.of(fluid_form(system, density, bodies)), system=system)
+        return replace(
+            cls.of(fluid_form(system, density, bodies)), system=system,
+            turned_by_gravity=broken_by_gravity(system),
+        )  # fmt: skip
 
     @classmethod
     def kinematic(cls, system: System, wheels: Sequence[Wheel | Rolling]) -> Connection:
@@ -161,14 +170,14 @@ class Connection:
         """
         if self.system is None:
             raise InputError("only a connection made from a System can be seen from a link")
-        return Connection.of(from_link(self.form, self.system, link))
+        return self._moved(from_link(self.form, self.system, link))
 
     def in_section(self, pose: Callable[[ca.SX], ca.SX]) -> Connection:
         """Return the same connection in the frame h(x): A′ = Ad_{h⁻¹} A − h⁻¹∂h.
 
         pose: writes the pose coordinates of h, (size,), as CasADi expressions in x (m,).
         """
-        return Connection.of(in_section(self.form, pose))
+        return self._moved(in_section(self.form, pose))
 
     def __repr__(self) -> str:
         return f"Connection({self.form.what}, {self.group.name}, m={self.m})"
@@ -261,6 +270,11 @@ class Connection:
         self.refuse_singular(x, found.health)
         return found
 
+    def refuse_gravity(self) -> None:
+        """Raise SymmetryError if gravity changes the momenta, so that no motion is horizontal."""
+        if self.turned_by_gravity:
+            raise SymmetryError(f"momenta do not stay what they are: {self.turned_by_gravity}")
+
     def refuse_singular(self, x: Array, health: Array) -> None:
         """Raise SingularInertiaError, naming a shape, if one of (N, m) is singular."""
         least = _EXPLAINED if self.form.symmetric else _WHEELS
@@ -283,6 +297,9 @@ class Connection:
                 f"the gait crosses shapes at which {self.form.what} leave a motion of the body "
                 "open; choose one that stays on one side of them"
             )
+
+    def _moved(self, form: ConnectionForm) -> Connection:
+        return replace(Connection.of(form), turned_by_gravity=self.turned_by_gravity)
 
     def _one(self, x: ArrayLike) -> Array:
         return vector(x, self.m, f"shape x of {self.form.what}", self.joints)[None]

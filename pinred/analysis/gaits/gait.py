@@ -252,7 +252,8 @@ class Gait:
 
     def shifted(self, phase: float) -> Gait:
         """Return the same path begun later by `phase` of a period."""
-        at = (float(phase) % 1.0) * self.period
+        at = float(vector(np.atleast_1d(as_floats(phase, "phase")), 1, "phase")[0]) % 1.0
+        at *= self.period
         k = int(np.clip(np.searchsorted(self.breaks, at, side="right") - 1, 0, len(self.arcs) - 1))
         arc = self.arcs[k]
         s = (at - self.breaks[k]) / arc.time

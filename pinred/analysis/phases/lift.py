@@ -52,6 +52,14 @@ def in_space(group: Group, twists: Array) -> Array:
     return out
 
 
+def in_space_by_momenta(group: Group, inverse: Array) -> Array:
+    """Return P_b⁻¹ (..., r, r) as twists of space by momenta of space, (..., 6, 6)."""
+    axes = list(group.axes)
+    out = np.zeros((*inverse.shape[:-2], 6, 6))
+    out[..., np.array(axes)[:, None], axes] = inverse
+    return out
+
+
 class Lifted(NamedTuple):
     """Poses on the way, from the identity.
 

@@ -15,7 +15,8 @@ from ...common.arrays import Array, freeze
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group
 from ..connections.connection import Connection
-from .lift import STAGES, Pieces, in_space, lifted, nodes
+from .drift import Drift
+from .lift import STAGES, Pieces, in_space, in_space_by_momenta, lifted, nodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +46,30 @@ def fourier_basis(
     """Return 1, cos kφ, sin kφ, k = 1 … harmonics, with φ = start + turn s: K = 1 + 2 harmonics."""
     values, slopes, bends = fourier_rows(harmonics, piece_nodes(pieces), start=start, turn=turn)
     return PathBasis(np.full(pieces, 1.0 / pieces), values, slopes, bends)
+
+
+def cycloid_basis(harmonics: int, pieces: int, cycles: int) -> PathBasis:
+    """Return the same functions of s in [0, 1], passed through `cycles` times from rest to rest.
+
+    φ = cycles (a − sin a), a = 2πs.
+    """
+    s = piece_nodes(pieces)
+    angle, rate, bend = cycloid(s, cycles)
+    values, slopes, bends = fourier_rows(harmonics, angle, turn=1.0)
+    return PathBasis(
+        np.full(pieces, 1.0 / pieces), values, rate[:, None] * slopes,
+        rate[:, None] ** 2 * bends + bend[:, None] * slopes,
+    )  # fmt: skip
+
+
+def cycloid(s: Array, cycles: int) -> tuple[Array, Array, Array]:
+    """Return φ = cycles (a − sin a), a = 2πs, and its first and second derivatives by s, (N,)."""
+    a = 2.0 * np.pi * s
+    return (
+        cycles * (a - np.sin(a)),
+        2.0 * np.pi * cycles * (1.0 - np.cos(a)),
+        (2.0 * np.pi) ** 2 * cycles * np.sin(a),
+    )
 
 
 def fourier_rows(
@@ -97,26 +122,34 @@ class PathLift(NamedTuple):
     square_slopes: Array
 
 
-def path_lift(connection: Connection, basis: PathBasis, coefficients: Array) -> PathLift:
+def path_lift(
+    connection: Connection, basis: PathBasis, coefficients: Array, drift: Drift | None = None
+) -> PathLift:
     """Return the lift of the path with coefficients (K, m), and its derivatives.
 
+    drift: of a momentum other than zero.
     Raises SingularInertiaError on singular shapes, NoConvergence if a piece is too long.
     """
     group, r = connection.group, connection.r
     x, slope = basis.values @ coefficients, basis.slopes @ coefficients
     xi, square = connection.horizontal(x, slope)
     S = connection.horizontal_slopes(x, slope)
-    count = len(basis.h)
+    count, m = len(basis.h), connection.m
+    inverse = np.zeros((0, r, r)) if drift is None else drift.inverse(x)
     on_way = Pieces(
         h=np.array(basis.h),
         a=in_space(group, xi).reshape(count, STAGES, 6),
-        L=np.zeros((0, STAGES, 6, 6)),
+        L=in_space_by_momenta(group, inverse).reshape(-1, STAGES, 6, 6),
     )
-    found = lifted(group, on_way, np.zeros(r))
+    found = lifted(group, on_way, np.zeros(r) if drift is None else drift.momentum)
     pose = found.path[-1].copy()
-    carried = basis.weights[:, None, None] * _adjoints(group, found.inner.reshape(-1, 7))
-    m = connection.m
-    twists = by_coefficients(basis, carried @ S[:, :r, :m], carried @ S[:, :r, m:])
+    adjoints, by_x = _adjoints(group, found.inner.reshape(-1, 7)), S[:, :r, :m]
+    carried = basis.weights[:, None, None] * adjoints
+    if drift is not None:
+        mu = np.swapaxes(adjoints, 1, 2) @ drift.momentum
+        by_x = by_x + drift.slopes(x, inverse, mu)
+        carried = drift.carriers(group, basis.h, adjoints, inverse) @ carried
+    twists = by_coefficients(basis, carried @ by_x, carried @ S[:, :r, m:])
     twist = np.tensordot(group.Ad(group.inverse(pose)), twists, 1)
     return PathLift(x, slope, pose, twist, square, S[:, r] if S.shape[1] > r else S[:, 0, :0])
 

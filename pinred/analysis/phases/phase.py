@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import Array, freeze, positive, vector
+from ...common.arrays import Array, freeze, positive, vector, whole
 from ...common.errors import InputError, IntegrationError, NoConvergence
 from ...lie.group import Group, PoseError
 from ..connections.connection import Connection
@@ -72,9 +72,7 @@ class Phase:
 
         Without momentum a power of the pose; with it, cycle by cycle, as μ turns with the body.
         """
-        if isinstance(n, bool) or int(n) != n:
-            raise InputError(f"cycles takes a whole number, got {n!r}")
-        n, group = int(n), self.group
+        n, group = whole(n, "cycles", -(2**31)), self.group
         if not self.momentum.any():
             step = self.pose if n >= 0 else group.inverse(self.pose)
             return _power(group, step, abs(n))
@@ -100,9 +98,16 @@ def phase(
     tolerance: on the error of the pose, rotation [rad] and translation [m] alike; the samples
     are doubled until the difference that makes is below it.  Exact derivatives are not needed:
     where the gait is a Fourier series, convergence is spectral.
-    Raises SingularInertiaError where the gait meets a singular shape, IntegrationError if the
+    Raises SymmetryError where gravity turns the base, so that momenta are not conserved,
+    SingularInertiaError where the gait meets a singular shape, IntegrationError if the
     tolerance is out of reach, InputError if gait and connection do not belong together.
     """
+    if not isinstance(connection, Connection) or not isinstance(gait, Gait):
+        raise InputError(
+            f"phase takes a Connection and a Gait, got {type(connection).__name__} and "
+            f"{type(gait).__name__}"
+        )
+    connection.refuse_gravity()
     wanted = max(positive(tolerance, "tolerance"), _LEAST)
     mu = _momentum(connection, momentum)
     group, moving = connection.group, bool(mu.any())

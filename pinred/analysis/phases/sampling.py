@@ -19,7 +19,7 @@ from ...common.errors import InputError
 from ...integrators.gauss.tables import tables
 from ..connections.connection import Connection
 from ..gaits.gait import Gait
-from .lift import STAGES, Pieces, in_space, nodes
+from .lift import STAGES, Pieces, in_space, in_space_by_momenta, nodes
 
 _LEAST = 16  # samples of a smooth gait
 _PER_HARMONIC = 16
@@ -132,10 +132,8 @@ def _woven(known: Array, new: Array) -> Array:
 
 def _inverse_in_space(connection: Connection, rows: Array) -> Array:
     """Return P_b⁻¹ of rows (..., r²) as (..., 6, 6)."""
-    r, axes = connection.r, list(connection.group.axes)
-    out = np.zeros((*rows.shape[:-1], 6, 6))
-    out[..., np.array(axes)[:, None], axes] = rows.reshape(*rows.shape[:-1], r, r)
-    return out
+    r = connection.r
+    return in_space_by_momenta(connection.group, rows.reshape(*rows.shape[:-1], r, r))
 
 
 def _interpolated(values: Array) -> Array:

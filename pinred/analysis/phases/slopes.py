@@ -42,6 +42,7 @@ def phase_slopes(connection: Connection, gait: Gait, *, pieces: int | None = Non
     pieces: of order 16 in which the cycle is integrated; eight a harmonic if not given.
     Raises InputError for a gait that is not one Fourier series, and as `phase`.
     """
+    connection.refuse_gravity()
     arc = gait.arcs[0]
     if not gait.is_smooth or not isinstance(arc, FourierArc):
         raise InputError("derivatives by coefficients need a gait that is one Fourier series")

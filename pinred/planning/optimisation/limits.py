@@ -96,6 +96,8 @@ def _by_joint(connection: Connection, given: LimitsLike, what: str, own: Array) 
         for name, value in given.items():
             out[joint_index(name, list(connection.joints), what)] = _pair(value, what)
         return out
+    if isinstance(given, (list, tuple)) and len(given) == m:  # numbers and pairs, mixed, too
+        return np.stack([_pair(entry, what) for entry in given])
     array = as_floats(given, what)
     if array.ndim == 0:
         return np.tile(_pair(array, what), (m, 1))

@@ -11,9 +11,11 @@ from ...analysis.phases.path_basis import fourier_rows
 from ...common.arrays import Array
 from ...common.errors import InputError
 from .costs import torque_order, torques
+from .extremes import greatest
 from .limits import Limits
 
-_TIMES = 1024  # at which torques are looked at
+_TIMES = 1024  # at which torques are looked at, and between which, at least
+_PER_HARMONIC = 64  # of these times
 _MORE = 1.1  # times what is overshot
 
 
@@ -31,8 +33,8 @@ def worst_times(connection: Connection, gait: Gait, limits: Limits) -> Array:
         s = arc.extremes()
         found += _beyond(s, np.abs(arc.at(s)[0]) - limits.speed)
     if np.isfinite(limits.torque).any():
-        s = np.arange(_TIMES) / _TIMES
-        found += _beyond(s, np.abs(joint_torques(connection, gait)) - limits.torque)
+        at, most = strongest(connection, gait)
+        found += at[most > limits.torque].tolist()
     return np.unique(np.array(found) % 1.0)
 
 
@@ -51,7 +53,7 @@ def tightened(imposed: Limits, connection: Connection, gait: Gait, limits: Limit
     if np.isfinite(speed).any():
         speed = speed - _MORE * np.maximum(0.0, speeds(gait) - limits.speed)
     if np.isfinite(torque).any():
-        most = np.abs(joint_torques(connection, gait)).max(axis=0)
+        most = strongest(connection, gait)[1]
         torque = torque - _MORE * np.maximum(0.0, most - limits.torque)
     shape = imposed.shape + _MORE * np.stack([low, -high], axis=1)
     return Limits(shape, speed, torque)
@@ -71,9 +73,7 @@ def margins(connection: Connection, gait: Gait, limits: Limits) -> dict[str, flo
     if np.isfinite(limits.speed).any():
         out["speeds"] = float((limits.speed - speeds(gait)).min())
     if np.isfinite(limits.torque).any():
-        out["torques"] = float(
-            (limits.torque - np.abs(joint_torques(connection, gait)).max(axis=0)).min()
-        )
+        out["torques"] = float((limits.torque - strongest(connection, gait)[1]).min())
     return out
 
 
@@ -95,17 +95,20 @@ def _rate(gait: Gait) -> Gait:
     )
 
 
-def joint_torques(connection: Connection, gait: Gait, times: int = _TIMES) -> Array:
-    """Return the torques of the joints of a Fourier gait at equidistant times, (T, m) [N m | N].
+def strongest(connection: Connection, gait: Gait) -> tuple[Array, Array]:
+    """Return at which s = t/T each joint of a Fourier gait needs its greatest torque, and that.
 
-    At zero momentum, or against drag.
+    (m,) and (m,) [N m | N], at zero momentum or against drag.
     """
     (arc,) = gait.arcs
     if not isinstance(arc, FourierArc):
         raise InputError("torques are of a gait that is one Fourier series")
-    turn = arc.end - arc.start
-    rows = fourier_rows(len(arc.cos), np.arange(times) / times, start=arc.start, turn=turn)
+    turn, count = arc.end - arc.start, max(_TIMES, _PER_HARMONIC * len(arc.cos))
     coefficients = np.vstack([arc.mean[None], arc.cos, arc.sin])
-    x, slope, bend = (row @ coefficients for row in rows)
-    tau = torques(connection, x, slope, bend)
-    return np.asarray(tau / gait.period ** torque_order(connection))
+
+    def tau(s: Array) -> Array:
+        rows = fourier_rows(len(arc.cos), s, start=arc.start, turn=turn)
+        return torques(connection, *(row @ coefficients for row in rows))
+
+    at, most = greatest(tau, np.arange(count) / count)
+    return at % 1.0, most / gait.period ** torque_order(connection)

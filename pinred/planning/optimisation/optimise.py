@@ -12,7 +12,7 @@ from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...analysis.phases.phase import phase
-from ...common.arrays import positive
+from ...common.arrays import positive, whole
 from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError
 from ...common.plain_names import brief
 from ...common.progress import Progress, shown
@@ -73,10 +73,11 @@ def optimise_gait(
     starts: random first loops.  seed: of their random numbers.
     progress: True for a bar, or a function called with the part that is done.
 
-    Raises InputError for what makes no sense, NoOptimum if no start led to one.
+    Raises InputError for what makes no sense, SymmetryError where gravity turns the base, NoOptimum
+    if no start led to one.
     """
     task = _task(connection, objective, axis, target, cost, most, limits, speeds, torques, period)
-    _check_loops(task, harmonics, vertices, winding, starts)
+    _check_loops(task, harmonics, vertices, winding, starts, seed)
     found: list[Optimum] = []
     lost: list[str] = []
     with shown(progress, "gaits") as done:
@@ -117,6 +118,7 @@ def _task(
             f"optimise_gait takes a Connection, got {type(connection).__name__}; "
             "Connection.mechanical(system) makes one"
         )
+    connection.refuse_gravity()
     if objective not in AIMS:
         raise InputError(f"objective must be one of {', '.join(AIMS)}, got {brief(objective)}")
     if connection.m < 2:
@@ -152,12 +154,17 @@ def _task(
 
 
 def _check_loops(
-    task: Task, harmonics: int, vertices: int | None, winding: int | None, starts: int
+    task: Task,
+    harmonics: int,
+    vertices: int | None,
+    winding: int | None,
+    starts: int,
+    seed: int,
 ) -> None:
     """Raise InputError for loops that are none."""
-    for name, value, least in (("harmonics", harmonics, 1), ("starts", starts, 1)):
-        if isinstance(value, bool) or int(value) != value or value < least:
-            raise InputError(f"{name} must be a whole number from {least} on, got {brief(value)}")
+    whole(harmonics, "harmonics")
+    whole(starts, "starts")
+    whole(seed, "seed", 0)
     if winding not in (1, None):
         raise InputError(
             f"winding is 1, or None for any, got {brief(winding)}: a loop that goes round n times "
@@ -168,8 +175,7 @@ def _check_loops(
     if vertices is not None:
         if task.connection.m != 2:
             raise InputError(f"a polygon is for two joints, not {task.connection.m}")
-        if isinstance(vertices, bool) or int(vertices) != vertices or vertices < 3:
-            raise InputError(f"vertices must be a whole number from 3 on, got {brief(vertices)}")
+        whole(vertices, "vertices", 3)
         if task.cost not in (None, "length"):
             raise InputError(
                 f"at its corners a polygon costs no finite {task.cost}; leave vertices out"

@@ -61,8 +61,9 @@ def fourier_path_of(
     pieces = _PIECES * (harmonics + 3)
     power = 2 if task.cost in ("torque", "power", "acceleration") else 1
     return fourier_path(
-        harmonics, task.connection.m, pieces=pieces, checks=checks, power=power, start=start
-    )
+        harmonics, task.connection.m, pieces=pieces, checks=checks, power=power, start=start,
+        passage=task.passage,
+    )  # fmt: skip
 
 
 def within(

@@ -11,7 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...analysis.connections.connection import Connection
-from ...analysis.phases.path_basis import PathBasis, fourier_basis, fourier_rows, path_lift
+from ...analysis.phases.drift import Drift
+from ...analysis.phases.path_basis import (
+    PathBasis,
+    cycloid_basis,
+    fourier_basis,
+    fourier_rows,
+    path_lift,
+)
 from ...common.arrays import Array
 from ...common.errors import NoConvergence, SingularInertiaError
 from .aims import Along, Reach
@@ -23,11 +30,23 @@ _INSIDE = 1e-6  # of what the joints may do; IPOPT's round-off, and the last rip
 
 
 @dataclass(frozen=True, eq=False)
+class Passage:
+    """How a loop is passed through from rest to rest: so many cycles, by a cycloid.
+
+    drift: what momentum adds on the way.  more: pieces for that, besides those of the cycles.
+    """
+
+    cycles: int
+    drift: Drift
+    more: int
+
+
+@dataclass(frozen=True, eq=False)
 class Task:
     """What is asked for.
 
     cost: None to leave it out of account.  most: bound on the cost, or None.  period: T [s], where
-    it is not what is to be small.
+    it is not what is to be small.  passage: from rest to rest, or None for a periodic loop.
     """
 
     connection: Connection
@@ -36,6 +55,12 @@ class Task:
     most: float | None
     limits: Limits
     period: float
+    passage: Passage | None = None
+
+    @property
+    def drift(self) -> Drift | None:
+        """What momentum adds, or None at zero momentum."""
+        return None if self.passage is None else self.passage.drift
 
     @property
     def period_is_free(self) -> bool:
@@ -85,13 +110,21 @@ class Path:
 
 
 def fourier_path(
-    harmonics: int, m: int, *, pieces: int, checks: Array, power: int, start: Array | None = None
+    harmonics: int,
+    m: int,
+    *,
+    pieces: int,
+    checks: Array,
+    power: int,
+    start: Array | None = None,
+    passage: Passage | None = None,
 ) -> Path:
     """Return Fourier series whose unknowns are the coefficients, scaled: mean, cosines, sines.
 
     checks: (C,) s at which limits are imposed.  power: unknowns of harmonic k are k^power times
     its coefficients, so that each counts alike in a cost of derivatives of that order.
     start: (m,) a shape in which all of them begin, or None; then the mean is no unknown.
+    pieces: of a cycle.  passage: if not at even speed.
     """
     K, k = 1 + 2 * harmonics, np.arange(1.0, harmonics + 1.0)
     scale: Array = np.concatenate([[1.0], k ** float(-power), k ** float(-power)])
@@ -102,7 +135,11 @@ def fourier_path(
         for j in range(m):
             matrix[j, j : harmonics * m : m] = -scale[1 : 1 + harmonics]
         shift[0] = start
-    return Path(fourier_basis(harmonics, pieces), fourier_rows(harmonics, checks), matrix, shift)
+    if passage is None:
+        basis = fourier_basis(harmonics, pieces)
+    else:
+        basis = cycloid_basis(harmonics, passage.cycles * pieces + passage.more, passage.cycles)
+    return Path(basis, fourier_rows(harmonics, checks), matrix, shift)
 
 
 def problem_of(task: Task, path: Path) -> Problem:
@@ -128,7 +165,7 @@ def problem_of(task: Task, path: Path) -> Problem:
             out.append(value)
             rows.append(row)
 
-        lift = path_lift(connection, path.basis, c)
+        lift = path_lift(connection, path.basis, c, task.drift)
         cost = None
         if task.cost is not None:
             cost = cost_of(task.cost, connection, path.basis, c, lift, T)

@@ -1,8 +1,9 @@
-"""reorient(): the motion of the joints that turns the base as asked, at zero momentum."""
+"""reorient(): the motion of the joints that turns the base as asked, from rest to rest."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,34 +13,28 @@ from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...analysis.phases.phase import phase
-from ...common.arrays import Array, positive, vector
+from ...common.arrays import Array, as_floats, positive, vector, whole
 from ...common.errors import (
     InputError,
     IntegrationError,
     NoOptimum,
     SingularInertiaError,
-    SymmetryError,
 )
 from ...lie.rotations import quaternion_log
-from ...reduction.potential import pivot_weight
 from ...scene import forms
 from ...system.system import System, checked_system
 from ..optimisation.aims import Reach, reach
 from ..optimisation.limits import Limits, LimitsLike, limits_of
 from ..optimisation.margins import margins
-from ..optimisation.search import Lost, Search, fourier_path_of, within
-from ..optimisation.transcription import Task, fourier_path
-from .first_loops import first_loop
-from .newton_polish import polished
-from .time_law import peaks_of
+from ..optimisation.search import Lost
+from ..optimisation.transcription import Passage, Task
+from .time_law import Peaks, peaks_of
+from .tumble import joints_share, momentum_of, passage_of, twist_left
 from .turn_plan import TurnPlan
+from .turning_loop import fine_path, turning_loop
 
 CYCLES = (1, 2, 3, 4, 6, 8, 12, 16)
-_HARMONICS = 3
-_ITERATIONS = 150
-_REACHED = 1e-5  # rad; what the polish starts from, at most
-_LEFT = 1e-10  # rad a cycle; what it leaves, at most
-_FINE = 64  # pieces of order 16 of the polish
+_LEFT = 1e-10  # rad a cycle; what may remain, at most
 _SECONDS = 2.0  # a cycle
 
 
@@ -51,53 +46,77 @@ def reorient(
     speeds: LimitsLike | None = None,
     torques: LimitsLike | None = None,
     x0: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    momentum: ArrayLike | float = 0,
     cycles: int | None = None,
     duration: float | None = None,
 ) -> TurnPlan:
-    """Return the joint motion that turns the base to a target at zero momentum, rest to rest.
+    """Return the joint motion that turns the base to a target, from rest to rest of the joints.
 
     target: rotation vector (3,) or angle [rad] in the frame where the base starts, or a pose,
         whose attitude is taken: where the base is follows from its centre of mass.
     limits, speeds, torques: of joints, in the forms that optimise_gait takes.
     x0: shape in which the motion starts and ends; zero if not given, or the middle of the limits
         where they leave that out.
-    cycles: n, of equal loops that each turn the base by the n-th root of the target; as few as
-        will do if not given.
+    momentum: 0, or the body momentum at the start, (r,).  Then the base tumbles on the way, passes
+        through the target in the end, and keeps the twist `TurnPlan.left`, which conservation
+        fixes: no joint motion that ends in x0 leaves less.  Whole turns of an angle do not count.
+    cycles: n, of equal loops; at zero momentum each turns the base by the n-th root of the target.
+        As few as will do if not given.
     duration: of all of it [s]; 2 s a cycle if not given, or as long as speeds and torques need.
 
-    Raises InputError for what makes no sense, SymmetryError for a pivoted base that gravity turns,
+    Raises InputError for what makes no sense, SymmetryError for a base that gravity turns,
     NoOptimum if no loop within the limits was found.
     """
     system = checked_system(system, "reorient")
     connection, group = Connection.mechanical(system), system.group
     if not group.turns:
         raise InputError(f"the group {group.name} has no rotation")
-    if pivot_weight(system).any():
-        raise SymmetryError(
-            f"gravity turns the base of '{system.name}', so that its momentum does not stay zero; "
-            "take gravity=(0, 0, 0)"
-        )
+    connection.refuse_gravity()
     if system.m < 2:
         raise InputError("a loop needs two joints: with one, every way back is the way there")
     bounds = limits_of(connection, limits, speeds, torques)
     start = _start(system, bounds, x0)
     turn = _turn(system, target)
-    numbers = CYCLES if cycles is None else (_whole(cycles),)
-    if not np.linalg.norm(turn) > 0.0:
+    mu = momentum_of(system, momentum)
+    if mu.any() and np.isfinite(bounds.torque).any():
+        raise InputError(
+            "torques= is for zero momentum, where they scale with the duration; with momentum see "
+            "`plan.trajectory.driving_torques`"
+        )
+    numbers = CYCLES if cycles is None else (whole(cycles, "cycles"),)
+    if not (np.linalg.norm(turn) > 0.0 or mu.any()):
         raise InputError("the target is where the base is: nothing has to move")
+    asked = _Asked(system, connection, turn, start, bounds, mu, duration)
     why = ""
-    shape_only = _of_shape(bounds)
-    for n in numbers:
-        aim = reach(group, turn / n)
-        try:
-            gait = _loop(Task(connection, aim, "length", None, shape_only, 1.0), start, turn / n)
-            return _plan(system, connection, gait, n, turn, bounds, duration)
-        except (Lost, SingularInertiaError, IntegrationError) as error:
-            why = str(error)
+    # With momentum every number of cycles is another problem; those that steps solve come first.
+    for quick in (True, False) if mu.any() else (False,):
+        for n in numbers:
+            try:
+                return _tumbling(asked, n, quick=quick) if mu.any() else _still(asked, n)
+            except (Lost, SingularInertiaError, IntegrationError) as error:
+                why = str(error)
     raise NoOptimum(
         f"no loop from {start} turns '{system.name}' by the target in {numbers[-1]} cycles or "
         f"less ({why}); give wider limits, another x0, or more cycles"
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What is asked for: the turn (turns,), the shape at both ends (m,), the body momentum (r,)."""
+
+    system: System
+    connection: Connection
+    turn: Array
+    start: Array
+    bounds: Limits
+    momentum: Array
+    duration: float | None
+
+    def task(self, aim: Reach, passage: Passage | None = None) -> Task:
+        """Return the task of the shortest loop with an aim."""
+        limits = _of_shape(self.bounds)
+        return Task(self.connection, aim, "length", None, limits, 1.0, passage)
 
 
 def _start(system: System, bounds: Limits, x0: ArrayLike | Mapping[str, ArrayLike] | None) -> Array:
@@ -117,7 +136,7 @@ def _turn(system: System, target: ArrayLike) -> Array:
     """Return the target as a rotation vector or an angle, (turns,)."""
     group = system.group
     if group.turns == 1 and np.ndim(target) == 0:
-        return vector(np.atleast_1d(np.asarray(target, dtype=float)), 1, "target")
+        return vector(np.atleast_1d(as_floats(target, "target")), 1, "target")
     aim = reach(group, target)
     if np.shape(target) == (group.turns,):
         return vector(np.asarray(target, dtype=float), group.turns, "target")
@@ -126,72 +145,60 @@ def _turn(system: System, target: ArrayLike) -> Array:
     return quaternion_log(aim.attitude)
 
 
-def _whole(cycles: int) -> int:
-    if isinstance(cycles, bool) or int(cycles) != cycles or cycles < 1:
-        raise InputError(f"cycles must be a whole number from 1 on, got {cycles!r}")
-    return int(cycles)
-
-
-def _loop(task: Task, start: Array, turn: Array) -> Gait:
-    """Return a loop from a shape that turns the base by a rotation vector.  Raises Lost."""
-    connection = task.connection
-    gait = first_loop(connection, start, turn, task.limits.shape)
-    search = Search(task, fourier_path_of(task, _HARMONICS, start=start))
-    best = search.from_gait(gait, most=_ITERATIONS)
-    if not _missed(search, best.z) <= _REACHED:
-        raise Lost(f"the optimiser stopped short of the target ({best.status})")
-    search, best = within(search, best, _HARMONICS, start)
-    fine = fourier_path(
-        _HARMONICS, connection.m, pieces=_FINE, checks=np.zeros(1), power=1, start=start
-    )
-    if not isinstance(task.aim, Reach):
-        raise InputError("a loop that turns the base has a target")
-    rough = search.gait(best.z)
-    y = polished(connection, task.aim, fine, fine.unknowns(coefficients_of(rough)))
-    found = Search(task, fine).gait(y)
-    if margins(connection, found, task.limits)["limits"] < 0.0:
-        raise Lost("the polished loop goes beyond the limits")
-    return found
-
-
-def _missed(search: Search, z: Array) -> float:
-    aim, path = search.task.aim, search.path
-    if not isinstance(aim, Reach):
-        return np.inf
-    pose = path_lift(search.task.connection, path.basis, search.coefficients(z)).pose
-    return float(np.linalg.norm(aim.missed(pose)[0]))
-
-
-def _plan(
-    system: System,
-    connection: Connection,
-    gait: Gait,
-    n: int,
-    turn: Array,
-    bounds: Limits,
-    duration: float | None,
-) -> TurnPlan:
-    """Return the plan of n cycles; the phase by samples of its own judges it.  Raises Lost."""
+def _still(asked: _Asked, n: int) -> TurnPlan:
+    """Return the plan of n cycles at zero momentum, judged by samples of its own.  Raises Lost."""
+    group, connection, turn = asked.system.group, asked.connection, asked.turn
+    gait = turning_loop(asked.task(reach(group, turn / n)), asked.start, turn / n)
     once = phase(connection, gait, tolerance=1e-13)
-    group, whole = system.group, reach(system.group, turn)
     end = once.cycles(n)
     if group.turns == 1:  # whole turns count
         end = np.append(end[:-1], n * once.pose[-1])
-    remaining = float(np.linalg.norm(whole.missed(end)[0]))
+    peaks = peaks_of(connection, gait, n)
+    return _plan(asked, gait, n, reach(group, turn), end, _seconds(asked, peaks, n), peaks)
+
+
+def _tumbling(asked: _Asked, n: int, *, quick: bool) -> TurnPlan:
+    """Return the plan of n cycles with momentum, judged by twice as many pieces.  Raises Lost."""
+    system, start = asked.system, asked.start
+    seconds = _SECONDS * n if asked.duration is None else positive(asked.duration, "duration")
+    passage = passage_of(system, asked.momentum, start, n, seconds)
+    aim, share = joints_share(system, passage, start, reach(system.group, asked.turn))
+    gait = turning_loop(asked.task(aim, passage), start, share / n, quick=quick)
+    peaks = peaks_of(asked.connection, gait, n)
+    if seconds < (room := peaks.needed(asked.bounds)):
+        raise InputError(
+            f"speeds need {room:.3g} s of {n} cycles, but they take {seconds:g} s; give another "
+            "duration, which decides how far the base drifts"
+        )
+    path = fine_path(system.m, start, passage, finer=2)
+    end = path_lift(asked.connection, path.basis, coefficients_of(gait), passage.drift).pose
+    return _plan(asked, gait, n, aim, end, seconds, peaks)
+
+
+def _seconds(asked: _Asked, peaks: Peaks, n: int) -> float:
+    """Return the duration: as given, or as long as limits need."""
+    room = peaks.needed(asked.bounds)
+    if asked.duration is None:
+        return max(_SECONDS * n, room)
+    seconds = positive(asked.duration, "duration")
+    if seconds < room:
+        raise InputError(f"speeds and torques need {room:.3g} s, got duration {seconds:g}")
+    return seconds
+
+
+def _plan(
+    asked: _Asked, gait: Gait, n: int, aim: Reach, end: Array, seconds: float, peaks: Peaks
+) -> TurnPlan:
+    """Return the plan that ends at a pose.  Raises Lost if that is not the target."""
+    remaining = float(np.linalg.norm(aim.missed(end)[0]))
     if not remaining <= n * _LEFT:
         raise Lost(f"the loop leaves {remaining:.1e} rad of the target")
-    peaks = peaks_of(connection, gait, n)
-    room = peaks.needed(bounds)
-    if duration is None:
-        seconds = max(_SECONDS * n, room)
-    else:
-        seconds = positive(duration, "duration")
-        if seconds < room:
-            raise InputError(f"speeds and torques need {room:.3g} s, got duration {seconds:g}")
-    own = margins(connection, gait, _of_shape(bounds))
+    own = margins(asked.connection, gait, _of_shape(asked.bounds))
     return TurnPlan(
-        system=system, aim=whole, gait=gait.lasting(seconds / n), cycles=n, duration=seconds,
-        phase=once, remaining=remaining, margins=own | peaks.margins(bounds, seconds),
+        system=asked.system, aim=aim, gait=gait.lasting(seconds / n), cycles=n, duration=seconds,
+        pose=end, remaining=remaining, momentum=asked.momentum,
+        left=twist_left(asked.system, asked.momentum, asked.start, end),
+        margins=own | peaks.margins(asked.bounds, seconds),
     )  # fmt: skip
 
 

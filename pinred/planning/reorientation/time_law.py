@@ -1,7 +1,7 @@
 """The time law of a plan: n cycles by one cycloid, from rest to rest.
 
-Of the loop, n (u − sin 2πu / 2π) is behind at u = t/D.  At zero momentum speeds go with 1/D, and
-torques with 1/D².
+Of the loop, n (u − sin 2πu / 2π) is behind at u = t/D (`cycloid`).  At zero momentum speeds go with
+1/D, and torques with 1/D².
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ import numpy as np
 from ...analysis.connections.connection import Connection
 from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
-from ...analysis.phases.path_basis import fourier_rows
+from ...analysis.phases.path_basis import cycloid, fourier_rows
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ..optimisation.costs import torques
+from ..optimisation.extremes import greatest
 from ..optimisation.limits import Limits
 
 _TIMES = 512  # a cycle
@@ -50,16 +51,17 @@ class Peaks:
 
 
 def peaks_of(connection: Connection, gait: Gait, cycles: int) -> Peaks:
-    """Return the peaks of a Fourier gait passed through so often, at equidistant times."""
-    u = np.linspace(0.0, 1.0, _TIMES * cycles + 1)
-    whole = 2.0 * np.pi * u
-    behind = cycles * (u - np.sin(whole) / (2.0 * np.pi))
-    rate, bend = cycles * (1.0 - np.cos(whole)), cycles * 2.0 * np.pi * np.sin(whole)
-    c = coefficients_of(gait)
-    x, x1, x2 = (rows @ c for rows in fourier_rows((len(c) - 1) // 2, behind))
-    xdot = rate[:, None] * x1
-    xddot = rate[:, None] ** 2 * x2 + bend[:, None] * x1
+    """Return the peaks of a Fourier gait passed through so often, wherever they lie."""
     if not connection.form.momentum:
         raise InputError("plans are of robots that inertia moves, not drag")
-    tau = torques(connection, x, xdot, xddot)
-    return Peaks(np.abs(xdot).max(axis=0), np.abs(tau).max(axis=0))
+    c = coefficients_of(gait)
+
+    def motion(u: Array) -> tuple[Array, Array, Array]:
+        angle, rate, bend = cycloid(u, cycles)
+        x, x1, x2 = (rows @ c for rows in fourier_rows((len(c) - 1) // 2, angle, turn=1.0))
+        return x, rate[:, None] * x1, rate[:, None] ** 2 * x2 + bend[:, None] * x1
+
+    u = np.linspace(0.0, 1.0, _TIMES * cycles + 1)
+    speed = greatest(lambda u: motion(u)[1], u)[1]
+    torque = greatest(lambda u: torques(connection, *motion(u)), u)[1]
+    return Peaks(speed, torque)

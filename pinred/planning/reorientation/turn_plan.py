@@ -10,8 +10,7 @@ import numpy as np
 
 from ...analysis.gaits.coefficients import rest_to_rest
 from ...analysis.gaits.gait import Gait
-from ...analysis.phases.phase import Phase
-from ...common.arrays import Array
+from ...common.arrays import Array, freeze
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
@@ -26,9 +25,10 @@ TOLERANCES = (1e-12, 1e-14)  # of the simulation of a plan: relative, absolute
 class TurnPlan:
     """A loop that the joints go round several times, from rest to rest.
 
-    gait: the loop.  cycles: how often.  duration: of all cycles [s].  phase: of one cycle.
-    remaining: what is left to the target in the end [rad], by the phase.  margins: least distance
-    to the limits of joints, speeds and torques.
+    gait: the loop.  cycles: how often.  duration: of all cycles [s].  pose: (size,) of the base in
+    the end.  remaining: what is left to the target there [rad].  momentum: (r,) body momentum at
+    the start.  left: (r,) body twist of the base in the end, zero without momentum.  margins: least
+    distance to the limits of joints, speeds and torques.
     """
 
     system: System
@@ -36,19 +36,24 @@ class TurnPlan:
     gait: Gait
     cycles: int
     duration: float
-    phase: Phase
+    pose: Array
     remaining: float
+    momentum: Array
+    left: Array
     margins: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """The motion, simulated at zero momentum with the base free.
+        """The motion, simulated with the base free.
 
         `driving_torques` are those that it needs.
         """
         rtol, atol = TOLERANCES
         return simulate(
-            self.system, x0=self.gait.at(0.0)[0], momentum=0, duration=self.duration,
+            self.system, x0=self.gait.at(0.0)[0], momentum=self.momentum, duration=self.duration,
             prescribed=rest_to_rest(
                 self.gait, self.system.shape_names, self.cycles, self.duration
             ),
@@ -72,7 +77,12 @@ class TurnPlan:
     def turned(self) -> Array:
         """The rotation vector (3,), or the angle (1,), of all cycles [rad]."""
         group = self.system.group
-        return np.asarray(group.log(self.phase.cycles(self.cycles))[group.linear :])
+        return np.asarray(group.log(self.pose)[group.linear :])
+
+    @property
+    def tumble(self) -> float:
+        """Angular velocity that is left in the end [rad/s]; momentum allows no other."""
+        return float(np.linalg.norm(self.left[self.system.group.linear :]))
 
     def __repr__(self) -> str:
         return (
@@ -86,7 +96,8 @@ class TurnPlan:
             f"{self.system.name} turns by its joints: {self.cycles} cycles, {self.duration:g} s",
             f"  turned [°]              {degrees}",
             f"  remaining [rad]         {self.remaining:.1e}",
-            f"  length of a cycle       {self.phase.length:.6g}, in the reduced metric",
         ]
+        if self.momentum.any():
+            lines.append(f"  tumble left [rad/s]     {self.tumble:.6g}, which momentum fixes")
         lines += [f"  margin to {name:<13} {value:.3g}" for name, value in self.margins.items()]
         return "\n".join(lines)

@@ -9,6 +9,7 @@ from .conserved import momentum as momentum
 from .curvature_field import curvature as curvature
 from .full_error import error as error
 from .gait_cycles import cycles as cycles
+from .loops import loop as loop
 from .momentum_sphere import sphere as sphere
 from .phase_portrait import phase as phase
 from .poincare_section import poincare as poincare

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from ...analysis.connections.connection import Connection
     from ...analysis.gaits.gait import Gait
     from ...analysis.phases.phase import Phase
+    from ...planning.optimisation.best_gait import BestGait
+    from ...planning.reorientation.turn_plan import TurnPlan
     from ...simulation.trajectory import Trajectory
     from ...verification.bench.work_precision import WorkPrecision
     from ...verification.report import Report
@@ -116,6 +118,10 @@ def plot(source: Phase, kind: Literal["cycles"], *, count: int = 5) -> Figure: .
 
 
 @overload
+def plot(source: BestGait | TurnPlan, kind: Literal["loop"]) -> Figure: ...
+
+
+@overload
 def plot(source: Any, kind: str) -> Figure: ...
 
 
@@ -123,9 +129,9 @@ def plot(source: Any, kind: str) -> Figure: ...
 def plot(source: Any, kind: str = "shape", **options: Any) -> Figure:
     """Return the figure of a kind: the function of that name in pinred.plots.
 
-    source: what the function takes: a Connection for field, a Phase for cycles, Branches for
-    branches, a Trajectory for all others but work_precision.  options: those of the function; no
-    kind takes all that are shown here.
+    source: what the function takes: a Connection for field, a Phase for cycles, a BestGait or
+    TurnPlan for loop, Branches for branches, a Trajectory for all others but work_precision.
+    options: those of the function; no kind takes all that are shown here.
     Raises InputError for a kind or option that there is not, listing those there are;
     MissingPackageError if matplotlib is not installed.
     """

@@ -12,9 +12,12 @@ from ...scene.toml.schema import (
     Table,
     Tagged,
     Text,
+    Whole,
     document_schema,
 )
-from ...scene.toml.signal_keys import NUMBER, NUMBERS, POSITIVE
+from ...scene.toml.signal_keys import NUMBER, NUMBERS, POSITIVE, SHAPE
+from ..optimisation.aims import AIMS
+from ..optimisation.costs import COSTS
 
 _POINT = ListOf(NUMBER, 3)
 _ROWS = ListOf(NUMBERS)
@@ -132,6 +135,47 @@ GAITS = {
         "recorded joint data",
     ),
 }
+_LIMIT = Either((NUMBER, ListOf(NUMBER, 2)))
+_RANGES = Either((NUMBER, ListOf(_LIMIT), ByName(_LIMIT)))
+_MOSTS = Either((POSITIVE, ListOf(POSITIVE), ByName(POSITIVE)))
+_LIMITS = {
+    "limits": Key(
+        _RANGES, "of joints [rad | m]: r for [−r, r], or one or a pair for each, or by joint",
+        default="those in the robot's file",
+    ),
+    "speeds": Key(_MOSTS, "greatest of joints [rad/s | m/s], for all, for each, or by joint"),
+    "torques": Key(_MOSTS, "greatest of joints [N m | N], in the same forms"),
+}  # fmt: skip
+_TARGET = Either((NUMBER, NUMBERS))
+OPTIMISE = Table(
+    {
+        "objective": Key(Text(AIMS), "what is wanted of the loop", default=AIMS[0]),
+        "axis": Key(Either((Text(("x", "y", "z")), NUMBERS)), "along or about which"),
+        "target": Key(_TARGET, "of objective target: an angle, a rotation vector, or a pose"),
+        "cost": Key(Text((*COSTS, "none")), "what it is to cost little of", default=COSTS[0]),
+        "most": Key(POSITIVE, "bound on the cost, under which the objective is made great"),
+        "harmonics": Key(Whole(1), "of the Fourier series", default="5"),
+        "vertices": Key(Whole(3), "of a polygon instead"),
+        "winding": Key(
+            Either((Whole(1, 1), Text(("any",)))), "how often it goes round", default="1"
+        ),
+        **_LIMITS,
+        "period": Key(POSITIVE, "time of one cycle [s]", default="1"),
+        "starts": Key(Whole(1), "random first loops", default="5"),
+        "seed": Key(Whole(), "of their random numbers", default="0"),
+    },
+    "the objective of a best gait",
+)
+REORIENT = Table(
+    {
+        "target": Key(_TARGET, "rotation vector, angle [rad] or pose", required=True),
+        **_LIMITS,
+        "x0": Key(SHAPE, "shape at start and end, in order or by joint", default="zero"),
+        "cycles": Key(Whole(1), "of equal loops", default="as few as will do"),
+        "duration": Key(POSITIVE, "of all of it [s]", default="2 s a cycle"),
+    },
+    "how the base is to turn",
+)
 GAIT_FILE = Table(
     {
         "robot": Key(
@@ -144,10 +188,12 @@ GAIT_FILE = Table(
             Tagged("kind", CONNECTIONS, "a connection"), "what moves the body", default="mechanical"
         ),
         "base": Key(Text((), "the name of a link"), "the link to be the base", default="the root"),
-        "gait": Key(Tagged("kind", GAITS, "a gait"), "the closed path", required=True),
+        "gait": Key(Tagged("kind", GAITS, "a gait"), "the closed path"),
         "momentum": Key(
             Either((NUMBER, NUMBERS)), "body momentum at the start, or just 0", default="0"
         ),
+        "optimise": Key(OPTIMISE, "the objective of a best gait"),
+        "reorient": Key(REORIENT, "how the base is to turn"),
     },
     "a gait file",
 )

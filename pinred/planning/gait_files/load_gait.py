@@ -1,39 +1,53 @@
-"""Gaits from TOML files: read, checked key by key, and built.  Nothing in them is executed."""
+"""Gaits and objectives from TOML files: read, checked, and built.  Nothing in them is executed."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ...analysis.connections.connection import Connection
+from ...analysis.connections.fluid import Ellipse, Ellipsoid
+from ...analysis.connections.viscous import Rod
+from ...analysis.connections.wheels import Rolling, Wheel
+from ...analysis.gaits.gait import Gait
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...scene.toml.documents import read_document, robot_in
 from ...scene.toml.places import naming
 from ...system.system import System
-from ..connections.connection import Connection
-from ..connections.fluid import Ellipse, Ellipsoid
-from ..connections.viscous import Rod
-from ..connections.wheels import Rolling, Wheel
-from ..gaits.gait import Gait
 from .gait_keys import GAIT_FILE
 
 
 @dataclass(frozen=True)
 class GaitFile:
-    """The contents of a gait file.  momentum: (r,) body momentum at the start."""
+    """The contents of a gait file.
+
+    gait: None if the file has none.  momentum: (r,) body momentum at the start.  optimise: options
+    of `optimise_gait`, and reorient: options of `reorient`, by their names in Python; what the file
+    does not say is left out.
+    """
 
     system: System
     connection: Connection
-    gait: Gait
+    gait: Gait | None
     momentum: Array
+    optimise: Mapping[str, Any] = field(default_factory=dict)
+    reorient: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def path(self) -> Gait:
+        """The gait.  Raises InputError if the file has none."""
+        if self.gait is None:
+            raise InputError(f"no gait of '{self.system.name}' is given")
+        return self.gait
 
 
 def load_gait(path: str | Path) -> GaitFile:
-    """Return robot, connection and gait of a TOML file; docs/phases.md lists what may stand in it.
+    """Return robot, connection, gait and objectives of a TOML file, as docs/phases.md lists them.
 
     Raises LoadError if the file, or one that it names, cannot be read; InputError, or what the
     parts raise, naming file and key.
@@ -46,8 +60,10 @@ def load_gait(path: str | Path) -> GaitFile:
     if "base" in document:
         with naming(place / "base"):
             connection = connection.seen_from(document["base"])
-    with naming(place / "gait"):
-        gait = _gait(document["gait"], connection, folder)
+    gait = None
+    if "gait" in document:
+        with naming(place / "gait"):
+            gait = _gait(document["gait"], connection, folder)
     momentum = np.zeros(connection.r)
     given = document.get("momentum", 0.0)
     if given != 0.0:
@@ -56,7 +72,14 @@ def load_gait(path: str | Path) -> GaitFile:
             names = ", ".join(connection.group.twist_names)
             (place / "momentum").fail(f"must have {connection.r} entries ({names}), or be 0")
         momentum[:] = values
-    return GaitFile(system, connection, gait, momentum)
+    optimise = dict(document.get("optimise", {}))
+    for name, nothing in (("cost", "none"), ("winding", "any")):
+        if optimise.get(name) == nothing:
+            optimise[name] = None
+    turn = dict(document.get("reorient", {}))
+    if turn and momentum.any():
+        turn["momentum"] = momentum
+    return GaitFile(system, connection, gait, momentum, optimise, turn)
 
 
 def _connection(system: System, table: Mapping[str, Any]) -> Connection:

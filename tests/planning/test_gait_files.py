@@ -30,7 +30,7 @@ def read(folder: Path, text: str) -> pinred.GaitFile:
 def test_the_example() -> None:
     """The file in examples is Purcell's circle."""
     file = pinred.load_gait(ROOT / "examples/gaits/purcell_circle.toml")
-    p = pinred.phase(file.connection, file.gait, file.momentum, tolerance=1e-12)
+    p = pinred.phase(file.connection, file.path, file.momentum, tolerance=1e-12)
     assert float(np.hypot(*p.pose[:2])) == pytest.approx(0.0512808243, abs=5e-11)
 
 
@@ -49,7 +49,7 @@ def test_the_example() -> None:
 def test_kinds_of_gaits(text: str, shape: list[float], tmp_path: Path) -> None:
     """Each kind by the name of its function."""
     file = read(tmp_path, f"{HEAD}[gait]\n{text}\n")
-    close(file.gait.at(0.0)[0], shape)
+    close(file.path.at(0.0)[0], shape)
     assert file.connection.joints == ("alpha1", "alpha2")
 
 
@@ -59,7 +59,7 @@ def test_recorded(tmp_path: Path) -> None:
     x = np.stack([np.cos(2 * np.pi * t), np.sin(2 * np.pi * t)], axis=1)
     np.savez(tmp_path / "loop.npz", t=t, x=x)
     file = read(tmp_path, f"{HEAD}[gait]\nkind = 'recorded'\nfile = 'loop.npz'\n")
-    close(file.gait.at(0.25)[0], [0.0, 1.0], 1e-12)
+    close(file.path.at(0.25)[0], [0.0, 1.0], 1e-12)
 
 
 def test_kinds_of_connections(tmp_path: Path) -> None:
@@ -88,7 +88,21 @@ def test_kinds_of_connections(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (f"{HEAD}", "'gait' is missing"),
+        (
+            f"{HEAD}[optimise]\nobjectives = 'rotation'\n",
+            "objectives: unknown key",
+        ),
+        (
+            f"{HEAD}[optimise]\ncost = 'love'\n",
+            "cost: unknown value .love.; it can be length",
+        ),
+        (f"{HEAD}[optimise]\nwinding = 2\n", "winding: must be a whole number from 1 to 1"),
+        (f"{HEAD}[optimise]\nlimits = [[1.0, 2.0, 3.0]]\n", "limits"),
+        (f"{HEAD}[reorient]\ncycles = 2\n", "'target' is missing"),
+        (
+            f"{HEAD}[reorient]\ntarget = 0.3\nspeeds = -1.0\n",
+            "speeds: must be finite and",
+        ),
         (f"{HEAD}[gait]\nkind = 'circle'\n", r"line 3: gait.kind: unknown kind .circle."),
         (f"{HEAD}momentum = [1.0]\n{CIRCLE}", r"line 2: momentum: must have 3 entries"),
         (f"{HEAD}base = 'nope'\n{CIRCLE}", r"base: the base: no link 'nope'"),
@@ -125,3 +139,35 @@ def test_a_gait_can_be_simulated() -> None:
     corners = pinred.Gait.waypoints([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     with pytest.raises(pinred.InputError, match="one Fourier series"):
         corners.signals(["a", "b"])
+
+
+def test_objectives(tmp_path: Path) -> None:
+    """Options by their names in Python; what a file leaves out, Python has a value for."""
+    text = f"""{HEAD}[optimise]
+objective = "rotation"
+cost = "none"
+winding = 1
+limits = {{ alpha1 = 1.5, alpha2 = [-1.0, 1.2] }}
+harmonics = 1
+starts = 1
+[reorient]
+target = 0.3
+limits = [2.5, [-2.0, 2.0]]
+x0 = {{ alpha1 = 0.4, alpha2 = 0.5 }}
+"""
+    file = read(tmp_path, text)
+    assert file.gait is None
+    best = pinred.optimise_gait(file.connection, **file.optimise)
+    same = pinred.optimise_gait(
+        file.connection, cost=None, limits={"alpha1": 1.5, "alpha2": [-1.0, 1.2]}, harmonics=1,
+        starts=1,
+    )  # fmt: skip
+    assert best.value == pytest.approx(same.value, rel=1e-12)
+    assert (best.gait.limits[1] >= [-1.0, -1.0]).all()
+    plan = pinred.reorient(file.system, **file.reorient)
+    assert plan.missed < 1e-8
+    close(plan.gait.at(0.0)[0], [0.4, 0.5], 1e-12)
+    with pytest.raises(pinred.InputError, match="no gait of 'three_rods'"):
+        _ = file.path
+    tumbling = read(tmp_path, f"momentum = [0.0, 0.0, 0.01]\n{text}")
+    close(tumbling.reorient["momentum"], [0.0, 0.0, 0.01])

@@ -1,1 +1,0 @@
-"""Gait files: a robot, its connection and a gait in one TOML file."""

@@ -1,0 +1,103 @@
+"""A loop that was looked for: on the curvature, its joints over time, and the base."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ...analysis.connections.connection import Connection
+from ...analysis.gaits.gait import Gait
+from ...analysis.phases.lift import in_space
+from ...common.arrays import Array
+from ...common.errors import InputError
+from ...lie.group import Group
+from ...planning.optimisation.best_gait import BestGait
+from ...planning.reorientation.turn_plan import TurnPlan
+from .curvature_field import component_of
+from .level_sets import fill, name_axes, outline
+from .shape_plane import around, draw_path, plane
+from .style import figure, legend, line, styled
+
+_TIMES = 400
+_OTHERS = 5  # local optima that are drawn, at most
+
+
+@styled
+def loop(source: BestGait | TurnPlan) -> Figure:
+    """Draw a best gait, or a plan that turns the base: the loop, its joints, and the base.
+
+    The loop is drawn over the curvature of the two joints that move most, the others as they stand
+    at its start, with other local optima as thin lines.  Over time: the joints, and the rotation of
+    the base [°], or its way where it does not turn [m].
+    Raises InputError for anything else.
+    """
+    if isinstance(source, BestGait):
+        connection, gaits = source.task.connection, [each.gait for each in source.optima]
+        gait = gaits[0]
+        times = np.linspace(0.0, gait.period, _TIMES)
+        shapes = gait.at(times)[0]
+        at, poses = source.phase.times, source.phase.path
+        title = f"best of {source.starts} starts: merit {source.merit:.6g}"
+    elif isinstance(source, TurnPlan):
+        connection, gaits = Connection.mechanical(source.system), [source.gait]
+        gait, traj = source.gait, source.trajectory
+        times, shapes, at, poses = traj.t, traj.x, traj.t, traj.pose
+        title = f"{source.cycles} cycles, {source.remaining:.1e} rad remain"
+    else:
+        raise InputError(
+            "loop draws a BestGait or a TurnPlan, as optimise_gait and reorient return, got "
+            f"{type(source).__name__}"
+        )
+    made = figure(f"{connection.form.what}: {title}", width=9.6, height=4.4)
+    parts: Any = made.subfigures(1, 2, width_ratios=(1.25, 1.0))
+    left, right = parts
+    _on_curvature(left.subplots(), connection, gaits[: 1 + _OTHERS])
+    joints, base = right.subplots(2, 1, sharex=True)
+    moving = np.argsort(-gait.amplitude, kind="stable")[:6]
+    for k, joint in enumerate(sorted(moving)):
+        joints.plot(times, shapes[:, joint], label=connection.joints[joint], **line(k))
+    units = sorted({connection.form.units[k] for k in moving}, reverse=True)
+    joints.set_ylabel(f"joints [{' | '.join(units)}]")
+    legend(joints)
+    _over_time(base, connection.group, at, poses)
+    return made
+
+
+def _on_curvature(axes: Axes, connection: Connection, gaits: list[Gait]) -> None:
+    """Draw the loops over the two joints that the first moves most."""
+    gait = gaits[0]
+    pair = sorted(np.argsort(-gait.amplitude, kind="stable")[:2].tolist())
+    paths = [each.at(np.linspace(0.0, each.period, _TIMES))[0] for each in gaits]
+    paths = [path[[*range(_TIMES - 1), 0]] for path in paths]
+    units = [connection.form.units[k] for k in pair]
+    limits = around(np.concatenate(paths)[:, pair], units)
+    shapes = plane(pair, limits, paths[0][0])
+    every = connection.grid(shapes.shapes).curvature[..., pair[0], pair[1]]
+    which = component_of(connection.group, None, every)
+    filled = fill(axes, shapes.axes, every[..., which])
+    outline(axes, shapes.axes, every[..., which], filled)
+    for path in paths[1:]:
+        axes.plot(path[:, pair[0]], path[:, pair[1]], color="white", linewidth=0.8, zorder=3)
+    draw_path(axes, paths[0][:, pair[0]], paths[0][:, pair[1]])
+    a, b = (connection.joints[k] for k in pair)
+    what = f"B, component {connection.group.twist_names[which]}"
+    name_axes(axes, filled, (a, b), units, limits, what)
+
+
+def _over_time(axes: Axes, group: Group, t: Array, poses: Array) -> None:
+    """Draw the rotation of the base, or its position where it has no rotation."""
+    if group.turns == 1:
+        axes.plot(t, np.degrees(poses[:, -1] - poses[0, -1]), label="θ", **line(0))
+    else:
+        back = group.inverse(poses[0])
+        log = in_space(group, group.log(group.compose(back[None], poses)))
+        rows, names = (log[:, 3:], "xyz") if group.turns else (log[:, :3], "xyz")
+        for k in range(3):
+            if group.turns or k in group.axes:
+                values = np.degrees(rows[:, k]) if group.turns else rows[:, k]
+                axes.plot(t, values, label=f"{'θ' if group.turns else ''}{names[k]}", **line(k))
+    axes.set(xlabel="time [s]", ylabel="turn of the base [°]" if group.turns else "base [m]")
+    legend(axes)

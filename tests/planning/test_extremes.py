@@ -1,0 +1,71 @@
+"""Greatest torques and speeds between samples, against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from nearness import close
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.planning.optimisation import extremes, margins
+from pinred.planning.optimisation.limits import limits_of
+from pinred.planning.reorientation.time_law import peaks_of
+
+T = 1.7  # s
+WHEEL = 1
+
+
+def wheels(shift: float = 0.37) -> tuple[pinred.Connection, pinred.Gait, Array]:
+    """Wheels about axes of symmetry, one of which swings: A(x), a gait, and M."""
+    system = pinred.load("reaction_wheel_satellite")
+    M = pinred.Reduction(system).reduced_metric(np.zeros(system.m))
+    cos, sin = np.zeros((2, 1, system.m))
+    delta = 2.0 * np.pi * shift / 1024.0  # between two samples
+    cos[0, WHEEL], sin[0, WHEEL] = np.cos(delta), np.sin(delta)
+    gait = pinred.Gait.fourier(np.zeros(system.m), cos, sin, period=T)
+    return pinred.Connection.mechanical(system), gait, M
+
+
+def test_torques_between_samples() -> None:
+    """M is constant: the peak is M (2π/T)², a third of the way between two samples."""
+    A, gait, M = wheels()
+    at, most = margins.strongest(A, gait)
+    close(most, np.abs(M[:, WHEEL]) * (2.0 * np.pi / T) ** 2, 1e-12)
+    assert at[WHEEL] * 1024.0 % 512.0 == pytest.approx(0.37, abs=1e-4)
+
+
+def test_it_needs_to_look_between(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Samples alone are short of it."""
+    A, gait, M = wheels()
+    monkeypatch.setattr(extremes, "_ROUNDS", 0)
+    most = margins.strongest(A, gait)[1][WHEEL]
+    assert most < M[WHEEL, WHEEL] * (2.0 * np.pi / T) ** 2 * (1.0 - 1e-7)
+
+
+def test_margins_and_times_of_torques() -> None:
+    """A limit just below the peak is broken, at the time of the peak; one just above is kept."""
+    A, gait, M = wheels()
+    peak = M[WHEEL, WHEEL] * (2.0 * np.pi / T) ** 2
+    for factor in (1.0 - 1e-9, 1.0 + 1e-9):
+        limits = limits_of(A, 9.0, None, {A.joints[WHEEL]: factor * peak})
+        margin = margins.margins(A, gait, limits)["torques"]
+        assert margin == pytest.approx((factor - 1.0) * peak, rel=1e-3)
+        assert len(margins.worst_times(A, gait, limits)) == (factor < 1.0)
+
+
+def test_peaks_from_rest_to_rest() -> None:
+    """Of sin φ, φ = a − sin a, by the same on a grid of a million points."""
+    A, _, M = wheels()
+    mean, cos, sin = np.zeros(A.m), np.zeros((1, A.m)), np.zeros((1, A.m))
+    sin[0, WHEEL] = 1.0
+    for cycles in (1, 3):
+        found = peaks_of(A, pinred.Gait.fourier(mean, cos, sin), cycles)
+        a = np.linspace(0.0, 2.0 * np.pi, 1_000_001)
+        phi, rate, bend = cycles * (a - np.sin(a)), cycles * (1.0 - np.cos(a)), cycles * np.sin(a)
+        w = 2.0 * np.pi
+        speed = np.abs(w * rate * np.cos(phi)).max()
+        torque = M[WHEEL, WHEEL] * np.abs(w**2 * (bend * np.cos(phi) - rate**2 * np.sin(phi))).max()
+        assert found.speed[WHEEL] == pytest.approx(speed, rel=1e-9)
+        assert found.torque[WHEEL] == pytest.approx(torque, rel=1e-9)
+        assert found.speed[WHEEL] >= speed * (1.0 - 1e-14)
