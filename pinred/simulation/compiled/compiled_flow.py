@@ -109,8 +109,7 @@ class CompiledFlow:
 
     def address(self, method: Method) -> int:
         """Address of the vector field, in the form in which a method takes it."""
-        lanes = method.lanes
-        return (self.kernel.rate if lanes == 1 else wide_rate(self.kernel, lanes)).address
+        return rate_address(self.kernel, method)
 
     def tangent(self) -> int:
         """Address of the derivative of the vector field, made when first asked for."""
@@ -226,6 +225,12 @@ class CompiledFlows:
         self.parameters[:, after : after + layout.line] = self.line[:, : layout.line]
         self.parameters[:, after + layout.line :] = numbers
         finite_start(self.y0, self.parameters, self.line)
+
+
+def rate_address(kernel: Kernel, method: Method) -> int:
+    """Return the address of a kernel's vector field, in the form in which a method takes it."""
+    lanes = method.lanes
+    return (kernel.rate if lanes == 1 else wide_rate(kernel, lanes)).address
 
 
 def _down(plan: Plan, attitude: Array, own: OwnNumbers | None) -> Array:

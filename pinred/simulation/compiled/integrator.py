@@ -24,13 +24,14 @@ from ...integrators.integrate_many import integrate_many as _integrate_many
 from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import Explicit, Method
 from ...kernels.kernel import Kernel
+from ...kernels.tangent import tangent_of
 from ...kernels.wide_rate import wide_rate
 from ...reduction.lost_inertia import lost_inertia
 from ...scene.scene import Scene
 from ...system.joints import joint_units
 from ..piece import Integrate, Piece
 from ..plan import Plan
-from .compiled_flow import CompiledFlow, CompiledFlows
+from .compiled_flow import CompiledFlow, CompiledFlows, rate_address
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,10 @@ def integrate_many(
 ) -> ManyRuns:
     """Integrate flows of one kernel, with the times and tolerance of one plan, over threads."""
     kernel = flows.kernel
-    found = _run(flows, plan, threads, progress)
+    end, times = plan.scene.end, plan.scene.report_times
+    found = runs_of_members(
+        kernel, plan.method, flows.parameters, flows.y0, end, times, threads, progress
+    )
     failures = []
     for k in np.flatnonzero(~found.ok).tolist():
         reason = STATUS[int(found.status[k])]
@@ -80,27 +84,32 @@ def lanes_of(method: Method, kernel: Kernel) -> int:
     return 16 if kernel.instructions <= _SMALL else 8
 
 
-def _run(
-    flows: CompiledFlows,
-    plan: Plan,
+def runs_of_members(
+    kernel: Kernel,
+    method: Method,
+    parameters: Array,
+    y0: Array,
+    end: float,
+    times: Array,
     threads: int | None,
-    progress: Callable[[float], None] | None,
+    progress: Callable[[float], None] | None = None,
 ) -> Solutions:
-    kernel, method = flows.kernel, plan.method
-    end, times, quaternion = plan.scene.end, plan.scene.report_times, kernel.layout.quaternion
-    lanes = lanes_of(method, kernel)
+    """Return runs of one kernel from many reduced states, in lanes where the method has them.
+
+    parameters: (N, p).  y0: (N, k).  times: (T,) within [0, end] [s].
+    """
+    layout, lanes = kernel.layout, lanes_of(method, kernel)
+    quaternion = layout.quaternion
     if lanes and isinstance(method, Explicit):
         address = wide_rate(kernel, lanes, own_parameters=True).address
         return integrate_in_lanes(
-            method, address, lanes, flows.parameters, flows.y0, end, times, quaternion,
-            threads, progress,
-        )  # fmt: skip
-    first = CompiledFlow.of(flows, 0)
+            method, address, lanes, parameters, y0, end, times, quaternion, threads, progress
+        )
     # One body that only translates carries a zero, which costs nothing.
-    y0 = flows.y0 if flows.y0.shape[1] else np.zeros((len(flows.y0), 1))
+    y0 = y0 if y0.shape[1] else np.zeros((len(y0), 1))
     return _integrate_many(
-        method, first.address(method), flows.parameters, y0, end, times, quaternion,
-        threads, first.tangent, kernel.layout.canonical, progress,
+        method, rate_address(kernel, method), parameters, y0, end, times, quaternion,
+        threads, lambda: tangent_of(kernel).address, layout.canonical, progress,
     )  # fmt: skip
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,18 +12,22 @@ from ...common.arrays import Array, read_only
 from ...common.errors import InputError, IntegrationError
 from ...integrators.derivatives import Slopes, refuse_without_derivatives, run_along, run_back
 from ...integrators.integrate import Solution, integrate_checked
+from ...integrators.integrate_many import STATUS
 from ...kernels.begin_and_end import Outcome, begin_of, outcome_of, rate_of, sizes_of
+from ...kernels.evaluate import evaluate, evaluate_each
 from ...kernels.start_kernel import TwistOrMomentum
 from ...kernels.tangent import tangent_of
-from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import root_of
-from ..compiled.compiled_flow import CompiledFlow
-from ..compiled.integrator import explained, wild_steps
+from ...system.system import Indices
+from ..compiled.compiled_flow import CompiledFlow, rate_address
+from ..compiled.integrator import explained, runs_of_members, wild_steps
 from ..compiled.kernel_of_plan import kernel_of
 from ..pieces import joined
 from ..plan import Plan
 from ..state import ShapeState, State
 from .inputs import Given, motion_of
+
+_OVERFLOWS = "the initial momentum or twist overflows: rates or momentum too large"
 
 
 @dataclass(frozen=True)
@@ -70,8 +76,7 @@ class Course:
         motion: TwistOrMomentum = "mu" if motion_of(plan.scene) == "mu" else "xi"
         self._begin = begin_of(kernel, motion)
         self._rate = rate_of(kernel)
-        lanes = self.method.lanes
-        self._address = (kernel.rate if lanes == 1 else wide_rate(kernel, lanes)).address
+        self._address = rate_address(kernel, self.method)
         rate = self._rate
         self._slopes = Slopes(
             tangent=lambda: rate.tangent.address,
@@ -96,8 +101,8 @@ class Course:
         y, head, start = np.split(out, np.cumsum(self._sizes[:2]))
         parameters = np.concatenate([head, given.constants])
         line = np.concatenate([start, self._fall])
-        if not (np.isfinite(out).all()):
-            raise InputError("the initial momentum or twist overflows: rates or momentum too large")
+        if not np.isfinite(out).all():
+            raise InputError(_OVERFLOWS)
         y = y if y.size else np.zeros(1)
         stretches = []
         for begin, stop, times in self._stretches:
@@ -131,6 +136,71 @@ class Course:
     def _states(self, run: Run, part: Stretch) -> State | ShapeState:
         flow = CompiledFlow.made(self.kernel, part.solution.y[:0], part.parameters, run.line)
         return flow.states(part.begin + part.times, part.solution.y, flow.numbers)
+
+    def outputs(self, run: Run) -> Array:
+        """Return the outputs (T, ·) of a run at its times; see Outputs for what stands where."""
+        kernel = self.kernel
+        parts = []
+        for part in run.stretches:
+            rows = part.solution.y[:, : kernel.layout.size]
+            if not kernel.layout.clock:
+                rows = np.concatenate([rows, (part.begin + part.times)[:, None]], axis=1)
+            constants = np.concatenate([part.parameters, run.line])
+            parts.append(evaluate(kernel.outputs.address, constants, rows, kernel.where.size))
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def entries(self, rows: Iterable[Outcome]) -> Indices:
+        """Return where fields of State stand in the outputs of the kernel."""
+        where, r = self.kernel.where, self._plan.system.r
+        places = {
+            "x": where.x,
+            "xdot": where.xdot,
+            "pose": where.pose,
+            "xi": slice(where.v.start, where.v.start + r),
+            "body_momentum": where.body_momentum,
+            "spatial_momentum": where.spatial_momentum,
+            "energy": slice(where.size - 1, where.size),
+        }
+        every = np.arange(where.size)
+        return np.concatenate([every[places[row]] for row in rows])
+
+    def outputs_of_many(self, state: Array, constants: Array, threads: int | None) -> Array:
+        """Return the outputs (N, T, ·) of many runs, in lanes where the method has them.
+
+        state, constants: (N, …), as in Given.  They are those of `run` within round-off times the
+        stretch of the flow.  Raises IntegrationError for the first member that fails.
+        """
+        kernel, count = self.kernel, len(state)
+        begun = evaluate_each(self._begin.value.address, state, constants, sum(self._sizes))
+        if not np.isfinite(begun).all():
+            raise InputError(_OVERFLOWS)
+        y, head, start = np.split(begun, np.cumsum(self._sizes[:2]), axis=1)
+        line = np.hstack([start, np.tile(self._fall, (count, 1))])
+        parts = []
+        for begin, stop, times in self._stretches:
+            here = np.hstack([head, constants])
+            here[:, head.shape[1] :] = [self._within(row, begin, stop) for row in constants]
+            asked = np.append(times, stop - begin)
+            found = runs_of_members(kernel, self.method, here, y, stop - begin, asked, threads)
+            self._check_members(found.ok, begin + found.end, found.status, found.y, begin + asked)
+            size = kernel.layout.size
+            y = np.ascontiguousarray(found.y[:, -1, :size])
+            rows = found.y[:, :-1, :size].reshape(count * len(times), size)
+            if not kernel.layout.clock:
+                rows = np.hstack([rows, np.tile(begin + times, count)[:, None]])
+            every = np.repeat(np.hstack([here, line]), len(times), axis=0)
+            out = evaluate_each(kernel.outputs.address, rows, every, kernel.where.size)
+            parts.append(out.reshape(count, len(times), kernel.where.size))
+        return np.concatenate(parts, axis=1)
+
+    def _check_members(self, ok: Any, ends: Array, status: Any, y: Array, times: Array) -> None:
+        """Raise IntegrationError for the first of many runs that has not come to its end."""
+        for k in range(len(ok)):
+            why = wild_steps(self.kernel, self._plan, y[k], times) if ok[k] else ""
+            if not ok[k]:
+                why = f"it stopped at t = {ends[k]:g} s: {STATUS[int(status[k])]}"
+            if why:
+                raise IntegrationError(f"member {k} of {len(ok)}: {why}")
 
     def along(self, run: Run, rows: tuple[Outcome, ...], state: Array, constants: Array) -> Array:
         """Return the derivatives (T, rows, N) along directions of what the run began with."""
