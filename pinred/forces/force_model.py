@@ -49,6 +49,7 @@ class ForceModel:
     references: the functions of time in the forces.  touched: joints that something acts on,
     or whose position something depends on.  labels: of the forces that do work.
     acting_on_base: labels of those that act on the base itself: its momentum is integrated.
+    sees_momentum: whether forces depend on twist or momentum of the base as Symbols have them.
     sees_attitude, sees_place: whether forces depend on the base's attitude, and on where its centre
     of mass is or how fast it moves.  loads: link and axes of each wrench that acts elsewhere.
     acting_function: (t, x, ẋ, ξ, μ, numbers, pose, twist, μ and J of the base in space) →
@@ -139,6 +140,8 @@ class ForceModel:
         alone = ca.sum2(ca.horzcat(ca.SX(m + r, 0), *direct)) + ca.vertcat(forward, ca.SX(r, 1))
         columns = [alone[:m], alone[m:], ca.horzcat(ca.SX(9, 0), *map(load_column, loads))]
         self._apart = Numeric(_function("apart", state, columns))
+        moves = ca.vertcat(s.xi, s.mu)
+        self.sees_momentum = any(ca.depends_on(column, moves) for column in columns)
         self.potential_function = _function("potential", [s.x, p], [potential])
         self._potential = Numeric(self.potential_function)
         everything = ca.vertcat(torque, wrench)

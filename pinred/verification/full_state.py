@@ -81,6 +81,7 @@ class FullState:
         self._numbers = np.empty(0) if self._forces is None else self._forces.numbers.copy()
         self._model, self._data = system.model, pin.Data(system.model)
         self._r, self._m = system.r, system.model.njoints - 2
+        self._unseen = np.full((2, system.r), np.nan)  # would be seen if a force did look there
         self._circles = [i for i, joint in enumerate(system.model.joints[2:]) if joint.nq == 2]
         self.ties = Ties(system)
         # Pinocchio 4.1 leaves the armature of slanted revolute joints out of the kinetic energy.
@@ -217,8 +218,8 @@ class FullState:
             y[[size + m + r + k for k in self._driven]] = given.xdot
             y = self._tied(y)
         x, v, q = y[size : size + m], y[size + m :], self.q(y)
-        xi, mu = self._relative(q, v)
-        state = self.ties.shape(x), self.ties.shape(v[r:]), xi, mu, self._numbers
+        moves = self._relative(q, v) if self._forces.sees_momentum else self._unseen
+        state = self.ties.shape(x), self.ties.shape(v[r:]), *moves, self._numbers
         base = self.base_in_space(q, y[:size], v) if self._forces.sees_base else None
         acting, loads = self._forces.acting_apart(t, *state, base)
         tau = np.append(acting.wrench, self.ties.at_leaders(acting.torque))
@@ -378,7 +379,8 @@ class FullState:
         linear, angular = data.hg.linear, data.hg.angular
         if about_pivot:
             away = placement.rotation @ self._axes[:3, : self._linear] @ q[: self._linear]
-            angular = angular + np.cross(data.com[0] - placement.translation + away, linear)
+            arm = data.com[0] - placement.translation + away
+            angular = angular + pin.skew(arm) @ linear  # np.cross takes ten times as long
         to_root = placement.rotation.T
         rotor = model.armature[: self._r] * v[: self._r]
         parts = np.append(to_root @ (linear - fall), to_root @ angular)

@@ -68,6 +68,7 @@ def random_scene(seed: int) -> RandomScene:
     if engine == "compiled":
         method = str(rng.choice(["auto", "DOP853", "Tsit5", "AdaptiveGauss", "Radau"]))
         options["method"] = method if method == "auto" else f"{method}(max_steps={_MOST_STEPS})"
+    options["times"] = np.linspace(0.0, options["duration"], int(rng.integers(2, 60)))
     kinds = [name for name in ("springs", "prescribed", "forces") if options.get(name)]
     about = (
         f"{system.name}, speed {speed:.1e}, rtol {rtol:.1e}, offset {offset:.1e}, {engine}, "
