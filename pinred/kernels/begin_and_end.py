@@ -17,7 +17,6 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.memo import once
 from ..reduction.base_parts import into_body
-from ..reduction.tree.free_bodies import NUMBERS
 from ..system.system import System
 from .base_graph import rotated
 from .differentiable import Differentiable, call_value
@@ -100,9 +99,9 @@ def _begin_graph(graph: ReducedGraph, given: TwistOrMomentum) -> ca.Function:
         for i, j in enumerate(layout.prescribed):
             x[j], xdot[j] = planned[i], rates[i]
     first = len(layout.gravity)
-    inertias = _entries(constants)[first : first + NUMBERS * len(layout.free)]
+    inertias = _entries(constants)[first : first + layout.freed.size]
     state, rest = ca.vertcat(pose, x, xdot, motion), ca.vertcat(ca.SX(0, 1), *inertias)
-    found = start_graph(system, given, layout.free)(state, rest if inertias else 0.0)
+    found = start_graph(system, given, layout.freed)(state, rest if inertias else 0.0)
     turns = r - k
     pi, about, fixed, c0, v0 = ca.vertsplit(
         found, [0, m, m + turns, m + 2 * turns, m + 2 * turns + k, m + 2 * turns + 2 * k]
@@ -202,7 +201,7 @@ def _judge_begin(kernel: Kernel, given: TwistOrMomentum, native: NativeCode) -> 
             return
         x, xdot, driven = x.copy(), xdot.copy(), list(layout.prescribed)
         x[driven], xdot[driven] = planned.x, planned.xdot
-    start = start_kernel(system, given)(pose[None], x[None], xdot[None], motion[None])
+    start = start_kernel(system, given, layout.freed)(pose[None], x[None], xdot[None], motion[None])
     active, cyclic, parts = list(layout.active), list(layout.cyclic), layout.base
     gravity = np.zeros(3)
     gravity[list(layout.gravity)] = constants[: len(layout.gravity)]

@@ -11,7 +11,7 @@ from ..reduction.tree.limbs import Lanes
 from ..system.system import System
 from .fingerprint import model_bytes
 from .judge import judge
-from .judged_state import with_other_inertias
+from .judged_state import with_other_numbers
 from .kernel import Kernel, KernelStore
 from .layout import Structure, layout_of
 from .machine.native import compile_object, load_object
@@ -33,7 +33,7 @@ def build_kernel(
     """
     cache = ObjectCache() if cache is None else cache
     kind = asdict(structure) | {"forces": None if forces is None else forces.key}
-    key = cache_key(model_bytes(system, structure.free), json.dumps(kind))
+    key = cache_key(model_bytes(system, structure.freed), json.dumps(kind))
     stored = cache.get(key)
     if stored is None:
         lanes = Lanes()
@@ -56,8 +56,12 @@ def build_kernel(
     )
     with telling_scale(system):
         judge(kernel)
-        if structure.free:  # with other inertias, too
-            judge(replace(kernel, system=with_other_inertias(system, structure)))
+        if structure.freed:  # with other numbers, too
+            judge(
+                replace(
+                    kernel, system=with_other_numbers(system, structure.freed, structure.cyclic)
+                )
+            )
     return kernel
 
 

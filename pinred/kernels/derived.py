@@ -33,7 +33,7 @@ def derived_code(
         whole = asdict(kernel.structure) | {"forces": forces} | kind
         cache, key = (
             ObjectCache(),
-            cache_key(model_bytes(kernel.system, kernel.structure.free), json.dumps(whole)),
+            cache_key(model_bytes(kernel.system, kernel.structure.freed), json.dumps(whole)),
         )
         code = cache.get(key)
         if code is None:

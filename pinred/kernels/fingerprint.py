@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 
 import numpy as np
 
+from ..reduction.tree.free_bodies import NOTHING, Freed
+from ..system.other_inertias import nominal
 from ..system.system import System
 
 
-def model_bytes(system: System, free: Sequence[int] = ()) -> bytes:
+def model_bytes(system: System, freed: Freed = NOTHING) -> bytes:
     """Return a digest of every number of the model that the equations depend on.
 
-    free: indices of bodies whose inertias are inputs.
+    freed: the numbers of bodies that are inputs.
     """
-    model = system.model
+    model, own = system.model, nominal(system).model
+    placed = [body for body, _ in freed.steps]
     digest = hashlib.sha256(f"{system.group.name} {system.group.axes}".encode())
     for i in range(1, model.njoints):
         joint, Y = model.joints[i], model.inertias[i]
         digest.update(f"{joint.shortname()} {model.parents[i]} {joint.nq};".encode())
-        digest.update(model.jointPlacements[i].homogeneous.tobytes())
-        if i - 1 not in free:
+        # Frames are those of the placements that the robot came with, wherever its joints are.
+        digest.update(own.jointPlacements[i].homogeneous.tobytes())
+        if i - 1 not in placed:
+            digest.update(model.jointPlacements[i].homogeneous.tobytes())
+        if i - 1 not in freed.inertias:
             digest.update(np.concatenate([[Y.mass], Y.lever, Y.inertia.ravel()]).tobytes())
         axes = np.asarray(joint.createData().S)  # what tells slanted joints apart
         digest.update(axes.tobytes())

@@ -14,15 +14,15 @@ from ..common.arrays import Array
 from ..forces.acting import BaseInSpace
 from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import acting_gravity, falling, translations
-from ..reduction.tree.free_bodies import free_numbers
+from ..reduction.tree.body_frames import bodies_of
+from ..reduction.tree.free_bodies import Freed, free_numbers, other_placement
 from ..system.inertias import moved_masses, radius_of_gyration
-from ..system.other_inertias import with_inertias
+from ..system.other_inertias import with_numbers
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
     from ..system.system import System
     from .kernel import Kernel
-    from .layout import Structure
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         potential = np.array([forces.potential(x, numbers)])
         if not np.isfinite(np.concatenate([acting.torque, acting.wrench, potential])).all():
             return None
-    acts, bodies = gravity[list(layout.gravity)], free_numbers(system, layout.free)
+    acts, bodies = gravity[list(layout.gravity)], free_numbers(system, layout.freed)
     return JudgedState(
         system=system,
         model=model,
@@ -217,17 +217,20 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
     )
 
 
-def with_other_inertias(system: System, structure: Structure) -> System:
-    """Return the system with other, physical inertias of the bodies that are free.
+def with_other_numbers(system: System, freed: Freed, cyclic: tuple[int, ...] = ()) -> System:
+    """Return the system with other numbers, inertias physical, of the bodies that are freed.
 
-    Those that a cyclic joint carries are made heavier and no more: it has to stay cyclic.
+    Inertias that a cyclic joint carries are made heavier and no more: it has to stay cyclic.
     """
     rng, changed, model = np.random.default_rng(1), {}, system.model
-    carried = {system.joints[k] for k in structure.cyclic}
+    bodies, placed = bodies_of(system), {}
+    for i, pattern in freed.steps:
+        placed[i + 1] = other_placement(bodies[bodies[i].parent], bodies[i], pattern, rng)
+    carried = {system.joints[k] for k in cyclic}
     for i in range(2, model.njoints):
         if model.parents[i] in carried:
             carried.add(i)
-    for i in structure.free:
+    for i in freed.inertias:
         own = model.inertias[i + 1]
         if i + 1 in carried:
             factor = rng.uniform(1.2, 1.5)
@@ -239,7 +242,7 @@ def with_other_inertias(system: System, structure: Structure) -> System:
         moments = own.inertia + np.trace(spread) * np.eye(3) - spread
         lever = own.lever + reach * rng.normal(size=3)
         changed[i + 1] = pin.Inertia(own.mass * rng.uniform(0.5, 1.5), lever, moments)
-    return with_inertias(system, changed)
+    return with_numbers(system, changed, placed)
 
 
 def _in_space(

@@ -60,7 +60,7 @@ class Kernel:
         """Return parameters (p,) with which code made of this kernel is compared with it."""
         layout = self.layout
         parameters = rng.normal(size=layout.parameters)
-        bodies = free_numbers(self.system, layout.free)
+        bodies = free_numbers(self.system, layout.freed)
         parameters[layout.bodies_at : layout.bodies_at + len(bodies)] = bodies
         if self.forces is not None:
             first = self.layout.parameters - self.layout.numbers

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..forces.force_model import ForceModel
 from ..reduction.base_parts import BaseParts, base_parts
-from ..reduction.tree.free_bodies import NUMBERS
+from ..reduction.tree.free_bodies import NOTHING, Freed
 from ..system.system import System
 
 
@@ -18,8 +18,8 @@ class Structure:
 
     zero_momentum: of the base.  cyclic: indices of the cyclic joints.  gravity: which axes of the
     root joint's fixed frame the part of it has that acts on the shape or turns a pivoted base.
-    base: whether the base is asked for.  free: indices of the bodies, 0 for the root, whose mass,
-    centre and moments are parameters.  lifted: whether a quaternion of any length
+    base: whether the base is asked for.  freed: bodies whose inertias, and whose steps from their
+    parents, are parameters.  lifted: whether a quaternion of any length
     stands for the angular momentum, μ = q̄ J q, which grows as the square of that length.
     Under this map (Cayley and Klein's) of ℝ⁴ to so(3)* the canonical bracket becomes that of
     Lie and Poisson, so that a symplectic method for (x, π, q) is a Poisson map of (x, π, μ).
@@ -30,7 +30,7 @@ class Structure:
     gravity: tuple[int, ...] = ()
     base: bool = True
     lifted: bool = False
-    free: tuple[int, ...] = ()
+    freed: Freed = NOTHING
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Layout:
 
     active, cyclic, prescribed: indices of shape joints.  base: the parts of the base that
     are integrated, and its constants.  clock: 1 if the time is the last number of y, else 0.
-    gravity: axes along which gravity is a parameter.  free: bodies whose inertias are.  line: how
+    gravity: axes along which gravity is a parameter.  freed: bodies whose numbers are.  line: how
     many numbers say where the centre of mass begins, how fast, and how it falls, where forces see
     that.  numbers: how many numbers the forces have.
     """
@@ -52,7 +52,7 @@ class Layout:
     heavy: bool
     clock: int
     gravity: tuple[int, ...]
-    free: tuple[int, ...]
+    freed: Freed
     line: int
     numbers: int
 
@@ -84,7 +84,7 @@ class Layout:
     @property
     def line_at(self) -> int:
         """Index in the parameters of the first number of the centre of mass's path."""
-        return self.bodies_at + NUMBERS * len(self.free)
+        return self.bodies_at + self.freed.size
 
     @property
     def quaternion(self) -> int:
@@ -154,7 +154,7 @@ def layout_of(system: System, structure: Structure, forces: ForceModel | None) -
         heavy=heavy,
         clock=int(forces is not None and forces.needs_time),
         gravity=structure.gravity,
-        free=structure.free,
+        freed=structure.freed,
         line=3 * system.group.linear if forces is not None and forces.sees_place else 0,
         numbers=len(forces.numbers) if forces is not None else 0,
     )

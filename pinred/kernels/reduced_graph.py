@@ -6,7 +6,7 @@ The graph contains nothing that a scene does not need.  The reduced state is
         integrated, and the time, if anything depends on it
 
 and the parameters are the angular momentum of the base where it is a constant, the momenta
-of the cyclic joints, gravity where it acts [m/s²], the inertias of bodies that are free, start,
+of the cyclic joints, gravity where it acts [m/s²], the numbers of bodies that are freed, start,
 velocity and fall of the centre of mass where forces see these, and the numbers in the forces.
 A joint is cyclic if nothing depends on its angle and nothing acts on it: then its momentum is
 constant.
@@ -23,7 +23,7 @@ from ..reduction.base_parts import root_of
 from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..reduction.tree.articulated_sweep import sweep
 from ..reduction.tree.body_frames import bodies_of
-from ..reduction.tree.free_bodies import NUMBERS, total_mass, with_free
+from ..reduction.tree.free_bodies import total_mass, with_free
 from ..reduction.tree.limbs import Lanes
 from ..reduction.tree.momenta import centre_of_mass
 from ..reduction.tree.scalars import Scalar, Vec, add, dot, mul, sub
@@ -48,10 +48,10 @@ class ReducedGraph:
         `compile_object` with the marks of `lanes` alone.
         """
         self.system, self.forces, self._lanes = system, forces, lanes
-        inertias = [ca.SX.sym(f"Y{k}") for k in range(NUMBERS * len(structure.free))]
+        inertias = [ca.SX.sym(f"Y{k}") for k in range(structure.freed.size)]
         self._inertias = inertias
-        self._bodies = with_free(bodies_of(system), structure.free, inertias)
-        self._mass = total_mass(self._bodies) if structure.free else system.mass
+        self._bodies = with_free(bodies_of(system), structure.freed, inertias)
+        self._mass = total_mass(self._bodies) if structure.freed.inertias else system.mass
         group, m = system.group, system.m
         self.layout = layout_of(system, structure, forces)
         self._gravity = [ca.SX.sym(f"g{axis}") for axis in structure.gravity]

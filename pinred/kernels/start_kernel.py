@@ -7,7 +7,7 @@ fixed one, and where the centre of mass begins and how fast it moves.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import casadi as ca
@@ -22,14 +22,16 @@ from ..reduction.potential import translations
 from ..reduction.tree.all_joints import joint_values
 from ..reduction.tree.articulated_sweep import sweep
 from ..reduction.tree.body_frames import bodies_of
-from ..reduction.tree.free_bodies import NUMBERS, total_mass, with_free
+from ..reduction.tree.free_bodies import NOTHING, Freed, free_numbers, total_mass, with_free
 from ..reduction.tree.momenta import centre_of_mass, momenta
 from ..reduction.tree.scalars import Scalar
+from ..system.other_inertias import nominal
 from ..system.system import System
 from .base_graph import BaseGraph
 from .evaluate import evaluate
 from .fingerprint import model_bytes
 from .judge import agree
+from .judged_state import with_other_numbers
 from .machine.native import NativeCode, compile_object, load_object
 from .object_cache import ObjectCache, cache_key
 from .scale import telling_scale
@@ -56,16 +58,32 @@ class Starts:
 
 @dataclass(frozen=True)
 class StartKernel:
-    """Machine code from initial states to the starts of flows."""
+    """Machine code from initial states to the starts of flows.
+
+    system: whose numbers it takes where none are given.  freed: which of them are inputs.
+    """
 
     system: System
+    freed: Freed
     code: NativeCode
 
-    def __call__(self, pose: Array, x: Array, xdot: Array, motion: Array) -> Starts:
-        """Return the starts for poses (N, size), x and ẋ (N, m), body twists or momenta (N, r)."""
+    def __call__(
+        self, pose: Array, x: Array, xdot: Array, motion: Array, numbers: Array | None = None
+    ) -> Starts:
+        """Return the starts for poses (N, size), x and ẋ (N, m), body twists or momenta (N, r).
+
+        numbers: of freed bodies, (freed.size,) of all, or (N, freed.size).
+        """
         m, r, k = self.system.m, self.system.r, self.system.group.linear
         rows = np.concatenate([pose, x, xdot, motion], axis=1)
-        out = evaluate(self.code.address, np.zeros(1), rows, m + 2 * r)
+        if numbers is None:
+            numbers = free_numbers(self.system, self.freed) if self.freed else np.zeros(1)
+        address, size = self.code.address, m + 2 * r
+        if numbers.ndim == 1:
+            out = evaluate(address, numbers, rows, size)
+        else:
+            each = zip(numbers, rows[:, None], strict=True)
+            out = np.concatenate([evaluate(address, own, row, size) for own, row in each])
         about, fixed, c0, v0 = m, m + r - k, m + 2 * (r - k), m + 2 * (r - k) + k
         return Starts(
             pi=out[:, :about],
@@ -76,32 +94,37 @@ class StartKernel:
         )
 
 
-def start_kernel(system: System, given: TwistOrMomentum) -> StartKernel:
+def start_kernel(system: System, given: TwistOrMomentum, freed: Freed = NOTHING) -> StartKernel:
     """Return the kernel for initial states with a body twist ("xi") or a body momentum ("mu").
+
+    freed: the numbers of bodies that are inputs.
 
     Raises KernelMismatch if it disagrees with Pinocchio, ModelError if the system is ill-scaled.
     """
 
     def make() -> StartKernel:
         cache = ObjectCache()
-        key = cache_key(model_bytes(system), f"start from {given}")
+        key = cache_key(model_bytes(system, freed), f"start from {given}{freed.steps or ''}")
         code = cache.get(key)
         if code is None:
-            code = compile_object(start_graph(system, given), _NAME)
+            code = compile_object(start_graph(system, given, freed), _NAME)
             cache.put(key, code)
-        kernel = StartKernel(system, load_object(code, _NAME))
+        kernel = StartKernel(system, freed, load_object(code, _NAME))
         with telling_scale(system):
             _judge(kernel, given)
+            if freed:  # with other numbers, too
+                _judge(replace(kernel, system=with_other_numbers(system, freed)), given)
         return kernel
 
-    return once(system, (StartKernel, given), make)
+    found = once(nominal(system) if freed else system, (StartKernel, given, freed), make)
+    return replace(found, system=system) if freed else found
 
 
-def start_graph(system: System, given: TwistOrMomentum, free: tuple[int, ...] = ()) -> ca.Function:
-    """Return the start as a Function of (pose, x, ẋ, ξ or μ) and of the numbers of free bodies."""
-    numbers = ca.SX.sym("numbers", NUMBERS * len(free))
-    bodies = with_free(bodies_of(system), free, ca.vertsplit(numbers) if free else [])
-    mass = total_mass(bodies) if free else system.mass
+def start_graph(system: System, given: TwistOrMomentum, freed: Freed = NOTHING) -> ca.Function:
+    """Return the start as a Function of (pose, x, ẋ, ξ or μ) and of the numbers of freed bodies."""
+    numbers = ca.SX.sym("numbers", freed.size)
+    bodies = with_free(bodies_of(system), freed, ca.vertsplit(numbers) if freed else [])
+    mass = total_mass(bodies) if freed.inertias else system.mass
     group, m, r = system.group, system.m, system.r
     k = group.linear
     pose, x, xdot = ca.SX.sym("pose", group.size), ca.SX.sym("x", m), ca.SX.sym("xdot", m)
@@ -137,7 +160,7 @@ def start_graph(system: System, given: TwistOrMomentum, free: tuple[int, ...] = 
         out = ca.substitute(out, ca.vertcat(*base.attitude), ca.vertcat(*attitude))
     inputs = ca.vertcat(pose, x, xdot, motion)
     return ca.Function(
-        _NAME, [inputs, numbers if free else ca.SX.sym("none")], [ca.densify(out)], {"cse": True}
+        _NAME, [inputs, numbers if freed else ca.SX.sym("none")], [ca.densify(out)], {"cse": True}
     )
 
 

@@ -35,7 +35,7 @@ class SceneOptions(TypedDict, total=False):
     prescribed: Mapping[str, Signal | float | str]
     passive: bool
     friction: float | None
-    parameters: Mapping[str, ArrayLike]
+    parameters: Any
     events: Sequence[Event] | Event
     outputs: WantedOutputs
     method: Method | str

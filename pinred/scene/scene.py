@@ -18,7 +18,7 @@ from ..common.plain_names import brief, listed, one_of
 from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method
-from ..system.body_parameters import Bodies
+from ..system.model_parameters import ModelParameters, requested
 from ..system.other_inertias import nominal
 from ..system.system import System, checked_system
 from . import forms
@@ -78,9 +78,12 @@ class Scene:
     rate [rad/s | m/s] within which dry friction in the file turns round, τ = −most·tanh(ẋ/width);
     None leaves it out.
     parameters: {name: value} of Parameters in forces and signals that are to have another, and of
-    bodies, by a link or joint: "hand.mass", "hand.com", "hand.inertia" (xx, xy, xz, yy, yz, zz
+    the robot: by a link or joint "hand.mass", "hand.com", "hand.inertia" (xx, xy, xz, yy, yz, zz
     about the centre), "hand.payload.mass" and "hand.payload.at", a point mass on it, or
-    "hand.log_cholesky"; those bodies' inertias are inputs of the kernel.
+    "hand.log_cholesky"; by a joint "elbow.placement" (x, y, z, roll, pitch, yaw), or
+    "elbow.translation" of it; of a locked one "elbow.lock"; "gravity" in the world frame, or
+    "gravity.strength".  These numbers are inputs of the kernel.  A list of such names, or "all" for
+    inertias and placements, makes inputs of them at the values that they have.
     events: moments to find (see Event); a terminal one ends the motion, and so the scene of the
     Trajectory.
     outputs: "all", or "shape" to leave out the base.
@@ -112,14 +115,14 @@ class Scene:
     prescribed: Mapping[str, Signal | float | str] = field(default_factory=dict)
     passive: bool = False
     friction: float | None = None
-    parameters: Mapping[str, ArrayLike] = field(default_factory=dict)
+    parameters: Any = field(default_factory=dict)  # {name: value}, or names
     events: Sequence[Event] | Event = ()
     outputs: WantedOutputs = "all"
     method: Method | str = "auto"
 
     def __post_init__(self) -> None:
         checked_system(self.system, "a scene")
-        self._vary_bodies()
+        self._vary_robot()
         given = [name for name in _STATE if getattr(self, name) is not None]
         for name, (what, others) in _STAND_FOR.items():
             if getattr(self, name) is None:
@@ -223,15 +226,10 @@ class Scene:
         return model
 
     @property
-    def varied_bodies(self) -> Bodies | None:
-        """The bodies whose inertias are among the parameters; None if there are none."""
-        found: Bodies | None = vars(self)["_bodies"]
+    def varied(self) -> ModelParameters | None:
+        """The numbers of the robot that are among the parameters; None if there are none."""
+        found: ModelParameters | None = vars(self)["_varied"]
         return found
-
-    @property
-    def free_bodies(self) -> tuple[int, ...]:
-        """Their indices, 0 for the root."""
-        return () if self.varied_bodies is None else self.varied_bodies.free
 
     @property
     def events_given(self) -> tuple[Event, ...]:
@@ -265,16 +263,17 @@ class Scene:
     def _keep(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
 
-    def _vary_bodies(self) -> None:
-        """Give bodies the inertias among the parameters; the system is then one that has them."""
-        if not isinstance(self.parameters, Mapping):
-            raise InputError(f"parameters must be {{name: value}}, got {brief(self.parameters)}")
+    def _vary_robot(self) -> None:
+        """Give the robot the numbers among the parameters; the system is then one that has them."""
         own = nominal(self.system)
-        bodies = Bodies(own, list(self.parameters))
-        self._keep("_bodies", bodies if bodies.free else None)
-        values = bodies.checked(self.parameters)
+        given, others = requested(own, self.parameters)
+        self._keep("parameters", given)
+        self._keep("_requested", others)
+        varied = ModelParameters(own, list(self.parameters))
+        self._keep("_varied", varied if varied.names else None)
+        values = varied.checked(self.parameters)
         self._keep("_values", values)
-        self._keep("system", bodies.system(values) if bodies.free else own)
+        self._keep("system", varied.system(values))
 
     def _check_forces(self) -> None:
         """Write the forces down, if there are any."""
@@ -334,6 +333,13 @@ class Scene:
             values[name] = float(
                 vector(np.ravel(as_floats(value, name)), 1, f"parameters['{name}']")[0]
             )
+        for name in vars(self)["_requested"]:
+            if name not in known:
+                raise InputError(
+                    f"parameters: there is no {brief(name)}; what may vary are names such as "
+                    "'link.mass' and 'joint.placement', 'gravity', and the Parameters of the "
+                    f"scene: {listed(known, 60) or 'none'}"
+                )
         self._keep("parameters", MappingProxyType(values))
 
     def _resolve(self) -> GivenStates:

@@ -13,6 +13,7 @@ def explain(plan: Plan) -> str:
     lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=_begins_without(plan))]
     lines.append(f"integrated: {integrated(plan)}")
     lines += seen_and_integrated(plan)
+    lines += varying(plan)
     if note := large_angles(plan.scene.given.x[0], plan.system):
         lines.append(f"note: {note}")
     if plan.scene.left_out:
@@ -37,6 +38,36 @@ def seen_and_integrated(plan: Plan) -> list[str]:
         lines.append(f"integrated for wrenches: momentum, which {labels} changes")
     elif what and not plan.acting.momentum_changes:
         lines.append("constant: momentum, for torques do not change it, whatever they see")
+    return lines
+
+
+def varying(plan: Plan, *, generic: bool = False) -> list[str]:
+    """Return which numbers of the robot are inputs of the kernel, and what that costs, as lines.
+
+    generic: whether placements may become any, as in flows.
+    """
+    varied = plan.scene.varied
+    if varied is None:
+        return []
+    freed, names = plan.freed(generic=generic), list(plan.system.model.names)
+    lines = []
+    if freed.inertias:
+        bodies = ", ".join(names[i + 1] for i in freed.inertias)
+        lines.append(f"inputs: inertias of what moves with {bodies} (up to 1.15 × an evaluation)")
+    few = [names[i + 1] for i, pattern in freed.steps if "x" * 4 not in pattern]
+    any_turn = [names[i + 1] for i, pattern in freed.steps if "x" * 4 in pattern]
+    if few:
+        lines.append(
+            f"inputs: placements of {', '.join(few)}, within their pattern of zeros and quarter "
+            "turns (up to 1.15 × an evaluation)"
+        )
+    if any_turn:
+        lines.append(
+            f"inputs: placements of {', '.join(any_turn)}, of any kind (of all joints, up to "
+            "2.5 × an evaluation)"
+        )
+    if varied.gravity:
+        lines.append("inputs: gravity")
     return lines
 
 

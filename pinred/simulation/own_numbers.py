@@ -12,11 +12,13 @@ from ..common.arrays import Array
 class OwnNumbers:
     """Numbers of members; None for those of the plan.
 
-    numbers: (N, p) in the forces.  gravity: (N, 3) what of it acts, and fall: (N, k) with which
+    numbers: (N, p) in the forces.  robot: (N, s) those of bodies that are freed, which may be any.
+    gravity: (N, 3) what of it acts, and fall: (N, k) with which
     the centre of mass falls, in the root joint's fixed frame [m/s²].
     """
 
     numbers: Array | None = None
+    robot: Array | None = None
     gravity: Array | None = None
     fall: Array | None = None
 

@@ -20,8 +20,9 @@ from ..integrators.methods import Method
 from ..kernels.layout import Layout, Structure, layout_of
 from ..reduction.cyclic_joints import cyclic_of
 from ..reduction.potential import acting_gravity, pivot_weight
+from ..reduction.tree.free_bodies import NOTHING, Freed, freed_of
 from ..scene.scene import Scene
-from ..system.body_parameters import Bodies
+from ..system.model_parameters import ModelParameters
 from ..system.system import System
 from .choose_method import Choice, choose
 from .stops import stops_of
@@ -78,29 +79,31 @@ class Acting:
         return bool(self.weight.any())
 
     def kind(
-        self, *, zero_momentum: bool, base: bool, symplectic: bool, free: tuple[int, ...] = ()
+        self, *, zero_momentum: bool, base: bool, symplectic: bool, freed: Freed, every: bool
     ) -> Kind:
         """Return the terms there are, made once.
 
         zero_momentum: whether the angular momentum is exactly zero.  base: whether somebody asks
-        for the base.  symplectic: whether the integrator is.  free: bodies whose inertias vary.
+        for the base.  symplectic: whether the integrator is.  freed: numbers of bodies that vary.
+        every: whether gravity may come to act along any axis.
         """
         zero = zero_momentum and not self.momentum_changes
         # A constant angular momentum that turns in the body is a quaternion to symplectic methods.
         constant = self.system.group.turns == 3 and not (zero or self.momentum_changes)
         lifted = symplectic and constant
-        key = (zero, base, lifted, free)
+        key = (zero, base, lifted, freed, every)
         return once(self, key, lambda: self._kind(*key))
 
-    def _kind(self, zero: bool, base: bool, lifted: bool, free: tuple[int, ...]) -> Kind:
-        axes = tuple(np.flatnonzero(self.gravity).tolist())
+    def _kind(self, zero: bool, base: bool, lifted: bool, freed: Freed, every: bool) -> Kind:
+        acts = self.gravity.any()
+        axes = (0, 1, 2) if every and acts else tuple(np.flatnonzero(self.gravity).tolist())
         structure = Structure(
             zero_momentum=zero,
             cyclic=self.cyclic,
             gravity=axes,
             base=base,
             lifted=lifted,
-            free=free,
+            freed=freed,
         )
         return Kind(self.system, self.forces, structure)
 
@@ -143,14 +146,26 @@ class Plan:
         """The integrator of the compiled route."""
         return self.choice.method
 
-    def kind(self, *, zero_momentum: bool) -> Kind:
-        """Return the terms there are if the angular momentum is exactly zero, or if it is not."""
+    def kind(self, *, zero_momentum: bool, generic: bool = False) -> Kind:
+        """Return the terms there are if the angular momentum is exactly zero, or if it is not.
+
+        generic: whether numbers of the robot that vary may become any.
+        """
+        varied = self.scene.varied
         return self.acting.kind(
             zero_momentum=zero_momentum,
             base=self.wanted,
             symplectic=self.method.symplectic,
-            free=self.scene.free_bodies,
+            freed=self.freed(generic=generic),
+            every=generic and varied is not None and varied.gravity_name() == "gravity",
         )
+
+    def freed(self, *, generic: bool = False) -> Freed:
+        """Return the numbers of the robot that are inputs of the kernel; see `kind`."""
+        varied = self.scene.varied
+        if varied is None:
+            return NOTHING
+        return freed_of(self.system, varied.free, varied.placed, varied.turned, generic=generic)
 
 
 def plan_of(scene: Scene) -> Plan:
@@ -164,28 +179,31 @@ def plan_of(scene: Scene) -> Plan:
 def _plan(scene: Scene) -> Plan:
     system, forces = scene.system, scene.force_model
     # A force model belongs to one system.
-    bodies = scene.varied_bodies
-    key = (Acting, *(bodies.parameters if bodies is not None else ()))
+    varied = scene.varied
+    key = (Acting, *(varied.names if varied is not None else ()))
     owner = system if forces is None else forces
-    acting = once(owner, key, lambda: _acting(system, forces, bodies))
+    acting = once(owner, key, lambda: _acting(system, forces, varied))
     numbers = _NONE if forces is None else read_only(forces.numbers_from(0.0, scene.end))
     return Plan(scene, acting, read_only(stops_of(scene)), numbers)
 
 
-def _acting(system: System, forces: ForceModel | None, bodies: Bodies | None) -> Acting:
-    weight = pivot_weight(system)
+def _acting(system: System, forces: ForceModel | None, varied: ModelParameters | None) -> Acting:
+    weight, gravity = pivot_weight(system), acting_gravity(system)
     driven = forces.joints if forces is not None else ()
     pushed = forces is not None and forces.has_wrench
     cyclic = cyclic_of(system, touched_by(forces), pushed=pushed)
-    if bodies is not None:  # a joint that another value would not leave cyclic is none
-        other = bodies.system(bodies.perturbed(np.random.default_rng(0)))
+    if varied is not None:  # a joint that another value would not leave cyclic is none
+        other = varied.system(varied.perturbed(np.random.default_rng(0)))
+        if not weight.any() and pivot_weight(other).any():  # nor a base that others would turn
+            gravity = system.model.jointPlacements[1].rotation.T @ system.gravity
+            weight = system.mass * gravity
         always = cyclic_of(other, touched_by(forces), pushed=pushed)
         cyclic = tuple(k for k in cyclic if k in always)
     return Acting(
         system=system,
         forces=forces,
         weight=weight,
-        gravity=acting_gravity(system),
+        gravity=gravity,
         momentum_changes=bool(weight.any()) or pushed,
         cyclic=cyclic,
         driven=driven,

@@ -26,7 +26,7 @@ from .trajectory import Trajectory
 
 if TYPE_CHECKING:
     from .compiled.compiled_flow import CompiledFlows
-    from .compiled.integrator import ManyRuns
+    from .compiled.integrate_members import ManyRuns
 
 
 @shows_fields(Scene)
@@ -58,8 +58,7 @@ def simulate_many(
     number of threads.  They are those of `simulate` within round-off times the stretch of the flow;
     with other methods they are those of `simulate` to the bit.  Where `simulate` would choose
     AdaptiveGauss, members are given to DOP853, which costs less of many.  Members with controllers,
-    events, tables that have breaks, or inertias among their parameters run one by one, as in
-    `simulate`.
+    events, or plans of joints that have breaks run one by one, as in `simulate`.
     A member that fails is reported in `failures` and disturbs no other.
     Raises InputError or ShapeError for scenes that make no sense.
     """
@@ -95,7 +94,7 @@ def _checked(seeds: Sequence[int] | None) -> list[int] | None:
 def _explained(found: Members) -> str:
     """Return how members run, a line for each group."""
     from .compiled.compiled_flow import flows_of
-    from .compiled.integrator import lanes_of
+    from .compiled.integrate_members import lanes_of
 
     lines = []
     for group in found.groups:
@@ -131,7 +130,7 @@ class _Results:
 
 def _run(found: Members, threads: int | None, progress: Progress | None) -> Trajectories:
     from .compiled.compiled_flow import flows_of
-    from .compiled.integrator import integrate_many
+    from .compiled.integrate_members import integrate_members
 
     results = _Results(found.count, progress)
     for group in found.groups:
@@ -142,7 +141,7 @@ def _run(found: Members, threads: int | None, progress: Progress | None) -> Traj
         for some, flows in flows_of(group.plan, group.given, group.own):
             told = partial(results.tell, share=len(some)) if progress is not None else None
             began = time.perf_counter()
-            runs = integrate_many(flows, group.plan, threads, told)
+            runs = integrate_members(flows, group.plan, threads, told)
             wall = (time.perf_counter() - began) / len(some)
             _keep(results, group, some, flows, runs, wall)
     failures = sorted(results.failures, key=lambda failure: failure.member)

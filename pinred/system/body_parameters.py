@@ -20,7 +20,6 @@ from ..common.arrays import Array, vector
 from ..common.errors import InputError
 from ..common.names import nearest
 from ..common.plain_names import listed, quoted
-from .other_inertias import with_inertias
 from .system import System
 
 # Each kind of parameter, and how many numbers it has.
@@ -166,15 +165,6 @@ class Bodies:
                 slopes[mine["payload.at"]] = by_centre
         return total, slopes
 
-    def system(self, values: Mapping[str, Array]) -> System:
-        """Return the system with these values."""
-        changed = {}
-        for body in self.free:
-            total, _ = self.dynamic(body, values)
-            theirs = np.concatenate([total[:4], total[4:][list(_THEIRS)]])
-            changed[body + 1] = pin.Inertia.FromDynamicParameters(theirs)
-        return with_inertias(self._system, changed)
-
     def perturbed(self, rng: np.random.Generator) -> dict[str, Array]:
         """Return physical values that have nothing in common with those of the system."""
         out = {}
@@ -200,6 +190,12 @@ class Bodies:
 
     def _body(self, body: int) -> pin.Inertia:
         return self._system.model.inertias[body + 1]
+
+
+def inertia_of(moments: Array) -> pin.Inertia:
+    """Return the inertia that has (10,) moments about the joint's origin."""
+    theirs = np.concatenate([moments[:4], moments[4:][list(_THEIRS)]])
+    return pin.Inertia.FromDynamicParameters(theirs)
 
 
 def _own(body: pin.Inertia, kind: str) -> Array:

@@ -10,6 +10,7 @@ from typing import Any
 from ..common.arrays import Array, freeze
 from ..common.plain_names import plain
 from .force import Force
+from .locked_joints import LockedJoints
 from .visuals import Visuals
 
 
@@ -70,7 +71,8 @@ class Contents:
     at joints of the shape, which act where a scene asks for them.  keyframes: states by name.
     couplings: joints that follow others.  freed: the body that the file fixes to the world and
     that floats here, or "".
-    visuals: shapes to draw that were given along with the model.
+    visuals: shapes to draw that were given along with the model.  locked: the joints that were
+    locked, whose values may vary; None where they may not, as in MJCF.
     """
 
     left_out: tuple[LeftOut, ...] = ()
@@ -85,6 +87,7 @@ class Contents:
     couplings: tuple[Coupling, ...] = ()
     freed: str = ""
     visuals: Visuals | None = None
+    locked: LockedJoints | None = None
 
 
 def shortened(names: tuple[str, ...], most: int = 6) -> str:

@@ -31,6 +31,7 @@ from . import catalogue
 from .contents import Contents, Coupling
 from .coupling import with_followers
 from .joints import motion_group, root_joint
+from .locked_joints import LockedJoints
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
 from .model_passive import passive_contents
@@ -131,9 +132,13 @@ def load(
         raw, couplings = _example(name)
     locked, couplings = with_followers(locked, couplings, list(raw.names))
     bare = rebuild(raw, _frozen(raw, locked))
-    model = _on_root(bare, wanted, root_chain(bare))
+    chain = root_chain(bare)
+    model = _on_root(bare, wanted, chain)
     contents = passive_contents(raw, list(model.names)[2:], locked)
-    contents = replace(contents, visuals=visuals, couplings=couplings)
+    fixed = None
+    if locked and not (couplings or chain):
+        fixed = LockedJoints(raw, locked)
+    contents = replace(contents, visuals=visuals, couplings=couplings, locked=fixed)
     if weight is not None:
         model.gravity.linear = weight
     model.name = name

@@ -1,4 +1,4 @@
-"""A system with other inertias of some bodies, and the one it was made of."""
+"""A system with other inertias and placements, and the one it was made of."""
 
 from __future__ import annotations
 
@@ -11,16 +11,25 @@ from .system import System
 
 
 def nominal(system: System) -> System:
-    """Return the system as it was loaded: itself, unless its bodies were given other inertias."""
+    """Return the system as it was loaded: itself, unless it was given other numbers."""
     found: System = vars(system).get("_nominal", system)
     return found
 
 
-def with_inertias(system: System, inertias: Mapping[int, pin.Inertia]) -> System:
-    """Return a system with other inertias of some bodies, {joint of the model: inertia}."""
-    other = copy(system)  # without what was made for its own inertias
+def with_numbers(
+    system: System,
+    inertias: Mapping[int, pin.Inertia],
+    placements: Mapping[int, pin.SE3] | None = None,
+) -> System:
+    """Return a system with other inertias of some bodies, and other placements of some joints.
+
+    Both by joint of the model.
+    """
+    other = copy(system)  # without what was made for its own numbers
     own = vars(other)
     own["model"], own["_nominal"] = system.model.copy(), nominal(system)
     for joint, inertia in inertias.items():
         other.model.inertias[joint] = inertia
+    for joint, placement in (placements or {}).items():
+        other.model.jointPlacements[joint] = placement
     return other

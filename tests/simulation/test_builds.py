@@ -1,4 +1,4 @@
-"""Numbers are inputs of a kernel: however often they change, it is built once."""
+"""Numbers are inputs of a kernel: however often they change, it is built and stored once."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 import pinred
 from pinred import Parameter
 from pinred.forces import PD, ComputedTorque, Damper, Friction, Limit, Spring, Torque, Wrench
-from pinred.kernels import build
+from pinred.kernels import build, differentiable, start_kernel
 from pinred.signals import Constant, Fourier, Hold, Linear, Spline
 
 GAIN, BIAS = Parameter("gain", 1.0), Parameter("bias", 0.1)
@@ -44,6 +44,18 @@ SCENES: dict[str, Callable[[float], dict[str, Any]]] = {
     "tables": lambda v: {
         "forces": [Torque({"bend": Linear([0, v / 9, 1], [0, v, 0]), "sway": Hold([0], [v / 9])})]
     },
+    "mass": lambda v: {"parameters": {"back.mass": v, "front.mass": 2.0 * v}},
+    "centre and moments": lambda v: {
+        "parameters": {"back.com": [v, 0.1, 0.0], "front.inertia": [v, 0.0, 0.0, v, 0.0, v]}
+    },
+    "payload": lambda v: {
+        "parameters": {"front.payload.mass": v, "front.payload.at": [0.1 * v, 0.2, 0.3]}
+    },
+    "log-Cholesky": lambda v: {"parameters": {"front.log_cholesky": [0.1 * v] * 10}},
+    "length of a link": lambda v: {"parameters": {"twist.translation": [0.0, 0.0, v]}},
+    "any placement": lambda v: {
+        "parameters": {"sway.placement": [0.1, 0.2 * v, 0.3, 0.2 * v, -0.3, 0.4]}
+    },
     "computed torque": lambda v: {
         "forces": [
             ComputedTorque(
@@ -65,24 +77,63 @@ def builds(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         made.append(name)
         return whole(function, name, *args, **options)
 
-    monkeypatch.setattr(build, "compile_object", counted)
+    for module in (build, start_kernel, differentiable):
+        monkeypatch.setattr(module, "compile_object", counted)
     return made
+
+
+def entries(folder: Any) -> int:
+    """Return how many entries a cache has."""
+    return sum(1 for file in folder.rglob("*") if file.is_file())
 
 
 @pytest.mark.parametrize(
     "kind",
     [k if k != "computed torque" else pytest.param(k, marks=pytest.mark.slow) for k in SCENES],
 )
-def test_one_build_for_a_hundred_numbers(kind: str, builds: list[str]) -> None:
+def test_one_build_for_a_hundred_numbers(kind: str, builds: list[str], tmp_path: Any) -> None:
     """Every coefficient of a force or signal takes a hundred values with one kernel."""
     cat = pinred.load("falling_cat")
-    ends = []
+    ends, stored = [], []
     for value in np.linspace(0.5, 1.5, 100):
         options = SCENES[kind](float(value))
         traj = pinred.simulate(cat, duration=0.1, times=[0.1], rtol=1e-6, atol=1e-8, **options)
         ends.append(np.concatenate([traj.x[-1], traj.xdot[-1], traj.pose[-1]]))
-    assert builds == ["rate", "outputs"]
+        stored.append(entries(tmp_path))
+    assert sorted(builds) == ["outputs", "rate", "start"]
+    assert stored[0] == stored[-1]
     assert len(np.unique(ends, axis=0)) == 100  # and each value counts
+
+
+def test_one_build_for_a_hundred_locks(builds: list[str]) -> None:
+    """The value of a locked joint is an input by its name; each moves what it carries."""
+    cat = pinred.load("falling_cat", lock={"sway": 0.3})
+    ends = [
+        pinred.simulate(cat, seed=1, duration=0.1, times=[0.1], parameters={"sway.lock": value}).xi
+        for value in np.linspace(0.2, 1.2, 100)
+    ]
+    assert sorted(builds) == ["outputs", "rate", "start"]
+    assert len(np.unique(np.ravel(ends)[::6])) == 100
+    again = pinred.simulate(
+        pinred.load("falling_cat", lock={"sway": 1.2}), seed=1, duration=0.1, times=[0.1]
+    )
+    np.testing.assert_allclose(again.xi, ends[-1], rtol=0, atol=1e-11)
+
+
+def test_one_build_for_a_hundred_calls_of_a_flow(builds: list[str], tmp_path: Any) -> None:
+    """Flows take placements, locked joints, inertias and gravity as they come."""
+    pole = pinred.load("cartpole")
+    names = {"pole.mass": 1.0, "pole_pivot.translation": 0.5, "gravity.strength": 9.0}
+    flow = pinred.flow(pole, seed=1, duration=0.1, wrt=[*names], method="DOP853")
+    ends, stored = [], []
+    for v in np.linspace(0.5, 1.5, 100):
+        values: dict[str, Any] = {n: v * size for n, size in names.items()}
+        values["pole_pivot.translation"] = [v, 0.1 * v, 0.0]
+        ends.append(flow(**values).x)
+        stored.append(entries(tmp_path))
+    assert len(builds) == len(set(builds))
+    assert stored[0] == stored[-1]
+    assert len(np.unique(ends, axis=0)) == 100
 
 
 def test_one_build_for_a_hundred_gravities(builds: list[str]) -> None:
@@ -93,10 +144,19 @@ def test_one_build_for_a_hundred_gravities(builds: list[str]) -> None:
         ]
         for g in np.linspace(0.5, 20.0, 100)
     ]
-    assert builds == ["rate", "outputs"]
+    assert sorted(builds) == ["outputs", "rate", "start"]
     assert len(np.unique(ends, axis=0)) == 100
+    cartpole = pinred.load("cartpole")
+    by_name = [
+        pinred.simulate(cartpole, duration=0.1, times=[0.1], parameters={"gravity.strength": g}).x[
+            -1
+        ]
+        for g in np.linspace(0.5, 20.0, 100)
+    ]
+    np.testing.assert_array_equal(by_name, ends)
+    assert len(builds) == 3
     pinred.simulate(pinred.load("cartpole", gravity=(0, 0, 0)), duration=0.1)
-    assert len(builds) == 4
+    assert len(builds) == 5  # the start is that of before
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import Any
 
 import casadi as ca
@@ -133,7 +134,7 @@ def test_derivatives_of_what_simulate_gives(name: str) -> None:
     values = {"x0": given.x[0], "xdot0": given.xdot[0], "xi0": given.xi[0], "gain": 2.0}
     for key, size in flow.inputs.items():
         v = rng.normal(size=size)
-        sides = []
+        sides: list[Any] = []
         for s in (-h, h):
             value = group.compose(given.pose[0], group.exp(s * v)) if key == "pose0" else None
             moved = value if value is not None else values[key] + s * (v if size > 1 else v[0])
@@ -144,7 +145,7 @@ def test_derivatives_of_what_simulate_gives(name: str) -> None:
             expected = (high - low) / (2.0 * h)
             error = np.abs(found[..., flow.outputs[row]] - expected).max()
             assert error < 2e-6 * max(1.0, np.abs(found).max()), (key, row)
-        low, high = (vars(side)["pose"] for side in sides)
+        low, high = (side.pose for side in sides)
         turned = group.log(group.compose(group.inverse(low), high)) / (2.0 * h)
         error = np.abs(found[..., flow.outputs["pose"]] - turned).max()
         assert error < 2e-6 * max(1.0, np.abs(found).max()), (key, "pose")
@@ -193,7 +194,8 @@ def test_inputs() -> None:
     named = flow(x0={"bend": 0.3})
     np.testing.assert_array_equal(named.x, flow(x0=[0.3, 0.0, 0.0]).x)
     still = pinred.flow(system, x0=[0.1, 0.2, 0.0], momentum=0, duration=0.2, wrt=["x0"])
-    assert not np.abs(vars(still())["body_momentum"]).max() > 1e-14
+    state: Any = still()
+    assert not np.abs(state.body_momentum).max() > 1e-14
     moving = pinred.flow(system, x0=[0.1, 0.2, 0.0], momentum=0, duration=0.2, wrt=["momentum"])
     assert moving.jacobian()["momentum"].shape == (18, 6)
     assert "falling_cat" in repr(flow)
@@ -259,3 +261,35 @@ def test_what_a_flow_map_does_not_know_is_refused() -> None:
     np.testing.assert_allclose(
         slope[names["xdot"]], (ends[0] - ends[1]) / (2.0 * h), rtol=1e-5, atol=1e-7
     )
+
+
+def test_prepared_runs() -> None:
+    """Long runs, failing ones and overflowing sums are what `simulate` says; fields come later."""
+    system = pinred.load("falling_cat")
+    long = pinred.flow(system, seed=1, duration=20.0, method="DOP853", rtol=1e-10)
+    scene = long.scene
+    traj = pinred.simulate(scene)
+    assert traj.run.steps > 128
+    for _ in range(2):  # without room for its steps, and with it
+        end: Any = long()
+        np.testing.assert_array_equal(end.q, traj.states.q[-1])
+        long._last = None
+    assert "xdot" not in vars(end)
+    for name in ("t", "energy", "xi", "pose", "body_momentum"):
+        np.testing.assert_array_equal(getattr(end, name), getattr(traj.states, name)[-1])
+    with pytest.raises(ValueError, match="read-only"):
+        end.q[0] = 1.0
+    with pytest.raises(AttributeError, match="qs"):
+        _ = end.qs
+    again = pickle.loads(pickle.dumps(end))
+    assert type(again) is pinred.State
+    np.testing.assert_array_equal(again.pose, end.pose)
+    few = pinred.flow(system, seed=1, duration=20.0, method=pinred.DOP853(max_steps=20))
+    with pytest.raises(pinred.IntegrationError, match="20 steps have led to"):
+        few()
+    with pytest.raises(InputError, match="finite"):
+        long(x0=[np.inf, -np.inf, 0.0])
+    shape = pinred.flow(system, seed=1, duration=0.2, outputs="shape", method="DOP853")()
+    assert type(pickle.loads(pickle.dumps(shape))) is pinred.ShapeState
+    with pytest.raises(AttributeError):
+        _ = getattr(shape, "pose")  # noqa: B009

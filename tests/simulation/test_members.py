@@ -13,7 +13,7 @@ import pytest
 
 import pinred
 from pinred.forces import Controller, Damper, Spring, Torque
-from pinred.signals import Fourier, Spline
+from pinred.signals import Fourier, Hold, Spline
 from pinred.simulation.state import State
 
 CAT = pinred.load("falling_cat")
@@ -106,20 +106,20 @@ def test_a_list_of_scenes() -> None:
     assert many.q.shape == (5, 4, 10)
 
 
-def test_inertias_and_events_one_by_one(capsys: pytest.CaptureFixture[str]) -> None:
+def test_inertias_in_lanes_and_events_one_by_one(capsys: pytest.CaptureFixture[str]) -> None:
     """Members with bodies of their own, and those that an event ends; numbers are NaN after it."""
     name = next(name for name in CAT.shape_names)
     masses = np.array([0.8, 1.7])
     options: dict[str, Any] = {"seed": 1, "times": TIMES}
     many = pinred.simulate_many(CAT, members={f"{name}.mass": masses}, explain=True, **options)
-    assert "2 members one by one" in capsys.readouterr().out
+    assert "2 members 8 at once in lanes" in capsys.readouterr().out
     scenes = [
         pinred.Scene(system=CAT, parameters={f"{name}.mass": mass}, **options) for mass in masses
     ]
     again = pinred.simulate_many(scenes)
     for k, scene in enumerate(scenes):
         one = pinred.simulate(scene, method="DOP853")
-        np.testing.assert_array_equal(many[k].q, one.q)
+        np.testing.assert_allclose(many[k].q, one.q, **NEAR)
         np.testing.assert_array_equal(again.q[k], many.q[k])
     assert abs(many.q[0] - many.q[1]).max() > 1e-6
     stop = pinred.Event(lambda s: s.t - 0.2, name="stop", terminal=True)
@@ -225,3 +225,24 @@ def test_the_example_of_the_docs(capsys: pytest.CaptureFixture[str]) -> None:
     assert "40 members 8 at once in lanes, DOP853" in out
     assert "(40, 201, 3) (40, 201)" in out
     assert "verdict: PASSED" in out
+
+
+def test_breaks_in_lanes(capsys: pytest.CaptureFixture[str]) -> None:
+    """Members stop together where a table breaks, and each is what simulate makes of it."""
+    high, rng = pinred.Parameter("high", 0.4), np.random.default_rng(2)
+    options: dict[str, Any] = {
+        "forces": [Torque({"sway": Hold([0.0, 0.1, 0.25], [0.1, high, -0.3])})],
+        "times": [0.0, 0.05, 0.1, 0.3, 0.4], "momentum": 0, "method": "DOP853",
+    }  # fmt: skip
+    members = {"high": rng.normal(size=11), "x0": rng.normal(size=(11, 3))}
+    many = pinred.simulate_many(CAT, members=members, explain=True, **options)
+    assert "11 members 8 at once in lanes" in capsys.readouterr().out
+    for k in (0, 10):
+        one = pinred.simulate(many[k].scene)
+        np.testing.assert_allclose(many.q[k], one.q, **NEAR)
+        np.testing.assert_allclose(many.energy[k], one.energy, **NEAR)
+    some = {name: values[4:6] for name, values in members.items()}
+    np.testing.assert_array_equal(pinred.simulate_many(CAT, members=some, **options).q, many.q[4:6])
+    members["x0"][3] = np.nan
+    with pytest.raises(pinred.InputError, match="finite"):
+        pinred.simulate_many(CAT, members=members, **options)

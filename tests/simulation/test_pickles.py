@@ -52,11 +52,33 @@ def test_copies_do_the_same(how: Any) -> None:
     assert not traj.x.flags.writeable
 
 
+@pytest.mark.parametrize("how", COPIES)
+def test_copies_of_members(how: Any) -> None:
+    """Members travel with their states, scenes and failures, whichever way they were given."""
+    cat, made = pinred.load("falling_cat"), scene()
+    for many in (
+        pinred.simulate_many(cat, seeds=[1, 2], duration=0.1, times=[0.05, 0.1]),
+        pinred.simulate_many(cat, members={"back.mass": [1.0, 2.0]}, seed=1, duration=0.1),
+        pinred.simulate_many([made, made]),
+    ):
+        twin = how(many)
+        for name in ("x", "pose", "energy", "y"):
+            np.testing.assert_array_equal(getattr(twin, name), getattr(many, name))
+        np.testing.assert_array_equal(twin[1](0.07).x, many[1](0.07).x)
+        assert twin[1].scene.parameters == many[1].scene.parameters
+        assert twin.failures == many.failures
+        assert not twin.x.flags.writeable
+
+
 def end_of(given: Any) -> Any:
     """Return the end of a motion, in another process."""
     kind, value = given
     if kind == "flow":
         return value.jacobian()["gain"]
+    if kind == "members":
+        return value.x[:, -1]
+    if kind == "robot":
+        return value.model.inertias[1].matrix()
     return pinred.simulate(value).x[-1] if kind == "scene" else value(0.05).x
 
 
@@ -65,9 +87,13 @@ def test_another_process() -> None:
     """Scenes, flows and motions go to processes that are spawned, and come to the same."""
     made = scene()
     flow, traj = pinred.flow(made, wrt=["gain"], method="DOP853"), pinred.simulate(made)
+    many = pinred.simulate_many(made, members={"gain": [1.0, 2.0]})
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        found = list(pool.map(end_of, [("scene", made), ("flow", flow), ("motion", traj)]))
-    for one, other in zip(found, [traj.x[-1], flow.jacobian()["gain"], traj(0.05).x], strict=True):
+        asked = [("scene", made), ("flow", flow), ("motion", traj)]
+        found = list(pool.map(end_of, [*asked, ("members", many), ("robot", made.system)]))
+    expected = [traj.x[-1], flow.jacobian()["gain"], traj(0.05).x, many.x[:, -1]]
+    expected.append(made.system.model.inertias[1].matrix())
+    for one, other in zip(found, expected, strict=True):
         np.testing.assert_array_equal(one, other)
 
 

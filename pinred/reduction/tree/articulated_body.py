@@ -27,7 +27,7 @@ class Articulated:
 class Step:
     """The way from a parent's frame to a body's, at a joint value."""
 
-    turns: list[Turn]  # from the parent's axes to the body's: β, α, θ
+    turns: list[Turn]  # from the parent's axes to the body's: β, α, δ, θ
     shift: Vec  # r in the parent's axes
     slide: Scalar  # along the body's z, of a prismatic joint
 
@@ -39,12 +39,12 @@ class Step:
     @property
     def fixed(self) -> Step:
         """The part that the joint does not move; the moving part comes after it."""
-        return Step(self.turns[:2], self.shift, 0.0)
+        return Step(self.turns[:-1], self.shift, 0.0)
 
     @property
     def moving(self) -> Step:
         """The part about or along the joint's axis."""
-        return Step(self.turns[2:], [0.0, 0.0, 0.0], self.slide)
+        return Step(self.turns[-1:], [0.0, 0.0, 0.0], self.slide)
 
     def inward(self, lin: Vec, ang: Vec) -> tuple[Vec, Vec]:
         """Return a momentum at the body's origin, taken at the parent's, in its axes."""

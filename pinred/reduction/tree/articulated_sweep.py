@@ -207,7 +207,8 @@ def _packed_step(link: Link, bodies: list[Body], x: list[Scalar], lanes: Lanes) 
 
 def _turned(body: Body, x: Scalar) -> tuple[Scalar, Scalar]:
     """Return cosine and sine of the angle about the body's z."""
-    angle = body.offset if body.prismatic else x + body.offset if body.offset else x
+    none = isinstance(body.offset, float) and body.offset == 0.0
+    angle = body.offset if body.prismatic else x if none else x + body.offset
     if isinstance(angle, float):
         return cosine(angle), sine(angle)
     return ca.cos(angle), ca.sin(angle)
@@ -215,7 +216,12 @@ def _turned(body: Body, x: Scalar) -> tuple[Scalar, Scalar]:
 
 def _step(body: Body, turned: tuple[Scalar, Scalar], slide: Scalar) -> Step:
     return Step(
-        turns=[Turn(2, *body.beta), Turn(0, *body.alpha), Turn(2, *turned)],
+        turns=[
+            Turn(2, *body.beta),
+            Turn(0, *body.alpha),
+            Turn(1, *body.delta),
+            Turn(2, *turned),
+        ],
         shift=body.r,
         slide=slide if body.prismatic else 0.0,
     )

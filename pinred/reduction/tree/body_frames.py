@@ -9,17 +9,21 @@ that are zero or one up to round-off are made exactly so, and arithmetic on them
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from ...common.arrays import Array
+from ...common.memo import once
 from ...system.joints import axes_of, is_prismatic
+from ...system.other_inertias import nominal
 from ...system.system import System
 from .scalars import Scalar, Sym, Vec
 
 _SNAP = 4e-16  # relative: what is round-off of a rotation's entries
+_TURNED = 4e-15  # rad: what is round-off of an angle of a product of rotations
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,8 @@ class Body:
 
     parent: index of the parent body, −1 for the root.  prismatic: kind of its joint.
     alpha, beta, r: cosine and sine of the angles of Rz(β) Rx(α), and shift r (3,), from the
-    parent's frame at joint value zero.  offset: angle added to the joint's.  mass, moment,
+    parent's frame at joint value zero.  delta: of a turn Ry(δ) that comes after these where a
+    placement is not that of the frames.  offset: angle added to the joint's.  mass, moment,
     inertia: mass, mass times centre of mass (3,), and inertia about the origin in this frame.
     armature: added to the joint's inertia.  frame: this frame in Pinocchio's joint frame.
     """
@@ -38,16 +43,68 @@ class Body:
     alpha: tuple[Scalar, Scalar]
     beta: tuple[Scalar, Scalar]
     r: Vec
-    offset: float
+    offset: Scalar
     mass: Scalar
     moment: Vec
     inertia: Sym
     armature: Scalar
     frame: pin.SE3
+    delta: tuple[Scalar, Scalar] = (1.0, 0.0)
 
 
 def bodies_of(system: System) -> list[Body]:
-    """Return the bodies of a system, root first, shape joints in order."""
+    """Return the bodies of a system, root first, shape joints in order.
+
+    One that was given other inertias or placements keeps the frames it had.
+    """
+    own = nominal(system)
+    bodies = once(own, bodies_of, lambda: tuple(_bodies_of(own)))
+    if own is system:
+        return list(bodies)
+    out = [
+        replace(body, **_inertia_in(body.frame, system.model.inertias[i + 1]))
+        for i, body in enumerate(bodies)
+    ]
+    for i in range(1, len(out)):
+        place = system.model.jointPlacements[i + 1]
+        if place != own.model.jointPlacements[i + 1]:
+            parent = bodies[out[i].parent]
+            step = step_at(parent, bodies[i], own.model.jointPlacements[i + 1], place)
+            out[i] = replace(out[i], **step)
+    return out
+
+
+def step_at(parent: Body, body: Body, own: pin.SE3, place: pin.SE3) -> dict[str, Any]:
+    """Return what of a body, in its frame, another placement than its own changes.
+
+    R = Rz(β) Rx(α) Ry(δ) Rz(ε), with the β that it has: regular for |δ| < π/2.
+    """
+    moved = parent.frame.rotation.T @ (place.translation - own.translation)
+    carried = body.frame.translation
+    if not np.array_equal(place.rotation, own.rotation):
+        moved += parent.frame.rotation.T @ ((place.rotation - own.rotation) @ carried)
+    size = float(np.linalg.norm(place.translation) + np.linalg.norm(carried))
+    r = _snap(np.array(body.r, dtype=float) + moved, size)
+    out: dict[str, Any] = {"r": [float(c) for c in r]}
+    if np.array_equal(place.rotation, own.rotation):
+        return out
+    turned = parent.frame.rotation.T @ place.rotation @ body.frame.rotation
+    c, s = body.beta
+    R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ turned
+    alpha = _near_quarter(float(np.arctan2(-R[1, 2], R[2, 2])))
+    delta = _near_quarter(float(np.arcsin(np.clip(R[0, 2], -1.0, 1.0))))
+    epsilon = float(np.arctan2(-R[0, 1], R[0, 0]))
+    near = epsilon - float(body.offset)
+    if abs(near) <= _TURNED:
+        epsilon = float(body.offset)
+    return out | {
+        "alpha": (cosine(alpha), sine(alpha)),
+        "delta": (cosine(delta), sine(delta)),
+        "offset": epsilon,
+    }
+
+
+def _bodies_of(system: System) -> list[Body]:
     model = system.model
     count = model.njoints - 1
     parents = [model.parents[i + 1] - 1 for i in range(count)]
@@ -72,10 +129,6 @@ def bodies_of(system: System) -> list[Body]:
     steps += [made[i] for i in range(1, count)]
     bodies = []
     for i in range(count):
-        Y = placed[i].actInv(model.inertias[i + 1])
-        moment = _snap(Y.mass * Y.lever, Y.mass)
-        about = Y.inertia + Y.mass * (Y.lever @ Y.lever * np.eye(3) - np.outer(Y.lever, Y.lever))
-        about = _snap(about, float(np.abs(about).max()))
         alpha, beta, r = steps[i]
         rotor = model.armature[system.r + i - 1] if i else 0.0
         bodies.append(
@@ -86,14 +139,25 @@ def bodies_of(system: System) -> list[Body]:
                 beta=(cosine(beta), sine(beta)),
                 r=[float(c) for c in r],
                 offset=offsets[i],
-                mass=float(Y.mass),
-                moment=[float(c) for c in moment],
-                inertia=[float(about[j, k]) for j in range(3) for k in range(j, 3)],
+                **_inertia_in(placed[i], model.inertias[i + 1]),
                 armature=float(rotor),
                 frame=placed[i],
             )
         )
     return bodies
+
+
+def _inertia_in(frame: pin.SE3, inertia: pin.Inertia) -> dict[str, Any]:
+    """Return mass, moment and inertia of a body about the origin of a frame, in its axes."""
+    Y = frame.actInv(inertia)
+    moment = _snap(Y.mass * Y.lever, Y.mass)
+    about = Y.inertia + Y.mass * (Y.lever @ Y.lever * np.eye(3) - np.outer(Y.lever, Y.lever))
+    about = _snap(about, float(np.abs(about).max()))
+    return {
+        "mass": float(Y.mass),
+        "moment": [float(c) for c in moment],
+        "inertia": [float(about[j, k]) for j in range(3) for k in range(j, 3)],
+    }
 
 
 def _heaviest_children(parents: list[int]) -> dict[int, int]:
@@ -182,6 +246,12 @@ def _snap_unit(value: float) -> float:
 def _snap_angle(angle: float) -> float:
     quarters = round(angle / (np.pi / 2))
     return quarters * np.pi / 2 if abs(angle - quarters * np.pi / 2) <= 4 * _SNAP else angle
+
+
+def _near_quarter(angle: float) -> float:
+    """Return a quarter turn where an angle of a product of rotations is one."""
+    quarters = round(angle / (np.pi / 2))
+    return quarters * np.pi / 2 if abs(angle - quarters * np.pi / 2) <= _TURNED else angle
 
 
 def _snap(values: Array, scale: float) -> Array:

@@ -197,6 +197,7 @@ def _outward(body: Body, rows: list[Vec], x: Array) -> tuple[list[Vec], Vec]:
     for turn in (
         Turn(2, *body.beta),
         Turn(0, *body.alpha),
+        Turn(1, *body.delta),
         own,
     ):
         rows = [turn.back(row) for row in rows]

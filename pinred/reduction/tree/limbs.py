@@ -176,6 +176,7 @@ def _merged(bodies: list[Body], lanes: Lanes) -> Body:
         bodies[0],
         alpha=tuple(numbers("alpha")),
         beta=tuple(numbers("beta")),
+        delta=tuple(numbers("delta")),
         r=numbers("r"),
         moment=numbers("moment"),
         inertia=numbers("inertia"),

@@ -144,7 +144,7 @@ class CompiledFlows:
 
     def __init__(self, plan: Plan, given: GivenStates) -> None:
         """Set up the flows.  given: (N, …)."""
-        start = _started(plan, given)
+        start = _started(plan, given, None)
         self._begin(plan, given, start, zero=not start.about.any())
 
     @classmethod
@@ -164,7 +164,7 @@ class CompiledFlows:
             some = given[part]
             new = cls.__new__(cls)
             theirs = None if own is None else own[part]
-            new._begin(plan, some, _started(plan, some), theirs, zero=zero)
+            new._begin(plan, some, _started(plan, some, theirs), theirs, zero=zero)
             if n == 0:
                 flows.kernel = new.kernel
                 for name in ("y0", "parameters", "line"):
@@ -173,6 +173,13 @@ class CompiledFlows:
             rows = slice(n * _AT_ONCE, n * _AT_ONCE + len(part))
             for name in ("y0", "parameters", "line"):
                 getattr(flows, name)[rows] = getattr(new, name)
+        return flows
+
+    @classmethod
+    def made(cls, kernel: Kernel, y0: Array, parameters: Array, line: Array) -> CompiledFlows:
+        """Return the flows of a kernel from reduced states (N, k)."""
+        flows = cls.__new__(cls)
+        flows.kernel, flows.y0, flows.parameters, flows.line = kernel, y0, parameters, line
         return flows
 
     def _begin(
@@ -185,7 +192,8 @@ class CompiledFlows:
         zero: bool,
     ) -> None:
         x, N = given.x, len(given.x)
-        self.kernel = kernel_of(plan, zero_momentum=zero)
+        any_robot = own is not None and own.robot is not None
+        self.kernel = kernel_of(plan, zero_momentum=zero, generic=any_robot)
         layout = self.kernel.layout
         parts = layout.base
         if plan.method.steady_momentum and parts.momentum:
@@ -206,9 +214,11 @@ class CompiledFlows:
         self.parameters[:, spin:before] = start.pi[:, cyclic]
         after = before + len(layout.gravity)
         self.parameters[:, before:after] = plan.acting.gravity[list(layout.gravity)]
-        bodies = free_numbers(plan.system, layout.free)
-        self.parameters[:, after : after + len(bodies)] = bodies
-        after += len(bodies)
+        bodies: Array | None = None if own is None else own.robot
+        if bodies is None:
+            bodies = free_numbers(plan.system, layout.freed)
+        self.parameters[:, after : after + layout.freed.size] = bodies
+        after += layout.freed.size
         k = plan.system.group.linear
         self.line = np.empty((N, 3 * k))
         self.line[:, :k], self.line[:, k : 2 * k] = start.c0, start.v0
@@ -251,7 +261,7 @@ def flows_of(
     Each with the indices of the members, sorted.  own: numbers that the members have for
     themselves.
     """
-    still = without_momentum(plan, given)
+    still = without_momentum(plan, given, own)
     groups = [(np.flatnonzero(~still), False), (np.flatnonzero(still), True)]
     return [
         (members, CompiledFlows.several(plan, given, members, own, zero=zero))
@@ -260,15 +270,20 @@ def flows_of(
     ]
 
 
-def without_momentum(plan: Plan, given: GivenStates) -> NDArray[np.bool_]:
+def without_momentum(
+    plan: Plan, given: GivenStates, own: OwnNumbers | None = None
+) -> NDArray[np.bool_]:
     """Return which initial states (N, …) have no angular momentum, nor will ever have any."""
     still = np.full(len(given.x), not plan.acting.momentum_changes)
     for k in range(0, len(still) if still.any() else 0, _AT_ONCE):
         some = slice(k, k + _AT_ONCE)
-        still[some] = ~_started(plan, given[some]).about.any(axis=1)
+        theirs = None if own is None else own[some]
+        still[some] = ~_started(plan, given[some], theirs).about.any(axis=1)
     return still
 
 
-def _started(plan: Plan, given: GivenStates) -> Starts:
-    kernel = start_kernel(plan.system, "xi" if given.mu is None else "mu")
-    return kernel(given.pose, given.x, given.xdot, given.motion)
+def _started(plan: Plan, given: GivenStates, own: OwnNumbers | None) -> Starts:
+    robot = None if own is None else own.robot
+    freed = plan.freed(generic=robot is not None)
+    kernel = start_kernel(plan.system, "xi" if given.mu is None else "mu", freed)
+    return kernel(given.pose, given.x, given.xdot, given.motion, robot)

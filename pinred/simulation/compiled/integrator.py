@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...common.arrays import Array, read_only
 from ...common.errors import (
@@ -19,103 +17,17 @@ from ...common.errors import (
 )
 from ...common.plain_names import quoted
 from ...integrators.integrate import Solution, integrate_checked
-from ...integrators.integrate_many import STATUS, Solutions
-from ...integrators.integrate_many import integrate_many as _integrate_many
-from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
-from ...integrators.methods import Explicit, Method
+from ...integrators.methods import Method
 from ...kernels.kernel import Kernel
-from ...kernels.tangent import tangent_of
-from ...kernels.wide_rate import wide_rate
 from ...reduction.lost_inertia import lost_inertia
 from ...scene.scene import Scene
 from ...system.joints import joint_units
 from ..piece import Integrate, Piece
 from ..plan import Plan
-from .compiled_flow import CompiledFlow, CompiledFlows, rate_address
-
-
-@dataclass(frozen=True)
-class ManyRuns:
-    """Runs of one kernel.
-
-    y: (N, T, k).  steps, evaluations: (N,).  failures: (member, last time [s], reason) of each.
-    """
-
-    y: Array
-    steps: NDArray[np.int64]
-    evaluations: NDArray[np.int64]
-    failures: list[tuple[int, float, str]]
-
-
-def integrate_many(
-    flows: CompiledFlows,
-    plan: Plan,
-    threads: int | None,
-    progress: Callable[[float], None] | None,
-) -> ManyRuns:
-    """Integrate flows of one kernel, with the times and tolerance of one plan, over threads."""
-    kernel = flows.kernel
-    end, times = plan.scene.end, plan.scene.report_times
-    found = runs_of_members(
-        kernel, plan.method, flows.parameters, flows.y0, end, times, threads, progress
-    )
-    failures = []
-    for k in np.flatnonzero(~found.ok).tolist():
-        reason = STATUS[int(found.status[k])]
-        if found.entry[k] >= 0:
-            name = CompiledFlow.of(flows, k).entry_name(int(found.entry[k]))
-            reason = f"{name} is {reason}"
-        failures.append((int(k), float(found.end[k]), reason))
-    failed = {k for k, _, _ in failures}
-    for k, states in enumerate(found.y):
-        wild = None if k in failed else wild_steps(kernel, plan, states, plan.scene.report_times)
-        if wild:
-            failures.append((k, plan.scene.end, wild))
-    return ManyRuns(found.y, found.steps, found.evaluations, failures)
-
-
-def lanes_of(method: Method, kernel: Kernel) -> int:
-    """Return how many members run at once, 0 for one after another.
-
-    A small kernel in sixteen lanes still has its numbers in registers.
-    """
-    if not (isinstance(method, Explicit) and kernel.layout.size):
-        return 0
-    return 16 if kernel.instructions <= _SMALL else 8
-
-
-def runs_of_members(
-    kernel: Kernel,
-    method: Method,
-    parameters: Array,
-    y0: Array,
-    end: float,
-    times: Array,
-    threads: int | None,
-    progress: Callable[[float], None] | None = None,
-) -> Solutions:
-    """Return runs of one kernel from many reduced states, in lanes where the method has them.
-
-    parameters: (N, p).  y0: (N, k).  times: (T,) within [0, end] [s].
-    """
-    layout, lanes = kernel.layout, lanes_of(method, kernel)
-    quaternion = layout.quaternion
-    if lanes and isinstance(method, Explicit):
-        address = wide_rate(kernel, lanes, own_parameters=True).address
-        return integrate_in_lanes(
-            method, address, lanes, parameters, y0, end, times, quaternion, threads, progress
-        )
-    # One body that only translates carries a zero, which costs nothing.
-    y0 = y0 if y0.shape[1] else np.zeros((len(y0), 1))
-    return _integrate_many(
-        method, rate_address(kernel, method), parameters, y0, end, times, quaternion,
-        threads, lambda: tangent_of(kernel).address, layout.canonical, progress,
-    )  # fmt: skip
-
+from .compiled_flow import CompiledFlow
 
 _prepared: set[type[Method]] = set()
 _WILD = 100.0  # rad in one step
-_SMALL = 400  # instructions of a kernel
 _NO_TIMES = read_only(np.empty(0))
 
 

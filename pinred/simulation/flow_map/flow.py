@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Unpack, get_args
 
 import numpy as np
 
-from ...common.arrays import Array, as_floats, read_only, vector
+from ...common.arrays import Array, as_floats, vector
 from ...common.errors import InputError, ShapeError
 from ...common.plain_names import brief
 from ...common.signatures import shows_fields
@@ -26,6 +26,7 @@ from .runs import Course, Run
 if TYPE_CHECKING:
     from .casadi_adapter import FlowCallback
     from .columns import Columns
+    from .step_map import StepMap
 
 _ROWS: tuple[Outcome, ...] = get_args(Outcome)
 _ALL: tuple[Outcome, ...] = ("x", "xdot", "pose", "xi")
@@ -89,8 +90,8 @@ class Flow:
 
         Raises InputError, and IntegrationError as `simulate` does.
         """
-        states = self._course.states(self._run(inputs))
-        return states if self.over_times else _last(states)
+        run = self._run(inputs)
+        return self._course.states(run) if self.over_times else self._course.end(run)
 
     def jvp(self, along: Mapping[str, Any], /, **inputs: Any) -> Array:
         """Return the derivative of the outputs along directions of inputs, (…, rows).
@@ -121,9 +122,41 @@ class Flow:
         state, constants = self._inputs.basis(run.given)
         return self._inputs.by_name(by_state @ state + by_constants @ constants)
 
+    def explain(self) -> str:
+        """Return what the flow skips and integrates, and which numbers are its inputs, as lines."""
+        from ..explain import integrated, seen_and_integrated, skipped, varying
+
+        plan = self._course.plan
+        zero = self._course.zero_momentum
+        lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=zero)]
+        lines += [f"integrated: {integrated(plan)}", *seen_and_integrated(plan)]
+        lines += varying(plan, generic=True)
+        return "\n".join([*lines, f"method: {plan.method.name} ({plan.choice.why})"])
+
     def own(self, name: str) -> Array:
         """Return the scene's value of an input, (size,)."""
         return self._inputs.value(name)
+
+    def step(self, h: float) -> StepMap:
+        """Return one step of this length [s] as a map with its Jacobians, for shooting solvers.
+
+        It takes a State and the flow's parameters, by any of which it has derivatives.
+        """
+        from .step_map import StepMap
+
+        return StepMap(self, h)
+
+    def of_scene(self, scene: Scene, wrt: Sequence[str], of: tuple[Outcome, ...]) -> Flow:
+        """Return the flow of another scene, over its times."""
+        return Flow(scene, wrt, of, over_times=True)
+
+    def one_step(
+        self, inputs: Mapping[str, Any], h: float, t: float, *, derivatives: bool
+    ) -> tuple[State | ShapeState, Array]:
+        """Return the states (1, …) after one step from time t [s], and slopes (rows, N)."""
+        given = self._inputs.given(inputs)
+        columns = self._inputs.basis(given) if derivatives else None
+        return self._course.one_step(given, h, t, self._rows, columns)
 
     def columns(self) -> Columns:
         """Return the flow between plain columns of numbers, in the order of `inputs`."""
@@ -239,7 +272,3 @@ def _checked_rows(of: Sequence[Outcome] | None, *, wanted: bool) -> tuple[Outcom
                 f"got {brief(of)}"
             )
     return rows
-
-
-def _last(states: State | ShapeState) -> State | ShapeState:
-    return type(states)(**{name: read_only(np.array(a[-1])) for name, a in vars(states).items()})

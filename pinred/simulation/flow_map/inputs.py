@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from math import isfinite
 from types import MappingProxyType
 from typing import Any
 
@@ -14,13 +15,13 @@ from ...common.errors import InputError, ShapeError
 from ...common.names import nearest
 from ...common.plain_names import brief, listed
 from ...kernels.kernel import Kernel
-from ...reduction.tree.body_frames import bodies_of
-from ...reduction.tree.free_bodies import NUMBERS, frame_map, free_numbers
+from ...reduction.potential import falling
+from ...reduction.tree.free_bodies import free_numbers
 from ...scene import forms
 from ...scene.scene import Scene
-from ...system.body_parameters import Bodies
-from ...system.other_inertias import nominal
+from ..robot_columns import RobotColumns, relies_on_robot, with_own
 
+_NONE: Mapping[str, Array] = MappingProxyType({})
 STATE = ("x0", "xdot0", "pose0", "xi0", "momentum")
 
 
@@ -28,13 +29,13 @@ STATE = ("x0", "xdot0", "pose0", "xi0", "momentum")
 class Given:
     """Inputs as columns.
 
-    state: (pose, x, ẋ, ξ or μ).  constants: parameters from gravity on.  inertial: values of
-    parameters of bodies that were given.
+    state: (pose, x, ẋ, ξ or μ).  constants: parameters from gravity on, and then how the centre of
+    mass falls, (k,).  robot: values of the robot's parameters, if some were given.
     """
 
     state: Array
     constants: Array
-    inertial: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    robot: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
 
 
 class Inputs:
@@ -66,29 +67,25 @@ class Inputs:
             at += size
         state = np.concatenate([own.pose[0], own.x[0], own.xdot[0], own.motion[0]])
         numbers = np.empty(0) if model is None else model.numbers
-        bodies = free_numbers(system, layout.free)
-        self.own = Given(state, np.concatenate([gravity[list(layout.gravity)], bodies, numbers]))
-        self._bodies_at = len(layout.gravity)
-        self._numbers_at = self._bodies_at + len(bodies)
-        self._bodies, self._body_values = scene.varied_bodies, {}
-        self._maps: dict[int, Array] = {}
-        if self._bodies is not None:
-            self._body_values = self._bodies.checked(
-                {each.name: scene.parameters[each.name] for each in self._bodies.parameters}
-            )
-            frames = bodies_of(system)
-            self._maps = {i: frame_map(frames[i]) for i in self._bodies.free}
+        bodies = free_numbers(system, layout.freed)
+        parts = [gravity[list(layout.gravity)], bodies, numbers, falling(system)]
+        self.own = Given(state, np.concatenate(parts))
+        first = len(layout.gravity) + len(bodies)
+        self._numbers_at = slice(first, first + len(numbers))
+        self._robot = None if scene.varied is None else RobotColumns(scene, layout, len(numbers))
+        self._robot_values = {} if self._robot is None else self._robot.values
         self._values = {each.name: each.value for each in self._parameters}
+        self._of = {name: k for k, name in enumerate(self._values)}
         self._values |= {
             name: float(np.ravel(as_floats(value, name))[0])
             for name, value in scene.parameters.items()
             if name in self._values
         }
-        self.known = (*self._place, *self._values, *self._body_values)
+        self.known = (*self._place, *self._values, *self._robot_values)
         self.names = tuple(checked_names(wrt, self.known))
         sizes = {name: place.stop - place.start for name, place in self._place.items()}
         sizes["pose0"] = system.r
-        sizes |= {name: len(value) for name, value in self._body_values.items()}
+        sizes |= {name: len(value) for name, value in self._robot_values.items()}
         self.sizes = {name: sizes.get(name, 1) for name in self.names}
         self._spans, first = {}, 0
         for name, size in self.sizes.items():
@@ -99,8 +96,8 @@ class Inputs:
 
     def value(self, name: str) -> Array:
         """Return the scene's value of an input, (size,)."""
-        if name in self._body_values:
-            return self._body_values[name]
+        if name in self._robot_values:
+            return self._robot_values[name]
         place = self._place.get(name)
         return np.array([self._values[name]]) if place is None else self.own.state[place]
 
@@ -110,16 +107,15 @@ class Inputs:
             return self.own
         system = self._scene.system
         state, constants = self.own.state.copy(), self.own.constants.copy()
-        inertial = self._body_values.keys() & values.keys()
+        mine = self._robot_values.keys() & values.keys() if self._robot_values else ()
         now: dict[str, Array] = {}
-        if inertial and self._bodies is not None:
-            now = self._bodies.checked(self._body_values | {k: values[k] for k in inertial})
-            for i in self._bodies.free:
-                constants[self._of_body(i)] = self._maps[i] @ self._bodies.dynamic(i, now)[0]
+        if mine and self._robot is not None:
+            now = self._robot.now({k: values[k] for k in mine})
+            self._robot.put(constants, now)
         for name, value in values.items():
-            place = self._place.get(name)
-            if name in inertial:
+            if name in mine:
                 continue
+            place = self._place.get(name)
             if place is None:
                 if name not in self._values:
                     checked_names([name], self.known)
@@ -128,15 +124,14 @@ class Inputs:
                 state[place] = system.group.pose(value)
             elif isinstance(value, Mapping):
                 state[place] = forms.in_order(value, system, name)
+            elif type(value) is np.ndarray and value.shape == (place.stop - place.start,):
+                state[place] = value
             else:
-                array = np.asarray(value, dtype=float) if _is_numbers(value) else value
-                if isinstance(array, np.ndarray) and array.shape == (place.stop - place.start,):
-                    state[place] = array
-                else:
-                    state[place] = vector(value, place.stop - place.start, name)
-        if not np.isfinite(state).all():
+                state[place] = vector(value, place.stop - place.start, name)
+        # A sum of finite numbers may overflow, which the numbers themselves then do not.
+        if not isfinite(np.add.reduce(state)) and not np.isfinite(state).all():
             raise ShapeError(f"the inputs of a flow must be finite, got {brief(dict(values))}")
-        return Given(state, constants, MappingProxyType(now))
+        return Given(state, constants, now or _NONE)
 
     def directions(self, along: Mapping[str, Any], at: Given) -> tuple[Array, Array]:
         """Return the columns (…, 1) of state and constants along directions by name."""
@@ -158,13 +153,11 @@ class Inputs:
             state = state.copy()
             rates = [group.rate(at.state[place], each) for each in np.eye(group.dim)]
             state[place, self._spans["pose0"]] = np.transpose(rates)
-        if self._bodies is not None and self._body_values.keys() & self.sizes.keys():
+        if self._robot is not None and self._robot_values.keys() & self.sizes.keys():
             constants = constants.copy()
-            now = {**self._body_values, **at.inertial}
-            for i in self._bodies.free:
-                for name, slope in self._bodies.dynamic(i, now)[1].items():
-                    if name in self.sizes:
-                        constants[self._of_body(i), self._spans[name]] = self._maps[i] @ slope
+            for where, name, slope in self._robot.slopes({**self._robot_values, **at.robot}):
+                if name in self._spans:
+                    constants[where, self._spans[name]] += slope
         self._last = (at, (state, constants))
         return state, constants
 
@@ -177,7 +170,7 @@ class Inputs:
         for name, span in self._spans.items():
             if name in parameters:
                 slopes = self._slopes[:, [parameters.index(name)]]
-                constants[self._numbers_at :, span] = slopes
+                constants[self._numbers_at, span] = slopes
             elif name in self._place and name != "pose0":
                 state[self._place[name], span] = np.eye(self.sizes[name])
         return state, constants
@@ -194,38 +187,26 @@ class Inputs:
             first += size
         return out
 
-    def _of_body(self, body: int) -> slice:
-        """Return the place of a body's numbers among the constants."""
-        first = self._bodies_at + NUMBERS * self._scene.free_bodies.index(body)
-        return slice(first, first + NUMBERS)
-
     def _set(self, constants: Array, name: str, value: Any) -> None:
-        number = float(vector(np.ravel(value), 1, name)[0])
-        k = [each.name for each in self._parameters].index(name)
+        number = value if type(value) is float and isfinite(value) else _number(value, name)
+        k = self._of[name]
         moved = number - self._values[name]
-        constants[self._numbers_at :] += self._slopes[:, k] * moved
+        constants[self._numbers_at] += self._slopes[:, k] * moved
 
 
 def with_varied(scene: Scene, names: Sequence[str]) -> Scene:
-    """Return a scene with parameters of bodies among the names as its own, at their values.
+    """Return a scene with the robot's parameters among the names as its own, at their values.
 
-    Raises InputError for bodies that are not there, and for forces that rely on the inertias.
+    Raises InputError for bodies and joints that are not there, and for forces that rely on what
+    is to vary.
     """
-    bodies = Bodies(nominal(scene.system), [names] if isinstance(names, str) else list(names))
-    new = {k: v for k, v in bodies.own().items() if k not in scene.parameters}
-    if new:
-        scene = replace(scene, parameters={**scene.parameters, **new})
-    knowing = [force.label for force in _listed(scene.forces) if force.last]
-    if scene.free_bodies and knowing:
+    wanted = [names] if isinstance(names, str) else list(names)
+    scene = with_own(scene, wanted)
+    if why := relies_on_robot(scene):
         raise InputError(
-            f"{knowing[0]} relies on the robot's inertias, which the flow varies; use PD, or a "
-            "Torque of your own"
+            f"{why}, which the flow varies; use simulate, or a force that does not rely on that"
         )
     return scene
-
-
-def _listed(forces: Any) -> tuple[Any, ...]:
-    return tuple(forces) if isinstance(forces, (list, tuple)) else (forces,)
 
 
 def motion_of(scene: Scene) -> str:
@@ -248,5 +229,5 @@ def checked_names(names: Sequence[str], known: Sequence[str]) -> list[str]:
     return given
 
 
-def _is_numbers(value: Any) -> bool:
-    return isinstance(value, (np.ndarray, list, tuple))
+def _number(value: Any, name: str) -> float:
+    return float(vector(np.ravel(value), 1, name)[0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from math import isfinite
 
 import numpy as np
 
@@ -12,20 +12,23 @@ from ...common.arrays import Array, read_only
 from ...common.errors import InputError, IntegrationError
 from ...integrators.derivatives import Slopes, refuse_without_derivatives, run_along, run_back
 from ...integrators.integrate import Solution, integrate_checked
-from ...integrators.integrate_many import STATUS
+from ...integrators.methods import Explicit
 from ...kernels.begin_and_end import Outcome, begin_of, outcome_of, rate_of, sizes_of
+from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate, evaluate_each
 from ...kernels.start_kernel import TwistOrMomentum
 from ...kernels.tangent import tangent_of
-from ...reduction.base_parts import root_of
 from ...system.system import Indices
-from ..compiled.compiled_flow import CompiledFlow, rate_address
-from ..compiled.integrator import explained, runs_of_members, wild_steps
+from ..compiled.compiled_flow import CompiledFlow, CompiledFlows, rate_address
+from ..compiled.integrate_members import integrate_members
+from ..compiled.integrator import explained, wild_steps
 from ..compiled.kernel_of_plan import kernel_of
 from ..pieces import joined
 from ..plan import Plan
 from ..state import ShapeState, State
 from .inputs import Given, motion_of
+from .later import made_later
+from .prepared import Prepared, Ran
 
 _OVERFLOWS = "the initial momentum or twist overflows: rates or momentum too large"
 
@@ -40,7 +43,12 @@ class Stretch:
     begin: float
     times: Array
     parameters: Array
-    solution: Solution
+    ran: Ran | Solution
+
+    @property
+    def solution(self) -> Solution:
+        """The run, as `integrate` gives it."""
+        return self.ran if isinstance(self.ran, Solution) else self.ran.solution
 
 
 @dataclass(frozen=True)
@@ -57,7 +65,7 @@ class Course:
 
     def __init__(self, plan: Plan, *, zero_momentum: bool) -> None:
         """Make the kernels ready.  Raises InputError for what has no derivatives."""
-        self._plan, self.method = plan, plan.method
+        self.plan, self.method, self.zero_momentum = plan, plan.method, zero_momentum
         if plan.forces is not None and plan.forces.held:
             controller, _ = plan.forces.held[0]
             raise InputError(
@@ -72,7 +80,7 @@ class Course:
         if plan.scene.events_given:
             raise InputError("a flow map looks for no events; use simulate for them")
         refuse_without_derivatives(self.method)
-        self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum)
+        self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum, generic=True)
         motion: TwistOrMomentum = "mu" if motion_of(plan.scene) == "mu" else "xi"
         self._begin = begin_of(kernel, motion)
         self._rate = rate_of(kernel)
@@ -85,26 +93,43 @@ class Course:
             adjoints=lambda count: rate.wide_adjoint(count).address,
         )
         layout, k = kernel.layout, plan.system.group.linear
+        self._clock, self._wanted = layout.clock, layout.wanted
         self._sizes = [layout.size, layout.gravity_at, 2 * k]
-        self._fall = root_of(plan.system).g
+        self._falls = k
         asked, begins = plan.scene.report_times, np.append(0.0, plan.stops[:-1])
-        self._stretches = []
+        self._stretches: list[tuple[float, float, Array]] = []
         for begin, stop in zip(begins, plan.stops, strict=True):
             # Where one ends, the next begins only after it, as in Motion.
             inside = (asked > begin) & (asked <= stop) | ((asked == 0.0) & (begin == 0.0))
             self._stretches.append((float(begin), float(stop), read_only(asked[inside] - begin)))
+        self._begun, self._begin_at = sum(self._sizes), self._begin.value.address
+        self._ready = None
+        if isinstance(self.method, Explicit) and len(self._stretches) == 1:
+            (_, stop, times), n = self._stretches[0], max(layout.size, 1)
+            self._ready = Prepared(
+                self.method, self._address, n, stop, times, layout.quaternion, layout.canonical
+            )
 
     def run(self, given: Given) -> Run:
         """Return the run that begins as given.  Raises IntegrationError."""
-        kernel, layout = self.kernel, self.kernel.layout
-        out = self._begin.at(given.state, given.constants, sum(self._sizes))
-        y, head, start = np.split(out, np.cumsum(self._sizes[:2]))
-        parameters = np.concatenate([head, given.constants])
-        line = np.concatenate([start, self._fall])
-        if not np.isfinite(out).all():
+        constants, fall = self._apart(given.constants)
+        out = np.empty(self._begun)
+        call_value(self._begin_at, given.state, constants, out)
+        if not isfinite(np.add.reduce(out)) and not np.isfinite(out).all():
             raise InputError(_OVERFLOWS)
-        y = y if y.size else np.zeros(1)
-        stretches = []
+        n, head = self._sizes[0], self._sizes[0] + self._sizes[1]
+        y, line = out[:n] if n else np.zeros(1), np.concatenate([out[head:], fall])
+        parameters = np.concatenate([out[n:head], constants])
+        if self._ready is not None:
+            ((begin, stop, times),) = self._stretches
+            here = self._within(parameters, begin, stop)
+            if (ran := self._ready(here, y)) is not None:
+                return Run(given, [Stretch(begin, times, here, ran)], line)
+        return self._run_all(given, y, parameters, line)
+
+    def _run_all(self, given: Given, y: Array, parameters: Array, line: Array) -> Run:
+        """Return the run from stop to stop."""
+        kernel, layout, stretches = self.kernel, self.kernel.layout, []
         for begin, stop, times in self._stretches:
             here = self._within(parameters, begin, stop)
             try:
@@ -114,9 +139,11 @@ class Course:
                 )  # fmt: skip
             except IntegrationError as stopped:
                 at = CompiledFlow.made(kernel, y, here, line)
-                raise explained(stopped, at, self._plan.scene, begin) from None
-            if wild := wild_steps(kernel, self._plan, solution.states, solution.knots):
+                raise explained(stopped, at, self.plan.scene, begin) from None
+            if wild := wild_steps(kernel, self.plan, solution.states, solution.knots):
                 raise IntegrationError(wild)
+            if self._ready is not None:
+                self._ready.make_room(solution.steps)
             stretches.append(Stretch(begin, times, here, solution))
             y = solution.states[-1].copy()
             if layout.quaternion >= 0 and self.method.lanes == 1:
@@ -124,25 +151,42 @@ class Course:
                 y[q] /= np.linalg.norm(y[q])
         return Run(given, stretches, line)
 
+    def end(self, run: Run) -> State | ShapeState:
+        """Return the full state at the end of a run; its fields are made when looked at."""
+        part, size, clock = run.stretches[-1], self._sizes[0], self._clock
+        time, where = part.begin + part.times[-1], self.kernel.where
+
+        def outputs() -> Array:
+            row = np.empty(size + 1 - clock)
+            row[:size] = part.ran.y[-1, :size]
+            if not clock:
+                row[size] = time
+            out = np.empty(where.size)
+            rest = np.concatenate([part.parameters, run.line])
+            call_value(self.kernel.outputs.address, row, rest, out)
+            return out
+
+        return made_later(self.plan.system, where, time, outputs, wanted=self._wanted)
+
     def states(self, run: Run) -> State | ShapeState:
         """Return the full states of a run at its times."""
         parts = [self._states(run, part) for part in run.stretches if part.times.size]
         return (
             parts[0]
             if len(parts) == 1
-            else joined(parts, np.arange(len(self._plan.scene.report_times)))
+            else joined(parts, np.arange(len(self.plan.scene.report_times)))
         )
 
     def _states(self, run: Run, part: Stretch) -> State | ShapeState:
-        flow = CompiledFlow.made(self.kernel, part.solution.y[:0], part.parameters, run.line)
-        return flow.states(part.begin + part.times, part.solution.y, flow.numbers)
+        flow = CompiledFlow.made(self.kernel, part.ran.y[:0], part.parameters, run.line)
+        return flow.states(part.begin + part.times, part.ran.y, flow.numbers)
 
     def outputs(self, run: Run) -> Array:
         """Return the outputs (T, ·) of a run at its times; see Outputs for what stands where."""
         kernel = self.kernel
         parts = []
         for part in run.stretches:
-            rows = part.solution.y[:, : kernel.layout.size]
+            rows = part.ran.y[:, : kernel.layout.size]
             if not kernel.layout.clock:
                 rows = np.concatenate([rows, (part.begin + part.times)[:, None]], axis=1)
             constants = np.concatenate([part.parameters, run.line])
@@ -151,7 +195,7 @@ class Course:
 
     def entries(self, rows: Iterable[Outcome]) -> Indices:
         """Return where fields of State stand in the outputs of the kernel."""
-        where, r = self.kernel.where, self._plan.system.r
+        where, r = self.kernel.where, self.plan.system.r
         places = {
             "x": where.x,
             "xdot": where.xdot,
@@ -170,48 +214,43 @@ class Course:
         state, constants: (N, …), as in Given.  They are those of `run` within round-off times the
         stretch of the flow.  Raises IntegrationError for the first member that fails.
         """
-        kernel, count = self.kernel, len(state)
-        begun = evaluate_each(self._begin.value.address, state, constants, sum(self._sizes))
+        kernel, count, size = self.kernel, len(state), self._sizes[0]
+        apart = [self._apart(row) for row in constants]
+        rest, falls = (np.array(each) for each in zip(*apart, strict=True))
+        begun = evaluate_each(self._begin_at, state, rest, self._begun)
         if not np.isfinite(begun).all():
             raise InputError(_OVERFLOWS)
         y, head, start = np.split(begun, np.cumsum(self._sizes[:2]), axis=1)
-        line = np.hstack([start, np.tile(self._fall, (count, 1))])
-        parts = []
-        for begin, stop, times in self._stretches:
-            here = np.hstack([head, constants])
-            here[:, head.shape[1] :] = [self._within(row, begin, stop) for row in constants]
-            asked = np.append(times, stop - begin)
-            found = runs_of_members(kernel, self.method, here, y, stop - begin, asked, threads)
-            self._check_members(found.ok, begin + found.end, found.status, found.y, begin + asked)
-            size = kernel.layout.size
-            y = np.ascontiguousarray(found.y[:, -1, :size])
-            rows = found.y[:, :-1, :size].reshape(count * len(times), size)
-            if not kernel.layout.clock:
+        line, parameters = np.hstack([start, falls]), np.hstack([head, rest])
+        stretches = self._stretches
+        parameters = np.array([self._within(row, *stretches[0][:2]) for row in parameters])
+        flows = CompiledFlows.made(kernel, np.ascontiguousarray(y), parameters, line)
+        found = integrate_members(flows, self.plan, threads, None)
+        if found.failures:
+            k, time, why = min(found.failures)
+            raise IntegrationError(f"member {k} of {count} stopped at t = {time:g} s: {why}")
+        parts, at = [], 0
+        for begin, stop, times in stretches:
+            rows = found.y[:, at : at + len(times), :size].reshape(count * len(times), size)
+            at += len(times)
+            if not self._clock:
                 rows = np.hstack([rows, np.tile(begin + times, count)[:, None]])
+            here = np.array([self._within(row, begin, stop) for row in parameters])
             every = np.repeat(np.hstack([here, line]), len(times), axis=0)
             out = evaluate_each(kernel.outputs.address, rows, every, kernel.where.size)
             parts.append(out.reshape(count, len(times), kernel.where.size))
         return np.concatenate(parts, axis=1)
 
-    def _check_members(self, ok: Any, ends: Array, status: Any, y: Array, times: Array) -> None:
-        """Raise IntegrationError for the first of many runs that has not come to its end."""
-        for k in range(len(ok)):
-            why = wild_steps(self.kernel, self._plan, y[k], times) if ok[k] else ""
-            if not ok[k]:
-                why = f"it stopped at t = {ends[k]:g} s: {STATUS[int(status[k])]}"
-            if why:
-                raise IntegrationError(f"member {k} of {len(ok)}: {why}")
-
     def along(self, run: Run, rows: tuple[Outcome, ...], state: Array, constants: Array) -> Array:
         """Return the derivatives (T, rows, N) along directions of what the run began with."""
         kernel = self.kernel
-        found = self._begin.forward(
-            run.given.state, run.given.constants, state, constants, sum(self._sizes)
-        )
+        constants, fall = self._apart(constants)
+        own, _ = self._apart(run.given.constants)
+        found = self._begin.forward(run.given.state, own, state, constants, sum(self._sizes))
         moved, head, start = np.split(found, np.cumsum(self._sizes[:2]))
         moved = moved if len(moved) else np.zeros((1, state.shape[1]))
         parameters = np.vstack([head, constants])
-        line = np.vstack([start, np.zeros((len(self._fall), state.shape[1]))])
+        line = np.vstack([start, fall])
         outcome, out = outcome_of(kernel, rows), []
         for part in run.stretches:
             done = run_along(
@@ -252,8 +291,85 @@ class Course:
         ends_of_begin = np.concatenate(
             [covector[: layout.size], by_parameters[:head], by_line[: self._sizes[2]]]
         )
-        state, constants = self._begin.reverse(run.given.state, run.given.constants, ends_of_begin)
-        return state, constants + by_parameters[head:]
+        own, _ = self._apart(run.given.constants)
+        state, constants = self._begin.reverse(run.given.state, own, ends_of_begin)
+        by_fall = by_line[self._sizes[2] :]
+        return state, np.concatenate([constants + by_parameters[head:], by_fall])
+
+    def _apart(self, constants: Array) -> tuple[Array, Array]:
+        """Return the kernel's constants, and how the centre of mass falls."""
+        at = len(constants) - self._falls
+        return constants[:at], constants[at:]
+
+    def one_step(
+        self,
+        given: Given,
+        h: float,
+        t: float,
+        rows: tuple[Outcome, ...],
+        columns: tuple[Array, Array] | None,
+    ) -> tuple[State | ShapeState, Array]:
+        """Return the states (1, …) after one step from time t, and slopes (rows, N).
+
+        columns: (…, N) directions of state and constants, if slopes are wanted.
+        Raises InputError where the step goes over a break, and IntegrationError.
+        """
+        kernel, layout, plan = self.kernel, self.kernel.layout, self.plan
+        self._check_step(t, h)
+        own, fall = self._apart(given.constants)
+        state, constants = (np.zeros((len(each), 0)) for each in (given.state, given.constants))
+        if columns is not None:
+            state, constants = columns
+        constants, fall_along = self._apart(constants)
+        out = self._begin.at(given.state, own, sum(self._sizes))
+        along = self._begin.forward(given.state, own, state, constants, sum(self._sizes))
+        cuts = np.cumsum(self._sizes[:2])
+        (y, head, start), (moved, heads, starts) = np.split(out, cuts), np.split(along, cuts)
+        if not np.isfinite(out).all():
+            raise InputError("the momentum or twist overflows: rates or momentum too large")
+        parameters = np.concatenate([head, own])
+        parameters = self._within(parameters, t, t + h)
+        if layout.clock:
+            y[-1] = t
+        # The centre of mass is where it is at time t.
+        line = _from(t, np.concatenate([start, fall]), self._falls)
+        lines = _from(t, np.vstack([starts, fall_along]), self._falls)
+        y, moved = (y, moved) if y.size else (np.zeros(1), np.zeros((1, state.shape[1])))
+        directions = np.vstack([heads, constants])
+        knots = np.array([0.0, h])
+        done = run_along(
+            self.method, self._address, self._slopes, parameters, y, knots, knots[1:],
+            layout.quaternion, moved, directions,
+        )  # fmt: skip
+        if not np.isfinite(done.y).all():
+            raise IntegrationError(
+                f"a step of {h:g} s of '{plan.system.name}' is not finite: take shorter ones"
+            )
+        flow = CompiledFlow.made(kernel, y, parameters, line)
+        end = flow.states(np.array([t + h]), done.y, flow.numbers)
+        if columns is None or not isinstance(end, State):
+            return end, np.zeros((0, 0))
+        a = np.zeros((layout.size + 1 + plan.system.group.size, state.shape[1]))
+        a[: layout.size] = done.slopes[0][: layout.size]
+        at = np.concatenate([done.y[0, : layout.size], [t + h], end.pose[0]])
+        rest, along_rest = np.concatenate([parameters, line]), np.vstack([directions, lines])
+        outcome = outcome_of(kernel, rows)
+        return end, outcome.forward(at, rest, a, along_rest, self._count(rows))
+
+    def _check_step(self, t: float, h: float) -> None:
+        plan = self.plan
+        if not (np.isfinite(t) and t >= 0.0 and t + h <= plan.scene.end * (1.0 + 1e-12)):
+            raise InputError(
+                f"a step of {h:g} s from t = {t:g} s is not within the scene's {plan.scene.end:g} s"
+            )
+        inside = plan.stops[(plan.stops > t + 1e-12) & (plan.stops < t + h - 1e-12)]
+        if inside.size:
+            raise InputError(
+                f"a function of time is not smooth at t = {inside[0]:g} s, within the step of "
+                f"{h:g} s from {t:g} s; let steps end there"
+            )
+        if t and plan.acting.driven:
+            raise InputError("a step of a scene with prescribed joints begins at t = 0")
 
     def _ends(self, run: Run, part: Stretch) -> list[tuple[Array, Array]]:
         """Return the arguments (a, b) of the outcome at each time of a stretch."""
@@ -262,24 +378,30 @@ class Course:
         kernel = self.kernel
         t = part.begin + part.times
         states = self._states(run, part)
-        poses = np.zeros((len(t), self._plan.system.group.size))
+        poses = np.zeros((len(t), self.plan.system.group.size))
         if isinstance(states, State):
             poses = states.pose
         constants = np.concatenate([part.parameters, run.line])
-        rows = part.solution.y[:, : kernel.layout.size]
+        rows = part.ran.y[:, : kernel.layout.size]
         return [
             (np.concatenate([y, [time], pose]), constants)
             for y, time, pose in zip(rows, t.tolist(), poses, strict=True)
         ]
 
     def _count(self, rows: tuple[Outcome, ...]) -> int:
-        sizes = sizes_of(self._plan.system)
+        sizes = sizes_of(self.plan.system)
         return sum(sizes[row] for row in rows)
 
     def _within(self, parameters: Array, begin: float, stop: float) -> Array:
         """Return the parameters with the time in them that says which piece of tables counts."""
-        forces, out = self._plan.forces, parameters.copy()
-        if forces is not None:
+        forces, out = self.plan.forces, parameters.copy()
+        if forces is not None and forces.within.stop > forces.within.start:
             first = len(out) - len(forces.numbers)
             out[first:][forces.within] = 0.5 * (begin + stop)
         return read_only(out)
+
+
+def _from(t: float, line: Array, k: int) -> Array:
+    """Return start, velocity and fall at time zero of what has these, (3k, …), at time t."""
+    c, v, g = line[:k], line[k : 2 * k], line[2 * k :]
+    return np.concatenate([c - t * v + 0.5 * t**2 * g, v - t * g, g])

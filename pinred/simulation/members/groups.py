@@ -11,6 +11,8 @@ import numpy as np
 from ...common.errors import InputError
 from ...common.plain_names import brief
 from ...integrators.methods import DOP853_LEAST, AdaptiveGauss
+from ...reduction.potential import falling
+from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates
 from ...scene.scene import Scene
 from ...system.other_inertias import nominal
@@ -45,12 +47,9 @@ class Group:
         if plan.forces is not None and plan.forces.held:
             controller, _ = plan.forces.held[0]
             return f"{controller.name} has to be called every {controller.period:g} s"
-        if len(plan.stops) > 1:
-            return f"a function of time is not smooth at t = {plan.stops[0]:g} s"
+        if len(plan.stops) > 1 and plan.acting.driven:
+            return f"a plan of a joint is not smooth at t = {plan.stops[0]:g} s"
         return ""
-
-
-INERTIAS = "inertias of bodies are among the parameters"
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,9 @@ def of_scenes(scenes: Sequence[Scene]) -> Members:
 def _structure(plan: Plan) -> Hashable:
     """Return what scenes have in common that run with one kernel and one method."""
     forces, given = plan.forces, plan.scene.given
-    pieces: Hashable = (plan.stops.tobytes(), plan.scene.varied_bodies is None)
+    varied = plan.scene.varied
+    robot = None if varied is None else (varied.names, plan.acting.gravity.astype(bool).tobytes())
+    pieces: Hashable = (plan.stops.tobytes(), robot)
     if forces is not None and forces.held:
         pieces = id(plan)  # a controller is its member's own
     return (None if forces is None else forces.key, plan.method, pieces, given.mu is None)
@@ -126,6 +127,13 @@ def _group(members: Indices, plans: Sequence[Plan]) -> Group:
         else np.concatenate([getattr(p.scene.given, name) for p in plans])
         for name, part in vars(plans[0].scene.given).items()
     }
-    apart = "" if plans[0].scene.varied_bodies is None else INERTIAS
-    own = None if apart else OwnNumbers(numbers=np.array([plan.numbers for plan in plans]))
-    return Group(members, plans[0], GivenStates(**columns), own, apart)
+    own = OwnNumbers(numbers=np.array([plan.numbers for plan in plans]))
+    varied = plans[0].scene.varied
+    if varied is not None:
+        freed = plans[0].freed(generic=True)
+        own = replace(own, robot=np.array([free_numbers(p.system, freed) for p in plans]))
+        if varied.gravity:
+            acting = np.array([plan.acting.gravity for plan in plans])
+            fall = np.array([falling(plan.system) for plan in plans])
+            own = replace(own, gravity=acting, fall=fall)
+    return Group(members, plans[0], GivenStates(**columns), own)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,12 +36,13 @@ class Failure:
 class Batch:
     """Members that share a kernel and have run together.
 
-    members: their indices, sorted.  flows: theirs.  method: name of the integrator.  steps,
-    evaluations: of each.  wall: seconds that one has taken in the mean.
+    members: their indices, sorted.  flows: theirs; None of members that came from elsewhere.
+    method: name of the integrator.  steps, evaluations: of each.  wall: seconds that one has
+    taken in the mean.
     """
 
     members: Indices
-    flows: CompiledFlows
+    flows: CompiledFlows | None
     method: str
     steps: NDArray[np.int64]
     evaluations: NDArray[np.int64]
@@ -75,6 +76,12 @@ class Trajectories(OverTime):
         self._wanted, self._scene_of = first.outputs == "all", scene_of
         self._batches, self._single, self.failures = tuple(batches), single, tuple(failures)
         self._failed = {failure.member: failure for failure in failures}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Kernels stay here: batches travel without their flows, beside the states made of them.
+        batches = [replace(batch, flows=None) for batch in self._batches]
+        parts = (self._scene_of, self.y, batches, dict(self._single), list(self.failures))
+        return _travelled, (parts, self.outputs)
 
     def __len__(self) -> int:
         return len(self.y)
@@ -146,6 +153,11 @@ class Trajectories(OverTime):
 
     def _states(self, member: int) -> State | ShapeState:
         """Return the states of one member over the report times, those of a failed one too."""
+        if "outputs" in vars(self):  # which members that came from elsewhere have
+            columns = {
+                name: rows[member] for name, rows in vars(self.outputs).items() if name != "t"
+            }
+            return type(self.outputs)(t=self.t, **columns)
         if member in self._single:
             return _up_to(self._single[member], self.t, self.system, wanted=self._wanted)
         if not any(member in batch.members for batch in self._batches):
@@ -153,6 +165,7 @@ class Trajectories(OverTime):
         from ..compiled.compiled_flow import CompiledFlow
 
         batch, k = self._place(member)
+        assert batch.flows is not None
         flow = CompiledFlow.of(batch.flows, k)
         return flow.states(self.t, self.y[member, :, : flow.y0.size], flow.numbers)
 
@@ -163,6 +176,13 @@ class Trajectories(OverTime):
             if k < len(batch.members) and batch.members[k] == member:
                 return batch, k
         raise IndexError(member)
+
+
+def _travelled(parts: tuple[Any, ...], outputs: State | ShapeState) -> Trajectories:
+    """Return members that were pickled, with their states."""
+    found = Trajectories(*parts)
+    vars(found)["outputs"] = type(outputs)(**vars(outputs))  # read-only once more
+    return found
 
 
 def _up_to(traj: Trajectory, t: Array, system: System, *, wanted: bool) -> State | ShapeState:

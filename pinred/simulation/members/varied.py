@@ -21,13 +21,14 @@ from ...scene.angles import refuse_vague
 from ...scene.initial_state import GivenStates
 from ...scene.random_state import random_state
 from ...scene.scene import Scene
-from ...system.body_parameters import body_parameter
 from ...system.in_gravity import in_gravity
+from ...system.model_parameters import size_of
 from ...system.other_inertias import nominal
 from ...system.system import System
 from ..own_numbers import OwnNumbers
+from ..robot_columns import RobotColumns, relies_on_robot, with_own
 from ..simulate import as_scene
-from .groups import INERTIAS, Group, Members, members_plan
+from .groups import Group, Members, members_plan
 
 STATES = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
 _BY_JOINT = ("x0", "xdot0")
@@ -79,11 +80,21 @@ class Varied:
             for name in STATES
             if self.common.get(name) is not None and dimensions(self.common[name]) == 2
         }
-        self.bodies = {n: part for n in given if (part := body_parameter(system, n)) is not None}
+        sizes = {n: size_of(system, n) for n in given}
+        self.robot = {n: size for n, size in sizes.items() if size is not None}
+        if "gravity" in given and dimensions(given["gravity"]) == 2 and self.gravity is None:
+            self.gravity = vectors(given.pop("gravity"), 3, "gravity")
+            del self.robot["gravity"]
+        strength = given.get("gravity.strength")
+        if strength is not None and dimensions(strength) == 1 and self.gravity is None:
+            g = self.system.gravity
+            unit = g / np.linalg.norm(g) if g.any() else g
+            self.gravity = np.outer(_column(strength, "gravity.strength"), unit)
+            del given["gravity.strength"], self.robot["gravity.strength"]
         self.parameters = {
             name: _column(value, name)
             for name, value in given.items()
-            if dimensions(value) == (2 if name in self.bodies and self.bodies[name].size > 1 else 1)
+            if dimensions(value) == (2 if self.robot.get(name, 1) > 1 else 1)
         }
         fixed = {name: value for name, value in given.items() if name not in self.parameters}
         if isinstance(base, Scene):
@@ -139,41 +150,46 @@ class Varied:
         model = template.force_model
         known = [] if model is None else [each.name for each in model.parameters]
         for name in self.parameters:
-            if name not in (*known, *self.bodies):
+            if name not in (*known, *self.robot):
                 hint = nearest(name, [*STATES, "gravity", *known])
                 raise InputError(
                     f"members: nothing called {brief(name)} varies in these scenes; {hint}"
                     f"what may is {_WHAT}: {listed(known, 60) or 'none'}"
                 )
         first = self.scene(0)  # checks all that is common
-        if self.bodies.keys() & self.parameters.keys():
-            every = np.arange(self.count)
-            plan = members_plan(first)
-            scene_of = partial(self._scene_by, plan.scene.method)
-            return Members(self.count, [Group(every, plan, first.given, apart=INERTIAS)], scene_of)
-        if self.gravity is not None:
+        varying = [name for name in self.robot if name in self.parameters]
+        if varying:
+            template = with_own(template, varying)
+            if why := relies_on_robot(template):
+                every = np.arange(self.count)
+                plan = members_plan(first)
+                scene_of = partial(self._scene_by, plan.scene.method)
+                return Members(self.count, [Group(every, plan, first.given, apart=why)], scene_of)
+        elif self.gravity is not None:
             template = replace(template, system=self.system)
         numbers = self._numbers(template)
         given = (
             self._given(template, numbers) if self.seeds is None else self._drawn(template, numbers)
         )
         method = members_plan(first).scene.method
-
+        robot = self._robot_numbers(template) if varying else None
         scene_of = partial(self._scene_by, method)
         if self.gravity is None:
-            own = None if numbers is None else OwnNumbers(numbers=numbers)
+            own = None
+            if not (numbers is None and robot is None):
+                own = OwnNumbers(numbers=numbers, robot=robot)
             every = np.arange(self.count)
             return Members(self.count, [Group(every, members_plan(template), given, own)], scene_of)
-        return Members(self.count, self._by_gravity(template, given, numbers), scene_of)
+        return Members(self.count, self._by_gravity(template, given, numbers, robot), scene_of)
 
     def _by_gravity(
-        self, template: Scene, given: GivenStates, numbers: Array | None
+        self, template: Scene, given: GivenStates, numbers: Array | None, robot: Array | None
     ) -> list[Group]:
         """Return members in groups by the axes along which gravity acts."""
         assert self.gravity is not None
         rows, which = np.unique(self.gravity, axis=0, return_inverse=True)
         which = which.reshape(-1)
-        systems = [in_gravity(template.system, row) for row in rows]
+        systems = [in_gravity(self.system, row) for row in rows]
         acting = np.array([acting_gravity(system) for system in systems])
         fall = np.array([falling(system) for system in systems])
         groups = []
@@ -188,6 +204,7 @@ class Varied:
             plan = members_plan(replace(template, system=system))
             own = OwnNumbers(
                 numbers=None if numbers is None else numbers[members],
+                robot=None if robot is None else robot[members],
                 gravity=acting[which[members]],
                 fall=fall[which[members]],
             )
@@ -202,12 +219,33 @@ class Varied:
         names = [each.name for each in model.parameters]
         moved = np.zeros((self.count, len(names)))
         for name, values in self.parameters.items():
+            if name in self.robot:
+                continue
             k = names.index(name)
             moved[:, k] = values - model.parameters[k].value
         # Entry by entry, so that a member's numbers do not depend on how many there are.
         numbers = np.repeat(model.numbers_from(0.0, template.end)[None], self.count, axis=0)
         for k in range(len(names)):
             numbers += moved[:, k : k + 1] * model.slopes[:, k]
+        return numbers
+
+    def _robot_numbers(self, template: Scene) -> Array:
+        """Return the numbers of freed bodies of each member, (N, s).
+
+        Raises InputError, naming the member, for what no real robot has.
+        """
+        layout = members_plan(template).kind(zero_momentum=False, generic=True).layout
+        columns = RobotColumns(template, layout, 0)
+        numbers, first = np.empty((self.count, layout.freed.size)), len(layout.gravity)
+        whole = np.zeros(first + layout.freed.size + len(falling(template.system)))
+        names = self.robot.keys() & self.parameters.keys()
+        for k in range(self.count):
+            try:
+                now = columns.now({name: self.parameters[name][k] for name in names})
+            except InputError as error:
+                raise type(error)(f"member {k}: {error}") from None
+            columns.put(whole, now)
+            numbers[k] = whole[first : first + layout.freed.size]
         return numbers
 
     def _given(self, scene: Scene, numbers: Array | None) -> GivenStates:

@@ -15,7 +15,7 @@ from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import DOP853
 from ...kernels.wide_rate import wide_rate
 from ...simulation.compiled.compiled_flow import CompiledFlow, CompiledFlows, flows_of
-from ...simulation.compiled.integrator import lanes_of
+from ...simulation.compiled.integrate_members import lanes_of
 from ...simulation.members.groups import of_scenes
 from ...simulation.state import with_base
 from ...system.system import InitialState

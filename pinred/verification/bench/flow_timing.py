@@ -14,6 +14,7 @@ from ...integrators.integrate import integrate_checked
 from ...kernels.build import build_kernel
 from ...kernels.differentiable import repeat_adjoint
 from ...kernels.evaluate import repeat
+from ...reduction.tree.free_bodies import STEP, Freed, pattern_of
 from ...simulation.flow_map.flow import Flow, flow
 from ...simulation.simulate import simulate
 from ...system.catalogue import has_example_robots
@@ -31,11 +32,13 @@ class FlowTiming:
     """The cost of one robot's flow: the least of several rounds, in which all take turns.
 
     steps: of DOP853 at 1e-8.  integration, call, simulate: µs of the integrator alone, of a flow's
-    call, of simulate with the same scene.  gradient: of a function of the end by initial shape,
-    rates and twist, forward included, in runs; inertias: by the masses and centres of all bodies
-    besides.  gauss: the first by AdaptiveGauss at 1e-10, in its runs.  adjoint: an evaluation of
+    call with a look at its x, of simulate with the same scene.  gradient: of a function of the end
+    by initial shape, rates and twist, forward included, in runs; inertias: by the masses and centres
+    of all bodies besides.  gauss: the first by AdaptiveGauss at 1e-10, in its runs.  adjoint: an evaluation of
     the adjoint, in those of the rate.  free: an evaluation with all inertias as inputs, in those of
-    the folded kernel.  knots: bytes a step that the derivatives rest on.
+    the folded kernel; placed: with all placements besides, within their pattern of zeros and
+    quarter turns; generic: with placements that may be any.  knots: bytes a step that
+    the derivatives rest on.
     """
 
     robot: str
@@ -48,6 +51,8 @@ class FlowTiming:
     gauss: float
     adjoint: float
     free: float
+    placed: float
+    generic: float
     knots: int
 
     @staticmethod
@@ -56,16 +61,17 @@ class FlowTiming:
         return (
             f"{'robot':<20} {'steps':>6} {'integration':>12} {'call':>7} {'simulate':>9} "
             f"{'gradient':>9} {'inertias':>9} {'by Gauss':>9} {'adjoint':>8} {'free':>6} "
-            f"{'bytes/step':>10}\n"
+            f"{'placed':>6} {'generic':>7} {'bytes/step':>10}\n"
             f"{'':<20} {'':>6} {'[µs]':>12} {'[µs]':>7} {'[µs]':>9} {'[runs]':>9} {'[runs]':>9} "
-            f"{'[runs]':>9} {'[rates]':>8} {'[×]':>6}"
+            f"{'[runs]':>9} {'[rates]':>8} {'[×]':>6} {'[×]':>6} {'[×]':>7}"
         )
 
     def __str__(self) -> str:
         return (
             f"{self.robot:<20} {self.steps:>6} {self.integration:>12.1f} {self.call:>7.1f} "
             f"{self.simulate:>9.1f} {self.gradient:>9.2f} {self.inertias:>9.2f} "
-            f"{self.gauss:>9.2f} {self.adjoint:>8.2f} {self.free:>6.2f} {self.knots:>10}"
+            f"{self.gauss:>9.2f} {self.adjoint:>8.2f} {self.free:>6.2f} "
+            f"{self.placed:>6.2f} {self.generic:>7.2f} {self.knots:>10}"
         )
 
 
@@ -83,7 +89,7 @@ def bench_flow(
 
 def _bench_flow(name: str) -> FlowTiming:
     system = load(name, gravity=(0.0, 0.0, 0.0))
-    options: Any = {"seed": 1, "duration": _SPAN, "times": [_SPAN]}
+    options: Any = {"seed": 1, "duration": _SPAN}
     motion = ["x0", "xdot0", "xi0"]
     links = [*system.model.names][1:]
     bodies = [f"{link}.{kind}" for link in links for kind in ("mass", "com")]
@@ -104,7 +110,7 @@ def _bench_flow(name: str) -> FlowTiming:
     times = alternating(
         [
             repeated(integrate),
-            repeated(lambda: _fresh(by_motion)()),
+            repeated(lambda: _fresh(by_motion)().x),
             repeated(lambda: simulate(scene).x),
             repeated(lambda: _fresh(by_motion)._run({})),
             repeated(lambda: _gradient(by_motion)),
@@ -115,7 +121,7 @@ def _bench_flow(name: str) -> FlowTiming:
         ]
     )
     integration, call, whole, *runs = np.nanmin(times, axis=0) * 1e6
-    adjoint, free = _evaluations(by_motion)
+    adjoint, free, placed, generic = _evaluations(by_motion)
     return FlowTiming(
         robot=name,
         steps=part.solution.steps,
@@ -127,6 +133,8 @@ def _bench_flow(name: str) -> FlowTiming:
         gauss=float(runs[5] / runs[4]),
         adjoint=adjoint,
         free=free,
+        placed=placed,
+        generic=generic,
         knots=8 * (len(y) + 1),
     )
 
@@ -139,19 +147,23 @@ def _fresh(made: Flow) -> Flow:
 
 def _gradient(made: Flow) -> object:
     size = sum(place.stop - place.start for place in made.outputs.values())
-    return _fresh(made).vjp(np.ones((1, size)))
+    return _fresh(made).vjp(np.ones(size))
 
 
-def _evaluations(made: Flow) -> tuple[float, float]:
-    """Return an evaluation of the adjoint, and of a kernel with free inertias, over the rate's."""
+def _evaluations(made: Flow) -> list[float]:
+    """Return evaluations over the rate's: of the adjoint, and of kernels with free numbers."""
     course = made._course
     kernel = course.kernel
     system = kernel.system
-    every = replace(kernel.structure, free=tuple(range(system.model.njoints - 1)))
-    loose = build_kernel(system, every, kernel.forces)
+    every = tuple(range(system.model.njoints - 1))
+    steps = [[(i, pattern_of(system, i)) for i in every[1:]], [(i, "x" * STEP) for i in every[1:]]]
+    loose = [
+        build_kernel(system, replace(kernel.structure, freed=freed), kernel.forces)
+        for freed in (Freed(every), *(Freed(every, tuple(some)) for some in steps))
+    ]
     rng = np.random.default_rng(0)
     y = 0.5 * rng.normal(size=kernel.layout.size)
-    rates = [(one.rate.address, one.random_parameters(rng)) for one in (kernel, loose)]
+    rates = [(one.rate.address, one.random_parameters(rng)) for one in (kernel, *loose)]
     adjoint, p, covector = course._rate.adjoint.address, rates[0][1], np.ones(len(y))
     out = np.empty(len(y) + len(p))
     times = alternating(
@@ -160,5 +172,5 @@ def _evaluations(made: Flow) -> tuple[float, float]:
             repeated(lambda: repeat_adjoint(adjoint, y, p, covector, out, _COUNT)),
         ]
     )
-    folded, loosened, back = np.nanmin(times, axis=0)
-    return float(back / folded), float(loosened / folded)
+    folded, *loosened, back = np.nanmin(times, axis=0).tolist()
+    return [back / folded, *(one / folded for one in loosened)]

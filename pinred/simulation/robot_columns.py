@@ -1,0 +1,171 @@
+"""The robot's own numbers among the columns that the begin of a flow takes, and their slopes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..common.arrays import Array
+from ..common.errors import InputError, SymmetryError
+from ..kernels.layout import Layout
+from ..reduction.potential import acting_gravity, falling
+from ..reduction.tree.body_frames import Body, bodies_of, step_at
+from ..reduction.tree.free_bodies import frame_map, step_of_body, step_slopes
+from ..scene.scene import Scene
+from ..system.in_gravity import in_gravity
+from ..system.model_parameters import ModelParameters
+from ..system.other_inertias import nominal
+
+_FLAT = 1e-6  # cos δ below which the angles of a step have no slopes
+
+
+class RobotColumns:
+    """The robot's parameters of a flow: where their numbers stand among its constants.
+
+    values: of the scene, {name: (size,)}.
+    """
+
+    def __init__(self, scene: Scene, layout: Layout, numbers: int) -> None:
+        """Take the scene.  numbers: how many there are in the forces."""
+        assert scene.varied is not None
+        self._varied: ModelParameters = scene.varied
+        self._system, self._layout = nominal(scene.system), layout
+        self.values = self._varied.checked({n: scene.parameters[n] for n in self._varied.names})
+        self._bodies = bodies_of(self._system)
+        self._maps = {i: frame_map(self._bodies[i]) for i in self._varied.free}
+        self._bodies_at = len(layout.gravity)
+        self._fall_at = self._bodies_at + layout.freed.size + numbers
+        self._gravity: tuple[Array, Array] | None = None
+
+    def now(self, given: Mapping[str, Any]) -> dict[str, Array]:
+        """Return all values, of which some are given.  Raises InputError for unphysical ones."""
+        return self._varied.checked({**self.values, **given})
+
+    def put(self, constants: Array, now: Mapping[str, Array]) -> None:
+        """Write the numbers for these values among the constants."""
+        freed, first = self._layout.freed, self._bodies_at
+        bodies = constants[first : first + freed.size]
+        for i, (moments, _) in self._varied.inertias(now).items():
+            bodies[freed.of_inertia(i)] = self._maps[i] @ moments
+        for i, body, _ in self._placed(now):
+            bodies[freed.of_step(i)] = step_of_body(body)
+        if self._varied.gravity:
+            acting, fall = self._in_gravity(self._varied.gravity_of(now)[0])
+            constants[:first] = acting
+            constants[self._fall_at :] = fall
+
+    def slopes(self, now: Mapping[str, Array]) -> Iterator[tuple[slice, str, Array]]:
+        """Yield places among the constants, names, and slopes (…, size) there."""
+        freed = self._layout.freed
+        for i, (_, slopes) in self._varied.inertias(now).items():
+            for name, slope in slopes.items():
+                yield self._moved(freed.of_inertia(i)), name, self._maps[i] @ slope
+        for i, body, twists in self._placed(now):
+            if abs(body.delta[0]) < _FLAT:
+                raise InputError(
+                    f"{next(iter(twists))} turns the joint by a right angle from where the robot "
+                    "has it; there its numbers have no slopes: load the robot with a placement "
+                    "that is nearer"
+                )
+            by_twist = step_slopes(self._bodies[body.parent], body)
+            for name, twist in twists.items():
+                yield self._moved(freed.of_step(i)), name, by_twist @ twist
+        if self._varied.gravity:
+            _, slope = self._varied.gravity_of(now)
+            acting, fall = self._gravity_maps()
+            name = self._varied.gravity_name()
+            yield slice(0, self._bodies_at), name, acting @ slope
+            yield slice(self._fall_at, self._fall_at + len(fall)), name, fall @ slope
+
+    def _moved(self, place: slice) -> slice:
+        return slice(self._bodies_at + place.start, self._bodies_at + place.stop)
+
+    def _placed(self, now: Mapping[str, Array]) -> Iterator[tuple[int, Body, dict[str, Array]]]:
+        """Yield index, body with its placement, and twists by name, of each placed body."""
+        for i, (place, twists) in self._varied.placements(now).items():
+            body, own = self._bodies[i], self._system.model.jointPlacements[i + 1]
+            step = step_at(self._bodies[body.parent], body, own, place)
+            yield i, replace(body, **step), twists
+
+    def _in_gravity(self, g: Array) -> tuple[Array, Array]:
+        """Return what of a gravity acts along the kernel's axes, and how the system falls.
+
+        Raises SymmetryError if it breaks the symmetry, InputError if it acts along others.
+        """
+        system = in_gravity(self._system, g)
+        acting, axes = acting_gravity(system), list(self._layout.gravity)
+        others = np.delete(acting, axes)
+        if others.any() or (axes and not acting.any()):
+            raise InputError(
+                f"the flow was prepared for gravity along other axes than {g.tolist()}; make one "
+                "of a scene with a gravity like this, or with 'gravity' among wrt"
+            )
+        return acting[axes], falling(system)
+
+    def _gravity_maps(self) -> tuple[Array, Array]:
+        """Return the maps from gravity in the world to what acts, and to the fall.
+
+        Raises InputError if gravity along some axis of the world would break the symmetry, where
+        all of it varies.
+        """
+        if self._gravity is not None:
+            return self._gravity
+        columns, falls, axes = [], [], list(self._layout.gravity)
+        root = self._system.model.jointPlacements[1].rotation
+        whole = self._varied.gravity_name() == "gravity"
+        for unit in np.eye(3):
+            system = in_gravity(self._system, unit)
+            try:
+                acting = acting_gravity(system)
+            except SymmetryError as broken:
+                if whole:
+                    raise InputError(
+                        f"'gravity' has no derivatives by all its numbers: {broken}; vary "
+                        "'gravity.strength'"
+                    ) from None
+                acting = np.zeros(3)
+            columns.append(acting[axes])
+            falls.append(falling(system))
+        if not whole:  # along a direction that keeps the symmetry the map is linear
+            g = self._system.gravity
+            acting = acting_gravity(self._system)[axes]
+            columns = list(np.outer(g, acting) / (g @ g))
+        elif self._system.group.is_pivot and axes:
+            columns = list(root)  # row k: of the world's axis k
+        self._gravity = (
+            np.transpose(columns).reshape(len(axes), 3),
+            np.transpose(falls).reshape(-1, 3),
+        )
+        return self._gravity
+
+
+def with_own(scene: Scene, names: Sequence[Any]) -> Scene:
+    """Return a scene with the robot's parameters among the names as its own, at their values.
+
+    Raises InputError for bodies and joints that are not there.
+    """
+    known = [name for name in names if isinstance(name, str)]
+    own = nominal(scene.system)
+    varied = ModelParameters(own, list(dict.fromkeys([*scene.parameters, *known])))
+    if not varied.names:
+        return scene
+    values = {**varied.own(), **scene.parameters}
+    return replace(scene, parameters=values)
+
+
+def relies_on_robot(scene: Scene) -> str:
+    """Return which force relies on numbers of the robot that vary, and on which; "" if none."""
+    varied, given = scene.varied, scene.forces
+    if varied is None:
+        return ""
+    forces = tuple(given) if isinstance(given, (list, tuple)) else (given,)
+    for force in forces:
+        if getattr(force, "last", False):
+            what = "inertias" if varied.inertial else "gravity"
+            return f"{force.label} relies on the robot's {what}"
+        if varied.placed and getattr(force, "link", None) is not None:
+            return f"{force.label} acts on a link, whose place relies on placements"
+    return ""

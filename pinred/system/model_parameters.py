@@ -1,0 +1,168 @@
+"""Numbers of a robot by name as parameters: inertias, placements, locked joints, gravity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..common.arrays import Array, entries_of, vector
+from ..common.errors import InputError
+from ..common.plain_names import brief
+from .body_parameters import Bodies, body_parameter, inertia_of
+from .in_gravity import in_gravity
+from .joint_parameters import Joints, joint_parameter
+from .other_inertias import with_numbers
+from .system import System
+
+# Gravity in the world frame [m/s²], or its strength along the direction that it has.
+GRAVITY = {"gravity": 3, "gravity.strength": 1}
+INERTIAL = ("mass", "com", "inertia")  # the kinds of a whole body, of which "all" is made
+
+
+def size_of(system: System, name: str) -> int | None:
+    """Return how many numbers a parameter of a robot has; None if the name is of none.
+
+    Raises InputError for bodies and joints that are not there.
+    """
+    if isinstance(name, str) and name in GRAVITY:
+        return GRAVITY[name]
+    body = body_parameter(system, name)
+    if body is not None:
+        return body.size
+    joint = joint_parameter(system, name)
+    return None if joint is None else joint.size
+
+
+def all_names(system: System) -> list[str]:
+    """Return the names of masses, centres and moments of all bodies, and of all placements."""
+    names = [str(name) for name in system.model.names]
+    bodies = [i for i in range(1, len(names)) if system.model.inertias[i].mass > 0.0]
+    found = [f"{names[i]}.{kind}" for i in bodies for kind in INERTIAL]
+    return [*found, *(f"{name}.placement" for name in names[2:])]
+
+
+def requested(system: System, parameters: Any) -> tuple[dict[str, Any], list[str]]:
+    """Return parameters with values, and names of others that are inputs at their own values.
+
+    parameters: {name: value}, a list of names, which is for the robot's own values, or "all", its
+    inertias and placements.  Raises InputError for others.
+    """
+    if isinstance(parameters, Mapping):
+        return dict(parameters), []
+    names = all_names(system) if parameters == "all" else entries_of(parameters)
+    if names is None or (isinstance(parameters, str) and parameters != "all"):
+        raise InputError(
+            "parameters must be {name: value}, a list of names, or 'all' for the robot's inertias "
+            f"and placements, got {brief(parameters)}"
+        )
+    mine = [name for name in names if size_of(system, name) is not None]
+    own = ModelParameters(system, mine).own()
+    return {name: own[name] for name in mine}, [name for name in names if name not in mine]
+
+
+class ModelParameters:
+    """The numbers of a robot as functions of parameters.
+
+    names: of the parameters, in their order.  free: indices of the bodies, 0 for the root, whose
+    inertias vary.  placed: of those whose joints' placements do; turned: of these, those whose
+    axes turn.  gravity: whether that varies.
+    """
+
+    def __init__(self, system: System, names: Sequence[str]) -> None:
+        """Find the parameters.  Raises InputError for those that say the same thing twice."""
+        self._system = system
+        self._bodies, self._joints = Bodies(system, names), Joints(system, names)
+        self._gravity = [name for name in names if isinstance(name, str) and name in GRAVITY]
+        if len(self._gravity) > 1:
+            raise InputError("parameters: give gravity or gravity.strength, not both")
+        self.gravity = bool(self._gravity)
+        for each in self._bodies.parameters:
+            if each.body in self._joints.free:
+                raise InputError(
+                    f"parameters: '{each.name}' is of a body that has a locked joint on it, whose "
+                    "value varies; leave out one of them"
+                )
+        self.sizes = {each.name: each.size for each in self._bodies.parameters}
+        self.sizes |= {each.name: each.size for each in self._joints.parameters}
+        self.sizes |= {name: GRAVITY[name] for name in self._gravity}
+        self.names = tuple(self.sizes)
+        self.free = tuple(sorted({*self._bodies.free, *self._joints.free}))
+        self.placed, self.turned = self._joints.placed, self._joints.turned
+
+    @property
+    def inertial(self) -> bool:
+        """Whether inertias or placements are among the parameters."""
+        return bool(self.free or self.placed)
+
+    def own(self) -> dict[str, Array]:
+        """Return the values that the system has, {name: (size,)}."""
+        out = self._bodies.own() | self._joints.own()
+        if self._gravity:
+            g = self._system.gravity
+            whole = self._gravity == ["gravity"]
+            out[self._gravity[0]] = g if whole else np.array([float(np.linalg.norm(g))])
+        return out
+
+    def checked(self, values: Mapping[str, Any]) -> dict[str, Array]:
+        """Return values as arrays.  Raises InputError for those that no real robot has."""
+        out = self._bodies.checked(values) | self._joints.checked(values)
+        for name in self._gravity:
+            given = np.atleast_1d(np.asarray(values[name], dtype=float))
+            out[name] = vector(given, GRAVITY[name], f"parameters['{name}']")
+        if self._gravity == ["gravity.strength"] and not self._system.gravity.any():
+            raise InputError(
+                f"parameters: '{self._system.name}' has no gravity, and so no direction of it for "
+                "'gravity.strength'; give 'gravity'"
+            )
+        return out
+
+    def inertias(self, values: Mapping[str, Array]) -> dict[int, tuple[Array, dict[str, Array]]]:
+        """Return of each free body its moments (10,), and their slopes (10, size) by each value.
+
+        About its joint's origin: m, m c, then xx, xy, xz, yy, yz, zz.
+        """
+        found = {i: self._bodies.dynamic(i, values) for i in self._bodies.free}
+        for i, moments, slopes in self._joints.inertias(values):
+            found[i] = moments, slopes
+        return dict(sorted(found.items()))
+
+    def placements(
+        self, values: Mapping[str, Array]
+    ) -> dict[int, tuple[pin.SE3, dict[str, Array]]]:
+        """Return of each placed body its joint's placement, and twists (6, size) by each value.
+
+        Twists are in the carrier's frame, taken at its origin.
+        """
+        return {i: (place, twists) for i, place, twists in self._joints.placements(values)}
+
+    def gravity_of(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
+        """Return gravity in the world frame, (3,), and its slopes, (3, size)."""
+        g = self._system.gravity
+        if not self._gravity:
+            return g, np.zeros((3, 0))
+        value = values[self._gravity[0]]
+        if self._gravity == ["gravity"]:
+            return value, np.eye(3)
+        unit = g / np.linalg.norm(g)
+        return value[0] * unit, unit[:, None]
+
+    def system(self, values: Mapping[str, Array]) -> System:
+        """Return the system with these values."""
+        if not self.names:
+            return self._system
+        inertias = {i + 1: inertia_of(found) for i, (found, _) in self.inertias(values).items()}
+        places = {i + 1: place for i, (place, _) in self.placements(values).items()}
+        other = with_numbers(self._system, inertias, places)
+        return in_gravity(other, self.gravity_of(values)[0]) if self._gravity else other
+
+    def perturbed(self, rng: np.random.Generator) -> dict[str, Array]:
+        """Return values that have nothing in common with those of the system."""
+        out = self._bodies.perturbed(rng) | self._joints.perturbed(rng)
+        return out | {name: 1.3 * self.own()[name] for name in self._gravity}
+
+    def gravity_name(self) -> str:
+        """Return the name under which gravity varies, or ""."""
+        return self._gravity[0] if self._gravity else ""
