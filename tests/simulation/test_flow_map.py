@@ -12,10 +12,11 @@ from scipy.integrate import solve_ivp
 
 import pinred
 from pinred import InputError, Parameter
-from pinred.forces import Controller, Torque
+from pinred.forces import Controller, Torque, Wrench
 from pinred.integrators.derivatives import run_along
 from pinred.signals import Fourier, Hold, Spline
 from pinred.simulation.flow_map.flow import Flow
+from pinred.verification.bench.flow_adjoints import beside_cvodes
 
 ROWS = ["x", "xdot", "pose", "xi", "body_momentum", "spatial_momentum", "energy"]
 METHODS = ["DOP853", "Tsit5", "AdaptiveGauss", "Gauss(0.01)"]
@@ -239,20 +240,63 @@ def test_refusals() -> None:
         flow.vjp(np.full(18, np.nan))
 
 
-@pytest.mark.by_hand
-def test_what_a_flow_map_does_not_know_is_refused() -> None:
-    """Places of the base in forces, and events; one that sees the attitude has derivatives."""
+def seeing(joint: str, entry: int) -> Torque:
+    """Return a torque that sees a number of the pose."""
+    return Torque(lambda s: {joint: -0.3 * s.pose[entry]})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["coupled_planar", "falling_cat"])
+def test_forces_that_see_the_place(name: str) -> None:
+    """Derivatives go through what forces see of pose and speed; both ways, over times and steps."""
+    system = pinred.load(name, gravity=(0.0, 0.0, -3.0) if name == "falling_cat" else None)
+    joint, push = system.shape_names[0], Parameter("push", 0.4)
+    forces = [
+        Torque(lambda s: {joint: -push * s.pose[0] - 0.2 * s.xi[0] + 0.1 * s.pose[2]}),
+        Wrench(lambda s: -push * s.xi, name="drag"),
+    ]
+    wrt = ["x0", "xdot0", "pose0", "xi0", "push", "gravity"]
+    wrt = wrt if name == "falling_cat" else wrt[:-1]
+    options: Any = {"of": ROWS, "method": "DOP853", "rtol": 1e-12, "times": [0.1, 0.4]}
+    flow = pinred.flow(system, seed=1, forces=forces, wrt=wrt, **options)
+    scene, group, h = flow.scene, system.group, 1e-4
+    states = pinred.simulate(scene).states
+    ends, given = flow(), scene.given  # type: Any, Any
+    np.testing.assert_allclose(ends.q, states.q, rtol=0, atol=1e-13)
+    jacobian = flow.jacobian()
+    covector = np.random.default_rng(0).normal(size=jacobian["pose0"].shape[:-1])
+    for key, found in flow.vjp(covector).items():
+        expected = np.tensordot(covector, jacobian[key], covector.ndim)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
+    own: dict[str, Any] = {"x0": given.x[0], "xdot0": given.xdot[0], "xi0": given.xi[0]}
+    own |= {"push": 0.4, "gravity": system.gravity}
+    for key, size in flow.inputs.items():
+        v = np.random.default_rng(1).normal(size=size)
+        sides: list[Any] = []
+        for s in (-h, h):
+            moved = own[key] + s * (v if size > 1 else v[0]) if key in own else None
+            if moved is None:
+                moved = group.compose(given.pose[0], group.exp(s * v))
+            sides.append(flow(**{key: moved}))
+        found = flow.jvp({key: v})
+        for row in ("x", "xdot", "xi", "body_momentum", "spatial_momentum"):
+            low, high = (getattr(side, row) for side in sides)
+            expected = (high - low) / (2.0 * h)
+            error = np.abs(found[..., flow.outputs[row]] - expected).max()
+            assert error < 2e-6 * max(1.0, np.abs(found).max()), (key, row)
+    step, state = flow.step(0.02), scene.start  # type: Any, Any
+    for k in range(20):
+        state = step(state, t=0.02 * k)
+    np.testing.assert_allclose(state.pose, states.pose[-1], rtol=0, atol=1e-7)
+
+
+def test_events_are_refused_and_attitudes_seen() -> None:
+    """Events have no place in a flow; a torque that sees the attitude has derivatives."""
     system = pinred.load("coupled_planar")
     joint = system.shape_names[0]
-
-    def seeing(entry: int) -> pinred.forces.Torque:
-        return pinred.forces.Torque(lambda s: {joint: -0.3 * s.pose[entry]})
-
-    with pytest.raises(pinred.InputError, match="a force sees where the base is"):
-        pinred.flow(system, seed=0, forces=[seeing(0)], wrt=["x0"])
     with pytest.raises(pinred.InputError, match="looks for no events"):
         pinred.flow(system, seed=0, events=[pinred.Event("x[0]")], wrt=["x0"])
-    scene = pinred.Scene(system=system, seed=0, duration=0.5, forces=[seeing(2)])
+    scene = pinred.Scene(system=system, seed=0, duration=0.5, forces=[seeing(joint, 2)])
     f = pinred.flow(scene, wrt=["pose0"])
     h, own = 1e-5, scene.given.pose[0]
     ends = [f(pose0=own + np.array([0.0, 0.0, sign * h])).xdot for sign in (1.0, -1.0)]
@@ -293,3 +337,23 @@ def test_prepared_runs() -> None:
     assert type(pickle.loads(pickle.dumps(shape))) is pinred.ShapeState
     with pytest.raises(AttributeError):
         _ = getattr(shape, "pose")  # noqa: B009
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "duration"), [("planar_chain5", 2.0), ("satellite_two_arms", 0.5)]
+)
+def test_adjoints_are_those_of_cvodes(name: str, duration: float) -> None:
+    """Slopes of the end agree with CVODES's where the flow stretches little."""
+    system = pinred.load(name, gravity=(0, 0, 0))
+    flow = pinred.flow(system, seed=1, duration=duration, method="DOP853", rtol=1e-9)
+    (part,) = flow._run({}).stretches
+    y, p, course = part.solution.states[0].copy(), part.parameters, flow._course
+    stretch = run_along(
+        course.method, course._address, course._slopes, p, y, part.solution.knots, part.times,
+        course.kernel.layout.quaternion, np.eye(len(y)), np.zeros((len(p), len(y))),
+    ).end_slopes  # fmt: skip
+    assert np.linalg.norm(stretch, 2) < 1e3
+    found = beside_cvodes(flow, 1e-9, timed=False)
+    assert found.error < 1e-6
+    assert len(found.own) == len(y) + len(p)

@@ -72,11 +72,6 @@ class Course:
                 f"{controller.name} is a function of Python, which has no derivatives; write it as "
                 "a Torque of CasADi expressions, or use simulate"
             )
-        if plan.forces is not None and plan.forces.sees_place:
-            raise InputError(
-                "a force sees where the base is or how fast it moves, which maps of flows do not "
-                "know; one that sees the attitude alone is no trouble, or use simulate"
-            )
         if plan.scene.events_given:
             raise InputError("a flow map looks for no events; use simulate for them")
         refuse_without_derivatives(self.method)
@@ -114,12 +109,13 @@ class Course:
         """Return the run that begins as given.  Raises IntegrationError."""
         constants, fall = self._apart(given.constants)
         out = np.empty(self._begun)
-        call_value(self._begin_at, given.state, constants, out)
+        known = self._with_line(constants, None)
+        call_value(self._begin_at, given.state, known, out)
         if not isfinite(np.add.reduce(out)) and not np.isfinite(out).all():
             raise InputError(_OVERFLOWS)
         n, head = self._sizes[0], self._sizes[0] + self._sizes[1]
         y, line = out[:n] if n else np.zeros(1), np.concatenate([out[head:], fall])
-        parameters = np.concatenate([out[n:head], constants])
+        parameters = np.concatenate([out[n:head], self._with_line(constants, line)])
         if self._ready is not None:
             ((begin, stop, times),) = self._stretches
             here = self._within(parameters, begin, stop)
@@ -245,12 +241,12 @@ class Course:
         """Return the derivatives (T, rows, N) along directions of what the run began with."""
         kernel = self.kernel
         constants, fall = self._apart(constants)
-        own, _ = self._apart(run.given.constants)
-        found = self._begin.forward(run.given.state, own, state, constants, sum(self._sizes))
+        own, known = self._known(run.given), self._with_line(constants, None)
+        found = self._begin.forward(run.given.state, own, state, known, sum(self._sizes))
         moved, head, start = np.split(found, np.cumsum(self._sizes[:2]))
         moved = moved if len(moved) else np.zeros((1, state.shape[1]))
-        parameters = np.vstack([head, constants])
         line = np.vstack([start, fall])
+        parameters = np.vstack([head, self._with_line(constants, line)])
         outcome, out = outcome_of(kernel, rows), []
         for part in run.stretches:
             done = run_along(
@@ -287,14 +283,30 @@ class Course:
             )  # fmt: skip
             covector = done.by_state
             by_parameters += done.by_parameters
-        head = self._sizes[1]
+        head, path = self._sizes[1], np.arange(layout.line_at, layout.line_at + layout.line)
+        if layout.line:
+            by_line += by_parameters[path]
         ends_of_begin = np.concatenate(
             [covector[: layout.size], by_parameters[:head], by_line[: self._sizes[2]]]
         )
-        own, _ = self._apart(run.given.constants)
+        own = self._known(run.given)
         state, constants = self._begin.reverse(run.given.state, own, ends_of_begin)
-        by_fall = by_line[self._sizes[2] :]
-        return state, np.concatenate([constants + by_parameters[head:], by_fall])
+        by_constants = np.delete(constants + by_parameters[head:], path - head)
+        return state, np.concatenate([by_constants, by_line[self._sizes[2] :]])
+
+    def _known(self, given: Given) -> Array:
+        """Return the kernel's constants, of which the begin reads no path of the centre of mass."""
+        return self._with_line(self._apart(given.constants)[0], None)
+
+    def _with_line(self, constants: Array, line: Array | None) -> Array:
+        """Return constants (…) with the path of the centre of mass where forces see that."""
+        layout = self.kernel.layout
+        if not layout.line:
+            return constants
+        at = layout.line_at - layout.gravity_at
+        if line is None:
+            line = np.zeros((layout.line, *constants.shape[1:]))
+        return np.concatenate([constants[:at], line, constants[at:]])
 
     def _apart(self, constants: Array) -> tuple[Array, Array]:
         """Return the kernel's constants, and how the centre of mass falls."""
@@ -321,21 +333,22 @@ class Course:
         if columns is not None:
             state, constants = columns
         constants, fall_along = self._apart(constants)
-        out = self._begin.at(given.state, own, sum(self._sizes))
-        along = self._begin.forward(given.state, own, state, constants, sum(self._sizes))
+        known, known_along = self._with_line(own, None), self._with_line(constants, None)
+        out = self._begin.at(given.state, known, sum(self._sizes))
+        along = self._begin.forward(given.state, known, state, known_along, sum(self._sizes))
         cuts = np.cumsum(self._sizes[:2])
         (y, head, start), (moved, heads, starts) = np.split(out, cuts), np.split(along, cuts)
         if not np.isfinite(out).all():
             raise InputError("the momentum or twist overflows: rates or momentum too large")
-        parameters = np.concatenate([head, own])
-        parameters = self._within(parameters, t, t + h)
         if layout.clock:
             y[-1] = t
         # The centre of mass is where it is at time t.
         line = _from(t, np.concatenate([start, fall]), self._falls)
         lines = _from(t, np.vstack([starts, fall_along]), self._falls)
+        parameters = np.concatenate([head, self._with_line(own, line)])
+        parameters = self._within(parameters, t, t + h)
         y, moved = (y, moved) if y.size else (np.zeros(1), np.zeros((1, state.shape[1])))
-        directions = np.vstack([heads, constants])
+        directions = np.vstack([heads, self._with_line(constants, lines)])
         knots = np.array([0.0, h])
         done = run_along(
             self.method, self._address, self._slopes, parameters, y, knots, knots[1:],

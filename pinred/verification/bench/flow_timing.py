@@ -19,6 +19,7 @@ from ...simulation.flow_map.flow import Flow, flow
 from ...simulation.simulate import simulate
 from ...system.catalogue import has_example_robots
 from ...system.load import load
+from .flow_adjoints import beside_cvodes
 from .timing import alternating, repeated
 
 BUNDLED = ("planar_chain5", "satellite_two_arms")
@@ -33,12 +34,14 @@ class FlowTiming:
 
     steps: of DOP853 at 1e-8.  integration, call, simulate: µs of the integrator alone, of a flow's
     call with a look at its x, of simulate with the same scene.  gradient: of a function of the end
-    by initial shape, rates and twist, forward included, in runs; inertias: by the masses and centres
-    of all bodies besides.  gauss: the first by AdaptiveGauss at 1e-10, in its runs.  adjoint: an evaluation of
-    the adjoint, in those of the rate.  free: an evaluation with all inertias as inputs, in those of
-    the folded kernel; placed: with all placements besides, within their pattern of zeros and
-    quarter turns; generic: with placements that may be any.  knots: bytes a step that
-    the derivatives rest on.
+    by initial shape, rates and twist, forward included, in runs; inertias: by the masses and
+    centres of all bodies besides.  gauss: the first by AdaptiveGauss at 1e-10, in its runs.
+    cvodes: how many times as long the adjoint of CVODES takes, by CasADi at the same tolerance;
+    apart: by how much its slopes differ, in parts of the largest.  adjoint: an evaluation of the
+    adjoint, in those of the rate.  free: an evaluation with all inertias as inputs, in those of the
+    folded kernel; placed: with all placements besides, within their pattern of zeros and quarter
+    turns; generic: with placements that may be any.  knots: bytes a step that the derivatives rest
+    on.
     """
 
     robot: str
@@ -49,6 +52,8 @@ class FlowTiming:
     gradient: float
     inertias: float
     gauss: float
+    cvodes: float
+    apart: float
     adjoint: float
     free: float
     placed: float
@@ -60,17 +65,19 @@ class FlowTiming:
         """Return the head of the table of timings."""
         return (
             f"{'robot':<20} {'steps':>6} {'integration':>12} {'call':>7} {'simulate':>9} "
-            f"{'gradient':>9} {'inertias':>9} {'by Gauss':>9} {'adjoint':>8} {'free':>6} "
+            f"{'gradient':>9} {'inertias':>9} {'by Gauss':>9} {'CVODES':>7} {'apart':>8} "
+            f"{'adjoint':>8} {'free':>6} "
             f"{'placed':>6} {'generic':>7} {'bytes/step':>10}\n"
             f"{'':<20} {'':>6} {'[µs]':>12} {'[µs]':>7} {'[µs]':>9} {'[runs]':>9} {'[runs]':>9} "
-            f"{'[runs]':>9} {'[rates]':>8} {'[×]':>6} {'[×]':>6} {'[×]':>7}"
+            f"{'[runs]':>9} {'[×]':>7} {'':>8} {'[rates]':>8} {'[×]':>6} {'[×]':>6} {'[×]':>7}"
         )
 
     def __str__(self) -> str:
         return (
             f"{self.robot:<20} {self.steps:>6} {self.integration:>12.1f} {self.call:>7.1f} "
             f"{self.simulate:>9.1f} {self.gradient:>9.2f} {self.inertias:>9.2f} "
-            f"{self.gauss:>9.2f} {self.adjoint:>8.2f} {self.free:>6.2f} "
+            f"{self.gauss:>9.2f} {self.cvodes:>7.0f} {self.apart:>8.1e} "
+            f"{self.adjoint:>8.2f} {self.free:>6.2f} "
             f"{self.placed:>6.2f} {self.generic:>7.2f} {self.knots:>10}"
         )
 
@@ -121,6 +128,7 @@ def _bench_flow(name: str) -> FlowTiming:
         ]
     )
     integration, call, whole, *runs = np.nanmin(times, axis=0) * 1e6
+    beside = beside_cvodes(by_motion, 1e-8)
     adjoint, free, placed, generic = _evaluations(by_motion)
     return FlowTiming(
         robot=name,
@@ -131,6 +139,8 @@ def _bench_flow(name: str) -> FlowTiming:
         gradient=float(runs[1] / runs[0]),
         inertias=float(runs[3] / runs[2]),
         gauss=float(runs[5] / runs[4]),
+        cvodes=beside.slower,
+        apart=beside.error,
         adjoint=adjoint,
         free=free,
         placed=placed,
