@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from threading import Thread
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 import pytest
 from kicked_cat import AT, BATCH, flow_of
 
+import pinred
 from pinred import InputError, ShapeError
 from pinred.common.arrays import Array
 from pinred.simulation.flow_map import xla_call
@@ -192,3 +194,27 @@ def test_refusals(function: Any) -> None:
     with pytest.raises(failed, match="must be above zero"):
         function(**{"back.mass": -1.0}).block_until_ready()
     assert np.isfinite(function(*AT)).all()  # and goes on
+
+
+@pytest.mark.by_hand
+def test_cost_of_a_call() -> None:
+    """A call of XLA's costs less than one by pure_callback; prints both, and that of columns."""
+    system = pinred.load("planar_chain5")
+    options: Any = {"seed": 1, "duration": 1.0, "rtol": 1e-8, "method": "DOP853"}
+    flow = pinred.flow(system, **options, wrt=["x0", "xdot0"])
+    columns = flow.columns()
+    out = jax.ShapeDtypeStruct((columns.size,), float)
+    by_callback = jax.jit(
+        lambda *given: jax.pure_callback(columns.value, out, *given, vmap_method="sequential")
+    )
+    ways = {"columns": columns.value, "jax": jax.jit(flow.jax()), "callback": by_callback}
+    rng, times = np.random.default_rng(0), {name: list[float]() for name in ways}
+    for _ in range(500):
+        for name, way in ways.items():
+            given = jax.numpy.asarray(columns.starts[0] + 1e-6 * rng.normal(size=5))
+            begin = perf_counter()
+            np.asarray(way(given, columns.starts[1]))
+            times[name].append(perf_counter() - begin)
+    least = {name: 1e6 * min(each) for name, each in times.items()}
+    print({name: f"{each:.0f} µs" for name, each in least.items()})
+    assert least["jax"] < 0.8 * least["callback"]
