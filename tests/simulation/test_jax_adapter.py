@@ -196,6 +196,13 @@ def test_refusals(function: Any) -> None:
     assert np.isfinite(function(*AT)).all()  # and goes on
 
 
+def test_older_ones_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They lay out their calls differently."""
+    monkeypatch.setattr(jax, "__version_info__", (0, 5, 0))
+    with pytest.raises(pinred.MissingPackageError, match=r"0\.10 or newer"):
+        flow_of().jax()
+
+
 @pytest.mark.by_hand
 def test_cost_of_a_call() -> None:
     """A call of XLA's costs less than one by pure_callback; prints both, and that of columns."""

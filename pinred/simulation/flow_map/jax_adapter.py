@@ -14,6 +14,8 @@ from . import xla_call
 from .batched import FIRST_ORDER, Batched
 from .columns import Columns
 
+_OLDEST = (0, 10, 0)
+
 
 def jax_function(columns: Columns) -> Callable[..., Any]:
     """Return f(*columns, **columns) → output, with derivatives of first order in both modes.
@@ -22,9 +24,12 @@ def jax_function(columns: Columns) -> Callable[..., Any]:
     they are doubles.  It runs on the processor.  Raises MissingPackageError without JAX.
     """
     try:
+        import jax
         import jax.numpy as jnp
     except ImportError as missing:
         raise MissingPackageError("this needs JAX: pip install jax") from missing
+    if jax.__version_info__ < _OLDEST:  # whose call frames are others
+        raise MissingPackageError(f"this needs JAX 0.10 or newer, and {jax.__version__} is there")
     primitives = _primitives()
     numbers = tuple(map(xla_call.numbered, _calls(columns)))
 
