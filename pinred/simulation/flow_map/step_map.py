@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +14,6 @@ from ...kernels.begin_and_end import Outcome
 from ...scene.scene import Scene
 from ..state import State
 
-if TYPE_CHECKING:
-    from .flow import Flow
 
 # Of each input that is a part of the state, the field of State.
 STATE: dict[str, Outcome] = {"pose0": "pose", "x0": "x", "xdot0": "xdot", "xi0": "xi"}
@@ -47,7 +45,7 @@ class StepMap:
     have.
     """
 
-    def __init__(self, flow: Flow, h: float) -> None:
+    def __init__(self, flow: Any, h: float) -> None:
         """Take the flow of which it is a step.  Raises InputError."""
         self.h = positive(h, "h")
         scene: Scene = flow.scene
