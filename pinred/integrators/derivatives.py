@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -17,9 +18,20 @@ from .explicit import derivatives as explicit
 from .explicit.derivatives import Weights, weights_of
 from .gauss import derivatives as gauss
 from .gauss.tables import tables
-from .integrate import Solution
 from .methods import AdaptiveGauss, Explicit, Gauss, Method
 from .stepping.kernel_call import SEEDS
+
+
+class Steps(Protocol):
+    """The steps of a run, as a Solution has them."""
+
+    @property
+    def knots(self) -> Array:
+        """The times of their ends, (K,) [s]."""
+
+    @property
+    def states(self) -> Array:
+        """The states there, (K, n)."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +125,7 @@ def run_back(
     address: int,
     slopes: Slopes,
     params: Array,
-    run: Solution,
+    run: Steps,
     times: Array,
     quaternion: int,
     covector: Array,
@@ -123,7 +135,8 @@ def run_back(
 
     Raises NoConvergence if the adjoint of an implicit step has no solution that could be found.
     """
-    n, p = run.states.shape[1], len(params)
+    knots, states = run.knots, run.states
+    n, p = states.shape[1], len(params)
     covector, at_times, by_params = covector.copy(), at_times.copy(), np.zeros(p)
     y = np.empty(n)
     if isinstance(method, Explicit):
@@ -132,18 +145,18 @@ def run_back(
         Y, K, G = (np.empty((size, n)) for _ in range(3))
         explicit.reverse(
             address, slopes.adjoint(), params, weights.A, weights.dense, weights.stages, quaternion,
-            run.knots, run.states, times, at_times, covector, by_params, y, Y, K, G,
+            knots, states, times, at_times, covector, by_params, y, Y, K, G,
             np.empty(n + p), np.empty(size),
         )  # fmt: skip
     else:
         a, b, lanes = _gauss_weights(method)
         Y, F, G = (np.zeros(n * lanes) for _ in range(3))
         failed = gauss.reverse(
-            address, slopes.adjoints(lanes), params, a, b, lanes, quaternion, run.knots,
-            run.states, times, at_times, covector, by_params, y, Y, F, G, np.zeros((n + p) * lanes),
+            address, slopes.adjoints(lanes), params, a, b, lanes, quaternion, knots,
+            states, times, at_times, covector, by_params, y, Y, F, G, np.zeros((n + p) * lanes),
         )  # fmt: skip
-        _refuse_failed(failed, run.knots, y)
-    explicit.back_to_given(run.states[0].copy(), quaternion, covector, y)
+        _refuse_failed(failed, knots, y)
+    explicit.back_to_given(states[0].copy(), quaternion, covector, y)
     return Back(covector, by_params)
 
 

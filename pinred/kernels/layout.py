@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -56,17 +57,17 @@ class Layout:
     line: int
     numbers: int
 
-    @property
+    @cached_property
     def base_at(self) -> int:
         """Index in y of the first number of the base."""
         return 2 * len(self.active) + len(self.cyclic)
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Length of y."""
         return self.base_at + self.base.size + self.clock
 
-    @property
+    @cached_property
     def parameters(self) -> int:
         """Number of parameters."""
         return self.line_at + self.line + self.numbers

@@ -322,6 +322,11 @@ class Scene:
         values: dict[str, Any] = {}
         for name, value in self.parameters.items():
             if name in vars(self)["_values"]:
+                if name in known:
+                    raise InputError(
+                        f"parameters: '{name}' is a number of the robot, and a Parameter of the "
+                        "forces has the same name; give that another"
+                    )
                 found: Array = vars(self)["_values"][name]
                 values[name] = read_only(found) if found.size > 1 else float(found[0])
                 continue

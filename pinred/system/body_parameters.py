@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array, vector
+from ..common.arrays import Array, as_floats, vector
 from ..common.errors import InputError
 from ..common.names import nearest
 from ..common.plain_names import listed, quoted
@@ -107,8 +107,10 @@ class Bodies:
         """Return values as arrays.  Raises InputError for those that no real body has."""
         out = {}
         for each in self.parameters:
-            given = np.atleast_1d(np.asarray(values[each.name], dtype=float))
-            out[each.name] = vector(given, each.size, f"parameters['{each.name}']")
+            what = f"parameters['{each.name}']"
+            out[each.name] = vector(
+                np.atleast_1d(as_floats(values[each.name], what)), each.size, what
+            )
         for body in self.free:
             self.dynamic(body, out)
         return out

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array, vector
+from ..common.arrays import Array, as_floats, vector
 from ..common.errors import InputError
 from ..common.names import nearest
 from ..common.plain_names import listed, quoted
@@ -128,14 +128,12 @@ class Joints:
 
     def checked(self, values: Mapping[str, Any]) -> dict[str, Array]:
         """Return values as arrays."""
-        return {
-            each.name: vector(
-                np.atleast_1d(np.asarray(values[each.name], dtype=float)),
-                each.size,
-                f"parameters['{each.name}']",
-            )
-            for each in self.parameters
-        }
+        out = {}
+        for each in self.parameters:
+            what = f"parameters['{each.name}']"
+            given = np.atleast_1d(as_floats(values[each.name], what))
+            out[each.name] = vector(given, each.size, what)
+        return out
 
     def perturbed(self, rng: np.random.Generator) -> dict[str, Array]:
         """Return values that have nothing in common with those of the system."""

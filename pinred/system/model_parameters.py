@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array, entries_of, vector
+from ..common.arrays import Array, as_floats, entries_of, vector
 from ..common.errors import InputError
 from ..common.plain_names import brief
 from .body_parameters import Bodies, body_parameter, inertia_of
@@ -19,6 +19,7 @@ from .system import System
 
 # Gravity in the world frame [m/s²], or its strength along the direction that it has.
 GRAVITY = {"gravity": 3, "gravity.strength": 1}
+_HUGE = 1e100  # kg, kg m², m, m/s²
 INERTIAL = ("mass", "com", "inertia")  # the kinds of a whole body, of which "all" is made
 
 
@@ -60,7 +61,8 @@ def requested(system: System, parameters: Any) -> tuple[dict[str, Any], list[str
         )
     mine = [name for name in names if size_of(system, name) is not None]
     own = ModelParameters(system, mine).own()
-    return {name: own[name] for name in mine}, [name for name in names if name not in mine]
+    values = {name: own[name] if own[name].size > 1 else float(own[name][0]) for name in mine}
+    return values, [name for name in names if name not in mine]
 
 
 class ModelParameters:
@@ -110,8 +112,14 @@ class ModelParameters:
         """Return values as arrays.  Raises InputError for those that no real robot has."""
         out = self._bodies.checked(values) | self._joints.checked(values)
         for name in self._gravity:
-            given = np.atleast_1d(np.asarray(values[name], dtype=float))
+            given = np.atleast_1d(as_floats(values[name], f"parameters['{name}']"))
             out[name] = vector(given, GRAVITY[name], f"parameters['{name}']")
+        for name, value in out.items():
+            if np.abs(value).max() > _HUGE:
+                raise InputError(
+                    f"parameters: '{name}' is above {_HUGE:g}, of which products overflow; take "
+                    "other units"
+                )
         if self._gravity == ["gravity.strength"] and not self._system.gravity.any():
             raise InputError(
                 f"parameters: '{self._system.name}' has no gravity, and so no direction of it for "

@@ -81,7 +81,8 @@ class FullState:
         self._numbers = np.empty(0) if self._forces is None else self._forces.numbers.copy()
         self._model, self._data = system.model, pin.Data(system.model)
         self._r, self._m = system.r, system.model.njoints - 2
-        self._unseen = np.full((2, system.r), np.nan)  # would be seen if a force did look there
+        unseen = np.full(system.r, np.nan)  # which would be seen if a force did look there
+        self._unseen = unseen, unseen
         self._circles = [i for i, joint in enumerate(system.model.joints[2:]) if joint.nq == 2]
         self.ties = Ties(system)
         # Pinocchio 4.1 leaves the armature of slanted revolute joints out of the kinetic energy.
@@ -218,8 +219,8 @@ class FullState:
             y[[size + m + r + k for k in self._driven]] = given.xdot
             y = self._tied(y)
         x, v, q = y[size : size + m], y[size + m :], self.q(y)
-        moves = self._relative(q, v) if self._forces.sees_momentum else self._unseen
-        state = self.ties.shape(x), self.ties.shape(v[r:]), *moves, self._numbers
+        xi, mu = self._relative(q, v) if self._forces.sees_momentum else self._unseen
+        state = self.ties.shape(x), self.ties.shape(v[r:]), xi, mu, self._numbers
         base = self.base_in_space(q, y[:size], v) if self._forces.sees_base else None
         acting, loads = self._forces.acting_apart(t, *state, base)
         tau = np.append(acting.wrench, self.ties.at_leaders(acting.torque))

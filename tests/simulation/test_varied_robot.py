@@ -10,7 +10,7 @@ import pytest
 
 import pinred
 from pinred import InputError
-from pinred.forces import Wrench
+from pinred.forces import Damper, Wrench
 from pinred.reduction.tree.body_frames import bodies_of
 from pinred.simulation.plan import plan_of
 
@@ -201,3 +201,48 @@ def test_refusals() -> None:
     flow = pinred.flow(pole, seed=1, duration=0.1, parameters=["gravity"])
     with pytest.raises(InputError, match="prepared for gravity along other axes"):
         flow(gravity=[0.0, 0.0, -9.81])
+
+
+def test_hostile_values() -> None:
+    """Values that are no numbers, or too large, and names of two things are refused in words."""
+    cat = pinred.load("falling_cat")
+    options: dict[str, Any] = {"seed": 1, "duration": 0.1, "method": "DOP853"}
+    flow = pinred.flow(cat, wrt=["back.mass", "bend.placement", "gravity"], **options)
+
+    def refused(match: str, **values: Any) -> None:
+        with pytest.raises(InputError, match=match):
+            flow(**values)
+
+    refused("'back.mass' must be above zero", **{"back.mass": -1.0})
+    for value in (float("nan"), None, "heavy", [1.0, 2.0]):
+        refused(r"parameters\['back.mass'\]", **{"back.mass": value})
+    refused("of which products overflow", **{"bend.placement": [1e200] * 6})
+    refused(r"parameters\['gravity'\] must have shape", gravity=[0.0, 0.0])
+    refused("no input 'foo'", foo=1.0)
+    pinred.flow(cat, wrt=[], **options).vjp(np.ones(18))  # of nothing: nothing
+    with pytest.raises(InputError, match="wrt must be a list of names"):
+        pinred.flow(cat, wrt=None, **options)  # type: ignore[arg-type]
+    for name, what in (("back.mass", "has the same name"), ("x0", "as another input")):
+        twin = pinred.Parameter(name, 1.0)
+        with pytest.raises(InputError, match=what):
+            pinred.flow(cat, wrt=[name], forces=[Damper("bend", twin)], **options)
+    turned = pinred.flow(cat, wrt=["bend.placement"], **options)
+    with pytest.raises(InputError, match="by a right angle from where the robot has it"):
+        turned.jacobian(**{"bend.placement": [0.0, 0.0, 0.0, 0.0, 0.0, np.pi / 2]})
+    with pytest.raises(InputError, match=r"member 1: parameters: 'back.mass' must be above zero"):
+        pinred.simulate_many(cat, members={"back.mass": [1.0, -1.0]}, **options)
+    x0 = np.zeros((2, 3))
+    same = pinred.simulate_many(cat, members={"x0": x0}, parameters="all", momentum=0, duration=0.1)
+    assert same.x.shape[:2] == (2, 201)
+
+
+def test_a_pivot_that_another_centre_turns() -> None:
+    """Gravity that acts only once a value has changed is in the kernel beforehand."""
+    body = pinred.load("rigid_body", gravity=(0, 0, -9.8))
+    name, com = f"{body.root_name}.com", [0.1, 0.0, 0.2]
+    traj = pinred.simulate(body, seed=1, duration=0.2, parameters={name: com})
+    assert pinred.compare(traj).passed
+    end: Any = pinred.flow(body, seed=1, duration=0.2, wrt=[name])(**{name: com})
+    np.testing.assert_allclose(end.xi, traj.xi[-1], rtol=0, atol=1e-9)
+    still = pinred.simulate(body, seed=1, duration=0.2)
+    assert np.abs(still.xi[-1] - traj.xi[-1]).max() > 0.1

@@ -15,6 +15,7 @@ from ...common.arrays import Array, as_floats, vectors
 from ...common.errors import InputError, ShapeError
 from ...common.names import nearest
 from ...common.plain_names import brief, listed
+from .many_runs import entries, outputs_of_many
 from .runs import Run
 
 _FEW = 32  # runs that one thread has done before others have begun
@@ -48,7 +49,7 @@ class Columns:
         self.size = at * self._times
         self._course, self._inputs = flow._course, flow._inputs
         self._cuts = np.cumsum(self.sizes)[:-1]
-        self._picks = self._course.entries(self.outputs)
+        self._picks = entries(self._course, self.outputs)
 
     def value(self, *columns: Any) -> Array:
         """Return the output, (size,)."""
@@ -83,7 +84,7 @@ class Columns:
             np.array([getattr(each, part) for each in given]) for part in ("state", "constants")
         )
         threads = 1 if threads is None and count <= _FEW else threads
-        return self._taken(self._course.outputs_of_many(state, constants, threads))
+        return self._taken(outputs_of_many(self._course, state, constants, threads))
 
     def jacobian(self, *columns: Any) -> list[Array]:
         """Return the derivatives of the output by each input, (size, its size)."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...common.arrays import Array, as_floats, vector
+from ...common.arrays import Array, as_floats, entries_of, vector
 from ...common.errors import InputError, ShapeError
 from ...common.names import nearest
 from ...common.plain_names import brief, listed
@@ -81,6 +81,12 @@ class Inputs:
             for name, value in scene.parameters.items()
             if name in self._values
         }
+        for name in self._values:
+            if name in self._place or name in self._robot_values:
+                raise InputError(
+                    f"a Parameter of the forces is called '{name}', as another input of the flow; "
+                    "give it another name"
+                )
         self.known = (*self._place, *self._values, *self._robot_values)
         self.names = tuple(checked_names(wrt, self.known))
         sizes = {name: place.stop - place.start for name, place in self._place.items()}
@@ -200,8 +206,7 @@ def with_varied(scene: Scene, names: Sequence[str]) -> Scene:
     Raises InputError for bodies and joints that are not there, and for forces that rely on what
     is to vary.
     """
-    wanted = [names] if isinstance(names, str) else list(names)
-    scene = with_own(scene, wanted)
+    scene = with_own(scene, _listed(names))
     if why := relies_on_robot(scene):
         raise InputError(
             f"{why}, which the flow varies; use simulate, or a force that does not rely on that"
@@ -216,7 +221,7 @@ def motion_of(scene: Scene) -> str:
 
 def checked_names(names: Sequence[str], known: Sequence[str]) -> list[str]:
     """Return names of inputs if all are known and none comes twice.  Raises InputError."""
-    given = [names] if isinstance(names, str) else list(names)
+    given = _listed(names)
     for name in given:
         if name not in known:
             hint = nearest(name, list(known)) if isinstance(name, str) else ""
@@ -226,6 +231,14 @@ def checked_names(names: Sequence[str], known: Sequence[str]) -> list[str]:
             )
         if given.count(name) > 1:
             raise InputError(f"the input '{name}' of a flow is named twice")
+    return given
+
+
+def _listed(names: Any) -> list[Any]:
+    """Return names as a list.  Raises InputError for what is none."""
+    given = [names] if isinstance(names, str) else entries_of(names)
+    if given is None:
+        raise InputError(f"wrt must be a list of names of inputs, got {brief(names)}")
     return given
 
 

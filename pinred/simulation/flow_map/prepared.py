@@ -27,6 +27,18 @@ class Ran:
         self._solution: Solution | None = None
 
     @property
+    def knots(self) -> Array:
+        """The times of the ends of all steps, (K,) [s]."""
+        run, knots, _ = self._kept
+        return read_only(knots[: run["steps"].item() + 1])
+
+    @property
+    def states(self) -> Array:
+        """The states there, (K, n)."""
+        run, _, states = self._kept
+        return read_only(states[: run["steps"].item() + 1, : self.y.shape[1]])
+
+    @property
     def solution(self) -> Solution:
         """The run as `integrate` gives it."""
         if self._solution is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from math import isfinite
 
@@ -15,12 +14,10 @@ from ...integrators.integrate import Solution, integrate_checked
 from ...integrators.methods import Explicit
 from ...kernels.begin_and_end import Outcome, begin_of, outcome_of, rate_of, sizes_of
 from ...kernels.differentiable import call_value
-from ...kernels.evaluate import evaluate, evaluate_each
+from ...kernels.evaluate import evaluate
 from ...kernels.start_kernel import TwistOrMomentum
 from ...kernels.tangent import tangent_of
-from ...system.system import Indices
-from ..compiled.compiled_flow import CompiledFlow, CompiledFlows, rate_address
-from ..compiled.integrate_members import integrate_members
+from ..compiled.compiled_flow import CompiledFlow, rate_address
 from ..compiled.integrator import explained, wild_steps
 from ..compiled.kernel_of_plan import kernel_of
 from ..pieces import joined
@@ -30,7 +27,7 @@ from .inputs import Given, motion_of
 from .later import made_later
 from .prepared import Prepared, Ran
 
-_OVERFLOWS = "the initial momentum or twist overflows: rates or momentum too large"
+OVERFLOWS = "the initial momentum or twist overflows: rates or momentum too large"
 
 
 @dataclass(frozen=True)
@@ -112,7 +109,7 @@ class Course:
         known = self._with_line(constants, None)
         call_value(self._begin_at, given.state, known, out)
         if not isfinite(np.add.reduce(out)) and not np.isfinite(out).all():
-            raise InputError(_OVERFLOWS)
+            raise InputError(OVERFLOWS)
         n, head = self._sizes[0], self._sizes[0] + self._sizes[1]
         y, line = out[:n] if n else np.zeros(1), np.concatenate([out[head:], fall])
         parameters = np.concatenate([out[n:head], self._with_line(constants, line)])
@@ -189,54 +186,6 @@ class Course:
             parts.append(evaluate(kernel.outputs.address, constants, rows, kernel.where.size))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    def entries(self, rows: Iterable[Outcome]) -> Indices:
-        """Return where fields of State stand in the outputs of the kernel."""
-        where, r = self.kernel.where, self.plan.system.r
-        places = {
-            "x": where.x,
-            "xdot": where.xdot,
-            "pose": where.pose,
-            "xi": slice(where.v.start, where.v.start + r),
-            "body_momentum": where.body_momentum,
-            "spatial_momentum": where.spatial_momentum,
-            "energy": slice(where.size - 1, where.size),
-        }
-        every = np.arange(where.size)
-        return np.concatenate([every[places[row]] for row in rows])
-
-    def outputs_of_many(self, state: Array, constants: Array, threads: int | None) -> Array:
-        """Return the outputs (N, T, ·) of many runs, in lanes where the method has them.
-
-        state, constants: (N, …), as in Given.  They are those of `run` within round-off times the
-        stretch of the flow.  Raises IntegrationError for the first member that fails.
-        """
-        kernel, count, size = self.kernel, len(state), self._sizes[0]
-        apart = [self._apart(row) for row in constants]
-        rest, falls = (np.array(each) for each in zip(*apart, strict=True))
-        begun = evaluate_each(self._begin_at, state, rest, self._begun)
-        if not np.isfinite(begun).all():
-            raise InputError(_OVERFLOWS)
-        y, head, start = np.split(begun, np.cumsum(self._sizes[:2]), axis=1)
-        line, parameters = np.hstack([start, falls]), np.hstack([head, rest])
-        stretches = self._stretches
-        parameters = np.array([self._within(row, *stretches[0][:2]) for row in parameters])
-        flows = CompiledFlows.made(kernel, np.ascontiguousarray(y), parameters, line)
-        found = integrate_members(flows, self.plan, threads, None)
-        if found.failures:
-            k, time, why = min(found.failures)
-            raise IntegrationError(f"member {k} of {count} stopped at t = {time:g} s: {why}")
-        parts, at = [], 0
-        for begin, stop, times in stretches:
-            rows = found.y[:, at : at + len(times), :size].reshape(count * len(times), size)
-            at += len(times)
-            if not self._clock:
-                rows = np.hstack([rows, np.tile(begin + times, count)[:, None]])
-            here = np.array([self._within(row, begin, stop) for row in parameters])
-            every = np.repeat(np.hstack([here, line]), len(times), axis=0)
-            out = evaluate_each(kernel.outputs.address, rows, every, kernel.where.size)
-            parts.append(out.reshape(count, len(times), kernel.where.size))
-        return np.concatenate(parts, axis=1)
-
     def along(self, run: Run, rows: tuple[Outcome, ...], state: Array, constants: Array) -> Array:
         """Return the derivatives (T, rows, N) along directions of what the run began with."""
         kernel = self.kernel
@@ -278,8 +227,8 @@ class Course:
                 by_parameters += by_rest[:p]
                 by_line += by_rest[p:]
             done = run_back(
-                self.method, self._address, self._slopes, part.parameters, part.solution,
-                part.times, layout.quaternion, covector, at_times,
+                self.method, self._address, self._slopes, part.parameters, part.ran, part.times,
+                layout.quaternion, covector, at_times,
             )  # fmt: skip
             covector = done.by_state
             by_parameters += done.by_parameters
@@ -291,7 +240,9 @@ class Course:
         )
         own = self._known(run.given)
         state, constants = self._begin.reverse(run.given.state, own, ends_of_begin)
-        by_constants = np.delete(constants + by_parameters[head:], path - head)
+        by_constants = constants + by_parameters[head:]
+        if layout.line:
+            by_constants = np.delete(by_constants, path - head)
         return state, np.concatenate([by_constants, by_line[self._sizes[2] :]])
 
     def _known(self, given: Given) -> Array:
@@ -388,18 +339,17 @@ class Course:
         """Return the arguments (a, b) of the outcome at each time of a stretch."""
         if not part.times.size:
             return []
-        kernel = self.kernel
-        t = part.begin + part.times
-        states = self._states(run, part)
-        poses = np.zeros((len(t), self.plan.system.group.size))
-        if isinstance(states, State):
-            poses = states.pose
+        kernel, where, t = self.kernel, self.kernel.where, part.begin + part.times
+        size, clock = self._sizes[0], self._clock
         constants = np.concatenate([part.parameters, run.line])
-        rows = part.ran.y[:, : kernel.layout.size]
-        return [
-            (np.concatenate([y, [time], pose]), constants)
-            for y, time, pose in zip(rows, t.tolist(), poses, strict=True)
-        ]
+        whole = np.empty((len(t), size + 1 + self.plan.system.group.size))
+        whole[:, :size], whole[:, size] = part.ran.y[:, :size], t
+        whole[:, size + 1 :] = 0.0
+        if self._wanted:
+            given = whole[:, : size + 1 - clock]
+            out = evaluate(kernel.outputs.address, constants, given, where.size)
+            whole[:, size + 1 :] = out[:, where.pose]
+        return [(row, constants) for row in whole]
 
     def _count(self, rows: tuple[Outcome, ...]) -> int:
         sizes = sizes_of(self.plan.system)

@@ -22,7 +22,7 @@ from ...scene.initial_state import GivenStates
 from ...scene.random_state import random_state
 from ...scene.scene import Scene
 from ...system.in_gravity import in_gravity
-from ...system.model_parameters import size_of
+from ...system.model_parameters import requested, size_of
 from ...system.other_inertias import nominal
 from ...system.system import System
 from ..own_numbers import OwnNumbers
@@ -57,8 +57,13 @@ class Varied:
         self.common = dict(options)
         parameters = self.common.pop("parameters", None)
         parameters = {} if parameters is None else parameters
-        if not isinstance(parameters, Mapping):
-            raise InputError(f"parameters must be {{name: value}}, got {brief(parameters)}")
+        if not isinstance(parameters, Mapping):  # names alone, of what all have as it is
+            parameters, others = requested(system, parameters)
+            if others:
+                raise InputError(
+                    f"parameters: {brief(others[0])} is no number of the robot, and has no value "
+                    "here; give {name: value}"
+                )
         self.gravity: Array | None = None
         given = dict(parameters)
         for name, value in _named(members).items():
