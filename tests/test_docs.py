@@ -30,9 +30,19 @@ def test_readme_examples_run(code: str, capsys: pytest.CaptureFixture[str]) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["theory.md", "equilibria.md", "forces.md"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("theory.md", "equilibria.md", "forces.md", "flow.md"),
+        *("adapters/casadi.md", "adapters/jax.md", "adapters/pytorch.md", "adapters/scipy.md"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:`torch.jit")  # PyTorch warns of its own ways
 def test_code_of_documents_runs(name: str) -> None:
     """All blocks of code in a row, with what they assert."""
+    for package in ("jax", "torch"):
+        if f"adapters/{'py' * (package == 'torch')}{package}.md" == name:
+            pytest.importorskip(package)
     text = (ROOT / "docs" / name).read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     assert blocks
@@ -147,7 +157,7 @@ def test_errata_name_tests_that_exist() -> None:
 
 
 @pytest.mark.parametrize(
-    "path", sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")]), ids=lambda p: p.name
+    "path", sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md")]), ids=lambda p: p.name
 )
 def test_files_that_documents_name_exist(path: Path) -> None:
     """A path in a document is from the top of the checkout, the package, or its own folder."""
@@ -165,12 +175,3 @@ def test_examples_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     if path.name == "05_shooting.py":
         pytest.importorskip("crocoddyl")
     exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), {"__name__": "__main__"})
-
-
-@pytest.mark.slow
-def test_flow_page_runs() -> None:
-    """The examples of docs/flow.md run as they stand, one after another."""
-    text = (ROOT / "docs/flow.md").read_text(encoding="utf-8")
-    names: dict[str, object] = {}
-    for code in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
-        exec(compile(code, "docs/flow.md", "exec"), names)

@@ -19,6 +19,7 @@ import pinocchio as pin
 import pytest
 from lifts import by_pinocchio
 from nbclient import NotebookClient
+from scipy.interpolate import CubicSpline
 
 import pinred
 from pinred.common.arrays import Array
@@ -292,6 +293,49 @@ def test_satellite_turns_by_its_arms(tell: Callable[[str], Told]) -> None:
     (missed,) = told.numbers("missed by N rad")
     assert missed < 1e-8
     assert told.text.count("verdict: PASSED") == 1
+
+
+def test_turning_over_in_flight(tell: Callable[[str], Told]) -> None:
+    """Half a turn by Pinocchio's centroidal map of the curves alone; limits at other times."""
+    told = tell("15")
+    solo, plan = pinred.load("solo12"), told.names["traj"].scene.prescribed
+    values = told.names["traj"].scene.parameters
+    times, curves = told.names["times"], told.names["curves"]
+    splines = {}
+    for name, (spline, knots) in curves.items():
+        inner = [values[knot] for knot in knots]
+        ends = spline.value([times[0], times[-1]])
+        splines[name] = CubicSpline(times, [ends[0], *inner, ends[1]], bc_type="clamped")
+    keys = ["HAA" if n.endswith("HAA") else n[0] + n[3:] for n in solo.shape_names]
+    assert [plan[n] for n in solo.shape_names] == [curves[key][0] for key in keys]
+
+    def shape(t: float) -> Array:
+        return np.array([splines[key](t) for key in keys])
+
+    turn = turned_by_momentum_map(solo, shape, 0.9, steps=1000)
+    assert np.linalg.norm(turn) == pytest.approx(np.pi, abs=1e-4)
+    assert abs(turn[0]) == pytest.approx(np.pi, abs=1e-3)
+    fine = np.linspace(0.0, 0.9, 1001)
+    rates = np.array([splines[key](fine, 1) for key in keys])
+    assert np.abs(rates[:, [0, -1]]).max() < 1e-12
+    assert np.abs(rates).max() < 30.0
+    swing = splines["HAA"](fine)
+    assert -1.61 < swing.min() < swing.max() < 5.01
+    assert told.text.count("verdict: PASSED") == 1
+
+
+def test_attitude_control(tell: Callable[[str], Told]) -> None:
+    """Both reach the goal, and stay; what thrusters gave is what the momentum gained."""
+    told = tell("16")
+    assert told.text.count("verdict: PASSED") == 2
+    assert "seen by forces: attitude of the base" in told.text
+    for name in ("by_wheels", "by_thrusters"):
+        traj = told.names[name]
+        (time,) = traj.events["settled"].t
+        angle = 2.0 * np.arccos(np.abs(traj(float(time)).pose[6]))
+        assert angle == pytest.approx(np.radians(1.0), rel=1e-6)
+        assert 2.0 * np.arccos(np.abs(traj.pose[-1, 6])) < np.radians(1.0)
+    np.testing.assert_allclose(told.names["by_thrusters"].momentum_balance.residual, 0.0, atol=1e-7)
 
 
 def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

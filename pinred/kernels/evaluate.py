@@ -16,6 +16,13 @@ def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
     return out
 
 
+def evaluate_each(address: int, y: Array, parameters: Array, size: int) -> Array:
+    """Return a kernel's values, (N, size), at states y (N, k), each with parameters of its own."""
+    out = np.empty((len(y), size))
+    _pairs(address, np.ascontiguousarray(y), np.ascontiguousarray(parameters), out)
+    return out
+
+
 def repeat(address: int, parameters: Array, y: Array, count: int) -> None:
     """Evaluate a kernel `count` times at one state y (k,), to be timed."""
     _again(address, parameters, y, np.empty(len(y)), count)
@@ -31,3 +38,9 @@ def _again(address: int, parameters: Array, y: Array, out: Array, count: int) ->
 def _rows(address: int, parameters: Array, y: Array, out: Array) -> None:
     for k in range(len(y)):
         call(address, y[k], parameters, out[k])
+
+
+@compiled
+def _pairs(address: int, y: Array, parameters: Array, out: Array) -> None:
+    for k in range(len(y)):
+        call(address, y[k], parameters[k], out[k])

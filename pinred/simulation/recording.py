@@ -85,6 +85,12 @@ class Recording(OverTime):
             _belong(self.path, self.content, system)
         return system
 
+    def save(self, path: str | Path) -> None:
+        """Write the states to a .npz, .csv or .zarr file, as `Trajectory.save` does."""
+        from .trajectory_files import save
+
+        save(self, path)
+
 
 def read_recording(path: str | Path, robot: str | None = None) -> Recording:
     """Return the motion in a .npz file that `Trajectory.save` wrote.

@@ -154,13 +154,19 @@ class OverTime(ABC):
         return self.outputs.energy
 
     def to_xarray(self) -> Any:
-        """Return an xarray.Dataset over t, with joints and coordinates by name (needs xarray)."""
+        """Return an xarray.Dataset over t, with joints and coordinates by name (needs xarray).
+
+        Of many members, over member and t.
+        """
         from .labelled import dataset
 
         return dataset(self.outputs, self.system)
 
     def to_pandas(self) -> Any:
-        """Return a pandas.DataFrame over t, columns such as "x.elbow" (needs pandas)."""
+        """Return a pandas.DataFrame over t, columns such as "x.elbow" (needs pandas).
+
+        Of many members, a row for each member and t.
+        """
         from .labelled import frame
 
         return frame(self.outputs, self.system)

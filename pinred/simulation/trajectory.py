@@ -203,7 +203,10 @@ class Trajectory(OverTime):
         return kind(**{f.name: np.asarray(getattr(state, f.name)[0]) for f in fields(kind)})
 
     def save(self, path: str | Path) -> None:
-        """Write the states to a .npz or .csv file (see trajectory_files.py).  Raises InputError."""
+        """Write the states to a .npz, .csv or .zarr file (see trajectory_files.py).
+
+        Raises InputError, OutputError, and MissingPackageError where zarr is not installed.
+        """
         from .trajectory_files import save
 
         save(self, path)

@@ -1,4 +1,4 @@
-"""Trajectories as files that other tools open: NumPy's npz, and csv."""
+"""Trajectories as files that other tools open: NumPy's npz, csv, and zarr."""
 
 from __future__ import annotations
 
@@ -11,28 +11,37 @@ import numpy as np
 from ..common.files import check_path, write_atomic
 from ..system.system import System
 from .state import OverTime
+from .zarr_files import write_zarr
 
 _GREEK = str.maketrans({"θ": "theta"})
 
 
 def save(traj: OverTime, path: str | Path) -> None:
-    """Write the states of `traj` at its report times; the suffix, .npz or .csv, decides.
+    """Write the states of `traj` at its report times; the suffix, .npz, .csv or .zarr, decides.
 
     npz: one array per field of State, time first, with `robot`, `group` and `joints`, and
     what load() needs to find the robot again: `source`, `lock_joints`, `lock_values`, `gravity`,
     and `root` if it was given.
     csv: a row per time, columns such as `pose.x`, `x.hinge`, `energy`.
+    zarr: a folder with the arrays of npz, text as its attributes; needs the package zarr.
     Either the whole file is written or none.  Raises InputError for another suffix or a
-    folder that does not exist, OutputError if writing fails.
+    folder that does not exist, OutputError if writing fails, MissingPackageError.
     """
-    path = check_path(path)
+    path = check_path(path, (".npz", ".csv", ".zarr"))
+    if path.suffix == ".zarr":
+        write_zarr(path, _arrays(traj))
+        return
     write = _write_npz if path.suffix == ".npz" else _write_csv
     write_atomic(path, lambda file: write(traj, file))
 
 
 def _write_npz(traj: OverTime, file: BinaryIO) -> None:
+    np.savez_compressed(file, **_arrays(traj))
+
+
+def _arrays(traj: OverTime) -> dict[str, Any]:
     arrays = {field.name: getattr(traj.outputs, field.name) for field in fields(traj.outputs)}
-    np.savez_compressed(file, **about_robot(traj.system), **arrays)
+    return {**about_robot(traj.system), **arrays}
 
 
 def about_robot(system: System) -> dict[str, Any]:

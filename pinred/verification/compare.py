@@ -28,10 +28,11 @@ from ..common.progress import Progress, shown
 from ..simulation.balances import energy_balance, momentum_balance
 from ..simulation.state import State
 from ..simulation.trajectory import Trajectory
+from .audit import Audit
 from .defect import Defects, defects
 from .distances import Distance, FullMotion, Size
 from .equations_of_motion import equation_errors
-from .full_state import FINEST, KICK, Audit, FullState
+from .full_state import FINEST, KICK, FullState
 from .measurements import measurement_error
 from .report import JUDGEABLE, Report
 

@@ -345,8 +345,8 @@ class FullState:
             lift = float(slopes[self._r :] @ units + slopes[self._linear : self._r].sum())
         if self._forces is not None and self._forces.potential_function.nnz_out():
             for part in _PART * np.diag(self.ties.shape(units)):
-                ends = (self._forces.potential(x + step, self._numbers) for step in (part, -part))
-                lift += abs(np.subtract(*ends)) / (2.0 * _PART)
+                up, down = (self._forces.potential(x + a, self._numbers) for a in (part, -part))
+                lift += abs(up - down) / (2.0 * _PART)
         return lift
 
     def kinetic_energy(self, q: Array, v: Array) -> float:

@@ -113,3 +113,13 @@ function = { bend = "-gain*x['bend']" }
     path.write_text(text.replace("gain = 2.0", "t = 2.0"))
     with pytest.raises(pinred.InputError, match="t: must be a name"):
         pinred.load_scene(path)
+
+
+@pytest.mark.parametrize("count", [10, 40])
+def test_curves_of_many_parameters(count: int) -> None:
+    """A kernel of steep pieces is tried at numbers that make sense of them, and passes."""
+    knots = [Parameter(f"knot {k}", 0.1 * (-1) ** k) for k in range(count)]
+    times = np.linspace(0.0, 1.0, count + 2)
+    plan = {"bend": Spline(times, [0.0, *knots, 0.0], end="clamped")}
+    traj = pinred.simulate(pinred.load("falling_cat"), prescribed=plan, momentum=0, duration=1.0)
+    np.testing.assert_allclose(traj(float(times[3])).x[0], knots[2].value, atol=1e-9)

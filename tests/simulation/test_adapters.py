@@ -7,24 +7,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from kicked_cat import AT, BATCH, flow_of
 
 import pinred
-from pinred import InputError, Parameter
+from pinred import InputError, IntegrationError, ShapeError
 from pinred.forces import Torque
-from pinred.simulation.flow_map.flow import Flow
-
-
-def flow_of(**options: Any) -> Flow:
-    """Return a flow with a shape, a parameter of a body and one of a torque as inputs."""
-    kick = Parameter("kick", 0.3)
-    given = {
-        "seed": 1, "duration": 0.3, "forces": [Torque({"bend": kick})], "method": "DOP853",
-        "wrt": ["x0", "kick", "back.mass"], **options,
-    }  # fmt: skip
-    return pinred.flow(pinred.load("falling_cat"), **given)
-
-
-AT = [np.array([0.4, 0.1, -0.2]), np.array([0.5]), np.array([2.1])]
+from pinred.signals import Hold
 
 
 @pytest.mark.parametrize("times", [None, [0.1, 0.3]])
@@ -45,6 +33,84 @@ def test_columns(times: Any) -> None:
     covector = rng.normal(size=columns.size)
     for found, J in zip(columns.vjp(AT, covector), jacobian, strict=True):
         np.testing.assert_allclose(found, covector @ J, atol=1e-11)
+
+
+def test_many_columns() -> None:
+    """Many in lanes are each by itself; of a batch, rows of one stand for all."""
+    for options in ({}, {"times": [0.0, 0.1, 0.3]}, {"method": "AdaptiveGauss"}):
+        columns = flow_of(rtol=1e-10, **options).columns()
+        found = columns.values(BATCH, AT[1][None], AT[2][None])
+        assert found.shape == (len(BATCH), columns.size)
+        for row, x in zip(found, BATCH, strict=True):
+            np.testing.assert_allclose(row, columns.value(x, *AT[1:]), rtol=1e-11, atol=1e-12)
+    assert columns.values(BATCH[:0], AT[1][None], AT[2][None]).shape == (0, columns.size)
+    with pytest.raises(ShapeError, match=r"equally many rows, or one, got \[2, 5\]"):
+        columns.values(BATCH, np.ones((2, 1)), AT[2][None])
+    with pytest.raises(ShapeError, match=r"inputs of many runs must have shape \(N, size\)"):
+        columns.values(AT[0], AT[1][None], AT[2][None])
+
+
+def test_many_columns_over_stops() -> None:
+    """Tables with breaks, whose pieces lie between stops."""
+    hold = Hold([0.0, 0.1, 0.2], [0.0, 1.0, -1.0])
+    columns = flow_of(forces=[Torque({"bend": hold})], wrt=["x0"], times=[0.05, 0.3]).columns()
+    found = columns.values(BATCH)
+    for row, x in zip(found, BATCH, strict=True):
+        np.testing.assert_allclose(row, columns.value(x), rtol=1e-9, atol=1e-10)
+
+
+def test_a_member_that_fails() -> None:
+    """It is named, with time and reason."""
+    columns = flow_of(wrt=["xdot0"], method="Gauss(0.1)").columns()
+    rates = np.zeros((3, 3))
+    rates[1] = 1e5
+    with pytest.raises(IntegrationError, match="member 1 of 3 stopped at t = "):
+        columns.values(rates)
+
+
+def test_directions_and_covectors_together() -> None:
+    """Rows of directions and covectors give the rows of each."""
+    columns = flow_of().columns()
+    rng = np.random.default_rng(0)
+    along = [rng.normal(size=(11, size)) for size in columns.sizes]
+    for row, found in enumerate(columns.jvp(AT, along)):
+        one = columns.jvp(AT, [each[row] for each in along])
+        np.testing.assert_allclose(found, one, atol=1e-13)
+    covectors = rng.normal(size=(3, columns.size))
+    for found, name_of in zip(columns.vjp(AT, covectors), range(3), strict=True):
+        for row in range(3):
+            np.testing.assert_allclose(
+                found[row], columns.vjp(AT, covectors[row])[name_of], atol=1e-13
+            )
+
+
+def test_casadi_both_ways() -> None:
+    """Derivatives along directions and back, several at once, without the Jacobian."""
+    flow = flow_of()
+    callback, columns = flow.casadi(), flow.columns()
+    J = np.hstack(columns.jacobian(*AT))
+    rng = np.random.default_rng(0)
+    forward, reverse = callback.forward(2), callback.reverse(3)
+    y = columns.value(*AT)
+    seeds = [rng.normal(size=(size, 2)) for size in columns.sizes]
+    np.testing.assert_allclose(np.array(forward(*AT, y, *seeds)), J @ np.vstack(seeds), atol=1e-12)
+    covectors = rng.normal(size=(columns.size, 3))
+    found = np.vstack([np.array(each) for each in reverse(*AT, y, covectors)])
+    np.testing.assert_allclose(found, J.T @ covectors, atol=1e-12)
+
+
+def test_casadi_gradient_goes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The gradient of a scalar costs one vjp, and no Jacobian."""
+    flow = flow_of()
+    callback = flow.casadi()
+    x = ca.MX.sym("x", 3)
+    gradient = ca.Function("g", [x], [ca.gradient(ca.sumsqr(callback(x, *AT[1:])), x)])
+    columns = callback.columns
+    expected = columns.vjp(AT, 2.0 * columns.value(*AT))[0]
+    calls: list[Any] = []
+    monkeypatch.setattr(columns, "jacobian", calls.append)
+    np.testing.assert_allclose(np.array(gradient(AT[0]))[:, 0], expected, atol=1e-12)
+    assert not calls
 
 
 def test_casadi() -> None:
@@ -75,39 +141,6 @@ def test_ipopt_finds_the_kick() -> None:
     solver = ca.nlpsol("solver", "ipopt", problem, options)
     found = solver(x0=0.1)
     assert float(found["x"]) == pytest.approx(0.77, abs=1e-4)
-
-
-@pytest.mark.slow
-def test_jax() -> None:
-    """Under jit, grad and vmap."""
-    jax = pytest.importorskip("jax")
-    flow = flow_of()
-    function, columns = flow.jax(), flow.columns()
-    np.testing.assert_allclose(jax.jit(function)(*AT), columns.value(*AT), atol=1e-14)
-    jacobian = jax.jacrev(function, argnums=(0, 1, 2))(*AT)
-    for found, expected in zip(jacobian, columns.jacobian(*AT), strict=True):
-        np.testing.assert_allclose(found, expected, atol=1e-11)
-    gradient = jax.jit(jax.grad(lambda x: (function(x, AT[1], AT[2]) ** 2).sum()))(AT[0])
-    slopes = columns.vjp(AT, 2.0 * columns.value(*AT))[0]
-    np.testing.assert_allclose(gradient, slopes, atol=1e-10)
-    many = np.array([AT[0], AT[0] + 0.1])
-    mapped = jax.vmap(function, in_axes=(0, None, None))(many, AT[1], AT[2])
-    np.testing.assert_allclose(mapped[1], columns.value(many[1], *AT[1:]), atol=1e-14)
-
-
-@pytest.mark.slow
-def test_torch() -> None:
-    """With autograd."""
-    torch = pytest.importorskip("torch")
-    flow = flow_of()
-    function, columns = flow.torch(), flow.columns()
-    tensors = [torch.tensor(a, requires_grad=True) for a in AT]
-    out = function(*tensors)
-    np.testing.assert_array_equal(out.detach().numpy(), columns.value(*AT))
-    covector = torch.linspace(-1.0, 1.0, columns.size, dtype=torch.float64)
-    (out @ covector).backward()
-    for tensor, expected in zip(tensors, columns.vjp(AT, covector.numpy()), strict=True):
-        np.testing.assert_allclose(tensor.grad.numpy(), expected, atol=1e-13)
 
 
 def test_refusals() -> None:

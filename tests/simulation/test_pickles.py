@@ -5,7 +5,10 @@ from __future__ import annotations
 import copy
 import pickle
 from concurrent.futures import ProcessPoolExecutor
+from importlib import import_module
+from importlib.util import find_spec
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -122,3 +125,41 @@ def test_labelled_arrays() -> None:
             assert found.pose.dims == ("t", "coordinate")
         else:
             np.testing.assert_array_equal(found["x.bend"], traj.x[:, 0])
+
+
+@pytest.mark.parametrize("outputs", ["all", "shape"])
+def test_labelled_members(outputs: Any, tmp_path: Path) -> None:
+    """All members as one table, over member and time; of the shape alone, too."""
+    many = pinred.simulate_many(
+        pinred.load("falling_cat"), seeds=range(3), times=[0.0, 0.1], duration=0.1, outputs=outputs
+    )
+    xarray, pandas = pytest.importorskip("xarray"), pytest.importorskip("pandas")
+    found = many.to_xarray()
+    assert found.x.dims == ("member", "t", "joint")
+    np.testing.assert_array_equal(found.x.sel(member=2, joint="bend"), many.x[2, :, 0])
+    np.testing.assert_array_equal(found.energy.sel(member=1), many.energy[1])
+    table = many.to_pandas()
+    assert isinstance(found, xarray.Dataset)
+    assert isinstance(table, pandas.DataFrame)
+    np.testing.assert_array_equal(table.loc[2]["x.bend"], many.x[2, :, 0])
+    assert table.shape[0] == 6
+    many[0].save(tmp_path / "one.npz")
+    if outputs == "all":
+        recording = pinred.read_recording(tmp_path / "one.npz")
+        np.testing.assert_array_equal(recording.to_xarray().pose, many.pose[0])
+
+
+def test_motions_as_zarr(tmp_path: Path) -> None:
+    """A Trajectory, and what was read of it, as a folder with the arrays of npz."""
+    traj = pinred.simulate(scene())
+    if find_spec("zarr") is None:
+        with pytest.raises(pinred.MissingPackageError, match=r"pinred\[zarr\]"):
+            traj.save(tmp_path / "motion.zarr")
+        return
+    traj.save(tmp_path / "motion.npz")
+    traj.save(tmp_path / "motion.zarr")
+    pinred.read_recording(tmp_path / "motion.npz").save(tmp_path / "again.zarr")
+    for name in ("motion.zarr", "again.zarr"):
+        root = import_module("zarr").open_group(str(tmp_path / name), mode="r")
+        np.testing.assert_array_equal(root["pose"][:], traj.pose)
+        assert root.attrs["robot"] == "falling_cat"

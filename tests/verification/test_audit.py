@@ -14,8 +14,9 @@ from trees import random_model
 import pinred
 from pinred import forces
 from pinred.common.arrays import Array
+from pinred.verification.audit import Audit
 from pinred.verification.compare import audited
-from pinred.verification.full_state import Audit, FullState
+from pinred.verification.full_state import FullState
 
 
 @cache

@@ -103,7 +103,8 @@ class _Table(Signal):
         import casadi as ca
 
         starts, coefficients = vars(self)["_starts"], self._numbered_pieces()
-        begins = [number(start) for start in starts.tolist()]
+        # A kernel is tried with other numbers: close to these, so that pieces keep their order.
+        begins = [number(Affine(start)) for start in starts.tolist()]
         now = t if within is None else within
         begun = ca.vertcat(ca.SX(0, 1), *(begin <= now for begin in begins[1:]))
         here = ca.vertcat(1, begun) - ca.vertcat(begun, 0)

@@ -109,8 +109,7 @@ class CompiledFlow:
 
     def address(self, method: Method) -> int:
         """Address of the vector field, in the form in which a method takes it."""
-        lanes = method.lanes
-        return (self.kernel.rate if lanes == 1 else wide_rate(self.kernel, lanes)).address
+        return rate_address(self.kernel, method)
 
     def tangent(self) -> int:
         """Address of the derivative of the vector field, made when first asked for."""
@@ -176,6 +175,13 @@ class CompiledFlows:
                 getattr(flows, name)[rows] = getattr(new, name)
         return flows
 
+    @classmethod
+    def made(cls, kernel: Kernel, y0: Array, parameters: Array, line: Array) -> CompiledFlows:
+        """Return the flows of a kernel from reduced states (N, k)."""
+        flows = cls.__new__(cls)
+        flows.kernel, flows.y0, flows.parameters, flows.line = kernel, y0, parameters, line
+        return flows
+
     def _begin(
         self,
         plan: Plan,
@@ -229,6 +235,12 @@ class CompiledFlows:
         self.parameters[:, after : after + layout.line] = self.line[:, : layout.line]
         self.parameters[:, after + layout.line :] = numbers
         finite_start(self.y0, self.parameters, self.line)
+
+
+def rate_address(kernel: Kernel, method: Method) -> int:
+    """Return the address of a kernel's vector field, in the form in which a method takes it."""
+    lanes = method.lanes
+    return (kernel.rate if lanes == 1 else wide_rate(kernel, lanes)).address
 
 
 def _down(plan: Plan, attitude: Array, own: OwnNumbers | None) -> Array:

@@ -6,13 +6,19 @@ its own coordinates, not those of its tangent, so that values and derivatives be
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from ...common.arrays import Array
-from ...common.errors import InputError
+from ...common.arrays import Array, as_floats, vectors
+from ...common.errors import InputError, ShapeError
+from ...common.names import nearest
+from ...common.plain_names import brief, listed
+from .many_runs import entries, outputs_of_many
+from .runs import Run
+
+_FEW = 32  # runs that one thread has done before others have begun
 
 
 class Columns:
@@ -34,70 +40,175 @@ class Columns:
         self.flow = flow
         self.names, self.sizes = tuple(flow.inputs), tuple(flow.inputs.values())
         self.starts = [flow.own(name) for name in self.names]
-        self._times = len(flow.t) if flow.over_times else 1
         self.outputs, at = {}, 0
         for name, place in flow.outputs.items():
             width = flow.system.group.size if name == "pose" else place.stop - place.start
             self.outputs[name] = slice(at, at + width)
             at += width
+        self._times = len(flow.t) if flow.over_times else 1
         self.size = at * self._times
+        self._course, self._inputs = flow._course, flow._inputs
+        self._cuts = np.cumsum(self.sizes)[:-1]
+        self._picks = entries(self._course, self.outputs)
 
     def value(self, *columns: Any) -> Array:
         """Return the output, (size,)."""
-        states = self.flow(**self._named(columns))
-        parts = [np.reshape(getattr(states, name), (self._times, -1)) for name in self.outputs]
-        return np.hstack(parts).ravel()
+        outputs = self._course.outputs(self.flow._run(self._named(columns)))
+        return np.asarray(outputs[:, self._picks].ravel())
+
+    def values(self, *columns: Any, threads: int | None = None) -> Array:
+        """Return the outputs (N, size) of N inputs at once: (N, size) columns, or (1, size).
+
+        They run in lanes where the method has them, and are those of `value` within round-off
+        times the stretch of the flow.  threads: as many as processors if None.
+        Raises IntegrationError for the first that fails.
+        """
+        rows = [
+            vectors(column, size, name)
+            for column, size, name in zip(columns, self.sizes, self.names, strict=True)
+        ]
+        if any(row.ndim != 2 for row in rows):
+            raise ShapeError("inputs of many runs must have shape (N, size), or (1, size)")
+        count = _common([len(row) for row in rows])
+        if not count:
+            return np.zeros((0, self.size))
+        if count == 1:
+            return self.value(*(row[0] for row in rows))[None]
+        given = [
+            self._inputs.given(
+                {name: row[k % len(row)] for name, row in zip(self.names, rows, strict=True)}
+            )
+            for k in range(count)
+        ]
+        state, constants = (
+            np.array([getattr(each, part) for each in given]) for part in ("state", "constants")
+        )
+        threads = 1 if threads is None and count <= _FEW else threads
+        return self._taken(outputs_of_many(self._course, state, constants, threads))
 
     def jacobian(self, *columns: Any) -> list[Array]:
         """Return the derivatives of the output by each input, (size, its size)."""
-        named = self._named(columns)
-        found = self.flow.jacobian(**named)
-        frames = self._frames(named)
-        out = []
-        for name, size in zip(self.names, self.sizes, strict=True):
-            rows = found[name].reshape(self._times, -1, size)
-            parts = [
-                frames @ rows[:, place] if key == "pose" else rows[:, place]
-                for key, place in self.flow.outputs.items()
-            ]
-            out.append(np.concatenate(parts, axis=1).reshape(self.size, size))
-        return out
+        run = self.flow._run(self._named(columns))
+        found = self._along(run, np.eye(sum(self.sizes)))
+        return np.split(found, self._cuts, axis=1)
 
     def jvp(self, columns: Sequence[Any], along: Sequence[Any]) -> Array:
-        """Return the derivative of the output along directions of the inputs, (size,)."""
-        named = self._named(columns)
-        directions = dict(zip(self.names, along, strict=True))
-        rows = self.flow.jvp(directions, **named).reshape(self._times, -1)
-        frames = self._frames(named)
-        parts = [
-            (frames @ rows[:, place, None])[..., 0] if key == "pose" else rows[:, place]
-            for key, place in self.flow.outputs.items()
+        """Return the derivative of the output along directions of the inputs, (size,).
+
+        Of directions (N, …), eight of which run at once, they are (N, size).
+        """
+        run = self.flow._run(self._named(columns))
+        directions = [
+            as_floats(each, f"the direction of {name}")
+            for each, name in zip(along, self.names, strict=True)
         ]
-        return np.hstack(parts).ravel()
+        many = any(each.ndim == 2 for each in directions)
+        parts = [
+            vectors(np.atleast_2d(each), size, f"the direction of {name}")
+            for each, size, name in zip(directions, self.sizes, self.names, strict=True)
+        ]
+        count = _common([len(part) for part in parts])
+        whole = np.hstack([np.broadcast_to(part, (count, part.shape[1])) for part in parts])
+        found = self._along(run, whole.T).T
+        return found if many else found[0]
 
     def vjp(self, columns: Sequence[Any], covector: Any) -> list[Array]:
-        """Return the derivatives of covector · output by each input, (its size,)."""
-        named = self._named(columns)
-        whole = np.reshape(np.asarray(covector, dtype=float), (self._times, -1))
-        frames = self._frames(named)
+        """Return the derivatives of covector · output by each input, (its size,).
+
+        Of covectors (N, size) they are (N, its size).
+        """
+        run = self.flow._run(self._named(columns))
+        given = as_floats(covector, "the covector")
+        covectors = vectors(np.atleast_2d(given), self.size, "the covector")
+        frames = self._frames(run)
+        found = np.array([self._back(run, frames, each) for each in covectors])
+        found = found.reshape(len(covectors), sum(self.sizes))
+        return np.split(found if given.ndim == 2 else found[0], self._cuts, axis=-1)
+
+    def arranged(self, columns: Sequence[Any], named: Mapping[str, Any]) -> list[Any]:
+        """Return columns in the order of the inputs; what is not given stays the scene's.
+
+        Raises InputError for more of them, and for names that there are not.
+        """
+        if len(columns) > len(self.names):
+            raise InputError(
+                f"the flow has {len(self.names)} inputs, {listed(list(self.names), 200)}, and "
+                f"{len(columns)} were given"
+            )
+        out = [*columns, *self.starts[len(columns) :]]
+        for name, value in named.items():
+            if name not in self.names:
+                raise InputError(
+                    f"the flow has no input {brief(name)}; {nearest(name, list(self.names))}"
+                    f"its inputs are {listed(list(self.names), 200)}"
+                )
+            k = self.names.index(name)
+            if k < len(columns):
+                raise InputError(f"the input '{name}' of a flow is given twice")
+            out[k] = value
+        return out
+
+    def refuse_shape(self, k: int, shape: tuple[int, ...]) -> None:
+        """Raise ShapeError for an input of another shape than (its size,)."""
+        size = self.sizes[k]
+        if shape != (size,) and not (size == 1 and shape == ()):
+            raise ShapeError(f"{self.names[k]} must have shape ({size},), got {shape}")
+
+    def _named(self, columns: Sequence[Any]) -> dict[str, Array]:
+        if len(columns) != len(self.names):
+            self.arranged(columns, {})
+            raise InputError(
+                f"the flow has {len(self.names)} inputs, {listed(list(self.names), 200)}, and "
+                f"{len(columns)} were given"
+            )
+        arrays = [as_floats(column, name) for name, column in zip(self.names, columns, strict=True)]
+        for k, array in enumerate(arrays):
+            if array.shape[1:] != (1,):  # a column of CasADi
+                self.refuse_shape(k, array.shape)
+        # Copies: what runs keep of them outlives the memory that JAX and others lend.
+        return {name: array.flatten() for name, array in zip(self.names, arrays, strict=True)}
+
+    def _taken(self, outputs: Array) -> Array:
+        """Return the output (N, size) of the outputs (N, T, ·) of kernels."""
+        return np.ascontiguousarray(outputs[..., self._picks].reshape(len(outputs), -1))
+
+    def _along(self, run: Run, directions: Array) -> Array:
+        """Return the derivatives (size, N) of the output along directions (inputs, N)."""
+        state, constants = self._inputs.basis(run.given)
+        rows = tuple(self.outputs)
+        found = self._course.along(run, rows, state @ directions, constants @ directions)
+        frames = self._frames(run)
+        parts = [
+            frames @ found[:, place] if key == "pose" else found[:, place]
+            for key, place in self.flow.outputs.items()
+        ]
+        return np.concatenate(parts, axis=1).reshape(self.size, directions.shape[1])
+
+    def _back(self, run: Run, frames: Array, covector: Array) -> Array:
+        """Return the slopes (inputs,) of covector · output."""
+        whole = covector.reshape(self._times, -1)
         parts = [
             np.einsum("tij,ti->tj", frames, whole[:, place]) if key == "pose" else whole[:, place]
             for key, place in self.outputs.items()
         ]
-        rows = np.hstack(parts)
-        found = self.flow.vjp(rows if self.flow.over_times else rows[0], **named)
-        return [np.atleast_1d(found[name]) for name in self.names]
+        by_state, by_constants = self._course.back(run, tuple(self.outputs), np.hstack(parts))
+        state, constants = self._inputs.basis(run.given)
+        return np.asarray(by_state @ state + by_constants @ constants)
 
-    def _named(self, columns: Sequence[Any]) -> dict[str, Array]:
-        arrays = [np.ravel(np.asarray(column, dtype=float)) for column in columns]
-        return dict(zip(self.names, arrays, strict=True))
-
-    def _frames(self, named: dict[str, Array]) -> Array:
+    def _frames(self, run: Run) -> Array:
         """Return the maps, (T, size, r), from tangents of the pose to its coordinates."""
         if "pose" not in self.outputs:
             return np.empty(0)
-        group, states = self.flow.system.group, self.flow(**named)
-        poses = np.reshape(states.pose, (self._times, -1))
+        group = self.flow.system.group
+        poses = self._course.outputs(run)[:, self._course.kernel.where.pose]
         return np.array(
             [np.transpose([group.rate(pose, e) for e in np.eye(group.dim)]) for pose in poses]
         )
+
+
+def _common(counts: Sequence[int]) -> int:
+    """Return how many there are if each has so many or one.  Raises ShapeError."""
+    others = {count for count in counts if count != 1}
+    if len(others) > 1:
+        raise ShapeError(f"inputs must have equally many rows, or one, got {sorted(others)}")
+    return others.pop() if others else 1

@@ -165,7 +165,7 @@ class Flow:
         return Columns(self)
 
     def casadi(self, name: str = "flow") -> FlowCallback:
-        """Return the flow as a CasADi Callback with its Jacobian; see `columns`.
+        """Return the flow as a CasADi Callback with derivatives; see `columns`.
 
         The object has to live as long as what is made of it.
         """
@@ -174,7 +174,7 @@ class Flow:
         return FlowCallback(self.columns(), name)
 
     def jax(self) -> Callable[..., Any]:
-        """Return the flow as a function of JAX with reverse derivatives; see `columns`."""
+        """Return the flow as a function of JAX with derivatives; see `columns`."""
         from .jax_adapter import jax_function
 
         return jax_function(self.columns())

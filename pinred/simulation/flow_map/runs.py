@@ -16,8 +16,7 @@ from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate
 from ...kernels.start_kernel import TwistOrMomentum
 from ...kernels.tangent import tangent_of
-from ...kernels.wide_rate import wide_rate
-from ..compiled.compiled_flow import CompiledFlow
+from ..compiled.compiled_flow import CompiledFlow, rate_address
 from ..compiled.integrator import explained, wild_steps
 from ..compiled.kernel_of_plan import kernel_of
 from ..pieces import joined
@@ -26,6 +25,8 @@ from ..state import ShapeState, State
 from .inputs import Given, motion_of
 from .later import made_later
 from .prepared import Prepared, Ran
+
+OVERFLOWS = "the initial momentum or twist overflows: rates or momentum too large"
 
 
 @dataclass(frozen=True)
@@ -74,8 +75,7 @@ class Course:
         motion: TwistOrMomentum = "mu" if motion_of(plan.scene) == "mu" else "xi"
         self._begin = begin_of(kernel, motion)
         self._rate = rate_of(kernel)
-        lanes = self.method.lanes
-        self._address = (kernel.rate if lanes == 1 else wide_rate(kernel, lanes)).address
+        self._address = rate_address(kernel, self.method)
         rate = self._rate
         self._slopes = Slopes(
             tangent=lambda: rate.tangent.address,
@@ -108,7 +108,7 @@ class Course:
         known = self._with_line(constants, None)
         call_value(self._begin_at, given.state, known, out)
         if not np.isfinite(out).all():
-            raise InputError("the initial momentum or twist overflows: rates or momentum too large")
+            raise InputError(OVERFLOWS)
         n, head = self._sizes[0], self._sizes[0] + self._sizes[1]
         y, line = out[:n] if n else np.zeros(1), np.concatenate([out[head:], fall])
         parameters = np.concatenate([out[n:head], self._with_line(constants, line)])
@@ -172,6 +172,18 @@ class Course:
     def _states(self, run: Run, part: Stretch) -> State | ShapeState:
         flow = CompiledFlow.made(self.kernel, part.ran.y[:0], part.parameters, run.line)
         return flow.states(part.begin + part.times, part.ran.y, flow.numbers)
+
+    def outputs(self, run: Run) -> Array:
+        """Return the outputs (T, ·) of a run at its times; see Outputs for what stands where."""
+        kernel = self.kernel
+        parts = []
+        for part in run.stretches:
+            rows = part.ran.y[:, : kernel.layout.size]
+            if not kernel.layout.clock:
+                rows = np.concatenate([rows, (part.begin + part.times)[:, None]], axis=1)
+            constants = np.concatenate([part.parameters, run.line])
+            parts.append(evaluate(kernel.outputs.address, constants, rows, kernel.where.size))
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def along(self, run: Run, rows: tuple[Outcome, ...], state: Array, constants: Array) -> Array:
         """Return the derivatives (T, rows, N) along directions of what the run began with."""

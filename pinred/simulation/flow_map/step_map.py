@@ -45,7 +45,7 @@ class StepMap:
     """
 
     def __init__(self, flow: Any, h: float) -> None:
-        """Take the Flow of which it is a step.  Raises InputError."""
+        """Take the flow of which it is a step.  Raises InputError."""
         self.h = positive(h, "h")
         scene: Scene = flow.scene
         if scene.outputs != "all":

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from importlib import import_module
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from ...common.errors import MissingPackageError, OutputError
 from ...common.files import check_path, write_atomic
-from ...common.plain_names import quoted_path
 from ..state import OverTime
 from ..trajectory_files import about_robot
+from ..zarr_files import write_zarr
 
 
 def save(members: OverTime, failures: Mapping[int, tuple[float, str]], path: str | Path) -> None:
@@ -33,7 +30,7 @@ def save(members: OverTime, failures: Mapping[int, tuple[float, str]], path: str
     if path.suffix == ".npz":
         write_atomic(path, lambda file: np.savez_compressed(file, **arrays))
     else:
-        _write_zarr(path, arrays)
+        write_zarr(path, arrays)
 
 
 def _arrays(members: OverTime, failures: Mapping[int, tuple[float, str]]) -> dict[str, Any]:
@@ -49,25 +46,3 @@ def _arrays(members: OverTime, failures: Mapping[int, tuple[float, str]]) -> dic
         "failure": np.array(reasons, dtype=str),
         "reached": reached,
     }
-
-
-def _write_zarr(path: Path, arrays: dict[str, Any]) -> None:
-    """Write a folder of arrays, under another name until it is whole."""
-    try:
-        zarr = import_module("zarr")
-    except ImportError:
-        raise MissingPackageError(
-            f"{quoted_path(path)}: files of zarr need the package zarr: pip install 'pinred[zarr]'"
-        ) from None
-    try:
-        with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-            whole = Path(folder) / "whole"
-            root = zarr.open_group(str(whole), mode="w")
-            for name, array in arrays.items():
-                if array.ndim and array.dtype.kind == "f":
-                    root.create_array(name, data=array)
-                else:  # text and what it is of
-                    root.attrs[name] = array.tolist()
-            whole.rename(path)
-    except OSError as error:
-        raise OutputError(f"cannot write {quoted_path(path)}: {error.strerror or error}") from error

@@ -1,0 +1,121 @@
+"""A flow as a function of PyTorch: autograd agrees with differences, batches run in lanes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from kicked_cat import AT, BATCH, flow_of
+
+from pinred import InputError, ShapeError
+from pinred.simulation.flow_map.columns import Columns
+
+torch: Any = pytest.importorskip("torch")
+pytestmark = [
+    pytest.mark.slow,
+    # PyTorch warns of its own ways.
+    pytest.mark.filterwarnings("ignore:`torch.jit", "ignore:The .grad attribute"),
+]
+
+
+@pytest.fixture(scope="module")
+def function() -> Any:
+    """The function of one flow."""
+    return flow_of().torch()
+
+
+@pytest.fixture(scope="module")
+def columns() -> Columns:
+    """The same flow between columns."""
+    return flow_of().columns()
+
+
+def tensors() -> list[Any]:
+    """Return the inputs as tensors."""
+    return [torch.tensor(each, requires_grad=True) for each in AT]
+
+
+def test_gradcheck() -> None:
+    """Both modes agree with differences in double precision, of a batch with shared inputs too."""
+    function = flow_of(method="Gauss(0.01)").torch()
+    options = {"eps": 1e-5, "atol": 1e-7, "check_forward_ad": True}
+    assert torch.autograd.gradcheck(function, tensors(), **options)
+    batch = [torch.tensor(BATCH[:3], requires_grad=True), *tensors()[1:]]
+    assert torch.autograd.gradcheck(function, batch, **options)
+
+
+def test_values_and_derivatives(function: Any, columns: Columns) -> None:
+    """Those of the flow, also by torch.func and in maps."""
+    np.testing.assert_array_equal(function(*AT), columns.value(*AT))
+    at = [each.detach() for each in tensors()]
+    for mode in (torch.func.jacrev, torch.func.jacfwd):
+        for found, J in zip(mode(function, (0, 1, 2))(*at), columns.jacobian(*AT), strict=True):
+            np.testing.assert_allclose(found, J, atol=1e-12)
+    batch = torch.tensor(BATCH)
+    for found in (function(batch, *at[1:]), torch.vmap(function, (0, None, None))(batch, *at[1:])):
+        for row, x in zip(found, BATCH, strict=True):
+            np.testing.assert_allclose(row, columns.value(x, *AT[1:]), rtol=1e-10, atol=1e-11)
+    slopes = torch.vmap(torch.func.jacrev(lambda x: function(x, *at[1:])))(batch)
+    for row, x in zip(slopes, BATCH, strict=True):
+        np.testing.assert_allclose(row, columns.jacobian(x, *AT[1:])[0], atol=1e-10)
+    assert function(batch[:0]).shape == (0, columns.size)
+
+
+def test_a_batch_is_one_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of lanes, as a batch and under vmap."""
+    calls = []
+    real = Columns.values
+
+    def counted(self: Columns, *given: Any, **how: Any) -> Any:
+        calls.append(len(given[0]))
+        return real(self, *given, **how)
+
+    monkeypatch.setattr(Columns, "values", counted)
+    function = flow_of().torch()
+    function(torch.tensor(BATCH))
+    torch.vmap(function)(torch.tensor(BATCH))
+    assert calls == [len(BATCH)] * 2
+
+
+def test_single_precision(function: Any, columns: Columns) -> None:
+    """The output is as exact as the tensors given; the run, and what is not given, are double."""
+    x = torch.tensor(AT[0], dtype=torch.float32, requires_grad=True)
+    found = function(x, kick=0.5)
+    assert found.dtype == torch.float32
+    expected = columns.value(x.detach().double().numpy(), 0.5, columns.starts[2])
+    np.testing.assert_array_equal(found.detach(), expected.astype(np.float32))
+    found.sum().backward()
+    assert x.grad.dtype == torch.float32
+
+
+def test_in_a_compiled_program(function: Any) -> None:
+    """torch.compile goes around it."""
+    program = torch.compile(lambda x: (2.0 * function(2.0 * x)).sum(), backend="eager")
+    x = torch.tensor(AT[0], requires_grad=True)
+    program(x).backward()
+    again = torch.tensor(AT[0], requires_grad=True)
+    (2.0 * function(2.0 * again)).sum().backward()
+    np.testing.assert_array_equal(x.grad, again.grad)
+
+
+def test_refusals(function: Any) -> None:
+    """What makes no sense is refused by name."""
+    with pytest.raises(InputError, match=r"no input 'kik'.*kick"):
+        function(kik=1.0)
+    with pytest.raises(ShapeError, match=r"x0 must have shape \(…, 3\), got \(2,\)"):
+        function(torch.zeros(2))
+    with pytest.raises(ShapeError, match="leading axes of inputs must broadcast"):
+        function(torch.zeros(2, 3), torch.zeros(5, 1))
+    with pytest.raises(InputError, match=r"x0 must be real numbers, got torch\.complex64"):
+        function(torch.zeros(3, dtype=torch.complex64))
+    with pytest.raises(InputError, match="x0 must be numbers, got 'fast'"):
+        function("fast")
+    with pytest.raises(ShapeError, match="must be finite"):
+        function(torch.full((3,), np.nan))
+    with pytest.raises(InputError, match="must be above zero"):
+        function(**{"back.mass": -1.0})
+    x = torch.tensor(AT[0], requires_grad=True)
+    (slope,) = torch.autograd.grad(function(x).sum(), x, create_graph=True)
+    with pytest.raises(InputError, match="first order only"):
+        slope.sum().backward()
