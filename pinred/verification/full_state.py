@@ -33,7 +33,7 @@ FINEST = (2e-14, 1e-16)  # the tightest rtol and atol that Hairer's codes can ke
 OFFSET = 1e-5  # part of a distance from the origin that lengths are told in beside round-off
 APART = 10.0  # times what two ways to the same are apart is what round-off leaves of either
 KICK = 1e-6  # relative size of the perturbation whose growth is measured
-_ENERGY_ROUND_OFF = 1e-14  # of kinetic and potential energy, which cancel
+_ENERGY_ROUND_OFF = 5e-14  # of kinetic and potential energy, which cancel, over all steps
 _PART = 1e-6  # of the units of joints, over which a slope is measured
 _LEAST = 1e-290  # J; energies below are counted in steps of the smallest numbers
 

@@ -82,8 +82,10 @@ def test_refusals() -> None:
         end(parameters={"gain": 2.0})
     with pytest.raises(InputError, match=r"parameters\['gain'\] must be finite"):
         end([Spring("bend", Parameter("gain", 1.0))], parameters={"gain": np.inf})
-    with pytest.raises(InputError, match="parameters must be"):
+    with pytest.raises(InputError, match="there is no 'gain'"):
         end(parameters=["gain"])
+    with pytest.raises(InputError, match="parameters must be"):
+        end(parameters=3)
     with pytest.raises(InputError, match="must not be negative, got -1"):
         Friction("bend", Parameter("most", -1.0), 0.1)
 

@@ -164,12 +164,8 @@ def test_a_force_that_is_not_defined_everywhere() -> None:
     [
         ({"forces": [Controller(law([0.0] * 3), 0.1)]}, "controller has to be called every 0.1 s"),
         (
-            {"forces": [Torque({A: Hold([0, 0.1], [1, 2])})]},
-            "a function of time is not smooth at t = 0.1 s",
-        ),
-        (
             {"prescribed": {A: Spline([0, 0.1, 0.3], [0, 1, 0])}},
-            "a function of time is not smooth at t = 0.1 s",
+            "a plan of a joint is not smooth at t = 0.1 s",
         ),
     ],
 )
@@ -185,10 +181,11 @@ def test_many_in_pieces(
         np.testing.assert_array_equal(many.x[k], one.x)
 
 
-def test_many_with_smooth_plans() -> None:
-    """What has no breaks goes in lanes."""
+@pytest.mark.parametrize("torque", [WAVE, Hold([0, 0.1], [1, 2])])
+def test_many_with_smooth_plans(torque: Any) -> None:
+    """What has no breaks goes in lanes, and so do torques that have, from break to break."""
     options: dict[str, Any] = {
-        "duration": 0.3, "prescribed": {A: WAVE}, "forces": [Torque({B: WAVE}), Damper(C, 0.1)]
+        "duration": 0.3, "prescribed": {A: WAVE}, "forces": [Torque({B: torque}), Damper(C, 0.1)]
     }  # fmt: skip
     many = pinred.simulate_many(CAT, seeds=range(2), **options)
     for k in range(2):

@@ -79,7 +79,9 @@ def outcome_of(attempt: Attempt, rng: np.random.Generator, folder: Path) -> tupl
 def _of_child(kind: str, seed: int, first: int, last: int) -> list[tuple[int, str, str]]:
     """Return the outcomes of inputs as far as one child comes, its crash or hang included."""
     reading, writing = os.pipe()
-    child = os.fork()
+    with warnings.catch_warnings():  # of JAX, where it is imported: the child has no use for it
+        warnings.simplefilter("ignore", RuntimeWarning)
+        child = os.fork()
     if child == 0:
         os.close(reading)
         _work(kind, seed, first, last, writing)

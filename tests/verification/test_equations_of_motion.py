@@ -69,7 +69,7 @@ def errors(
         for t, x, xdot in zip(TIMES, states.x[:, 0], states.xdot[:, 0], strict=True)
     ]
     paces = np.full(len(TIMES), pace)
-    given = Accelerations(states, v, np.array(a) + off, np.full_like(v, spread), paces)
+    given = Accelerations(states, v, np.array(a) + off, np.broadcast_to(spread, v.shape), paces)
     monkeypatch.setattr(equations_of_motion, "accelerations", lambda *_: given)
     return equation_errors(traj, FullState(traj.scene), TIMES)
 
@@ -111,6 +111,16 @@ def test_what_two_derivatives_leave_is_no_error(monkeypatch: pytest.MonkeyPatch)
     assert found == pytest.approx(left / sums, rel=1e-8)
     assert (found > 0.0).all()
     assert not errors(monkeypatch, OFF, spread=20.0 * spread).any()
+
+
+def test_derivatives_that_agree_by_chance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Round-off is that of two times on either side, and of no further ones."""
+    sums, H = terms()
+    spread = np.zeros((len(TIMES), 2))
+    spread[3] = 20.0 * np.array([2e-5, 1e-5])
+    found = errors(monkeypatch, OFF, spread=spread)
+    assert found[0] == pytest.approx((np.abs(H @ OFF) / sums)[0], rel=1e-8)
+    assert not found[1:].any()
 
 
 def test_a_drive_follows_its_plan(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import faulthandler
 import os
+import warnings
 from collections.abc import Callable
 
 from ....common.errors import IntegrationError
@@ -15,7 +16,9 @@ def survived(run: Callable[[], object], who: str) -> None:
     Some libraries abort where others raise.  What `run` raises by itself is left to the
     run that counts.
     """
-    child = os.fork()
+    with warnings.catch_warnings():  # of JAX, where it is imported: the child has no use for it
+        warnings.simplefilter("ignore", RuntimeWarning)
+        child = os.fork()
     if child == 0:
         try:
             faulthandler.disable()
