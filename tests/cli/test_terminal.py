@@ -35,7 +35,7 @@ def run(
         pytest.param(("run", SCENE, "--compare"), marks=pytest.mark.slow),
         ("robots",),
         ("run", "--schema"),
-        pytest.param(("stress", "--only", "units"), marks=pytest.mark.slow),
+        pytest.param(("stress", "--only", "units"), marks=pytest.mark.by_hand),
     ],
 )
 def test_commands_on_an_ascii_terminal(words: tuple[str, ...]) -> None:
