@@ -27,6 +27,7 @@ pytestmark = pytest.mark.browser
 Picture = NDArray[np.int16]
 ROOT = Path(__file__).parents[2]
 SIZE = {"width": 900, "height": 760}
+BY_HAND = pytest.mark.by_hand  # it takes long
 ROBOTS: dict[str, dict[str, Any]] = {
     "falling_cat": {"duration": 4.0},
     "satellite_two_arms": {"duration": 4.0},
@@ -104,7 +105,7 @@ def test_the_checks_can_fail(screen: Browser, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", [*list(ROBOTS)[:3], pytest.param("talos", marks=BY_HAND)])
 def test_saved_page(screen: Browser, tmp_path: Path, name: str) -> None:
     """It opens from disk, is not blank, plays by itself, says nothing, asks nobody."""
     traj = pinred.simulate(pinred.load(name), **ROBOTS[name])
@@ -339,7 +340,7 @@ def test_player_is_not_needed_afterwards(screen: Browser) -> None:
     assert complaints(screen) == []
 
 
-@pytest.mark.slow
+@pytest.mark.by_hand
 def test_sigterm_leaves_nothing_of_a_film(screen: Browser, tmp_path: Path) -> None:
     """It ends the process, which takes its unfinished frames and its folders with it."""
     del screen  # as above
