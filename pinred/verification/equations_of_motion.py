@@ -28,7 +28,7 @@ from .weights import weights
 WORLD, BODIES = pin.Convention.WORLD, pin.Convention.LOCAL  # in which ABA may be computed
 _LEFT = 1e-5  # of that, beside what the row is a sum of: 1e-12 of it is a part of round-off
 _AT_REST = 1e-2  # of the greatest forces of the motion; smaller ones are judged as parts of that
-_BESIDE = 5  # times, over which round-off is measured
+_BESIDE = 5  # times, over which round-off of a plan is measured
 _LEAST = 1e-290  # forces that round-off of the smallest numbers would be a part of
 
 
@@ -41,7 +41,7 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
     found, numbers = accelerations(traj, times, size), traj.motion.numbers(times)
     states, r = found.states, full.system.r
     driven = [r + k for k in traj.plan.acting.driven]
-    # By chance two derivatives may come to the same at one time, but not at all of five.
+    # By chance two derivatives of a plan may come to the same at one time, but not at all of five.
     spread = maximum_filter1d(found.spread, _BESIDE, axis=0, mode="nearest")
     out, whole, apart = (np.zeros_like(found.v) for _ in range(3))
     for k, t in enumerate(times.tolist()):
@@ -54,7 +54,7 @@ def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
         terms += _LEFT * _carried(full.system, full.q(y), changes, size)
         # Where two derivatives of the route's velocity are apart themselves, nothing finer can
         # be told.
-        off = np.abs(H @ (found.a[k] - a)) - APART * np.abs(H) @ spread[k]
+        off = np.abs(H @ (found.a[k] - a)) - APART * np.abs(H) @ found.spread[k]
         # A drive gives whatever force its plan takes: what counts is whether it follows that.
         own = np.diag(H) * (np.abs(found.a[k] - a) - APART * spread[k])
         off[driven] = own[driven]

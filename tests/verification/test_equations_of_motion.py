@@ -114,13 +114,15 @@ def test_what_two_derivatives_leave_is_no_error(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_derivatives_that_agree_by_chance(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Round-off is that of two times on either side, and of no further ones."""
-    sums, H = terms()
+    """Round-off of a drive is that of two times on either side, and of no further ones."""
+    sums, H = terms(driven=True)
     spread = np.zeros((len(TIMES), 2))
-    spread[3] = 20.0 * np.array([2e-5, 1e-5])
-    found = errors(monkeypatch, OFF, spread=spread)
-    assert found[0] == pytest.approx((np.abs(H @ OFF) / sums)[0], rel=1e-8)
-    assert not found[1:].any()
+    spread[3] = 30.0 * np.array([2e-5, 1e-5])
+    found = errors(monkeypatch, OFF, spread=spread, driven=True)
+    whole = np.column_stack([np.abs(H @ OFF)[:, 0], H[:, 1, 1] * 2e-3]) / sums
+    assert found[0] == pytest.approx(whole[0], rel=1e-8)
+    assert found[:3, 0] == pytest.approx(whole[:3, 0], rel=1e-8)
+    assert not found[1:, 1].any()
 
 
 def test_a_drive_follows_its_plan(monkeypatch: pytest.MonkeyPatch) -> None:
