@@ -11,9 +11,10 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import NoReturn
+from functools import partial
+from typing import Any, NoReturn
 
 _pressed, _said = threading.Event(), threading.Event()
 CODE = 130  # as shells have it, 128 + SIGINT
@@ -57,7 +58,15 @@ def ends_soon() -> Iterator[None]:
     os.set_blocking(writing, False)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     threading.Thread(target=_watch, args=(reading,), daemon=True).start()
+    sys.unraisablehook = partial(_swallowed, sys.unraisablehook)
     yield  # it goes on watching: the end of a process waits for threads
+
+
+def _swallowed(told: Callable[[Any], object], found: sys.UnraisableHookArgs) -> None:
+    """End the process where a callback of compiled code has nobody to raise Ctrl-C to."""
+    if found.exc_type is KeyboardInterrupt:
+        end()
+    told(found)
 
 
 def _watch(reading: int) -> None:

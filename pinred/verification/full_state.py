@@ -33,7 +33,8 @@ FINEST = (2e-14, 1e-16)  # the tightest rtol and atol that Hairer's codes can ke
 OFFSET = 1e-5  # part of a distance from the origin that lengths are told in beside round-off
 APART = 10.0  # times what two ways to the same are apart is what round-off leaves of either
 KICK = 1e-6  # relative size of the perturbation whose growth is measured
-_ENERGY_ROUND_OFF = 5e-14  # of kinetic and potential energy, which cancel, over all steps
+_ENERGY_ROUND_OFF = 1e-14  # of kinetic and potential energy, which cancel
+_HEIGHT_ROUND_OFF = 5e-14  # of potential energy far away, whose place is a sum of many steps
 _PART = 1e-6  # of the units of joints, over which a slope is measured
 _LEAST = 1e-290  # J; energies below are counted in steps of the smallest numbers
 
@@ -281,7 +282,8 @@ class FullState:
         in the root's fixed frame, if momentum is not conserved for itself.
         """
         model, data, r = self._model, self._data, self._r
-        energy, total, internal, conserved, lift, weight = [], [], [], [], [], []
+        energy, heights, total, internal, conserved = [], [], [], [], []
+        lift, weight = [], []
         body, spatial = np.empty_like(state.xi), np.empty_like(state.xi)
         rest = np.zeros(model.nv)
         qs, vs = self._sorted_q(state.q), self._sorted_v(state.v)
@@ -293,6 +295,7 @@ class FullState:
             if self._forces is not None:
                 height += self._forces.potential(state.x[k], self._numbers)
             energy.append(kinetic + height)
+            heights.append(abs(height))
             body[k] = pin.rnea(self._weightless, data, q, rest, v)[:r]
             spatial[k] = self.momentum(q, v, np.zeros(3), about_pivot=True)
             fall = data.Ig.mass * model.gravity.linear * t
@@ -313,7 +316,8 @@ class FullState:
         gained = energies - energies[0] - (work - work[0])
         # Of a fast fall, a slow turn is what round-off leaves.
         parts = 2.0 * max(total) + float(np.abs(energies).max())
-        gained[np.abs(gained) <= _ENERGY_ROUND_OFF * parts] = 0.0
+        least = _ENERGY_ROUND_OFF * parts + _HEIGHT_ROUND_OFF * max(heights)
+        gained[np.abs(gained) <= least] = 0.0
         if impulse is not None:
             conserved = list(spatial - impulse)
             scale = np.maximum(scale, np.abs(spatial).max())

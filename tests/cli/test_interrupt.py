@@ -53,6 +53,18 @@ def test_what_is_swallowed_ends_too() -> None:
     assert took < 2.0 * SOON
 
 
+def test_what_callbacks_swallow_is_not_told() -> None:
+    """Python prints what is raised in a callback of C, and goes on; here it ends in one line."""
+    calling = (
+        "import ctypes, sys, time\nfrom pinred.cli import main\nfrom pinred.cli import entry\n"
+        "def run():\n    ctypes.CFUNCTYPE(None)(lambda: time.sleep(5.0))()\n    return 0\n"
+        "main.main = run\nsys.exit(entry.main())\n"
+    )
+    code, took, error = interrupted(1.0, "-c", calling)
+    assert (code, error) == (130, "pinred: interrupted\n")
+    assert took < 2.0 * SOON
+
+
 def _after(seconds: float) -> threading.Timer:
     timer = threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()

@@ -82,10 +82,10 @@ def test_energy_that_nobody_gave(part: float) -> None:
 
 @pytest.mark.parametrize(("part", "seen"), [(0.5, False), (1.6, True)])
 def test_round_off_of_energies(part: float, seen: bool) -> None:
-    """Of twice the kinetic energy and of the whole, 5e-14 are nothing."""
+    """Of twice the kinetic energy and of the whole, 1e-14 are nothing."""
     state = held(fall=20.0)
     kinetic = measures(state)[2]
-    assert (audit(state, part * 5e-14 * 3.0 * kinetic).energy > 0.0) is seen
+    assert (audit(state, part * 1e-14 * 3.0 * kinetic).energy > 0.0) is seen
 
 
 @pytest.mark.parametrize(("ratio", "of_all"), [(3e-9, False), (0.6e-9, True)])

@@ -21,7 +21,7 @@ def test_a_right_motion_does_not_fail(seed: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("seed", [300353, 305207, 305311, 305596])
+@pytest.mark.parametrize("seed", [300353, 301051, 305207, 305311, 305596])
 def test_what_was_called_wrong_once(seed: int) -> None:
     """Spheres of a millimetre at the end of a lever, almost singular; a wrench on what falls."""
     assert judged(seed).verdict == "PASSED"

@@ -131,6 +131,16 @@ def test_what_falls_has_no_weight() -> None:
     assert shifted(traj, 1e-2 * internal) == pytest.approx(-1e-2, rel=1e-2)
 
 
+def test_round_off_of_heights() -> None:
+    """Far up, 6e-14 of the potential energy is what its place is not known to."""
+    cat = pinred.load("falling_cat", gravity=[0.0, 0.0, -9.81])
+    pose0 = [0.0, 0.0, 1e6, 0.0, 0.0, 0.0, 1.0]
+    traj = pinred.simulate(cat, pose0=pose0, xdot0=np.ones(cat.m), times=[0.0, 1e-3])
+    height = cat.mass * 9.81 * 1e6
+    assert shifted(traj, 0.8 * 6e-14 * height) == 0.0
+    assert shifted(traj, 1.2 * 6e-14 * height) != 0.0
+
+
 def test_momentum_in_parts_of_what_its_weight_gives() -> None:
     """From 1 rad away: √(m W) times the radius of gyration, or W times the time if that is less."""
     weight, radius = MASS * G * LEVER, np.sqrt(sum(MOMENTS) / MASS)
