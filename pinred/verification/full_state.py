@@ -316,8 +316,8 @@ class FullState:
         gained = energies - energies[0] - (work - work[0])
         # Of a fast fall, a slow turn is what round-off leaves.
         parts = 2.0 * max(total) + float(np.abs(energies).max())
-        least = _ENERGY_ROUND_OFF * parts + _HEIGHT_ROUND_OFF * max(heights)
-        gained[np.abs(gained) <= least] = 0.0
+        parts = _ENERGY_ROUND_OFF * parts + _HEIGHT_ROUND_OFF * max(heights)
+        gained[np.abs(gained) <= parts] = 0.0
         if impulse is not None:
             conserved = list(spatial - impulse)
             scale = np.maximum(scale, np.abs(spatial).max())
@@ -332,9 +332,8 @@ class FullState:
             difference(state.spatial_momentum, spatial, float(scale.max())),
             difference(state.energy, energies, max(most, _LEAST)),
         ]
-        # What wrenches do to all of it is work, too.
         done = 0.0 if impulse is None else float(np.abs(work - work[0]).max())
-        unit = max(most, done, *lift)
+        unit = max(most, done, *lift)  # wrenches do work on all of it
         return Audit(
             energies=gained / unit if unit > _LEAST else gained,
             momenta=(np.array(conserved) - conserved[0]) / scale,
