@@ -54,7 +54,8 @@ class ForceModel:
     of mass is or how fast it moves.  loads: link and axes of each wrench that acts elsewhere.
     acting_function: (t, x, ẋ, ξ, μ, numbers, pose, twist, μ and J of the base in space) →
     (torque, wrench).  prescribed_function:
-    (t, numbers) → (x, ẋ, ẍ) of the prescribed joints.  potential_function: (x, numbers) → V.
+    (t, numbers) → (x, ẋ, ẍ) of the prescribed joints.  potential_function: (x, numbers) → V, zero
+    if not has_potential.
     """
 
     def __init__(
@@ -142,6 +143,7 @@ class ForceModel:
         self._apart = Numeric(_function("apart", state, columns))
         moves = ca.vertcat(s.xi, s.mu)
         self.sees_momentum = any(ca.depends_on(column, moves) for column in columns)
+        self.has_potential = not potential.is_zero()
         self.potential_function = _function("potential", [s.x, p], [potential])
         self._potential = Numeric(self.potential_function)
         everything = ca.vertcat(torque, wrench)

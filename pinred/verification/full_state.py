@@ -303,7 +303,8 @@ class FullState:
             total.append(kinetic)
             internal.append(kinetic - self.carried_energy(q, v))
             lift.append(self._lift(q, state.x[k], units))
-            weight.append(weights(self._held, data, q)[self._linear : r])
+            if self._root.is_pivoted:
+                weight.append(weights(self._held, data, q)[self._linear : r])
         # A body that only falls has no internal motion to measure its changes by.
         most = max(internal) if max(internal) > 1e-9 * max(total) else max(total)
         scale = np.full(r, np.sqrt(2.0 * data.Ig.mass * most))
@@ -315,9 +316,8 @@ class FullState:
         energies = np.array(energy)
         gained = energies - energies[0] - (work - work[0])
         # Of a fast fall, a slow turn is what round-off leaves.
-        parts = 2.0 * max(total) + float(np.abs(energies).max())
-        parts = _ENERGY_ROUND_OFF * parts + _HEIGHT_ROUND_OFF * max(heights)
-        gained[np.abs(gained) <= parts] = 0.0
+        parts = _ENERGY_ROUND_OFF * (2.0 * max(total) + float(np.abs(energies).max()))
+        gained[np.abs(gained) <= parts + _HEIGHT_ROUND_OFF * max(heights)] = 0.0
         if impulse is not None:
             conserved = list(spatial - impulse)
             scale = np.maximum(scale, np.abs(spatial).max())
@@ -346,7 +346,7 @@ class FullState:
         if self._held.gravity.linear.any():
             slopes = np.abs(pin.computeGeneralizedGravity(self._held, self._data, q))
             lift = float(slopes[self._r :] @ units + slopes[self._linear : self._r].sum())
-        if self._forces is not None and self._forces.potential_function.nnz_out():
+        if self._forces is not None and self._forces.has_potential:
             for part in _PART * np.diag(self.ties.shape(units)):
                 up, down = (self._forces.potential(x + a, self._numbers) for a in (part, -part))
                 lift += abs(up - down) / (2.0 * _PART)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...scene.toml.keys import LOAD
+from ...scene.toml.keys import ROBOT
 from ...scene.toml.schema import (
     ByName,
     Either,
@@ -178,12 +178,7 @@ REORIENT = Table(
 )
 GAIT_FILE = Table(
     {
-        "robot": Key(
-            Text(),
-            "a robot's name, or a URDF or MJCF file relative to this file (with a suffix or /)",
-            required=True,
-        ),
-        "load": Key(LOAD, "how to read the robot: the options of pinred.load"),
+        **ROBOT,
         "connection": Key(
             Tagged("kind", CONNECTIONS, "a connection"), "what moves the body", default="mechanical"
         ),

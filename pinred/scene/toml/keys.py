@@ -165,14 +165,18 @@ EVENT = Table(
     },
     "an event",
 )
+# Which robot, in files of scenes and of gaits.
+ROBOT = {
+    "robot": Key(
+        Text(),
+        "a robot's name, or a URDF or MJCF file relative to this file (with a suffix or /)",
+        required=True,
+    ),
+    "load": Key(LOAD, "how to read the robot: the options of pinred.load"),
+}
 SCENE = Table(
     {
-        "robot": Key(
-            Text(),
-            "a robot's name, or a URDF or MJCF file relative to this file (with a suffix or /)",
-            required=True,
-        ),
-        "load": Key(LOAD, "how to read the robot: the options of pinred.load"),
+        **ROBOT,
         "start": Key(START, "the initial state", default="the robot's own"),
         "run": Key(RUN, "for how long and how accurately"),
         "springs": Key(
