@@ -81,10 +81,10 @@ def _branches(
     options: argparse.Namespace, system: System, ends: tuple[float, float], given: dict[str, Any]
 ) -> int:
     from ..analysis.branches.follow import branches
-    from ..common.files import check_path
-    from .plot import SUFFIXES, save
+    from ..common.files import FIGURES, check_path
+    from .plot import save
 
-    path = None if options.out is None else check_path(Path(options.out), SUFFIXES)
+    path = None if options.out is None else check_path(Path(options.out), FIGURES)
     if path is not None:
         from ..views.plots import branches as draw  # refuses a missing matplotlib at once
     found = branches(system, momentum=ends, **given)

@@ -10,7 +10,6 @@ from .gait_sources import add_source, source_of
 from .options import numbers_in
 from .written import written
 
-SUFFIXES = (".png", ".pdf", ".svg", ".npz")
 _SAMPLES = 200
 
 
@@ -36,9 +35,9 @@ def run(options: argparse.Namespace) -> int:
     """Draw or write the field.  Returns 0."""
     import numpy as np
 
-    from ..common.files import check_path, write_atomic
+    from ..common.files import FIGURES, check_path, write_atomic
 
-    path = check_path(options.out, SUFFIXES)
+    path = check_path(options.out, (*FIGURES, ".npz"))
     source = source_of(options, gait=False)
     joints = None if options.joints is None else options.joints.split(",")
     limits = None

@@ -15,8 +15,6 @@ from .written import written
 if TYPE_CHECKING:
     from ..analysis.gaits.gait import Gait
 
-DATA = (".npz", ".csv")
-FIGURES = (".png", ".pdf", ".svg")
 _SAMPLES = 400
 _PLAIN = ("objective", "most", "harmonics", "vertices", "period", "starts", "seed")
 
@@ -53,7 +51,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the best loop and its certificate.  Returns 0, or the verdict of --compare."""
-    from ..common.files import check_path
+    from ..common.files import DATA, FIGURES, check_path
     from ..planning.optimisation.optimise import optimise_gait
     from ..verification.report import EXIT_CODES
 

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from ..analysis.phases.phase import Phase
     from ..common.arrays import Array
 
-SUFFIXES = (".png", ".pdf", ".svg", ".npz", ".csv")
-
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
@@ -31,9 +29,9 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print the phase.  Returns 0."""
     from ..analysis.phases.phase import phase
-    from ..common.files import check_path
+    from ..common.files import DATA, FIGURES, check_path
 
-    path = None if options.out is None else check_path(options.out, SUFFIXES)
+    path = None if options.out is None else check_path(options.out, (*FIGURES, *DATA))
     source = source_of(options, gait=True)
     given = numbers_in(options.momentum, "momentum")
     momentum = source.momentum if given is None else (0 if given == [0.0] else given)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
+from ..common.files import FIGURES
 from ..views.plots import KINDS, options_of
 from ..views.plots.by_kind import draw
 from .motion_files import check_robot, motion_in
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
     from ..simulation.trajectory import Trajectory
 
-SUFFIXES = (".png", ".pdf", ".svg")
 SAMPLES = 501  # report times of a robot that is simulated here
 _OF_CONNECTIONS = {"field": "pinred field", "cycles": "pinred phase"}
 _NO_DATE: dict[str, dict[str, Any]] = {  # so that the same figure is the same file
@@ -44,7 +44,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     )
     sub.add_argument(
         "--out", metavar="FILE", required=True,
-        help=f"FILE{' or '.join(SUFFIXES)}; of several kinds, FILE_KIND.png",
+        help=f"FILE{' or '.join(FIGURES)}; of several kinds, FILE_KIND.png",
     )  # fmt: skip
     sub.add_argument("--robot", metavar="R", help="the robot of an npz that does not name its own")
     sub.add_argument("--joints", metavar="J1,J2,…", help="joints to draw, by name")
@@ -103,9 +103,9 @@ def _paths(out: str, kinds: list[str]) -> dict[str, Path]:
 
     path = Path(out)
     if len(kinds) == 1:
-        return {kinds[0]: check_path(path, SUFFIXES)}
+        return {kinds[0]: check_path(path, FIGURES)}
     return {
-        kind: check_path(path.with_name(f"{path.stem}_{kind}{path.suffix}"), SUFFIXES)
+        kind: check_path(path.with_name(f"{path.stem}_{kind}{path.suffix}"), FIGURES)
         for kind in kinds
     }
 

@@ -15,9 +15,6 @@ from .written import written
 if TYPE_CHECKING:
     from ..system.system import System
 
-SUFFIXES = (".npz", ".csv")
-FIGURES = (".png", ".pdf", ".svg")
-
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
@@ -39,11 +36,11 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the plan.  Returns 0, or the verdict of --compare."""
-    from ..common.files import check_path
+    from ..common.files import DATA, FIGURES, check_path
     from ..planning.reorientation.reorient import reorient
     from ..verification.report import EXIT_CODES
 
-    path = None if options.out is None else check_path(options.out, (*SUFFIXES, *FIGURES))
+    path = None if options.out is None else check_path(options.out, (*DATA, *FIGURES))
     system, asked = _asked(options)
     if "target" not in asked:
         raise InputError("give --target, numbers separated by commas, or a gait file that has one")

@@ -15,10 +15,12 @@ from .errors import InputError, OutputError
 from .plain_names import quoted_path
 from .temporary import temporary
 
+DATA = (".npz", ".csv")
+FIGURES = (".png", ".pdf", ".svg")
 _PATH = getattr(os, "O_PATH", os.O_RDONLY)  # of a folder in which one may write, but not look
 
 
-def check_path(path: str | Path, suffixes: Sequence[str] = (".npz", ".csv")) -> Path:
+def check_path(path: str | Path, suffixes: Sequence[str] = DATA) -> Path:
     """Return `path` if a file can be written there.  Raises InputError or OutputError if not."""
     if not isinstance(path, (str, os.PathLike)) or "\0" in str(path):
         raise InputError(f"path must be the name of a file, got {path!r}")

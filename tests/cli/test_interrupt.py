@@ -40,27 +40,22 @@ def test_compare_ends_in_the_full_simulation() -> None:
     check(3.0)
 
 
-def test_what_is_swallowed_ends_too() -> None:
-    """The process ends even where KeyboardInterrupt is caught again and again."""
+@pytest.mark.parametrize(
+    "runs",
+    [
+        "    while True:\n        try:\n            time.sleep(0.01)\n"
+        "        except KeyboardInterrupt:\n            pass\n",
+        "    ctypes.CFUNCTYPE(None)(lambda: time.sleep(5.0))()\n    return 0\n",
+    ],
+    ids=["caught again and again", "in a callback of C, where Python prints it and goes on"],
+)
+def test_what_is_swallowed_ends_too(runs: str) -> None:
+    """The process ends in one line even where nobody lets KeyboardInterrupt out."""
     swallowing = (
-        "import sys, time\nfrom pinred.cli import main\nfrom pinred.cli import entry\n"
-        "def run():\n    while True:\n        try:\n            time.sleep(0.01)\n"
-        "        except KeyboardInterrupt:\n            pass\n"
-        "main.main = run\nsys.exit(entry.main())\n"
+        "import ctypes, sys, time\nfrom pinred.cli import main\nfrom pinred.cli import entry\n"
+        f"def run():\n{runs}main.main = run\nsys.exit(entry.main())\n"
     )
     code, took, error = interrupted(1.0, "-c", swallowing)
-    assert (code, error) == (130, "pinred: interrupted\n")
-    assert took < 2.0 * SOON
-
-
-def test_what_callbacks_swallow_is_not_told() -> None:
-    """Python prints what is raised in a callback of C, and goes on; here it ends in one line."""
-    calling = (
-        "import ctypes, sys, time\nfrom pinred.cli import main\nfrom pinred.cli import entry\n"
-        "def run():\n    ctypes.CFUNCTYPE(None)(lambda: time.sleep(5.0))()\n    return 0\n"
-        "main.main = run\nsys.exit(entry.main())\n"
-    )
-    code, took, error = interrupted(1.0, "-c", calling)
     assert (code, error) == (130, "pinred: interrupted\n")
     assert took < 2.0 * SOON
 
