@@ -158,3 +158,17 @@ def test_refusals() -> None:
     forces = [ComputedTorque({"bend": 0.0, "sway": 0.0, "twist": 0.0}, kp=1.0, kd=1.0)]
     with pytest.raises(InputError, match="computed torque relies on the robot's inertias"):
         pinred.flow(cat, seed=1, wrt=["back.mass"], forces=forces)
+
+
+def test_what_callers_do_with_their_arrays_later_is_theirs() -> None:
+    """A run is kept for its derivatives with the values it was made with."""
+    system = pinred.load("planar_chain5")
+    name = f"{system.shape_names[2]}.com"
+    flow, anew = (pinred.flow(system, seed=1, duration=0.2, wrt=[name]) for _ in range(2))
+    given = flow.own(name) + 0.05
+    flow(**{name: given})
+    same = given.copy()
+    given[:2] += 1.0
+    found, expected = flow.jacobian(**{name: same})[name], anew.jacobian(**{name: same})[name]
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13)
+    assert np.abs(expected).max() > 1e-6

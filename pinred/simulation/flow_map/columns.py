@@ -165,8 +165,7 @@ class Columns:
         for k, array in enumerate(arrays):
             if array.shape[1:] != (1,):  # a column of CasADi
                 self.refuse_shape(k, array.shape)
-        # Copies: what runs keep of them outlives the memory that JAX and others lend.
-        return {name: array.flatten() for name, array in zip(self.names, arrays, strict=True)}
+        return {name: array.reshape(-1) for name, array in zip(self.names, arrays, strict=True)}
 
     def _taken(self, outputs: Array) -> Array:
         """Return the output (N, size) of the outputs (N, T, ·) of kernels."""

@@ -116,7 +116,9 @@ class Inputs:
         mine = self._robot_values.keys() & values.keys() if self._robot_values else ()
         now: dict[str, Array] = {}
         if mine and self._robot is not None:
-            now = self._robot.now({k: values[k] for k in mine})
+            # Copies: runs keep them, and outlive what callers do with arrays that they lend.
+            found = self._robot.now({k: values[k] for k in mine})
+            now = {k: value.copy() for k, value in found.items()}
             self._robot.put(constants, now)
         for name, value in values.items():
             if name in mine:
