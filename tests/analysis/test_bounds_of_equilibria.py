@@ -17,6 +17,8 @@ from pinred.analysis.equilibria.problem import problem_of
 from pinred.analysis.equilibria.same_shape import Place
 from pinred.analysis.stability import verdict
 from pinred.analysis.stability.own_axis import _definite, definite_with_own_axis, heavy_top
+from pinred.analysis.stability.reduced_state import _casimir_slopes
+from pinred.reduction.base_parts import BaseParts
 
 NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}
 BEYOND, WITHIN = 4.0, 0.4  # times a bound
@@ -145,3 +147,13 @@ def test_definite_forms() -> None:
     assert not _definite(lambda _: np.diag([-1.0, 2.0]), 0.0)
     assert _definite(lambda k: np.diag([k - 3.0, 4.0 - k]), 10.0)
     assert not _definite(lambda k: np.diag([k - 4.0, 3.0 - k, 1.0]), 10.0)
+
+
+@pytest.mark.parametrize(("factor", "rows"), [(BEYOND, 1), (WITHIN, 3)])
+def test_no_momentum(factor: float, rows: int) -> None:
+    """Below 1e-12 of a usual one the leaf is a point; else it is a sphere."""
+    z = factor * 1e-12 * np.array([0.6, 0.0, 0.8])
+    found = _casimir_slopes(z, 0, BaseParts(momentum=3))
+    assert found.shape == (rows, 3)
+    if rows == 1:
+        assert found[0] == pytest.approx([0.6, 0.0, 0.8])

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-from false_alarms import INACCURATE, judged
-from random_scenes import FAR, TINY
+from false_alarms import INACCURATE, _is_right, judged
+from random_scenes import FAR, TINY, RandomScene, random_scene
 
 import pinred
 
@@ -34,6 +36,35 @@ def test_less_accurate_is_not_wrong() -> None:
     alarm = judged(300351)
     assert alarm.verdict == INACCURATE
     assert "FAILED" in alarm.said
+
+
+@pytest.mark.parametrize(
+    ("drift", "defect", "equations", "right"),
+    [
+        (1.0, 0.09, 1.0, True),
+        (2.0, 0.09, 1.0, False),
+        (1.0, 0.2, 1.0, False),
+        (1.0, 0.09, 2.0, False),
+    ],
+)
+def test_wrong_is_not_less_accurate(
+    monkeypatch: pytest.MonkeyPatch, drift: float, defect: float, equations: float, right: bool
+) -> None:
+    """All but steps and ends is within its bound, and finer tolerances make the defect smaller.
+
+    Each of the three, alone, makes an alarm of it: what is given is in parts of the bounds, or of
+    the first defect.
+    """
+    checks = {
+        "defect of a step": (9.0, 1.0),
+        "shape error": (2.0, 1.0),
+        "energy drift": (drift, 1.0),
+    }
+    again = SimpleNamespace(equations=equations, equations_bound=1.0, defect=defect * 9.0)
+    monkeypatch.setattr(pinred, "compare", lambda _: again)
+    scene = random_scene(300351)
+    monkeypatch.setattr(RandomScene, "simulate", lambda _: None)
+    assert _is_right(scene, SimpleNamespace(checks=checks, defect=9.0)) is right  # type: ignore[arg-type]
 
 
 @pytest.mark.filterwarnings("ignore")
