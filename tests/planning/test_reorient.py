@@ -17,6 +17,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.planning.reorientation import turning_loop
 from pinred.planning.reorientation.first_loops import first_loop
+from pinred.planning.reorientation.tumble import passage_of
 
 ROBOTS = {"falling_cat": 1.6, "satellite_two_arms": 2.6, "solo12": 1.0}  # their limits [rad]
 
@@ -235,3 +236,18 @@ def test_weight_at_a_pivot_is_refused() -> None:
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     with pytest.raises(pinred.SymmetryError, match="momenta do not stay what they are"):
         pinred.reorient(pinred.load(model), [0.0, 0.0, 0.1], limits=1.5)
+
+
+@pytest.mark.parametrize(("turned", "taken"), [(190.0, True), (210.0, False)])
+def test_tumbling_has_a_bound(turned: float, taken: bool) -> None:
+    """Through 200 rad with the joints at rest, by Pinocchio's mass matrix; beyond, in words."""
+    rods, momentum, start = pinred.load("three_rods"), np.array([0.0, 0.0, 0.05]), [0.4, 0.5]
+    q = rods.model_q(rods.group.identity(), start)
+    upper = pin.crba(rods.model, rods.data, q)[:3, :3]
+    locked = np.triu(upper) + np.triu(upper, 1).T
+    time = turned / abs(np.linalg.solve(locked, momentum)[2])
+    if taken:
+        assert passage_of(rods, momentum, np.array(start), 1, time).more >= 4 * turned
+        return
+    with pytest.raises(pinred.InputError, match="tumble through 210 rad"):
+        passage_of(rods, momentum, np.array(start), 1, time)
