@@ -51,7 +51,8 @@ class ForceModel:
     acting_on_base: labels of those that act on the base itself: its momentum is integrated.
     sees_momentum: whether forces depend on twist or momentum of the base as Symbols have them.
     sees_attitude, sees_place: whether forces depend on the base's attitude, and on where its centre
-    of mass is or how fast it moves.  loads: link and axes of each wrench that acts elsewhere.
+    of mass is or how fast it moves.  sees_base_momenta: whether on its momenta in space.
+    loads: link and axes of each wrench that acts elsewhere.
     acting_function: (t, x, ẋ, ξ, μ, numbers, pose, twist, μ and J of the base in space) →
     (torque, wrench).  prescribed_function:
     (t, numbers) → (x, ẋ, ẍ) of the prescribed joints.  potential_function: (x, numbers) → V, zero
@@ -150,6 +151,7 @@ class ForceModel:
         depends = ca.which_depends(ca.vertcat(everything, potential), s.x, 1) if m else []
         self.touched = acted | set(self.joints) | {k for k in range(m) if depends[k]}
         self.sees_attitude, self.sees_place = seen_of_base(system, everything, base)
+        self.sees_base_momenta = ca.depends_on(everything, ca.vertcat(*base[2:]))
         timed = self.sees_place or ca.depends_on(everything, s.t)
         self.needs_time = bool(self.joints) or timed
         text = self.acting_function.serialize() + self.prescribed_function.serialize()

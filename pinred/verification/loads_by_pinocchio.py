@@ -57,5 +57,5 @@ class LoadsByPinocchio:
                 arm = placement @ point
                 jacobian = pin.getFrameJacobian(model, data, frame, reference)
             pull = turn @ force
-            out += jacobian.T @ np.concatenate([pull, turn @ moment + np.cross(arm, pull)])
+            out += jacobian.T @ np.concatenate([pull, turn @ moment + pin.skew(arm) @ pull])
         return out
