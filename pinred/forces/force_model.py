@@ -140,7 +140,8 @@ class ForceModel:
         self._each = Numeric(_function("each", state, [torques, wrenches]))
         self.loads = tuple((load.link, load.frame) for load in loads)
         alone = ca.sum2(ca.horzcat(ca.SX(m + r, 0), *direct)) + ca.vertcat(forward, ca.SX(r, 1))
-        columns = [alone[:m], alone[m:], ca.horzcat(ca.SX(9, 0), *map(load_column, loads))]
+        columns = ca.vertsplit(alone, [0, m, m + r])  # alone[:0] is no column
+        columns.append(ca.horzcat(ca.SX(9, 0), *map(load_column, loads)))
         self._apart = Numeric(_function("apart", state, columns))
         moves = ca.vertcat(s.xi, s.mu)
         self.sees_momentum = any(ca.depends_on(column, moves) for column in columns)
