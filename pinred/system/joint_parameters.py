@@ -21,6 +21,7 @@ from .locked_joints import LockedJoints, moments_of
 from .system import System
 
 SIZES = {"placement": 6, "translation": 3, "lock": 1}
+PLACED = ("placement", "translation")  # the kinds that any joint but the root has
 
 
 @dataclass(frozen=True)

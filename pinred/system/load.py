@@ -34,6 +34,7 @@ from .joints import motion_group, root_joint
 from .locked_joints import LockedJoints
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
+from .model_parameters import with_parameters
 from .model_passive import passive_contents
 from .pinocchio_mimics import plain_joints
 from .rerooting import rebuild
@@ -60,6 +61,7 @@ def load(
     root: str | None = None,
     strict: bool = False,
     meshes: str | Path | Iterable[str | Path] = (),
+    parameters: Mapping[str, ArrayLike] | None = None,
 ) -> System:
     """Load a robot and read it as symmetry group times shape.
 
@@ -81,6 +83,8 @@ def load(
         inertia that no distribution of mass has, and mass matrices singular at single shapes.
     meshes: a folder, or several, in which playback looks for the meshes of a URDF file, beside
         those above the file.
+    parameters: {name: value} of masses, placements and other numbers of the robot that are to be
+        others than in the file, by the names that `Scene` has for them.
 
     Warns with LeftOutWarning of what acts in a file and is not part of the reduction
     (System.left_out).  Raises LoadError if there is nothing to read, ModelError if pinred
@@ -95,10 +99,12 @@ def load(
     weight = None if gravity is None else _gravity(gravity)
     locked = _locked(lock)
     folders = mesh_folders(meshes)
+    given = {} if parameters is None else parameters
     if mujoco := _as_mujoco(source):
         if folders:
             raise InputError("meshes= is for URDF; an MJCF file says where its meshes are")
-        return _load_mujoco(source, mujoco, wanted, locked, weight, root)
+        system = _load_mujoco(source, mujoco, wanted, locked, weight, root)
+        return with_parameters(system, given)
     visuals = with_visuals(source)
     if visuals is not None:
         source = visuals.model
@@ -148,7 +154,7 @@ def load(
         if strict:
             raise ModelError(f"{quoted(name)} is refused, strictly: {doubt}")
         warnings.warn(f"{quoted(name)}: {doubt}", ModelWarning, stacklevel=2)
-    return system
+    return with_parameters(system, given)
 
 
 def _as_mujoco(source: object) -> str:
