@@ -29,9 +29,9 @@ from ..lie.groups import GROUPS, group_named
 from ..lie.se3 import SE3
 from . import catalogue
 from .contents import Contents, Coupling
-from .coupling import with_followers
+from .coupling import locked_by, with_followers
 from .joints import motion_group, root_joint
-from .locked_joints import LockedJoints
+from .locked_joints import LockedJoints, Tie
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
@@ -39,7 +39,7 @@ from .model_passive import passive_contents
 from .pinocchio_mimics import plain_joints
 from .rerooting import rebuild
 from .robot_files import is_mjcf, read_description, read_text, read_xml
-from .root_chain import RootChain, root_chain
+from .root_chain import RootChain, places_on_root, root_chain
 from .system import InitialState, Origin, System
 from .urdf import mimic_couplings
 from .visuals import mesh_folders, with_visuals
@@ -136,14 +136,21 @@ def load(
         origin = Origin(str(Path(source).absolute()), locked, meshes=folders)
     else:
         raw, couplings = _example(name)
-    locked, couplings = with_followers(locked, couplings, list(raw.names))
+    every = couplings
+    locked, couplings = with_followers(locked, every, list(raw.names))
     bare = rebuild(raw, _frozen(raw, locked))
     chain = root_chain(bare)
     model = _on_root(bare, wanted, chain)
     contents = passive_contents(raw, list(model.names)[2:], locked)
     fixed = None
-    if locked and not (couplings or chain):
-        fixed = LockedJoints(raw, locked)
+    if locked:
+        ties = {
+            name: Tie(each.leader, (each.offset, each.ratio))
+            for name, each in locked_by(locked, every, list(raw.names)).items()
+        }
+        places = {} if chain is None else places_on_root(bare, chain)
+        several = tuple(n for n in locked if raw.joints[raw.getJointId(n)].nv > 1)
+        fixed = LockedJoints(raw, locked, ties, places, str(model.names[1]), several)
     contents = replace(contents, visuals=visuals, couplings=couplings, locked=fixed)
     if weight is not None:
         model.gravity.linear = weight
