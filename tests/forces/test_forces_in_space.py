@@ -196,6 +196,7 @@ def test_the_two_forms_are_told_apart() -> None:
         (lambda s, a=1, b=2, c=3, d=4: 0.0, r"with one argument and with four"),
         (lambda t, x: 0.0, r"must be a function of \(t, x, xdot, mu\), or one state s .* takes 2"),
         (lambda: 0.0, r"takes 0 arguments"),
+        (lambda s: s.twist[0], r"a state has t, x, xdot, pose, xi, mu, J, no 'twist'"),
         (lambda s, *, k: 0.0, r"keyword-only argument without a default"),
         (min, r"does not say how many arguments|\*args|with one"),
     ],

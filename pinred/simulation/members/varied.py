@@ -127,9 +127,10 @@ class Varied:
             sizes["seeds"] = len(self.seeds)
         if len(set(sizes.values())) != 1:
             found = ", ".join(f"{name}: {size}" for name, size in sizes.items()) or "none"
+            same = ", ".join(self.common["parameters"])
             raise ShapeError(
                 f"at least one of {_WHAT} must have shape (N, …), all with the same N; "
-                f"the lengths are {found}"
+                f"the lengths are {found}" + (f", and one for all {same}" if same else "")
             )
         count = next(iter(sizes.values()))
         if not count:
