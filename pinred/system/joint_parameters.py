@@ -21,6 +21,7 @@ from .locked_joints import LockedJoints, moments_of
 from .system import System
 
 SIZES = {"placement": 6, "translation": 3, "lock": 1}
+PLACED = ("placement", "translation")  # the kinds that any joint but the root has
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ def joint_parameter(system: System, name: str) -> JointParameter | None:
     if kind == "lock":
         locked = system.contents.locked
         known = [] if locked is None else list(locked.names)
+        if locked is not None and word in locked.frozen and word not in known:
+            raise InputError(f"parameters: '{name}' does not vary: {locked.why_not(word)}")
         if word not in known:
             raise InputError(
                 f"parameters: '{system.name}' has no locked joint {quoted(word)} whose value may "
@@ -90,8 +93,9 @@ class Joints:
             for joint, moved in self._placements({}).items():
                 if moved[1].keys() & self._locks.keys():
                     behind.add(self._body(joint))
-            for place in self._locked.carried({}).values():
-                if place.twists.keys() & self._locks.keys():
+            for i, place in self._locked.carried({}).items():
+                heavy = self._locked.raw.inertias[i].mass > 0.0
+                if heavy and place.twists.keys() & self._locks.keys():
                     free.add(self._body(place.joint))
         for each in self.parameters:
             if each.kind == "lock":

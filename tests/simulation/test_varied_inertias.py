@@ -121,7 +121,7 @@ def test_one_build_for_all_inertias(tmp_path: Any, monkeypatch: pytest.MonkeyPat
     assert made == ["rate", "outputs"]
     assert len(np.unique(ends, axis=0)) == 100
     again = pinred.Scene(system=traj.system, seed=1, duration=0.05)
-    assert again.system is chain  # without parameters, the robot is as it was
+    assert again.parameters["link2.mass"] == 2.0  # a system keeps what it was given
 
 
 def test_a_wheel_that_may_become_unbalanced() -> None:

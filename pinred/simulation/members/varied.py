@@ -22,7 +22,7 @@ from ...scene.initial_state import GivenStates
 from ...scene.random_state import random_state
 from ...scene.scene import Scene
 from ...system.in_gravity import in_gravity
-from ...system.model_parameters import requested, size_of
+from ...system.model_parameters import GRAVITY, requested, size_of
 from ...system.other_inertias import nominal
 from ...system.system import System
 from ..own_numbers import OwnNumbers
@@ -52,13 +52,19 @@ class Varied:
         seeds: Sequence[int] | None,
     ) -> None:
         """Take options of a scene, and members by name.  Raises InputError and ShapeError."""
-        self.base, self.seeds = base, seeds
-        self.system = system = nominal(base.system) if isinstance(base, Scene) else base
+        self.seeds = seeds
+        own = dict(base.parameters)
+        if isinstance(base, Scene):
+            self.system = system = nominal(base.system)
+            self.base: System | Scene = replace(base, system=system, parameters={})
+        else:
+            self.base = self.system = system = nominal(base)
         self.common = dict(options)
         parameters = self.common.pop("parameters", None)
         parameters = {} if parameters is None else parameters
         if not isinstance(parameters, Mapping):  # names alone, of what all have as it is
             parameters, others = requested(system, parameters)
+            parameters |= {name: own[name] for name in parameters if name in own}
             if others:
                 raise InputError(
                     f"parameters: {brief(others[0])} is no number of the robot, and has no value "
@@ -92,7 +98,7 @@ class Varied:
             del self.robot["gravity"]
         strength = given.get("gravity.strength")
         if strength is not None and dimensions(strength) == 1 and self.gravity is None:
-            g = self.system.gravity
+            g = np.asarray(own.get("gravity", self.system.gravity))
             unit = g / np.linalg.norm(g) if g.any() else g
             self.gravity = np.outer(_column(strength, "gravity.strength"), unit)
             del given["gravity.strength"], self.robot["gravity.strength"]
@@ -102,8 +108,9 @@ class Varied:
             if dimensions(value) == (2 if self.robot.get(name, 1) > 1 else 1)
         }
         fixed = {name: value for name, value in given.items() if name not in self.parameters}
-        if isinstance(base, Scene):
-            fixed = {n: v for n, v in base.parameters.items() if n not in given} | fixed
+        if self.gravity is not None:
+            own = {name: value for name, value in own.items() if name not in GRAVITY}
+        fixed = {name: value for name, value in own.items() if name not in given} | fixed
         self.common["parameters"] = fixed
         self.count = self._count()
 
