@@ -20,12 +20,12 @@ from ..system.in_gravity import in_gravity
 from ..system.inertias import moved_masses, radius_of_gyration
 from ..system.other_inertias import with_numbers
 
-_HEAVIER = 1.3
-
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
     from ..system.system import System
     from .kernel import Kernel
+
+_HEAVIER = 1.3  # is the gravity in which kernels are judged again
 
 
 @dataclass(frozen=True)
