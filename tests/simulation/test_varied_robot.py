@@ -90,6 +90,12 @@ def test_locked_values_are_those_of_load() -> None:
             varied.jointPlacements[i].homogeneous, other.jointPlacements[i].homogeneous,
             rtol=0, atol=1e-15,
         )  # fmt: skip
+    for k, frame in enumerate(other.frames):
+        found = varied.frames[k]
+        assert (found.name, found.parentJoint) == (frame.name, frame.parentJoint)
+        np.testing.assert_allclose(
+            found.placement.homogeneous, frame.placement.homogeneous, rtol=0, atol=1e-15
+        )
 
 
 def test_frames_that_stay_follow_any_placement() -> None:

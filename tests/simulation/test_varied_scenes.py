@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+from coupled_trees import couple
 from forced_trees import GRAVITY
 from trees import inertia, placement, random_model
 
@@ -19,6 +20,7 @@ import pinred
 from pinred.forces import PD, ComputedTorque, Damper, Spring, Wrench
 from pinred.lie import GROUPS
 from pinred.signals import Fourier
+from pinred.system.contents import Contents
 
 TURNED = [0.1, 0.2, 0.3, 0.2, -0.4, 0.7]
 JOINTS = 3
@@ -89,9 +91,10 @@ def test_a_varied_scene_is_that_of_a_robot_with_the_numbers_in_it(group: str, se
     """By simulate, by a flow and in lanes; and ABA of that robot passes it."""
     model, rng = with_links(group, seed), np.random.default_rng(seed)
     values, other = varied(model, rng)
-    system, written = pinred.load(model), pinred.load(other)
+    ties = Contents(couplings=couple(model, rng, 1) if seed % 2 == 0 else ())
+    system, written = (pinred.System(each, model.name, contents=ties) for each in (model, other))
     options: dict[str, Any] = {
-        "x0": rng.uniform(-1.0, 1.0, JOINTS), "xdot0": rng.normal(size=JOINTS),
+        "x0": rng.uniform(-1.0, 1.0, system.m), "xdot0": rng.normal(size=system.m),
         "xi0": 0.3 * rng.normal(size=system.r), "times": [0.0, 0.1, 0.3], "method": "DOP853",
         "forces": forces_on(system, rng),
     }  # fmt: skip
@@ -154,6 +157,27 @@ def test_derivatives(method: str) -> None:
 def _column(state: Any) -> Any:
     """Return the rows of a state behind its pose."""
     return np.concatenate([state.x, state.xdot, state.xi])
+
+
+@pytest.mark.slow
+def test_computed_torque_where_gravity_might_turn_the_base() -> None:
+    """It is refused where a value that varies would have gravity turn the base, and only there."""
+    swung = pinred.load("satellite_two_arms", group="SO3", gravity=(0, 0, -9.81))
+    still = pinred.load("satellite_two_arms", group="SO3", gravity=(0, 0, 0))
+    options: dict[str, Any] = {
+        "seed": 1, "duration": 0.1, "forces": [ComputedTorque(dict.fromkeys(still.shape_names, 0.1),
+                                                              4.0, 2.0)],
+    }  # fmt: skip
+    weight: dict[str, Any] = {"gravity": [0.0, 0.0, -1.0]}
+    with pytest.raises(pinred.SymmetryError, match="gravity turns the base"):
+        pinred.simulate(still, parameters=weight, **options)
+    with pytest.raises(pinred.SymmetryError, match="gravity turns the base"):
+        pinred.flow(swung, wrt=["gravity"], **options)
+    with pytest.raises(pinred.SymmetryError, match="gravity turns the base"):
+        pinred.simulate_many(still, members={"gravity": [[0.0, 0.0, -1.0]] * 2}, **options)
+    free = pinred.simulate(swung, parameters={"gravity": [0.0, 0.0, 0.0]}, **options)
+    expected = pinred.simulate(still, **options)
+    np.testing.assert_allclose(free.q, expected.q, rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow
