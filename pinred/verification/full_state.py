@@ -15,6 +15,7 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
 from ..forces.acting import BaseInSpace
+from ..kernels.loads_by_pinocchio import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.control import Control, Replay
 from ..simulation.state import Sample, State
@@ -25,7 +26,6 @@ from .audit import Audit, difference
 from .configuration import Configuration
 from .distances import Distance, FullMotion, Size
 from .hairer import Hairer
-from .loads_by_pinocchio import LoadsByPinocchio
 from .root_motion import root_motion
 from .ties import Ties
 from .weights import weights

@@ -1,6 +1,6 @@
-"""Wrenches on links in the full simulation: Jacobians of Pinocchio's frames.
+"""Wrenches on links by Jacobians of Pinocchio's frames: for the judges of kernels and motions.
 
-The judge's own way from a wrench at a point of a link to forces on the coordinates, τ = Jᵀ (F, N),
+Their own way from a wrench at a point of a link to forces on the coordinates, τ = Jᵀ (F, N),
 which shares nothing with forces/link_loads.py.
 """
 
