@@ -1,4 +1,4 @@
-"""Which tests run which lines of the package: a plugin of pytest, and what it has found.
+"""Which tests run which lines of the package.
 
 Lines of functions only: those of modules run when something imports them first, and what does so
 before any test counts for all tests of the module.  What is compiled by numba leaves no trace.
@@ -18,10 +18,9 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-import pytest
 from numba.core.dispatcher import Dispatcher
 
-_IMPORT = ""  # the name of the test that runs what is run before any test
+IMPORT = ""  # the name of the test that runs what is run before any test
 _OPTIMISED = 1  # the flag of a function's code; modules and bodies of classes have none
 
 
@@ -36,14 +35,14 @@ class Covering:
         """Return the tests that run one of these lines, the quickest first."""
         known = self.lines.get(module, {})
         found = {test for k in range(line, end + 1) for test in known.get(k, [])}
-        return self.of_module(module) if _IMPORT in found else self.quickest(found)
+        return self.of_module(module) if IMPORT in found else self.quickest(found)
 
     def of_module(self, module: str) -> list[str]:
         """Return all tests, first those that run any line of a function of a module.
 
         The others may run it in a process of their own.
         """
-        found = {t for tests in self.lines.get(module, {}).values() for t in tests} - {_IMPORT}
+        found = {t for tests in self.lines.get(module, {}).values() for t in tests} - {IMPORT}
         return [*self.quickest(found), *self.quickest(set(self.seconds) - found)]
 
     def quickest(self, tests: set[str]) -> list[str]:
@@ -66,52 +65,19 @@ class Covering:
 
 
 class Recorder:
-    """The plugin that records what tests run of some modules and writes it at the end."""
+    """What runs of some modules: of tests, and of what is imported before any."""
 
-    def __init__(self, package: Path, modules: Sequence[str], out: Path) -> None:
-        """Record modules of a package (a folder); write to a file."""
+    def __init__(self, package: Path, modules: Sequence[str]) -> None:
+        """Record modules of a package (a folder)."""
         self._files = {str(package / module): module for module in modules}
         self._now: set[tuple[str, int]] | None = None
-        self._out = out
-        self._found = Covering()
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_collection(self) -> Iterator[None]:
-        """Trace what is imported by tests, before any."""
-        with self._traced(_IMPORT):
-            return (yield)
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        """Trace a test with its fixtures."""
-        began = time.perf_counter()
-        with self._traced(item.nodeid):
-            try:
-                return (yield)
-            finally:
-                self._found.seconds[item.nodeid] = time.perf_counter() - began
-
-    def pytest_configure(self) -> None:
-        """Leave numba alone, whose compiler is large and slow when traced."""
-        traced = Dispatcher.compile
-
-        def untraced(self: Dispatcher, sig: Any) -> Any:
-            tracing = sys.gettrace()
-            sys.settrace(None)
-            try:
-                return traced(self, sig)
-            finally:
-                sys.settrace(tracing)
-
-        Dispatcher.compile = untraced
-
-    def pytest_sessionfinish(self) -> None:
-        """Write what was found."""
-        self._found.write(self._out)
+        self.found = Covering()
 
     @contextmanager
-    def _traced(self, test: str) -> Iterator[None]:
+    def traced(self, test: str = IMPORT) -> Iterator[None]:
+        """Record what runs meanwhile as a test's."""
         self._now = now = set[tuple[str, int]]()
+        began = time.perf_counter()
         sys.settrace(self._trace)
         threading.settrace(self._trace)
         try:
@@ -120,8 +86,10 @@ class Recorder:
             sys.settrace(None)
             threading.settrace(None)  # type: ignore[arg-type]
             self._now = None
+            if test != IMPORT:
+                self.found.seconds[test] = time.perf_counter() - began
             for module, line in now:
-                lines = self._found.lines.setdefault(module, defaultdict(list))
+                lines = self.found.lines.setdefault(module, defaultdict(list))
                 lines[line].append(test)
 
     def _trace(self, frame: FrameType, _event: str, _: Any) -> Any:
@@ -139,31 +107,16 @@ class Recorder:
         return line
 
 
-class Chosen:
-    """The plugin that runs these tests only, in this order."""
+def leave_numba_alone() -> None:
+    """Let numba's compiler, which is large, run without a trace."""
+    traced = Dispatcher.compile
 
-    def __init__(self, tests: list[str]) -> None:
-        """Take the names of tests as pytest prints them."""
-        self._rank = {test: k for k, test in enumerate(tests)}
+    def untraced(self: Dispatcher, sig: Any) -> Any:
+        tracing = sys.gettrace()
+        sys.settrace(None)
+        try:
+            return traced(self, sig)
+        finally:
+            sys.settrace(tracing)
 
-    @pytest.hookimpl(trylast=True)
-    def pytest_collection_modifyitems(
-        self, config: pytest.Config, items: list[pytest.Item]
-    ) -> None:
-        """Leave the others out."""
-        left_out = [item for item in items if item.nodeid not in self._rank]
-        items[:] = sorted(
-            (item for item in items if item.nodeid in self._rank),
-            key=lambda item: self._rank[item.nodeid],
-        )
-        config.hook.pytest_deselected(items=left_out)
-
-
-class SameKernels:
-    """The plugin that takes kernels from the cache whatever the package's sources are."""
-
-    def pytest_collection_finish(self) -> None:
-        """Let the keys of kernels not depend on sources."""
-        from pinred.kernels import object_cache
-
-        object_cache._surroundings = lambda: ("the same",)  # type: ignore[assignment]
+    Dispatcher.compile = untraced

@@ -4,13 +4,16 @@ Each mutant is one small change of one module (see mutations.py), in a copy of t
 the tests of the module's room, those that run the changed line are run, the quickest first, until
 one fails (killed) or all pass (survived: the tests do not see it, or there is nothing to see).
 Where none runs the line, it is "not run", which is no better.  Options: --table FILE.csv, --sample
-N (so many of each module, at random by --seed), --seconds of a mutant's tests, --tests (these
-instead of the room's), --only LINE … (mutants of these lines), --keep FOLDER (works there, and
-keeps which test runs which line, and what is compiled, for the next time).  Tests marked slow are
-left out, unless --slow is given.
+N (so many of each module, at random by --seed), --seconds of a mutant's tests, --budget (seconds
+of tests without a mutant, of which the others are left out), --tests (these instead of the
+room's), --only LINE … (mutants of these lines), --keep FOLDER (works there, and keeps which test
+runs which line, and what is compiled, for the next time).  Tests marked slow are left out, unless
+--slow is given.
 
-Compiled kernels and integrators are kept in a cache of the run's own; where a mutant may be part
-of what was compiled, in one of its own.
+Tests run in forks of a session that has imported everything (mutant_session.py); where a mutant
+is of what runs at import, in one that imports the package anew.  Compiled kernels and integrators
+are kept in a cache of the run's own; where a mutant may be part of what was compiled, there is
+none.
 """
 
 from __future__ import annotations
@@ -19,25 +22,26 @@ import argparse
 import csv
 import importlib
 import os
+import pickle
 import shutil
 import signal
 import sys
 import tempfile
 import time
 import traceback
-from collections import Counter, defaultdict
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from random import Random
+from typing import TextIO
 
 import numba
 import pytest
-from covering import Chosen, Covering, Recorder, SameKernels
+from mutant_session import MutantSession
 from mutations import Mutant, mutants
 
 ROOT = Path(__file__).parents[2]
-LONG = 20.0  # s; tests that take longer are left out
 _KERNELS = ["kernels/test_compiled_kernels.py", "kernels/test_limbs.py"]
 _STEPPERS = ["integrators/test_steppers.py", "integrators/test_claimed_orders.py"]
 _GAUSS = ["integrators/test_gauss.py", "integrators/test_newton_in_gauss.py"]
@@ -85,7 +89,7 @@ TESTS: dict[str, list[str]] = {
     ],
     "simulation/accelerations": [
         "verification/test_bounds_of_compare.py", "verification/test_small_faults.py",
-        "simulation", "forces",
+        "simulation/test_simulate.py", "forces/test_forces.py",
     ],
 }  # fmt: skip
 
@@ -106,14 +110,13 @@ class Copy:
     """A copy of the project in which modules are changed and tests run, one run after the other.
 
     What pinred stands on is imported once, in this process; each run is a fork of it that takes
-    pinred from the copy.  Tests that have killed before come first.
+    pinred from the copy.
     """
 
     def __init__(self, place: Path, *, slow: bool) -> None:
         """Copy the project to a folder.  slow: run tests that are marked so, too."""
         self.root, self._cache = place / "project", place / "cache"
         self._said, self._writes, self._slow = place / "said", 0, slow
-        self._killers: defaultdict[str, Counter[str]] = defaultdict(Counter)
         ignored = shutil.ignore_patterns("__pycache__")
         if self.root.exists():
             shutil.rmtree(self.root)
@@ -131,35 +134,31 @@ class Copy:
             with suppress(ImportError):
                 importlib.import_module(name)
 
-    def covering(self, tests: list[str], modules: list[str]) -> Covering:
-        """Return what tests cover of modules without a mutant; raise SystemExit if one fails."""
+    def path_of_covering(self, tests: list[str], modules: list[str]) -> Path:
+        """Return where it is kept what tests cover of modules, as all of them are now."""
         digest = sha256(" ".join([*tests, "of", *modules]).encode())
         for folder in ("pinred", "tests"):
             for path in sorted((self.root / folder).rglob("*.py")):
                 digest.update(path.read_bytes())
-        path = self.root.parent / f"{digest.hexdigest()[:16]}.json"
-        if not path.exists():
-            recorder = Recorder(self.root / "pinred", modules, path)
-            code = self._forked(tests, [recorder, SameKernels()], self._places(None), 3600.0)
-            if code:
-                raise SystemExit(f"tests fail without a mutant:\n{self._said.read_text()[-3000:]}")
-        return Covering.read(path)
+        return self.root.parent / f"{digest.hexdigest()[:16]}.json"
 
-    def outcome(self, module: str, mutant: Mutant, covering: Covering, seconds: float) -> str:
-        """Return what the tests say of a mutant."""
-        tests = self.tests(module, mutant, covering)
-        if not tests:
-            return "not run"
+    def session(self, tests: list[str], plugin: MutantSession) -> None:
+        """Run a session of tests with a plugin; raise SystemExit if it fails."""
+        if self._forked(tests, plugin, {}, 1e6):
+            said = self._said.read_text(errors="replace")
+            raise SystemExit(f"the session of tests has failed:\n{said[-3000:]}")
+
+    def outcome(self, module: str, mutant: Mutant, tests: list[str], seconds: float) -> str:
+        """Return what tests say of a mutant when the package is imported with it."""
         target = self.root / "pinred" / module
         own = target.read_text()
         self._write(target, mutant.text)
         with tempfile.TemporaryDirectory() as own_cache:
             files = list(dict.fromkeys(test.split("::")[0] for test in tests))
-            places = self._places(Path(own_cache), module)
-            plugins: list[object] = [Chosen(tests)]
-            if module.startswith("kernels/judge"):  # which is no part of what is compiled
-                plugins.append(SameKernels())
-            code = self._forked(files, plugins, places, seconds)
+            places = {"PINRED_CACHE_DIR": own_cache}
+            if module.startswith("integrators"):
+                places["NUMBA_CACHE_DIR"] = own_cache
+            code = self._forked(files, Chosen(tests), places, seconds)
         self._write(target, own)
         if code == 0:
             return "survived"
@@ -167,32 +166,7 @@ class Copy:
         failed = [line for line in said if line.startswith(("FAILED", "ERROR"))]
         if code is None or not failed:
             return f"killed by {'time' if code is None else 'an error'}"
-        killer = failed[0].split(" - ")[0].split(maxsplit=1)[1]
-        if "::" in killer:
-            self._killers[module][killer] += 1
-        return f"killed by {killer}"
-
-    def tests(self, module: str, mutant: Mutant, covering: Covering) -> list[str]:
-        """Return the tests that may kill a mutant, the likeliest first."""
-        tests = covering.tests(module, mutant.line, mutant.end) if mutant.inside else []
-        if not mutant.inside or (not tests and module.startswith("integrators")):
-            tests = covering.of_module(module)
-        tests = [test for test in tests if covering.seconds[test] < LONG]
-        killers = [name for name, _ in self._killers[module].most_common(3) if name in tests]
-        return list(dict.fromkeys([*killers, *tests]))
-
-    def _places(self, own: Path | None, module: str = "") -> dict[str, str]:
-        """Return where what is compiled is kept, for a mutant of a module in a folder of its own.
-
-        Keys of kernels tell what lie, kernels and reduction/tree are from what they were.
-        """
-        graphs = own is not None and module.startswith(("forces", "reduction/", "integrators"))
-        graphs = graphs and not module.startswith("reduction/tree")
-        steppers = own is not None and module.startswith("integrators")
-        return {
-            "PINRED_CACHE_DIR": str(own if graphs else self._cache),
-            "NUMBA_CACHE_DIR": str(own if steppers else self._cache),
-        }
+        return f"killed by {failed[0].split(' - ')[0].split(maxsplit=1)[1]}"
 
     def _write(self, target: Path, text: str) -> None:
         """Write a module with a time of its own, by which compiled ones are told from others."""
@@ -201,7 +175,7 @@ class Copy:
         os.utime(target, (self._writes, self._writes))
 
     def _forked(
-        self, tests: list[str], plugins: list[object], places: dict[str, str], seconds: float
+        self, tests: list[str], plugin: object, places: dict[str, str], seconds: float
     ) -> int | None:
         """Run tests in a fork until one fails and return its exit code; None if it took longer."""
         child = os.fork()
@@ -212,12 +186,14 @@ class Copy:
                     os.dup2(said.fileno(), 1)
                     os.dup2(said.fileno(), 2)
                 os.chdir(self.root)
-                os.environ.update(places | {"PYTHONPATH": str(self.root)})
+                own = {"PINRED_CACHE_DIR": self._cache, "NUMBA_CACHE_DIR": self._cache}
+                os.environ.update({name: str(path) for name, path in own.items()} | places)
+                os.environ["PYTHONPATH"] = str(self.root)
                 numba.config.reload_config()  # type: ignore[no-untyped-call]
                 sys.path.insert(0, str(self.root))
                 slow = [] if self._slow else ["-m", "not slow"]
-                options = ["-q", "-x", *slow, "-p", "no:cacheprovider"]
-                code = int(pytest.main([*options, *tests], plugins=plugins))
+                options = ["-q", "-x", "-s", *slow, "-p", "no:cacheprovider"]
+                code = int(pytest.main([*options, *tests], plugins=[plugin]))
                 sys.stdout.flush()
                 os._exit(code)
             except BaseException:
@@ -236,6 +212,39 @@ class Copy:
         return None
 
 
+class Chosen:
+    """The plugin that runs these tests only, in this order."""
+
+    def __init__(self, tests: list[str]) -> None:
+        """Take the names of tests as pytest prints them."""
+        self._rank = {test: k for k, test in enumerate(tests)}
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(
+        self, config: pytest.Config, items: list[pytest.Item]
+    ) -> None:
+        """Leave the others out."""
+        left_out = [item for item in items if item.nodeid not in self._rank]
+        items[:] = sorted(
+            (item for item in items if item.nodeid in self._rank),
+            key=lambda item: self._rank[item.nodeid],
+        )
+        config.hook.pytest_deselected(items=left_out)
+
+
+@dataclass(frozen=True)
+class Row:
+    """What became of a mutant.  tests: those to be run, where it has to be imported."""
+
+    module: str
+    mutant: int
+    line: int
+    change: str
+    outcome: str
+    tests: list[str]
+    seconds: float
+
+
 def main(arguments: list[str]) -> int:
     """Run the mutants of modules; return how many survived, at most 1."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -245,42 +254,82 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tests", nargs="+", default=[])
     parser.add_argument("--seconds", type=float, default=180.0)
+    parser.add_argument("--budget", type=float, default=1e6)
     parser.add_argument("--only", nargs="+", type=int)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--slow", action="store_true")
     options = parser.parse_args(arguments)
-    rows: list[list[object]] = []
-    sums = []
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for module in options.modules:
+        groups.setdefault(tuple(options.tests or tests_of(module)), []).append(module)
+    rows: list[Row] = []
     with tempfile.TemporaryDirectory() as place:
-        copied = Copy(options.keep or Path(place), slow=options.slow)
-        for module in options.modules:
-            text = (copied.root / "pinred" / module).read_text()
-            tests = options.tests or tests_of(module)
-            alike = [m for m in options.modules if options.tests or tests_of(m) == tests]
-            covering = copied.covering(tests, alike)
-            every, alive = list(mutants(text)), 0
+        copied = Copy((options.keep or Path(place)).resolve(), slow=options.slow)
+        for tests, modules in groups.items():
+            every = {name: list(mutants((ROOT / "pinred" / name).read_text())) for name in modules}
             if options.sample is not None:  # a larger sample holds a smaller one
-                Random(options.seed).shuffle(every)
-            chosen = every[: options.sample]
-            if options.only is not None:
-                chosen = [mutant for mutant in chosen if mutant.line in options.only]
-            for mutant in chosen:
+                for each in every.values():
+                    Random(options.seed).shuffle(each)
+            rows += _found(copied, list(tests), every, options)
+            for module, each in every.items():
+                of = [row for row in rows if row.module == module]
+                killed = sum(row.outcome.startswith("killed") for row in of)
+                print(
+                    f"{module:<40} {len(of):4d} of {len(each):4d}: {killed:4d} killed", flush=True
+                )
+            if options.table is not None:
+                with options.table.open("w", newline="") as file:
+                    table = csv.writer(file)
+                    table.writerow(["module", "line", "change", "outcome", "seconds"])
+                    table.writerows(
+                        [r.module, r.line, r.change, r.outcome, r.seconds] for r in rows
+                    )
+    return int(any(not row.outcome.startswith("killed") for row in rows))
+
+
+def _found(
+    copied: Copy, tests: list[str], every: dict[str, list[Mutant]], options: argparse.Namespace
+) -> list[Row]:
+    """Return what became of mutants of modules that have the same tests."""
+    covering, kept = copied.path_of_covering(tests, list(every)), copied.root.parent / "rows"
+    told = os.fdopen(os.dup(1), "w")
+
+    def asked(session: MutantSession) -> None:
+        session.cover(covering)
+        rows = []
+        for module, each in every.items():
+            for k, mutant in enumerate(each[: options.sample]):
+                if options.only is not None and mutant.line not in options.only:
+                    continue
                 began = time.monotonic()
-                found = copied.outcome(module, mutant, covering, options.seconds)
+                found = session.outcome(module, mutant) or ""
                 took = round(time.monotonic() - began, 1)
-                rows.append([module, mutant.line, mutant.what, found, took])
-                if not found.startswith("killed"):
-                    alive += 1
-                    print(f"{module}:{mutant.line}: {mutant.what}: {found}", flush=True)
-                if options.table is not None:
-                    with options.table.open("w", newline="") as file:
-                        head = ["module", "line", "change", "outcome", "seconds"]
-                        csv.writer(file).writerows([head, *rows])
-            killed = len(chosen) - alive
-            sums.append(f"{module:<40} {len(chosen):4d} of {len(every):4d}: {killed:4d} killed")
-            print(sums[-1], flush=True)
-    print("\n".join(sums))
-    return int(any(not str(row[3]).startswith("killed") for row in rows))
+                left = [] if found else session.tests(module, mutant)
+                rows.append(Row(module, k, mutant.line, mutant.what, found, left, took))
+                _tell(rows[-1], told)
+        kept.write_bytes(pickle.dumps(rows))
+
+    plugin = MutantSession(
+        copied.root / "pinred", list(every), asked,
+        seconds=options.seconds, budget=options.budget,
+    )  # fmt: skip
+    copied.session(tests, plugin)
+    rows: list[Row] = []
+    for row in pickle.loads(kept.read_bytes()):
+        if not row.outcome:
+            began = time.monotonic()
+            mutant = every[row.module][row.mutant]
+            found = copied.outcome(row.module, mutant, row.tests, options.seconds)
+            row = replace(row, outcome=found, seconds=round(time.monotonic() - began, 1))
+            _tell(row, told)
+        rows.append(row)
+    return rows
+
+
+def _tell(row: Row, told: TextIO) -> None:
+    """Print what survived."""
+    if row.outcome and not row.outcome.startswith("killed"):
+        print(f"{row.module}:{row.line}: {row.change}: {row.outcome}", file=told, flush=True)
 
 
 if __name__ == "__main__":

@@ -40,12 +40,17 @@ class Mutant:
     number: int
 
     @property
-    def text(self) -> str:
-        """Return the source of the module with the change."""
+    def tree(self) -> ast.Module:
+        """Return the module with the change; lines are those of the source."""
         tree = ast.parse(self.source)
         twin = next(node for k, node in enumerate(ast.walk(tree)) if k == self.index)
         _change(tree, twin, self.number)
-        return ast.unparse(ast.fix_missing_locations(tree))
+        return ast.fix_missing_locations(tree)
+
+    @property
+    def text(self) -> str:
+        """Return the source of the module with the change."""
+        return ast.unparse(self.tree)
 
 
 def mutants(source: str) -> Iterator[Mutant]:
