@@ -33,7 +33,8 @@ class MutantSession:
     """The plugin.  ask: is called with it when all tests are collected.
 
     seconds: of a mutant's tests.  budget: of the tests that are run, quickest first, as they take
-    without a mutant; at least one of them is.
+    without a mutant; at least one of them is.  compiled: parts of the names of modules that leave
+    no trace, and of the tests that run them.
     """
 
     def __init__(
@@ -44,8 +45,10 @@ class MutantSession:
         *,
         seconds: float,
         budget: float,
+        compiled: dict[str, list[str]],
     ) -> None:
         """Take the package (a folder) and its modules that will be changed."""
+        self._run_by = compiled
         self._package, self._ask = package, ask
         self._seconds, self._budget = seconds, budget
         self._recorder = Recorder(package, modules)
@@ -94,6 +97,8 @@ class MutantSession:
         found = covering.tests(module, mutant.line, mutant.end) if mutant.inside else []
         if not mutant.inside or (not found and module.startswith("integrators")):
             found = covering.of_module(module)
+            parts = [part for key, names in self._run_by.items() if key in module for part in names]
+            found.sort(key=lambda test: not any(part in test for part in parts))
         found = [test for test in found if covering.seconds[test] < LONG]
         killers = [name for name, _ in self._killers[module].most_common(3) if name in found]
         left, out = self._budget, []
