@@ -34,6 +34,17 @@ def passed() -> pinred.Report:
     return pinred.compare(cat())
 
 
+def test_the_line_names_the_worst() -> None:
+    """Of all checks the one that is the largest part of its bound, of bounds of zero, too."""
+    report = passed()
+    for name, bound in (("energy_drift", "drift_bound"), ("field_error", "field_bound")):
+        near = replace(report, **{name: 0.9 * getattr(report, bound)})
+        (words,) = (each for each in near.checks if near.checks[each][0] == getattr(near, name))
+        assert words in repr(near)
+        assert words not in repr(report)
+    assert "defect" in repr(replace(report, defect=1e-20, defect_bound=0.0))
+
+
 def test_the_closest_to_its_bound() -> None:
     """Where nothing passes, any error is beyond it; where there is no joint, there is none."""
     none = np.empty((3, 0))
