@@ -178,6 +178,19 @@ def test_nothing_is_near_what_counts_as_nothing(
         assert [str(each) for each in found] == EXPECTED[group]
 
 
+def test_formulas_have_their_numbers() -> None:
+    """Signs, and sizes that are not one."""
+    assert casimirs._formula(np.array([2.0, -1.0, 0.0, -0.5]), "abcd") == "2 a − b − 0.5 d"
+    assert casimirs._formula(np.array([-1.0, 1.0]), "ab") == "− a + b"
+
+
+@pytest.mark.parametrize(("form", "momentum"), [("connection", "p"), ("canonical", "pi")])
+def test_symbols_are_named(form: poisson.Form, momentum: str) -> None:
+    """As the form has them."""
+    system = make_case("SE3", 1, 0).system
+    assert str(poisson.phase_space(system, form=form).z).startswith(f"[x, {momentum}, mu_0")
+
+
 def test_casimirs_of_a_heavy_top() -> None:
     """μ·Γ and |Γ|², constant in any motion by ABA; |μ|² is none any more."""
     system = heavy(2, 1)

@@ -203,8 +203,7 @@ def test_equations_are_judged_from_the_start(monkeypatch: pytest.MonkeyPatch) ->
     parts: list[float] = []
     pinred.compare(cat(), progress=parts.append)
     assert seen[0].tolist() == np.linspace(0.0, 1.0, 101).tolist()
-    assert parts == sorted(set(parts))
-    assert parts[-1] == 1.0
+    assert parts == [0.1, 0.3, 0.5, 0.8, 0.9, 1.0]
 
 
 @pytest.mark.parametrize(("part", "rests"), [(0.3, True), (3.0, False)])
