@@ -87,9 +87,14 @@ def with_defects(
     inside: float,
     growth: float | Array,
     traj: pinred.Trajectory | None = None,
+    own: float = 1.0,
 ) -> pinred.Report:
-    """The comparison, of a motion whose defects and growth were those."""
-    made = Defects(np.full(9, steps), np.full(9, inside), np.ones(9, dtype=bool))
+    """The comparison, of a motion whose defects and growth were those.
+
+    own: how much more the defects are in parts of the motion's own rates.
+    """
+    both = np.full(9, steps), np.full(9, inside)
+    made = Defects(*both, np.ones(9, dtype=bool), *(own * part for part in both))
     monkeypatch.setattr(judge, "defects", lambda *_: made)
     monkeypatch.setattr(
         FullState, "growth", lambda _full, _y0, _motion, times, *_: growth + np.zeros(len(times))
@@ -134,13 +139,22 @@ def test_nothing_is_judged_after_what_can_be_told(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize(("steps", "most"), [(1e-9, 1e-9), (1e-4, 3.0 * TOLERANCE)])
 @pytest.mark.parametrize(("inside", "least"), [(1e-8, 1e-8), (1e-2, 50.0 * TOLERANCE)])
+@pytest.mark.parametrize("own", [1.0, 30.0])
 def test_ends_are_bounded_by_defects(
-    monkeypatch: pytest.MonkeyPatch, steps: float, most: float, inside: float, least: float
+    monkeypatch: pytest.MonkeyPatch,
+    steps: float,
+    most: float,
+    inside: float,
+    least: float,
+    own: float,
 ) -> None:
-    """Ten times their sum times the growth; defects that fail excuse nothing."""
-    report = with_defects(monkeypatch, steps, inside, 7.0)
+    """Ten times their sum times the growth; defects that fail excuse nothing.
+
+    Growth is that of parts of the motion's own rates.
+    """
+    report = with_defects(monkeypatch, steps, inside, 7.0, own=own)
     count = np.searchsorted(cat().motion.knots, report.t)
-    local = count * most + np.where(count > 0, least, 0.0)
+    local = own * (count * most + np.where(count > 0, least, 0.0))
     assert report.rotation_bounds == pytest.approx(
         10.0 * (7.0 * local + 1e-13), rel=0.02, abs=2e-11
     )
@@ -183,7 +197,7 @@ def test_why_nothing_is_told(
 
 def test_a_motion_without_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """No defect is no error: what is left is round-off."""
-    none = Defects(np.empty(0), np.empty(0), np.empty(0, dtype=bool))
+    none = Defects(*np.empty((2, 0)), np.empty(0, dtype=bool), *np.empty((2, 0)))
     monkeypatch.setattr(judge, "defects", lambda *_: none)
     report = pinred.compare(cat())
     assert report.defect == 0.0
