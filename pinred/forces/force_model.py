@@ -16,7 +16,7 @@ from ..common.arrays import Array, read_only
 from ..common.casadi_calls import Numeric
 from ..common.errors import InputError
 from ..common.memo import once
-from ..common.parameter import Affine, Parameter, parameter_of
+from ..common.parameter import Affine, Parameter, parameter_of, parameters_in, values_of
 from ..common.plain_names import brief
 from ..reduction.potential import spring_pair
 from ..system.force import Load
@@ -336,8 +336,10 @@ def remembered_model(
     Raises InputError for anything else, or for joints that are not there.
     """
     # What is equal acts the same; what cannot be compared by value is kept, and so is itself.
+    sprung = [_spring(name, pair) for name, pair in springs.items()]
     key = (
-        repr(dict(springs)),
+        *sprung,
+        "springs",
         *(
             force if isinstance(force, (Spring, Damper, Friction)) else id(force)
             for force in forces
@@ -346,7 +348,7 @@ def remembered_model(
     )
     models: dict[Hashable, tuple[ForceModel, object]] = once(system, remembered_model, dict)
     if key not in models:
-        model = _force_model(system, springs, forces, prescribed)
+        model = _force_model(system, sprung, forces, prescribed)
         while len(models) >= _REMEMBERED:
             models.pop(next(iter(models)), None)
         models[key] = (model, (tuple(forces), dict(prescribed)))
@@ -360,15 +362,22 @@ def _same(signal: Signal) -> Hashable:
     return signal if simple else id(signal)
 
 
+def _spring(name: str, pair: Any) -> Spring:
+    """Return the spring of (stiffness, rest), either of which may be a Parameter."""
+    numbers = values_of(list(pair) if isinstance(pair, (list, tuple)) else pair)
+    stiffness, rest = spring_pair(name, numbers).tolist()
+    for k, parameter in parameters_in(pair):
+        stiffness, rest = (parameter, rest) if k == 0 else (stiffness, parameter)
+    return Spring(name, stiffness, rest)
+
+
 def _force_model(
     system: System,
-    springs: Mapping[str, tuple[float, float]],
+    springs: Sequence[Force],
     forces: Sequence[Force],
     prescribed: Mapping[str, Signal],
 ) -> ForceModel:
-    every: list[Force] = [
-        Spring(name, *spring_pair(name, pair).tolist()) for name, pair in springs.items()
-    ]
+    every: list[Force] = [*springs]
     for force in forces:
         if not isinstance(force, Force):
             raise InputError(f"forces must be those of pinred.forces, got {brief(force)}")
