@@ -298,9 +298,10 @@ class Scene:
             self._keep("_forces", None)
             self._check_parameters([each.name for each in watched])
             return
-        from ..forces.force_model import remembered_model  # needs CasADi
+        from ..forces.remembered import remembered_model  # needs CasADi
 
-        model = remembered_model(self.system, self.springs, (*forces, *own), prescribed)
+        every = (*forces, *own)
+        model = remembered_model(self.system, self.springs, every, prescribed, self.varied)
         self._check_parameters([each.name for each in (*model.parameters, *watched)])
         model = model.with_values(self.parameters)
         check_span(model, self.end, base=self.outputs == "all")

@@ -77,7 +77,7 @@ class Joints:
 
     parameters: in their order.  placed: indices of the bodies, 0 for the root, whose joints are
     placed by them, sorted.  free: those whose inertias they change.  turned: of `placed`, those
-    whose axes they turn.
+    whose axes they turn.  links: frames of links that they move on their bodies.
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
@@ -117,6 +117,8 @@ class Joints:
             i for i in self.placed if i in behind or self._of[i][0].kind == "placement"
         )
         self.free = tuple(sorted(free))
+        self._frames = self._locked.frames(system.model, list(self._locks)) if self._locks else {}
+        self.links = tuple(sorted(self._frames))
 
     def own(self) -> dict[str, Array]:
         """Return the values that the system has, {name: (size,)}."""
@@ -182,6 +184,24 @@ class Joints:
                 name: moments_of(slopes[joint])[:, None] for joint, name in self._locks.items()
             }
             yield i, moments_of(J), found
+
+    def places(self, values: Mapping[str, Array]) -> dict[int, tuple[pin.SE3, dict[str, Array]]]:
+        """Return of each of `links` its place on its body, and twists (6, 1) by each value.
+
+        Twists are in the body's frame, taken at its origin.
+        """
+        if not self._frames:
+            return {}
+        carried, out = self._locked.carried(self._lock_values(values)), {}
+        for k, frame in self._frames.items():
+            under = carried[self._locked.raw.frames[frame].parentJoint]
+            found = {
+                name: under.twists[joint][:, None]
+                for joint, name in self._locks.items()
+                if joint in under.twists
+            }
+            out[k] = under.moved * self._locked.raw.frames[frame].placement, found
+        return out
 
     @property
     def _locked(self) -> LockedJoints:

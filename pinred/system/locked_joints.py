@@ -7,7 +7,7 @@ that belong to it, and the joints behind.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -156,6 +156,23 @@ class LockedJoints:
             if i and place.joint == str(self.raw.names[i]):
                 under = places[self.raw.parents[i]]
                 found[place.joint] = (under.moved * self.raw.jointPlacements[i], under.twists)
+        return found
+
+    def frames(self, model: pin.Model, locked: Collection[str]) -> dict[int, int]:
+        """Return the frames of a model without these joints that some of those move on a body.
+
+        As {frame of the model: that of the raw one}; what has two of a kind and a name is found in
+        order.
+        """
+        moved = {i for i, place in self.carried({}).items() if place.twists.keys() & set(locked)}
+        raw: dict[tuple[str, pin.FrameType], list[int]] = {}
+        for k, frame in enumerate(self.raw.frames):
+            raw.setdefault((str(frame.name), frame.type), []).append(k)
+        found = {}
+        for k, frame in enumerate(model.frames):
+            known = raw.get((str(frame.name), frame.type), [])
+            if known and self.raw.frames[here := known.pop(0)].parentJoint in moved:
+                found[k] = here
         return found
 
 

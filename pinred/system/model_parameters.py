@@ -124,7 +124,8 @@ class ModelParameters:
 
     names: of the parameters, in their order.  free: indices of the bodies, 0 for the root, whose
     inertias vary.  placed: of those whose joints' placements do; turned: of these, those whose
-    axes turn.  gravity: whether that varies.
+    axes turn.  links: frames of links whose places on their bodies vary: behind locked joints.
+    gravity: whether that varies.
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
@@ -147,11 +148,7 @@ class ModelParameters:
         self.names = tuple(self.sizes)
         self.free = tuple(sorted({*self._bodies.free, *self._joints.free}))
         self.placed, self.turned = self._joints.placed, self._joints.turned
-
-    @property
-    def inertial(self) -> bool:
-        """Whether inertias or placements are among the parameters."""
-        return bool(self.free or self.placed)
+        self.links = self._joints.links
 
     def own(self) -> dict[str, Array]:
         """Return the values that the system has, {name: (size,)}."""
@@ -200,6 +197,13 @@ class ModelParameters:
         """
         return {i: (place, twists) for i, place, twists in self._joints.placements(values)}
 
+    def places(self, values: Mapping[str, Array]) -> dict[int, tuple[pin.SE3, dict[str, Array]]]:
+        """Return of each of `links` its place on its body, and twists (6, size) by each value.
+
+        Twists are as those of `placements`.
+        """
+        return self._joints.places(values)
+
     def gravity_of(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
         """Return gravity in the world frame, (3,), and its slopes, (3, size)."""
         g = self._system.gravity
@@ -217,7 +221,8 @@ class ModelParameters:
             return self._system
         inertias = {i + 1: inertia_of(found) for i, (found, _) in self.inertias(values).items()}
         places = {i + 1: place for i, (place, _) in self.placements(values).items()}
-        other = with_numbers(self._system, inertias, places)
+        frames = {k: place for k, (place, _) in self.places(values).items()}
+        other = with_numbers(self._system, inertias, places, frames)
         if self._gravity:
             other = in_gravity(other, self.gravity_of(values)[0])
         vars(other)["_parameters"] = {name: plain_value(values[name]) for name in self.names}

@@ -14,9 +14,9 @@ from ...common.errors import PinredError
 from ...common.parameter import Parameter
 from ...forces.columns import symbols_of
 from ...forces.force import Force, Limit
-from ...forces.force_model import remembered_model
 from ...forces.formula import NAMES, Formula
 from ...forces.link_loads import link_frame
+from ...forces.remembered import remembered_model
 from ...forces.signals import Signal
 from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS, Method

@@ -25,7 +25,7 @@ from ...system.model_parameters import GRAVITY, kinds_near, requested, size_of
 from ...system.other_inertias import nominal
 from ...system.system import System
 from ..own_numbers import OwnNumbers
-from ..robot_columns import RobotColumns, relies_on_robot, with_own
+from ..robot_columns import RobotColumns, with_own
 from ..simulate import as_scene
 from .groups import Group, Members, members_plan
 
@@ -172,11 +172,6 @@ class Varied:
         varying = [name for name in self.robot if name in self.parameters]
         if varying:
             template = with_own(template, varying)
-            if why := relies_on_robot(template):
-                every = np.arange(self.count)
-                plan = members_plan(first)
-                scene_of = partial(self._scene_by, plan.scene.method)
-                return Members(self.count, [Group(every, plan, first.given, apart=why)], scene_of)
         elif self.gravity is not None:
             template = replace(template, system=self.system)
         numbers = self._numbers(template)
