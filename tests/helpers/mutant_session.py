@@ -101,7 +101,8 @@ class MutantSession:
             found.sort(key=lambda test: not any(part in test for part in parts))
         found = [test for test in found if covering.seconds[test] < LONG]
         killers = [name for name, _ in self._killers[module].most_common(3) if name in found]
-        left, out = self._budget, []
+        left = self._budget
+        out: list[str] = []
         for name in dict.fromkeys([*killers, *found]):
             left -= covering.seconds[name]
             if left > 0.0 or not out:
@@ -158,7 +159,7 @@ class MutantSession:
         if module.startswith("integrators"):
             for each in gc.get_objects():
                 if isinstance(each, Dispatcher):
-                    each._cache = NullCache()
+                    each._cache = NullCache()  # type: ignore[attr-defined]
         with tempfile.TemporaryDirectory() as own:
             if module.startswith(_COMPILED) and not module.startswith("kernels/judge"):
                 os.environ["PINRED_CACHE_DIR"] = own

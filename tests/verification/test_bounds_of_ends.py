@@ -13,6 +13,7 @@ from pinred.common.arrays import Array
 from pinred.verification import compare as judge
 from pinred.verification.defect import Defects
 from pinred.verification.distances import FullMotion, Size
+from pinred.verification.equations_of_motion import equation_errors
 from pinred.verification.full_state import FullState
 from pinred.verification.report import Verdict
 
@@ -197,8 +198,9 @@ def test_why_nothing_is_told(
 
 def test_a_motion_without_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """No defect is no error: what is left is round-off."""
-    none = Defects(*np.empty((2, 0)), np.empty(0, dtype=bool), *np.empty((2, 0)))
-    monkeypatch.setattr(judge, "defects", lambda *_: none)
+    none = np.empty(0)
+    made = Defects(none, none, np.empty(0, dtype=bool), none, none)
+    monkeypatch.setattr(judge, "defects", lambda *_: made)
     report = pinred.compare(cat())
     assert report.defect == 0.0
     assert report.rotation_bounds[-1] < 1e-3 * TOLERANCE * report.growth[-1]
@@ -207,7 +209,7 @@ def test_a_motion_without_steps(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_equations_are_judged_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     """At 101 times over all of the motion."""
     seen: list[Array] = []
-    whole = judge.equation_errors
+    whole = equation_errors
 
     def watched(traj: pinred.Trajectory, full: FullState, times: Array) -> Array:
         seen.append(times)

@@ -89,9 +89,11 @@ def test_the_smallest_rates(method: str, time: float, begin: float) -> None:
     """Those that would come to less than 1e-120 by the end, or within 1 s, count as none."""
     for part, moves in ((0.3, False), (3.0, True)):
         rate, end = part * 1e-120 / max(time, 1.0), begin + time
-        solver = Hairer(
-            lambda _, y, r=rate: r + 0.0 * y, method, np.zeros(1), begin, 1e-8, 1e-16, end
-        )
+
+        def steady(_: float, y: Array, rate: float = rate) -> Array:
+            return rate + 0.0 * y
+
+        solver = Hairer(steady, method, np.zeros(1), begin, 1e-8, 1e-16, end)
         y = solver.integrate(end)
         assert y is not None
         assert y[0] == pytest.approx(rate * time if moves else 0.0, rel=1e-9, abs=0.0)
