@@ -91,7 +91,10 @@ class _Left:
             return x
         # BFGS in Python: that in Fortran starts threads even for these few numbers.
         options = {"gtol": 1e-9, "maxiter": 80}
-        return np.asarray(minimize(self.at, x, jac=True, method="BFGS", options=options).x)
+        # Where a joint behind it has lost its own inertia, slopes may be beyond all numbers.
+        with np.errstate(over="ignore", invalid="ignore"):
+            end = minimize(self.at, x, jac=True, method="BFGS", options=options).x
+        return np.asarray(end) if np.isfinite(end).all() else x
 
     def within(self, x: Array) -> bool:
         """Return whether slides are where a robot is: far out, other inertias are none."""
@@ -100,6 +103,8 @@ class _Left:
     def at(self, x: Array) -> tuple[float, Array]:
         """Return the inertia left over the usual one, and its gradient (k,)."""
         own = self._own
+        if not np.isfinite(x).all():
+            return np.inf, np.zeros(len(x))
         H = self._matrix(x)
         rest = H[own:, own:]
         size = np.sqrt(np.maximum(np.diag(rest), 1e-300))

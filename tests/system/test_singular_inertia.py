@@ -88,6 +88,7 @@ def agrees(model: pin.Model, found: SingularShapes, rng: np.random.Generator) ->
 @example("SE3", 4, 114)
 @example("SO3", 3, 53)
 @example("SO2", 3, 56)
+@example("R", 5, 140116907)
 def test_the_rule_against_eigenvalues(group: str, joints: int, seed: int) -> None:
     """Refused: singular at all shapes tried.  Named: singular there.  Accepted: nowhere."""
     model = odd_model(group, joints, seed)
