@@ -103,12 +103,12 @@ class _Left:
     def at(self, x: Array) -> tuple[float, Array]:
         """Return the inertia left over the usual one, and its gradient (k,)."""
         own = self._own
-        if not np.isfinite(x).all():
-            return np.inf, np.zeros(len(x))
         H = self._matrix(x)
         rest = H[own:, own:]
         size = np.sqrt(np.maximum(np.diag(rest), 1e-300))
         scaled = rest / np.outer(size, size)
+        if not np.isfinite(scaled).all():  # a step beyond all numbers is one too far
+            return np.inf, np.zeros(len(x))
         # Joints behind it may have lost their own inertia here.
         follow = -np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) @ (
             H[own:, :own] / size[:, None]
