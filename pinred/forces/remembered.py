@@ -35,7 +35,7 @@ def remembered_model(
     start only, or in numbers of the robot that may vary.
     Raises InputError for anything else, or for joints that are not there.
     """
-    own, freed, links = system, NOTHING, ()
+    own, freed, links = system, NOTHING, tuple[int, ...]()
     if varied is not None:
         own, links = nominal(system), varied.links
         freed = freed_of(own, varied.free, varied.placed, varied.turned, generic=True)
