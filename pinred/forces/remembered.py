@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
+from typing import Any
 
 from ..common.errors import InputError
 from ..common.memo import once
-from ..common.parameter import Parameter
+from ..common.parameter import Parameter, parameters_in, values_of
 from ..common.plain_names import brief
 from ..reduction.potential import spring_pair
 from ..reduction.tree.free_bodies import NOTHING, freed_of
@@ -40,8 +41,9 @@ def remembered_model(
         own, links = nominal(system), varied.links
         freed = freed_of(own, varied.free, varied.placed, varied.turned, generic=True)
     # What is equal acts the same; what cannot be compared by value is kept, and so is itself.
+    sprung = [_spring(name, pair) for name, pair in springs.items()]
     key = (
-        repr(dict(springs)),
+        tuple(sprung),
         *(
             force if isinstance(force, (Spring, Damper, Friction)) else id(force)
             for force in forces
@@ -52,7 +54,7 @@ def remembered_model(
     )
     models: dict[Hashable, tuple[ForceModel, object]] = once(own, remembered_model, dict)
     if key not in models:
-        model = ForceModel(own, _every(springs, forces, prescribed), prescribed, freed, links)
+        model = ForceModel(own, _every(sprung, forces, prescribed), prescribed, freed, links)
         while len(models) >= _REMEMBERED:
             models.pop(next(iter(models)), None)
         models[key] = (model, (tuple(forces), dict(prescribed)))
@@ -67,15 +69,20 @@ def _same(signal: Signal) -> Hashable:
     return signal if simple else id(signal)
 
 
+def _spring(name: str, pair: Any) -> Spring:
+    """Return the spring of (stiffness, rest), either of which may be a Parameter."""
+    numbers = values_of(list(pair) if isinstance(pair, (list, tuple)) else pair)
+    stiffness, rest = spring_pair(name, numbers).tolist()
+    for k, parameter in parameters_in(pair):
+        stiffness, rest = (parameter, rest) if k == 0 else (stiffness, parameter)
+    return Spring(name, stiffness, rest)
+
+
 def _every(
-    springs: Mapping[str, tuple[float, float]],
-    forces: Sequence[Force],
-    prescribed: Mapping[str, Signal],
+    springs: Sequence[Force], forces: Sequence[Force], prescribed: Mapping[str, Signal]
 ) -> list[Force]:
     """Return all forces.  Raises InputError for what is none, or no Signal."""
-    every: list[Force] = [
-        Spring(name, *spring_pair(name, pair).tolist()) for name, pair in springs.items()
-    ]
+    every = list(springs)
     for force in forces:
         if not isinstance(force, Force):
             raise InputError(f"forces must be those of pinred.forces, got {brief(force)}")

@@ -12,7 +12,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.verification import compare as judge
 from pinred.verification.defect import Defects
-from pinred.verification.distances import FullMotion
+from pinred.verification.distances import FullMotion, Size
 from pinred.verification.full_state import FullState
 from pinred.verification.report import Verdict
 
@@ -87,9 +87,14 @@ def with_defects(
     inside: float,
     growth: float | Array,
     traj: pinred.Trajectory | None = None,
+    own: float = 1.0,
 ) -> pinred.Report:
-    """The comparison, of a motion whose defects and growth were those."""
-    made = Defects(np.full(9, steps), np.full(9, inside), np.ones(9, dtype=bool))
+    """The comparison, of a motion whose defects and growth were those.
+
+    own: how much more the defects are in parts of the motion's own rates.
+    """
+    both = np.full(9, steps), np.full(9, inside)
+    made = Defects(*both, np.ones(9, dtype=bool), *(own * part for part in both))
     monkeypatch.setattr(judge, "defects", lambda *_: made)
     monkeypatch.setattr(
         FullState, "growth", lambda _full, _y0, _motion, times, *_: growth + np.zeros(len(times))
@@ -134,13 +139,22 @@ def test_nothing_is_judged_after_what_can_be_told(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize(("steps", "most"), [(1e-9, 1e-9), (1e-4, 3.0 * TOLERANCE)])
 @pytest.mark.parametrize(("inside", "least"), [(1e-8, 1e-8), (1e-2, 50.0 * TOLERANCE)])
+@pytest.mark.parametrize("own", [1.0, 30.0])
 def test_ends_are_bounded_by_defects(
-    monkeypatch: pytest.MonkeyPatch, steps: float, most: float, inside: float, least: float
+    monkeypatch: pytest.MonkeyPatch,
+    steps: float,
+    most: float,
+    inside: float,
+    least: float,
+    own: float,
 ) -> None:
-    """Ten times their sum times the growth; defects that fail excuse nothing."""
-    report = with_defects(monkeypatch, steps, inside, 7.0)
+    """Ten times their sum times the growth; defects that fail excuse nothing.
+
+    Growth is that of parts of the motion's own rates.
+    """
+    report = with_defects(monkeypatch, steps, inside, 7.0, own=own)
     count = np.searchsorted(cat().motion.knots, report.t)
-    local = count * most + np.where(count > 0, least, 0.0)
+    local = own * (count * most + np.where(count > 0, least, 0.0))
     assert report.rotation_bounds == pytest.approx(
         10.0 * (7.0 * local + 1e-13), rel=0.02, abs=2e-11
     )
@@ -166,3 +180,52 @@ def test_a_bound_above_a_tenth_tells_nothing(
     growth = allowed / (10.0 * 50.0 * TOLERANCE)
     report = with_defects(monkeypatch, 0.0, 1.0, growth)
     assert report.verdict == verdict
+
+
+@pytest.mark.parametrize(("growth", "told", "why"), [
+    (2e5, 0, "a small change of the start has grown 2.0e+05 times by the end"),
+    (0.15 / (500.0 * TOLERANCE), 2, "errors up to 1.5e-01 would pass by the end"),
+])  # fmt: skip
+def test_why_nothing_is_told(
+    monkeypatch: pytest.MonkeyPatch, growth: float, told: int, why: str
+) -> None:
+    """Of chaos, of bounds that are too wide: which of the two it is."""
+    report = with_defects(monkeypatch, 0.0, 1.0, growth)
+    assert report.told <= told
+    assert why in report.reasons[0]
+
+
+def test_a_motion_without_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No defect is no error: what is left is round-off."""
+    none = Defects(*np.empty((2, 0)), np.empty(0, dtype=bool), *np.empty((2, 0)))
+    monkeypatch.setattr(judge, "defects", lambda *_: none)
+    report = pinred.compare(cat())
+    assert report.defect == 0.0
+    assert report.rotation_bounds[-1] < 1e-3 * TOLERANCE * report.growth[-1]
+
+
+def test_equations_are_judged_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 101 times over all of the motion."""
+    seen: list[Array] = []
+    whole = judge.equation_errors
+
+    def watched(traj: pinred.Trajectory, full: FullState, times: Array) -> Array:
+        seen.append(times)
+        return whole(traj, full, times)
+
+    monkeypatch.setattr(judge, "equation_errors", watched)
+    parts: list[float] = []
+    pinred.compare(cat(), progress=parts.append)
+    assert seen[0].tolist() == np.linspace(0.0, 1.0, 101).tolist()
+    assert parts == [0.1, 0.3, 0.5, 0.8, 0.9, 1.0]
+
+
+@pytest.mark.parametrize(("part", "rests"), [(0.3, True), (3.0, False)])
+@pytest.mark.parametrize("kind", ["place", "far place", "joint", "slide"])
+def test_what_counts_as_rest(kind: str, part: float, rests: bool) -> None:
+    """1e-12 of a metre or of how far it goes, of a radian, of the unit of what slides."""
+    x, q = np.zeros((2, 2)), np.zeros((2, 9))
+    x[1] = part * 1e-12 * np.array([kind == "joint", 7.0 * (kind == "slide")])
+    q[1, 0] = part * 1e-12 * {"place": 1.0, "far place": 50.0}.get(kind, 0.0)
+    size = Size(np.array([1.0, 7.0]), position=50.0 if kind == "far place" else 0.2, away=0.0)
+    assert bool(judge._at_rest(FullMotion(x=x, q=q), size)) is rests

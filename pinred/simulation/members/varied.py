@@ -12,7 +12,6 @@ import numpy as np
 
 from ...common.arrays import Array, as_floats, dimensions, vectors
 from ...common.errors import InputError, ShapeError, SymmetryError
-from ...common.names import nearest
 from ...common.plain_names import brief, listed
 from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
@@ -22,7 +21,7 @@ from ...scene.initial_state import GivenStates
 from ...scene.random_state import random_state
 from ...scene.scene import Scene
 from ...system.in_gravity import in_gravity
-from ...system.model_parameters import GRAVITY, requested, size_of
+from ...system.model_parameters import GRAVITY, kinds_near, requested, size_of
 from ...system.other_inertias import nominal
 from ...system.system import System
 from ..own_numbers import OwnNumbers
@@ -164,10 +163,10 @@ class Varied:
         known = [] if model is None else [each.name for each in model.parameters]
         for name in self.parameters:
             if name not in (*known, *self.robot):
-                hint = nearest(name, [*STATES, "gravity", *known])
                 raise InputError(
-                    f"members: nothing called {brief(name)} varies in these scenes; {hint}"
-                    f"what may is {_WHAT}: {listed(known, 60) or 'none'}"
+                    f"members: nothing called {brief(name)} varies in these scenes; "
+                    f"{kinds_near(self.system, name, [*STATES, *known])}; of the scenes {_WHAT}: "
+                    f"{listed(known, 60) or 'none'}"
                 )
         first = self.scene(0)  # checks all that is common
         varying = [name for name in self.robot if name in self.parameters]
