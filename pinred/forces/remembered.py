@@ -36,10 +36,9 @@ def remembered_model(
     start only, or in numbers of the robot that may vary.
     Raises InputError for anything else, or for joints that are not there.
     """
-    own = nominal(system)
-    links = () if varied is None else varied.links
-    freed = NOTHING
+    own, freed, links = system, NOTHING, tuple[int, ...]()
     if varied is not None:
+        own, links = nominal(system), varied.links
         freed = freed_of(own, varied.free, varied.placed, varied.turned, generic=True)
     # What is equal acts the same; what cannot be compared by value is kept, and so is itself.
     sprung = [_spring(name, pair) for name, pair in springs.items()]
