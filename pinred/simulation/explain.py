@@ -53,18 +53,18 @@ def varying(plan: Plan, *, generic: bool = False) -> list[str]:
     lines = []
     if freed.inertias:
         bodies = ", ".join(names[i + 1] for i in freed.inertias)
-        lines.append(f"inputs: inertias of what moves with {bodies} (up to 1.15 × an evaluation)")
+        lines.append(f"inputs: inertias of what moves with {bodies} (up to 1.2 × an evaluation)")
     few = [names[i + 1] for i, pattern in freed.steps if "x" * 4 not in pattern]
     any_turn = [names[i + 1] for i, pattern in freed.steps if "x" * 4 in pattern]
     if few:
         lines.append(
             f"inputs: placements of {', '.join(few)}, within their pattern of zeros and quarter "
-            "turns (up to 1.15 × an evaluation)"
+            "turns (up to 1.2 × an evaluation)"
         )
     if any_turn:
         lines.append(
             f"inputs: placements of {', '.join(any_turn)}, of any kind (of all joints, two "
-            "to four evaluations)"
+            "to five evaluations)"
         )
     if freed.links:
         links = ", ".join(str(plan.system.model.frames[k].name) for k in freed.links)
