@@ -117,7 +117,7 @@ class Columns:
 
         Of covectors (N, size) they are (N, its size).
         """
-        run = self.flow._run(self._named(columns))
+        run = self.flow._run(self._named(columns), stages=True)
         given = as_floats(covector, "the covector")
         covectors = vectors(np.atleast_2d(given), self.size, "the covector")
         frames = self._frames(run)

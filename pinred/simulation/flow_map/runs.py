@@ -10,7 +10,7 @@ from ...common.arrays import Array, read_only
 from ...common.errors import InputError, IntegrationError
 from ...integrators.derivatives import Slopes, refuse_without_derivatives, run_along, run_back
 from ...integrators.integrate import Solution, integrate_checked
-from ...integrators.methods import Explicit
+from ...integrators.methods import AdaptiveGauss, Explicit
 from ...kernels.begin_and_end import Outcome, begin_of, outcome_of, rate_of, sizes_of
 from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate
@@ -24,6 +24,7 @@ from ..plan import Plan
 from ..state import ShapeState, State
 from .inputs import Given, motion_of
 from .later import made_later
+from .outcomes_back import OutcomesBack
 from .prepared import Prepared, Ran
 
 OVERFLOWS = "the initial momentum or twist overflows: rates or momentum too large"
@@ -85,6 +86,8 @@ class Course:
         )
         layout, k = kernel.layout, plan.system.group.linear
         self._clock, self._wanted = layout.clock, layout.wanted
+        self._numbers, self._path = max(layout.size, 1), layout.line_at
+        self._backs: dict[tuple[Outcome, ...], OutcomesBack] = {}
         self._sizes = [layout.size, layout.gravity_at, 2 * k]
         self._falls = k
         asked, begins = plan.scene.report_times, np.append(0.0, plan.stops[:-1])
@@ -95,14 +98,17 @@ class Course:
             self._stretches.append((float(begin), float(stop), read_only(asked[inside] - begin)))
         self._begun, self._begin_at = sum(self._sizes), self._begin.value.address
         self._ready = None
-        if isinstance(self.method, Explicit) and len(self._stretches) == 1:
+        if isinstance(self.method, (Explicit, AdaptiveGauss)) and len(self._stretches) == 1:
             (_, stop, times), n = self._stretches[0], max(layout.size, 1)
             self._ready = Prepared(
                 self.method, self._address, n, stop, times, layout.quaternion, layout.canonical
             )
 
-    def run(self, given: Given) -> Run:
-        """Return the run that begins as given.  Raises IntegrationError."""
+    def run(self, given: Given, *, stages: bool = False) -> Run:
+        """Return the run that begins as given.  Raises IntegrationError.
+
+        stages: whether those of its steps are to be kept, where that can be, for the way back.
+        """
         constants, fall = self._apart(given.constants)
         out = np.empty(self._begun)
         known = self._with_line(constants, None)
@@ -115,7 +121,7 @@ class Course:
         if self._ready is not None:
             ((begin, stop, times),) = self._stretches
             here = self._within(parameters, begin, stop)
-            if (ran := self._ready(here, y)) is not None:
+            if (ran := self._ready(here, y, stages=stages)) is not None:
                 return Run(given, [Stretch(begin, times, here, ran)], line)
         return self._run_all(given, y, parameters, line)
 
@@ -211,38 +217,43 @@ class Course:
         return np.array(out)
 
     def back(self, run: Run, rows: tuple[Outcome, ...], covectors: Array) -> tuple[Array, Array]:
-        """Return the slopes of Σ covectors · rows by the state and constants a run began with."""
+        """Return the slopes of Σ covectors · rows by the state and constants a run began with.
+
+        covectors: (T, rows).
+        """
         kernel, layout = self.kernel, self.kernel.layout
-        outcome, p = outcome_of(kernel, rows), self.kernel.layout.parameters
-        by_parameters, by_line = np.zeros(p), np.zeros(len(run.line))
-        covector, k = np.zeros(max(layout.size, 1)), len(covectors)
+        back = self._backs.get(rows)
+        if back is None:
+            back = self._backs[rows] = OutcomesBack(kernel, rows)
+        p, head, at = layout.parameters, self._sizes[1], self._path
+        by_rest = np.zeros(p + len(run.line))
+        covector, k = np.zeros(self._numbers), len(covectors)
         for part in reversed(run.stretches):
-            at_times = np.zeros((len(part.times), len(covector)))
-            ends = self._ends(run, part)
-            k -= len(ends)
-            for j, at in enumerate(ends):
-                by_state, by_rest = outcome.reverse(*at, covectors[k + j])
-                at_times[j, : layout.size] = by_state[: layout.size]
-                by_parameters += by_rest[:p]
-                by_line += by_rest[p:]
+            k -= len(part.times)
+            at_times = np.zeros((len(part.times), self._numbers))
+            if len(part.times):
+                constants = np.concatenate([part.parameters, run.line])
+                some = covectors[k : k + len(part.times)]
+                back(part.begin, part.times, part.ran.y, constants, some, at_times, by_rest)
             done = run_back(
                 self.method, self._address, self._slopes, part.parameters, part.ran, part.times,
                 layout.quaternion, covector, at_times,
             )  # fmt: skip
             covector = done.by_state
-            by_parameters += done.by_parameters
-        head, path = self._sizes[1], np.arange(layout.line_at, layout.line_at + layout.line)
+            by_rest[:p] += done.by_parameters
+        by_line = by_rest[p:]
         if layout.line:
-            by_line += by_parameters[path]
+            by_line += by_rest[at : at + layout.line]
         ends_of_begin = np.concatenate(
-            [covector[: layout.size], by_parameters[:head], by_line[: self._sizes[2]]]
+            [covector[: layout.size], by_rest[:head], by_line[: self._sizes[2]]]
         )
-        own = self._known(run.given)
-        state, constants = self._begin.reverse(run.given.state, own, ends_of_begin)
-        by_constants = constants + by_parameters[head:]
+        state, constants = self._begin.reverse(
+            run.given.state, self._known(run.given), ends_of_begin
+        )
+        constants += by_rest[head:p]
         if layout.line:
-            by_constants = np.delete(by_constants, path - head)
-        return state, np.concatenate([by_constants, by_line[self._sizes[2] :]])
+            constants = np.delete(constants, np.s_[at - head : at - head + layout.line])
+        return state, np.concatenate([constants, by_line[self._sizes[2] :]])
 
     def _known(self, given: Given) -> Array:
         """Return the kernel's constants, of which the begin reads no path of the centre of mass."""
