@@ -9,14 +9,14 @@ parameterization of rigid-body inertia, IEEE Robotics and Automation Letters 7 (
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array, as_floats, vector
+from ..common.arrays import Array, as_floats, read_only, vector
 from ..common.errors import InputError
 from ..common.names import nearest
 from ..common.plain_names import listed, quoted
@@ -85,6 +85,11 @@ class Bodies:
         found = [body_parameter(system, name) for name in names]
         self.parameters = tuple(each for each in found if each is not None)
         self.free = tuple(sorted({each.body for each in self.parameters}))
+        self._body_of = {each.name: each.body for each in self.parameters}
+        self._mine: dict[int, dict[str, str]] = {body: {} for body in self.free}
+        for each in self.parameters:
+            self._mine[each.body][each.kind] = each.name
+        self._last: dict[int, tuple[list[Array], tuple[Array, dict[str, Array]]]] = {}
         seen: dict[tuple[int, str], str] = {}
         for each in self.parameters:
             if other := seen.get((each.body, each.kind)):
@@ -103,25 +108,41 @@ class Bodies:
         """Return the values that the system has, {name: (size,)}."""
         return {each.name: _own(self._body(each.body), each.kind) for each in self.parameters}
 
-    def checked(self, values: Mapping[str, Any]) -> dict[str, Array]:
-        """Return values as arrays.  Raises InputError for those that no real body has."""
+    def checked(self, given: Mapping[str, Any], known: Mapping[str, Array]) -> dict[str, Array]:
+        """Return what is given as arrays of its own.  Raises InputError for what no real body has.
+
+        known: values of the others, checked before.
+        """
+        mine = [each for each in self.parameters if each.name in given]
         out = {}
-        for each in self.parameters:
-            what = f"parameters['{each.name}']"
-            out[each.name] = vector(
-                np.atleast_1d(as_floats(values[each.name], what)), each.size, what
-            )
-        for body in self.free:
-            self.dynamic(body, out)
+        for each in mine:
+            out[each.name] = read_only(numbers(given[each.name], each.name, each.size))
+        whole = {**known, **out}
+        for body in self.changed_by(given):
+            self.dynamic(body, whole)
         return out
+
+    def changed_by(self, names: Iterable[str]) -> list[int]:
+        """Return the bodies that some parameters change, sorted."""
+        return sorted({self._body_of[name] for name in names if name in self._body_of})
 
     def dynamic(self, body: int, values: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
         """Return (10,) mass, first and second moments of a body, and their slopes by each value.
 
         About the joint's origin: m, m c, then xx, xy, xz, yy, yz, zz.  slopes: {name: (10, size)}.
+        values: read-only arrays; for the same objects the same is returned.
         Raises InputError, naming the parameter, for what is not physical.
         """
-        mine = {each.kind: each.name for each in self.parameters if each.body == body}
+        mine = [values[name] for name in self._mine[body].values()]
+        last = self._last.get(body)
+        if last is None or any(a is not b for a, b in zip(last[0], mine, strict=True)):
+            last = mine, self._dynamic(body, values)
+            if not any(value.flags.writeable for value in mine):
+                self._last[body] = last
+        return last[1]
+
+    def _dynamic(self, body: int, values: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
+        mine = self._mine[body]
         slopes: dict[str, Array] = {}
         if "log_cholesky" in mine:
             name = mine["log_cholesky"]
@@ -194,6 +215,12 @@ class Bodies:
         return self._system.model.inertias[body + 1]
 
 
+def numbers(value: Any, name: str, size: int) -> Array:
+    """Return the value of a parameter as an array (size,) of its own.  Raises ShapeError."""
+    what = f"parameters['{name}']"
+    return np.array(vector(np.atleast_1d(as_floats(value, what)), size, what))
+
+
 def inertia_of(moments: Array) -> pin.Inertia:
     """Return the inertia that has (10,) moments about the joint's origin."""
     theirs = np.concatenate([moments[:4], moments[4:][list(_THEIRS)]])
@@ -245,13 +272,15 @@ def _log_cholesky(J: Array) -> Array:
 
 def _of_point(m: float, c: Array) -> tuple[Array, Array, Array]:
     """Return the moments (10,) of a point of mass m at c, and their slopes (10,) and (10, 3)."""
-    unit, second = np.eye(3), c @ c * np.eye(3) - np.outer(c, c)
-    by_mass = np.concatenate([[1.0], c, [second[i, j] for i, j in _PAIRS]])
-    by_centre = np.zeros((10, 3))
-    by_centre[1:4] = m * unit
-    for k in range(3):
-        slope = 2.0 * c[k] * unit - np.outer(unit[k], c) - np.outer(c, unit[k])
-        by_centre[4:, k] = [m * slope[i, j] for i, j in _PAIRS]
+    x, y, z = c.tolist()
+    by_mass = np.array(
+        [1.0, x, y, z, y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]
+    )
+    by_centre = m * np.array([
+        [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0],
+        [0.0, 2.0 * y, 2.0 * z], [-y, -x, 0.0], [-z, 0.0, -x],
+        [2.0 * x, 0.0, 2.0 * z], [0.0, -z, -y], [2.0 * x, 2.0 * y, 0.0],
+    ])  # fmt: skip
     return m * by_mass, by_mass, by_centre
 
 
