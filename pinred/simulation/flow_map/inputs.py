@@ -176,8 +176,8 @@ class Inputs:
 
     def _put_pose(self, state: Array, at: Given) -> None:
         group, place = self._scene.system.group, self._place["pose0"]
-        rates = [group.rate(at.state[place], each) for each in np.eye(group.dim)]
-        state[place, self._spans["pose0"]] = np.transpose(rates)
+        poses = np.broadcast_to(at.state[place], (group.dim, group.size))
+        state[place, self._spans["pose0"]] = group.rate(poses, np.eye(group.dim)).T
 
     def _put_slopes(
         self, constants: Array, now: Mapping[str, Array], changed: Collection[str]

@@ -7,19 +7,19 @@ import numpy as np
 from ...common.arrays import Array
 from ...integrators.stepping.compiling import compiled
 from ...integrators.stepping.kernel_call import call, call_adjoint
-from ...kernels.begin_and_end import Outcome, outcome_of
+from ...kernels.begin_and_end import Row, outcome_of
 from ...kernels.kernel import Kernel
 
 
 class OutcomesBack:
     """The adjoint of a kernel's outcome at all times of a stretch, in one call."""
 
-    def __init__(self, kernel: Kernel, rows: tuple[Outcome, ...]) -> None:
+    def __init__(self, kernel: Kernel, rows: tuple[Row, ...]) -> None:
         """Take the rows of which covectors are given."""
         layout, where = kernel.layout, kernel.where
         self._outputs, self._outcome = kernel.outputs, outcome_of(kernel, rows)
         self._size, self._room = layout.size, where.size
-        self._pose = where.pose.start if layout.wanted else -1
+        self._pose = where.pose.start if "pose" in rows else -1
         self._whole = layout.size + 1 + kernel.system.group.size
 
     def __call__(
@@ -62,7 +62,7 @@ def _from_outcomes(
     out: Array,
     slopes: Array,
 ) -> None:
-    """Do as OutcomesBack.  pose: where it stands in the outputs, −1 if they have none.
+    """Do as OutcomesBack.  pose: where it stands in the outputs, −1 if nobody asks for it.
 
     whole: (y, t, pose), of which the outputs read no more than t.
     """

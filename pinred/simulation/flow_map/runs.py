@@ -11,7 +11,7 @@ from ...common.errors import InputError, IntegrationError
 from ...integrators.derivatives import Slopes, refuse_without_derivatives, run_along, run_back
 from ...integrators.integrate import Solution, integrate_checked
 from ...integrators.methods import AdaptiveGauss, Explicit
-from ...kernels.begin_and_end import Outcome, begin_of, outcome_of, rate_of, sizes_of
+from ...kernels.begin_and_end import Row, begin_of, outcome_of, rate_of, sizes_of
 from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate
 from ...kernels.start_kernel import TwistOrMomentum
@@ -87,7 +87,7 @@ class Course:
         layout, k = kernel.layout, plan.system.group.linear
         self._clock, self._wanted = layout.clock, layout.wanted
         self._numbers, self._path = max(layout.size, 1), layout.line_at
-        self._backs: dict[tuple[Outcome, ...], OutcomesBack] = {}
+        self._backs: dict[tuple[Row, ...], OutcomesBack] = {}
         self._sizes = [layout.size, layout.gravity_at, 2 * k]
         self._falls = k
         asked, begins = plan.scene.report_times, np.append(0.0, plan.stops[:-1])
@@ -191,7 +191,7 @@ class Course:
             parts.append(evaluate(kernel.outputs.address, constants, rows, kernel.where.size))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    def along(self, run: Run, rows: tuple[Outcome, ...], state: Array, constants: Array) -> Array:
+    def along(self, run: Run, rows: tuple[Row, ...], state: Array, constants: Array) -> Array:
         """Return the derivatives (T, rows, N) along directions of what the run began with."""
         kernel = self.kernel
         constants, fall = self._apart(constants)
@@ -216,7 +216,7 @@ class Course:
                 out.append(outcome.forward(*at, a, np.vstack([parameters, line]), count))
         return np.array(out)
 
-    def back(self, run: Run, rows: tuple[Outcome, ...], covectors: Array) -> tuple[Array, Array]:
+    def back(self, run: Run, rows: tuple[Row, ...], covectors: Array) -> tuple[Array, Array]:
         """Return the slopes of Σ covectors · rows by the state and constants a run began with.
 
         covectors: (T, rows).
@@ -279,7 +279,7 @@ class Course:
         given: Given,
         h: float,
         t: float,
-        rows: tuple[Outcome, ...],
+        rows: tuple[Row, ...],
         columns: tuple[Array, Array] | None,
     ) -> tuple[State | ShapeState, Array]:
         """Return the states (1, …) after one step from time t, and slopes (rows, N).
@@ -361,7 +361,7 @@ class Course:
             whole[:, size + 1 :] = out[:, where.pose]
         return [(row, constants) for row in whole]
 
-    def _count(self, rows: tuple[Outcome, ...]) -> int:
+    def _count(self, rows: tuple[Row, ...]) -> int:
         sizes = sizes_of(self.plan.system)
         return sum(sizes[row] for row in rows)
 
