@@ -180,7 +180,10 @@ def _explicit_along(
 ) -> Along:
     n, count, size = len(y0), along.shape[1], len(weights.A)
     batches = -(-count // SEEDS)
-    y, part, part_params = y0.copy(), _seeded(along, batches), _seeded(along_params, batches)
+    y = y0.copy()
+    part, part_params = (np.zeros((batches, len(a) * SEEDS)) for a in (along, along_params))
+    explicit.to_lanes(np.ascontiguousarray(along), part)
+    explicit.to_lanes(np.ascontiguousarray(along_params), part_params)
     out, out_along = np.empty((len(times), n)), np.empty((len(times), batches, n * SEEDS))
     Y, K = (np.empty((size, n)) for _ in range(2))
     explicit.forward(
@@ -188,19 +191,11 @@ def _explicit_along(
         quaternion, knots, times, y, part, part_params, out, out_along, Y, K,
         np.empty(n * SEEDS), np.empty((size, n * SEEDS)), np.empty(size),
     )  # fmt: skip
-    shape = (len(times), batches, n, SEEDS)
-    found = np.moveaxis(out_along.reshape(shape), 1, 2).reshape(len(times), n, batches * SEEDS)
-    end = np.moveaxis(part.reshape(shape[1:]), 0, 1).reshape(n, batches * SEEDS)
-    return Along(out, found[..., :count], y, end[:, :count])
-
-
-def _seeded(along: Array, batches: int) -> Array:
-    """Return directions (n, N) as batches of SEEDS lanes, (B, n SEEDS)."""
-    n, count = along.shape
-    whole = np.zeros((n, batches * SEEDS))
-    whole[:, :count] = along
-    parts = np.moveaxis(whole.reshape(n, batches, SEEDS), 1, 0)
-    return np.ascontiguousarray(parts).reshape(batches, n * SEEDS)
+    found, end = np.empty((len(times), n, count)), np.empty((n, count))
+    for k in range(len(times)):
+        explicit.from_lanes(out_along[k], found[k])
+    explicit.from_lanes(part, end)
+    return Along(out, found, y, end)
 
 
 def _stages_of(method: Method) -> tuple[int, int]:

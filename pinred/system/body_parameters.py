@@ -89,6 +89,7 @@ class Bodies:
         self._mine: dict[int, dict[str, str]] = {body: {} for body in self.free}
         for each in self.parameters:
             self._mine[each.body][each.kind] = each.name
+        self._owns: dict[tuple[int, str], Array] = {}
         self._last: dict[int, tuple[list[Array], tuple[Array, dict[str, Array]]]] = {}
         seen: dict[tuple[int, str], str] = {}
         for each in self.parameters:
@@ -152,9 +153,8 @@ class Bodies:
             total = np.asarray(theirs.toDynamicParameters())[order]
             _refuse_unphysical(total, name)
             return total, slopes
-        own = self._body(body)
         m, c, about = (
-            values[mine[kind]] if kind in mine else _own(own, kind)
+            values[mine[kind]] if kind in mine else self._own_of(body, kind)
             for kind in ("mass", "com", "inertia")
         )
         total, by_mass, by_centre = _of_point(float(m[0]), c)
@@ -211,12 +211,22 @@ class Bodies:
             out[each.name] = value
         return out
 
+    def _own_of(self, body: int, kind: str) -> Array:
+        """Return the value of a kind that a body of the system has, found once."""
+        if (body, kind) not in self._owns:
+            self._owns[body, kind] = read_only(_own(self._body(body), kind))
+        return self._owns[body, kind]
+
     def _body(self, body: int) -> pin.Inertia:
         return self._system.model.inertias[body + 1]
 
 
 def numbers(value: Any, name: str, size: int) -> Array:
     """Return the value of a parameter as an array (size,) of its own.  Raises ShapeError."""
+    if type(value) is np.ndarray and value.shape == (size,) and value.dtype == float:
+        own: Array = value.copy()
+        if np.isfinite(own).all():
+            return own
     what = f"parameters['{name}']"
     return np.array(vector(np.atleast_1d(as_floats(value, what)), size, what))
 

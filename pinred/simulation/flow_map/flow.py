@@ -153,7 +153,7 @@ class Flow:
     def one_step(
         self, inputs: Mapping[str, Any], h: float, t: float, *, derivatives: bool
     ) -> tuple[State | ShapeState, Array]:
-        """Return the states (1, …) after one step from time t [s], and slopes (rows, N)."""
+        """Return the state after one step from time t [s], and slopes (rows, N)."""
         given = self._inputs.given(inputs)
         columns = self._inputs.basis(given) if derivatives else None
         return self._course.one_step(given, h, t, self._rows, columns)

@@ -282,7 +282,7 @@ class Course:
         rows: tuple[Row, ...],
         columns: tuple[Array, Array] | None,
     ) -> tuple[State | ShapeState, Array]:
-        """Return the states (1, …) after one step from time t, and slopes (rows, N).
+        """Return the state after one step from time t, and slopes (rows, N).
 
         columns: (…, N) directions of state and constants, if slopes are wanted.
         Raises InputError where the step goes over a break, and IntegrationError.
@@ -290,9 +290,9 @@ class Course:
         kernel, layout, plan = self.kernel, self.kernel.layout, self.plan
         self._check_step(t, h)
         own, fall = self._apart(given.constants)
-        state, constants = (np.zeros((len(each), 0)) for each in (given.state, given.constants))
-        if columns is not None:
-            state, constants = columns
+        state, constants = columns or (
+            np.zeros((len(each), 0)) for each in (given.state, given.constants)
+        )
         constants, fall_along = self._apart(constants)
         known, known_along = self._with_line(own, None), self._with_line(constants, None)
         out = self._begin.at(given.state, known, sum(self._sizes))
@@ -319,16 +319,19 @@ class Course:
             raise IntegrationError(
                 f"a step of {h:g} s of '{plan.system.name}' is not finite: take shorter ones"
             )
-        flow = CompiledFlow.made(kernel, y, parameters, line)
-        end = flow.states(np.array([t + h]), done.y, flow.numbers)
-        if columns is None or not isinstance(end, State):
+        at = np.zeros(layout.size + 1 + plan.system.group.size)
+        at[: layout.size], at[layout.size] = done.y[0, : layout.size], t + h
+        rest = np.concatenate([parameters, line])
+        out = np.empty(kernel.where.size)
+        call_value(kernel.outputs.address, at[: layout.size + 1 - layout.clock], rest, out)
+        end = made_later(plan.system, kernel.where, t + h, lambda: out, wanted=self._wanted)
+        if columns is None:
             return end, np.zeros((0, 0))
-        a = np.zeros((layout.size + 1 + plan.system.group.size, state.shape[1]))
+        at[layout.size + 1 :] = out[kernel.where.pose]
+        a = np.zeros((len(at), state.shape[1]))
         a[: layout.size] = done.slopes[0][: layout.size]
-        at = np.concatenate([done.y[0, : layout.size], [t + h], end.pose[0]])
-        rest, along_rest = np.concatenate([parameters, line]), np.vstack([directions, lines])
-        outcome = outcome_of(kernel, rows)
-        return end, outcome.forward(at, rest, a, along_rest, self._count(rows))
+        along_rest = np.vstack([directions, lines])
+        return end, outcome_of(kernel, rows).forward(at, rest, a, along_rest, self._count(rows))
 
     def _check_step(self, t: float, h: float) -> None:
         plan = self.plan
