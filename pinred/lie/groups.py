@@ -41,11 +41,8 @@ def _groups() -> dict[str, Group]:
     """Return the groups that the files beside this one define, by name, small ones first."""
     found: list[Group] = []
     for module in iter_modules([str(Path(__file__).parent)]):
-        home = f"{__package__}.{module.name}"
-        if home != __name__:
-            found += [
-                each for each in vars(import_module(home)).values() if isinstance(each, Group)
-            ]
+        known = vars(import_module(f"{__package__}.{module.name}"))
+        found += [each for each in known.values() if isinstance(each, Group)]
     return {group.name: group for group in sorted(found, key=lambda each: (each.dim, each.name))}
 
 

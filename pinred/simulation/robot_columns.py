@@ -8,13 +8,20 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import InputError, SymmetryError
 from ..kernels.layout import Layout
 from ..reduction.potential import acting_gravity, falling
 from ..reduction.tree.body_frames import Body, bodies_of, step_at
-from ..reduction.tree.free_bodies import frame_map, step_of_body, step_slopes
+from ..reduction.tree.free_bodies import (
+    frame_map,
+    link_numbers,
+    link_slopes,
+    step_of_body,
+    step_slopes,
+)
 from ..scene.scene import Scene
 from ..system.in_gravity import in_gravity
 from ..system.model_parameters import ModelParameters
@@ -96,6 +103,23 @@ class RobotColumns:
                 step_of_body(moved),
                 partial(_step_slopes, parent, moved, twists),
             )
+        for k, body, link, twists in self._links(now):
+            place = freed.of_link(k)
+            yield (
+                slice(first + place.start, first + place.stop),
+                link_numbers(body, link),
+                partial(_link_slopes, body, link, twists),
+            )
+
+    def _links(
+        self, now: Mapping[str, Array]
+    ) -> Iterator[tuple[int, Body, pin.SE3, dict[str, Array]]]:
+        """Yield frame, body, place and twists by name of each link that a force acts on."""
+        links = self._layout.freed.links
+        for k, (place, twists) in self._varied.places(now).items() if links else ():
+            if k in links:
+                joint = self._system.model.frames[k].parentJoint
+                yield k, self._bodies[joint - 1], place, twists
 
     def _in_gravity(self, g: Array) -> tuple[Array, Array]:
         """Return what of a gravity acts along the kernel's axes, and how the system falls.
@@ -163,21 +187,6 @@ def with_own(scene: Scene, names: Sequence[Any]) -> Scene:
     return replace(scene, parameters=values)
 
 
-def relies_on_robot(scene: Scene) -> str:
-    """Return which force relies on numbers of the robot that vary, and on which; "" if none."""
-    varied, given = scene.varied, scene.forces
-    if varied is None:
-        return ""
-    forces = tuple(given) if isinstance(given, (list, tuple)) else (given,)
-    for force in forces:
-        if getattr(force, "last", False):
-            what = "inertias" if varied.inertial else "gravity"
-            return f"{force.label} relies on the robot's {what}"
-        if varied.placed and getattr(force, "link", None) is not None:
-            return f"{force.label} acts on a link, whose place relies on placements"
-    return ""
-
-
 def _turned(turn: Array, slopes: Slopes) -> Slopes:
     return {name: turn @ slope for name, slope in slopes.items()}
 
@@ -191,3 +200,7 @@ def _step_slopes(parent: Body, body: Body, twists: Slopes) -> Slopes:
         )
     by_twist = step_slopes(parent, body)
     return {name: by_twist @ twist for name, twist in twists.items()}
+
+
+def _link_slopes(body: Body, place: pin.SE3, twists: Slopes) -> Slopes:
+    return {name: link_slopes(body, place, twist) for name, twist in twists.items()}

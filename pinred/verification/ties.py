@@ -80,7 +80,7 @@ class Ties:
         v: Array,
         tau: Array,
         driven: Sequence[int] = (),
-        given: Array | None = None,
+        given: Array | Sequence[float] = (),
         axes: pin.Convention = pin.Convention.LOCAL,
     ) -> Array:
         """Return the acceleration (nv,) of the tied system under generalised forces (nv,).
@@ -88,7 +88,7 @@ class Ties:
         driven: the joints, among all M, whose accelerations are `given`.  axes: those in which
         ABA is computed, which tells what round-off leaves of it.
         """
-        if given is not None and len(driven):
+        if len(driven):
             own = np.eye(len(v))[[len(v) - self._count + k for k in driven]]
             rows = np.vstack([self.J, own])
             return self._solved(q, v, tau, rows, np.append(np.zeros(len(self.J)), given))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -137,6 +139,31 @@ def test_an_artefact_is_no_fold(monkeypatch: pytest.MonkeyPatch) -> None:
             kind = found_by.classified(curve, fold.at)
             assert kind is not None
             assert (kind.kind == "fold") == (factor > 1.0)
+
+
+@pytest.mark.parametrize(
+    ("third", "kind"), [(0.0, "pitchfork"), (3e-5, "pitchfork"), (3e-4, "crossing")]
+)
+def test_what_a_third_derivative_counts_for(third: float, kind: str) -> None:
+    """U = ⅙ c z³ of size 1: below 1e-4 it is even, so that what crosses is a pitchfork."""
+
+    def energy(points: Points, _: float) -> SimpleNamespace:
+        z = points.x[0, 0]
+        return SimpleNamespace(hessian=np.array([[[third * z]]]), scale=np.ones(1))
+
+    bent: Any = SimpleNamespace(
+        unit=1.0,
+        energy=energy,
+        null_vector=lambda _: np.ones(1),
+        slope_by_momentum=lambda _: np.zeros(1),
+        ambient=lambda _, v: np.append(v, 0.0),
+        local=lambda _, along: along,
+    )
+    flat = np.zeros(1)
+    at = CurvePoint(x=flat, n=np.zeros(0), J=1.0, tangent=flat, values=flat, residual=0.0)
+    found = found_by.classified(bent, at)
+    assert found is not None
+    assert found.kind == kind
 
 
 def test_rigid_bodies_have_straight_branches() -> None:

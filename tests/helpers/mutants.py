@@ -1,254 +1,167 @@
 """Mutants of modules, and the tests that kill them: `python tests/helpers/mutants.py MODULE …`.
 
-Each mutant is one small change of one module, in a copy of the package: comparisons turned round,
-constants ten times as large or small, + for −, * for /, `and` for `or`, a statement or a returned
-value left out, an expression set to zero, a condition denied.  The tests of the module run until
+Each mutant is one small change of one module (see mutations.py), in a copy of the package.  Of
+the tests of the module's room, those that run the changed line are run, the quickest first, until
 one fails (killed) or all pass (survived: the tests do not see it, or there is nothing to see).
-Options: --table FILE.csv, --sample N (so many of each module, at random by --seed),
---seconds of a mutant's tests, --tests (these instead of all of the module's).  Tests marked slow
-are left out.
+Where none runs the line, it is "not run", which is no better.  Options: --table FILE.csv, --sample
+N (so many of each module, at random by --seed), --seconds of a mutant's tests, --budget (seconds
+of tests without a mutant, of which the others are left out), --tests (these instead of the
+room's), --only LINE … (mutants of these lines), --keep FOLDER (works there, and keeps which test
+runs which line, and what is compiled, for the next time).  Tests marked slow are left out, unless
+--slow is given.
 
-Compiled kernels and integrators are kept in a cache of the run's own; where a mutant may be part
-of what was compiled, in one of its own.
+Tests run in forks of a session that has imported everything (mutant_session.py); where a mutant
+is of what runs at import, in one that imports the package anew.  Compiled kernels and integrators
+are kept in a cache of the run's own; where a mutant may be part of what was compiled, there is
+none.
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
-import copy
 import csv
 import importlib
 import os
+import pickle
 import shutil
 import signal
 import sys
 import tempfile
 import time
 import traceback
-from collections import Counter, defaultdict
-from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 from random import Random
+from typing import TextIO
 
 import numba
 import pytest
+from mutant_session import MutantSession
+from mutations import Mutant, mutants
 
 ROOT = Path(__file__).parents[2]
-# The tests that most likely kill a mutant, first those that mirror the module.
+# The tests that most likely kill a mutant.
 TESTS: dict[str, list[str]] = {
-    "verification/full_state": [
-        "verification/test_audit.py", "verification/test_compare.py",
-        "verification/test_bounds_of_compare.py", "verification/test_ties.py",
-    ],
-    "verification/defect": ["verification/test_defects.py"],
-    "verification/distances": ["verification/test_distances.py"],
-    "verification/equations": [
-        "verification/test_equations_of_motion.py", "verification/test_ties.py",
-    ],
-    "verification/ties": ["verification/test_ties.py", "verification/test_equations_of_motion.py"],
-    "verification/report": [
-        "verification/test_bounds_of_compare.py", "views/test_notebook_cards.py",
-    ],
     "verification": [
-        "verification/test_bounds_of_ends.py", "verification/test_bounds_of_compare.py",
         "verification/test_audit.py", "verification/test_compare.py",
+        "verification/test_bounds_of_compare.py", "verification/test_bounds_of_ends.py",
+        "verification/test_ties.py", "verification/test_defects.py",
+        "verification/test_distances.py", "verification/test_equations_of_motion.py",
+        "verification/test_weights.py", "simulation/test_balances.py",
+        "views/test_notebook_cards.py",
     ],
     "kernels/judge": [
         "kernels/test_judged_state.py", "kernels/test_judged_velocities.py",
         "kernels/test_judge.py", "forces/test_refused_forces.py",
     ],
-    "reduction/potential": ["reduction/test_gravity.py", "reduction/test_small_asymmetries.py",
-                            "reduction/test_closed_forms.py", "system/test_refusals.py"],
-    "reduction": ["reduction"],
-    "lie": ["lie"],
-    "forces": ["forces"],
-    "integrators": ["integrators"],
-    "simulation/balances": ["simulation/test_balances.py", "verification/test_audit.py"],
-    "simulation/accelerations": [
+    "reduction": [
+        "reduction", "kernels/test_limbs.py", "simulation/test_varied_inertias.py",
+        "system/test_refusals.py", "views/test_notebook_cards.py", "simulation/test_skipping.py",
+    ],
+    "lie": ["lie", "system/test_root_chain.py"],
+    "forces": [
+        "forces", "scene/test_odd_values.py", "simulation/test_balances.py",
+        "views/test_notebook_cards.py",
+    ],
+    "integrators": ["integrators", "simulation/test_step_map.py"],
+    "simulation": [
+        "simulation/test_balances.py", "verification/test_audit.py", "forces/test_forces.py",
         "verification/test_bounds_of_compare.py", "verification/test_small_faults.py",
+        "views/test_notebook_cards.py",
     ],
 }  # fmt: skip
-_FLIPPED: dict[type[ast.cmpop], type[ast.cmpop]] = {
-    ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt, ast.Eq: ast.NotEq,
-    ast.NotEq: ast.Eq, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
+# What is compiled leaves no trace of what runs it: the tests that do, of parts of integrators.
+RUN_BY = {
+    "radau": ["radau"], "gauss": ["gauss"], "variational": ["variational"], "lanes": ["lanes"],
+    "explicit": ["steppers", "claimed", "tableaux", "turns"], "tsit5": ["lanes", "claimed"],
 }  # fmt: skip
-_SWAPPED: dict[type[ast.operator], type[ast.operator]] = {
-    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult,
-}  # fmt: skip
-_CHANGED = (
-    ast.Compare, ast.BoolOp, ast.BinOp, ast.Constant, ast.AugAssign, ast.Expr, ast.If, ast.Return,
-)  # fmt: skip
-_TYPED = (ast.AnnAssign, ast.arg, ast.FunctionDef)
-
-
-@dataclass(frozen=True)
-class Mutant:
-    """A change.  line: of the module.  what: before and after.  index, number: which node, how."""
-
-    source: str
-    line: int
-    what: str
-    index: int
-    number: int
-
-    @property
-    def text(self) -> str:
-        """Return the source of the module with the change."""
-        tree = ast.parse(self.source)
-        twin = next(node for k, node in enumerate(ast.walk(tree)) if k == self.index)
-        _change(tree, twin, self.number)
-        return ast.unparse(ast.fix_missing_locations(tree))
-
-
-def mutants(source: str) -> Iterator[Mutant]:
-    """Yield every mutant of a module."""
-    tree = ast.parse(source)
-    skipped = {id(node) for node in _unseen(tree)}
-    for index, node in enumerate(ast.walk(tree)):
-        if id(node) in skipped or not isinstance(node, _CHANGED):
-            continue
-        for number in range(3):
-            twin = copy.deepcopy(node)
-            alone = ast.Module([twin], [])  # type: ignore[list-item]
-            before = ast.unparse(twin)
-            after = _change(alone, twin, number)
-            if after is None:
-                break
-            line = getattr(node, "lineno", 0)
-            yield Mutant(source, line, f"{_short(before)}  ->  {after}", index, number)
-
-
-def _unseen(tree: ast.AST) -> Iterator[ast.AST]:
-    """Yield the nodes that nothing runs: docstrings, annotations, imports, messages."""
-    for node in ast.walk(tree):
-        parts: list[ast.AST] = []
-        if isinstance(node, (ast.Import, ast.ImportFrom, ast.Raise, ast.JoinedStr)):
-            parts.append(node)
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            parts.append(node)
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-            parts.append(node)
-        if isinstance(node, (ast.AnnAssign, ast.arg)) and node.annotation is not None:
-            parts.append(node.annotation)
-        if isinstance(node, ast.FunctionDef):
-            parts += [*node.decorator_list, *([node.returns] if node.returns else [])]
-        for part in parts:
-            yield from ast.walk(part)
-
-
-def _change(tree: ast.AST, node: ast.AST, number: int) -> str | None:
-    """Make change `number` of a node in its tree and return it in words; None if there is none."""
-    if isinstance(node, ast.Compare) and number == 0:
-        node.ops[0] = _FLIPPED[type(node.ops[0])]()
-        return _short(ast.unparse(node))
-    if isinstance(node, ast.BoolOp) and number == 0:
-        node.op = ast.Or() if isinstance(node.op, ast.And) else ast.And()
-        return _short(ast.unparse(node))
-    if isinstance(node, ast.BinOp) and type(node.op) in _SWAPPED and number < 2:
-        if number == 0:
-            node.op = _SWAPPED[type(node.op)]()
-            return _short(ast.unparse(node))
-        return _replaced(tree, node, ast.BinOp(ast.Constant(0.0), ast.Mult(), node))
-    if isinstance(node, ast.Constant) and type(node.value) is float and number < 2:
-        node.value = (node.value or 1.0) * (10.0, 0.1)[number]
-        return repr(node.value)
-    if isinstance(node, (ast.Assign, ast.AugAssign, ast.Expr)) and number == 0:
-        if isinstance(node, ast.Assign):  # what is not set at all is found at once
-            return None
-        return _replaced(tree, node, ast.Pass())
-    if isinstance(node, ast.If) and number == 0:
-        node.test = ast.UnaryOp(ast.Not(), node.test)
-        return f"if {_short(ast.unparse(node.test))}"
-    if isinstance(node, ast.Return) and node.value is not None and number == 0:
-        node.value = None
-        return "return"
-    return None
-
-
-def _replaced(tree: ast.AST, node: ast.AST, other: ast.AST) -> str:
-    """Put another node in a node's place."""
-    words = _short(ast.unparse(ast.fix_missing_locations(copy.deepcopy(other))))
-    for parent in ast.walk(tree):
-        for name, value in ast.iter_fields(parent):
-            if value is node:
-                setattr(parent, name, other)
-                return words
-            if isinstance(value, list) and any(each is node for each in value):
-                value[[each is node for each in value].index(True)] = other
-                return words
-    raise AssertionError(words)
-
-
-def _short(text: str) -> str:
-    line = " ".join(text.split())
-    return line if len(line) < 60 else f"{line[:56]} …"
 
 
 def tests_of(module: str) -> list[str]:
     """Return the tests that most likely kill a mutant of a module of the package."""
-    mirrored = [module.rsplit("/", 1)[0] + "/test_" + module.rsplit("/", 1)[1]]
+    mirrored = [module.rsplit("/", 1)[0] + "/test_" + module.rsplit("/", 1)[-1]]
     known = [tests for start, tests in TESTS.items() if module.startswith(start)]
     tests = [*(known[0] if known else [module.split("/", maxsplit=1)[0]]), *mirrored]
-    return [f"tests/{name}" for name in dict.fromkeys(tests) if (ROOT / "tests" / name).exists()]
+    found = [f"tests/{name}" for name in dict.fromkeys(tests) if (ROOT / "tests" / name).exists()]
+    folders = [name for name in found if not name.endswith(".py")]
+    return [
+        name for name in found if name in folders or Path(name).parent.as_posix() not in folders
+    ]
 
 
 class Copy:
     """A copy of the project in which modules are changed and tests run, one run after the other.
 
     What pinred stands on is imported once, in this process; each run is a fork of it that takes
-    pinred from the copy.  Tests that have killed before come first.
+    pinred from the copy.
     """
 
-    def __init__(self, place: Path) -> None:
-        """Copy the project to a folder."""
+    def __init__(self, place: Path, *, slow: bool) -> None:
+        """Copy the project to a folder.  slow: run tests that are marked so, too."""
         self.root, self._cache = place / "project", place / "cache"
-        self._said, self._writes = place / "said", 0
-        self._killers: defaultdict[str, Counter[str]] = defaultdict(Counter)
+        self._said, self._writes, self._slow = place / "said", 0, slow
         ignored = shutil.ignore_patterns("__pycache__")
-        self.root.mkdir()
+        if self.root.exists():
+            shutil.rmtree(self.root)
+        self.root.mkdir(parents=True)
         for name in ("pinred", "tests", "robots", "docs", "examples", "pyproject.toml"):
             if (ROOT / name).is_dir():
                 shutil.copytree(ROOT / name, self.root / name, ignore=ignored)
             else:
                 shutil.copy(ROOT / name, self.root / name)
-        for name in ("casadi", "mujoco", "pinocchio", "scipy.integrate"):
-            importlib.import_module(name)
+        for name in (
+            "casadi", "llvmlite.binding", "meshcat", "mujoco", "numba.typed", "numpy.testing",
+            "pinocchio", "scipy.integrate", "scipy.interpolate", "scipy.optimize", "scipy.sparse",
+            "scipy.spatial.transform",
+        ):  # fmt: skip
+            with suppress(ImportError):
+                importlib.import_module(name)
 
-    def outcome(self, module: str, text: str, tests: list[str], seconds: float) -> str:
-        """Return what the tests say of a module with that text."""
-        own = (self.root / "pinred" / module).read_text()
-        self._write(module, text)
-        killers = [name for name, _ in self._killers[module].most_common(3)]
+    def path_of_covering(self, tests: list[str], modules: list[str]) -> Path:
+        """Return where it is kept what tests cover of modules, as all of them are now."""
+        digest = sha256(" ".join([*tests, "of", *modules]).encode())
+        for folder in ("pinred", "tests"):
+            for path in sorted((self.root / folder).rglob("*.py")):
+                digest.update(path.read_bytes())
+        return self.root.parent / f"{digest.hexdigest()[:16]}.json"
+
+    def session(self, tests: list[str], plugin: MutantSession) -> None:
+        """Run a session of tests with a plugin; raise SystemExit if it fails."""
+        if self._forked(tests, plugin, {}, 1e6):
+            said = self._said.read_text(errors="replace")
+            raise SystemExit(f"the session of tests has failed:\n{said[-3000:]}")
+
+    def outcome(self, module: str, mutant: Mutant, tests: list[str], seconds: float) -> str:
+        """Return what tests say of a mutant when the package is imported with it."""
+        target = self.root / "pinred" / module
+        own = target.read_text()
+        self._write(target, mutant.text)
         with tempfile.TemporaryDirectory() as own_cache:
-            kernels = module.startswith(("integrators", "kernels", "lie", "reduction", "forces"))
-            places = {
-                "PINRED_CACHE_DIR": own_cache if kernels else str(self._cache),
-                "NUMBA_CACHE_DIR": own_cache if module.startswith("integrators")
-                else str(self._cache),
-            }  # fmt: skip
-            code = self._forked([*killers, *tests], places, seconds)
-        self._write(module, own)
+            files = list(dict.fromkeys(test.split("::")[0] for test in tests))
+            places = {"PINRED_CACHE_DIR": own_cache}
+            if module.startswith("integrators"):
+                places["NUMBA_CACHE_DIR"] = own_cache
+            code = self._forked(files, Chosen(tests), places, seconds)
+        self._write(target, own)
         if code == 0:
             return "survived"
         said = self._said.read_text(errors="replace").splitlines()
         failed = [line for line in said if line.startswith(("FAILED", "ERROR"))]
         if code is None or not failed:
             return f"killed by {'time' if code is None else 'an error'}"
-        killer = failed[0].split(" - ")[0].split(maxsplit=1)[1]
-        if "::" in killer:
-            self._killers[module][killer] += 1
-        return f"killed by {killer}"
+        return f"killed by {failed[0].split(' - ')[0].split(maxsplit=1)[1]}"
 
-    def _write(self, module: str, text: str) -> None:
+    def _write(self, target: Path, text: str) -> None:
         """Write a module with a time of its own, by which compiled ones are told from others."""
-        target = self.root / "pinred" / module
         target.write_text(text)
         self._writes += 1
         os.utime(target, (self._writes, self._writes))
 
-    def _forked(self, tests: list[str], places: dict[str, str], seconds: float) -> int | None:
+    def _forked(
+        self, tests: list[str], plugin: object, places: dict[str, str], seconds: float
+    ) -> int | None:
         """Run tests in a fork until one fails and return its exit code; None if it took longer."""
         child = os.fork()
         if not child:
@@ -258,11 +171,14 @@ class Copy:
                     os.dup2(said.fileno(), 1)
                     os.dup2(said.fileno(), 2)
                 os.chdir(self.root)
-                os.environ.update(places | {"PYTHONPATH": str(self.root)})
+                own = {"PINRED_CACHE_DIR": self._cache, "NUMBA_CACHE_DIR": self._cache}
+                os.environ.update({name: str(path) for name, path in own.items()} | places)
+                os.environ["PYTHONPATH"] = str(self.root)
                 numba.config.reload_config()  # type: ignore[no-untyped-call]
                 sys.path.insert(0, str(self.root))
-                options = ["-q", "-x", "-m", "not slow", "-p", "no:cacheprovider"]
-                code = int(pytest.main([*options, *tests]))
+                slow = [] if self._slow else ["-m", "not slow"]
+                options = ["-q", "-x", "-s", *slow, "-p", "no:cacheprovider"]
+                code = int(pytest.main([*options, *tests], plugins=[plugin]))
                 sys.stdout.flush()
                 os._exit(code)
             except BaseException:
@@ -275,10 +191,43 @@ class Copy:
             found, status = os.waitpid(child, os.WNOHANG)
             if found:
                 return os.waitstatus_to_exitcode(status)
-            time.sleep(0.05)
+            time.sleep(0.02)
         os.killpg(child, signal.SIGKILL)
         os.waitpid(child, 0)
         return None
+
+
+class Chosen:
+    """The plugin that runs these tests only, in this order."""
+
+    def __init__(self, tests: list[str]) -> None:
+        """Take the names of tests as pytest prints them."""
+        self._rank = {test: k for k, test in enumerate(tests)}
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(
+        self, config: pytest.Config, items: list[pytest.Item]
+    ) -> None:
+        """Leave the others out."""
+        left_out = [item for item in items if item.nodeid not in self._rank]
+        items[:] = sorted(
+            (item for item in items if item.nodeid in self._rank),
+            key=lambda item: self._rank[item.nodeid],
+        )
+        config.hook.pytest_deselected(items=left_out)
+
+
+@dataclass(frozen=True)
+class Row:
+    """What became of a mutant.  tests: those to be run, where it has to be imported."""
+
+    module: str
+    mutant: int
+    line: int
+    change: str
+    outcome: str
+    tests: list[str]
+    seconds: float
 
 
 def main(arguments: list[str]) -> int:
@@ -290,39 +239,82 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tests", nargs="+", default=[])
     parser.add_argument("--seconds", type=float, default=180.0)
+    parser.add_argument("--budget", type=float, default=1e6)
+    parser.add_argument("--only", nargs="+", type=int)
+    parser.add_argument("--keep", type=Path)
+    parser.add_argument("--slow", action="store_true")
     options = parser.parse_args(arguments)
-    rows: list[list[object]] = []
-    sums, sound = [], set[tuple[str, ...]]()
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for module in options.modules:
+        groups.setdefault(tuple(options.tests or tests_of(module)), []).append(module)
+    rows: list[Row] = []
     with tempfile.TemporaryDirectory() as place:
-        copied = Copy(Path(place))
-        for module in options.modules:
-            text = (copied.root / "pinred" / module).read_text()
-            tests = options.tests or tests_of(module)
-            if tuple(tests) not in sound:
-                plain = copied.outcome(module, text, tests, 10.0 * options.seconds)
-                if plain != "survived":
-                    print(f"{module}: the tests fail without a mutant: {plain}")
-                    return 2
-                sound.add(tuple(tests))
-            every, survived = list(mutants(text)), 0
+        copied = Copy((options.keep or Path(place)).resolve(), slow=options.slow)
+        for tests, modules in groups.items():
+            every = {name: list(mutants((ROOT / "pinred" / name).read_text())) for name in modules}
             if options.sample is not None:  # a larger sample holds a smaller one
-                Random(options.seed).shuffle(every)
-            chosen = every[: options.sample]
-            for mutant in chosen:
-                found = copied.outcome(module, mutant.text, tests, options.seconds)
-                rows.append([module, mutant.line, mutant.what, found])
-                if found == "survived":
-                    survived += 1
-                    print(f"{module}:{mutant.line}: {mutant.what}", flush=True)
-                if options.table is not None:
-                    with options.table.open("w", newline="") as file:
-                        head = ["module", "line", "change", "outcome"]
-                        csv.writer(file).writerows([head, *rows])
-            killed = len(chosen) - survived
-            sums.append(f"{module:<40} {len(chosen):4d} of {len(every):4d}: {killed:4d} killed")
-            print(sums[-1], flush=True)
-    print("\n".join(sums))
-    return int(any(row[-1] == "survived" for row in rows))
+                for each in every.values():
+                    Random(options.seed).shuffle(each)
+            rows += _found(copied, list(tests), every, options)
+            for module, each in every.items():
+                of = [row for row in rows if row.module == module]
+                killed = sum(row.outcome.startswith("killed") for row in of)
+                print(
+                    f"{module:<40} {len(of):4d} of {len(each):4d}: {killed:4d} killed", flush=True
+                )
+            if options.table is not None:
+                with options.table.open("w", newline="") as file:
+                    table = csv.writer(file)
+                    table.writerow(["module", "line", "change", "outcome", "seconds"])
+                    table.writerows(
+                        [r.module, r.line, r.change, r.outcome, r.seconds] for r in rows
+                    )
+    return int(any(not row.outcome.startswith("killed") for row in rows))
+
+
+def _found(
+    copied: Copy, tests: list[str], every: dict[str, list[Mutant]], options: argparse.Namespace
+) -> list[Row]:
+    """Return what became of mutants of modules that have the same tests."""
+    covering, kept = copied.path_of_covering(tests, list(every)), copied.root.parent / "rows"
+    told = os.fdopen(os.dup(1), "w")
+
+    def asked(session: MutantSession) -> None:
+        session.cover(covering)
+        rows = []
+        for module, each in every.items():
+            for k, mutant in enumerate(each[: options.sample]):
+                if options.only is not None and mutant.line not in options.only:
+                    continue
+                began = time.monotonic()
+                found = session.outcome(module, mutant) or ""
+                took = round(time.monotonic() - began, 1)
+                left = [] if found else session.tests(module, mutant)
+                rows.append(Row(module, k, mutant.line, mutant.what, found, left, took))
+                _tell(rows[-1], told)
+        kept.write_bytes(pickle.dumps(rows))
+
+    plugin = MutantSession(
+        copied.root / "pinred", list(every), asked,
+        seconds=options.seconds, budget=options.budget, compiled=RUN_BY,
+    )  # fmt: skip
+    copied.session(tests, plugin)
+    rows: list[Row] = []
+    for row in pickle.loads(kept.read_bytes()):
+        if not row.outcome:
+            began = time.monotonic()
+            mutant = every[row.module][row.mutant]
+            found = copied.outcome(row.module, mutant, row.tests, options.seconds)
+            row = replace(row, outcome=found, seconds=round(time.monotonic() - began, 1))
+            _tell(row, told)
+        rows.append(row)
+    return rows
+
+
+def _tell(row: Row, told: TextIO) -> None:
+    """Print what survived."""
+    if row.outcome and not row.outcome.startswith("killed"):
+        print(f"{row.module}:{row.line}: {row.change}: {row.outcome}", file=told, flush=True)
 
 
 if __name__ == "__main__":

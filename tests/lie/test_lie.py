@@ -13,7 +13,7 @@ from trees import climbing_joint
 from pinred import InputError, ShapeError
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS, SE2, SE3, SO2, SO3, Group, R, RxSE2, group_named
-from pinred.lie.rotations import hat
+from pinred.lie.rotations import hat, turning_inverse, turning_matrix
 
 ALL = list(GROUPS.values())
 SIZES = [0.0, 1e-300, 1e-16, 1e-12, 1e-8, 1e-5, 1e-4, 1e-3, 0.0999, 0.1001, 1.0, 3.0]
@@ -117,6 +117,31 @@ def test_exp_is_the_matrix_exponential(group: Group, seed: int, turn: float) -> 
     np.testing.assert_allclose(group.Ad(g), expm(group.ad(xi)), atol=1e-13)
 
 
+@pytest.mark.parametrize("turn", [1e-9, 1e-3, 0.05, 0.0999, 0.1001, 0.5, 3.0])
+def test_turning_matrices(turn: float) -> None:
+    """V(ω) = Σ ωᵏ/(k + 1)! to round-off on both sides of where its series ends, and V⁻¹."""
+    w = turn * np.array([0.48, -0.6, 0.64])
+    series, power = np.eye(3), np.eye(3)
+    for k in range(1, 40):
+        power = power @ hat(w) / (k + 1.0)
+        series = series + power
+    np.testing.assert_allclose(turning_matrix(w), series, rtol=0.0, atol=2e-15)
+    np.testing.assert_allclose(turning_inverse(w) @ series, np.eye(3), rtol=0.0, atol=2e-15)
+
+
+@pytest.mark.parametrize("group", [group for group in ALL if group.turns == 3], ids=repr)
+def test_quaternions_are_made_ones_of_length_one(group: Group) -> None:
+    """However long they are; where they point stays."""
+    g = group.exp(np.linspace(0.2, 0.7, group.dim))
+    for length in (0.5, 1.0 + 1e-7, 3.0):
+        longer = g.copy()
+        longer[-4:] *= length
+        np.testing.assert_allclose(group.normalize(longer), g, rtol=1e-15)
+    nearly = g.copy()
+    nearly[-4:] *= 1.0 + 5e-7  # as a file may have it
+    assert np.linalg.norm(group.pose(nearly)[-4:]) == pytest.approx(1.0, abs=1e-15)
+
+
 @given(groups, seeds)
 def test_a_group_is_a_part_of_space(group: Group, seed: int) -> None:
     """Its axes are closed under the bracket of se(3), and its own bracket is that one."""
@@ -148,6 +173,7 @@ def test_names_and_sizes(group: Group) -> None:
     assert group.linear == sum(name.startswith("v") for name in group.twist_names)
     assert repr(group) == group.name
     assert GROUPS[group.name] is group
+    assert group.is_pivot == (group is SO3)
 
 
 @given(groups, seeds)

@@ -13,6 +13,7 @@ import pinred
 from pinred import poisson
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
+from pinred.reduction import casimirs
 from pinred.reduction.casimirs import momentum_tensor
 
 NINE = np.array([3, -32, 168, -672, 0, 672, -168, 32, -3]) / 840.0  # of differences, order 8
@@ -164,6 +165,30 @@ def test_casimirs_of_groups(group: str) -> None:
         assert np.abs(each.gradient(mu)).max() > 1e-3
         with pytest.raises(pinred.InputError, match="has no gamma"):
             each(mu, [0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_nothing_is_near_what_counts_as_nothing(
+    group: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Structure constants are whole numbers: 1e-13 and 1e-3 tell the same Casimirs from none."""
+    for bound in (1e-13, 1e-3):
+        monkeypatch.setattr(casimirs, "_NOTHING", bound)
+        found = casimirs.casimirs(make_case(group, 1, 0).system)
+        assert [str(each) for each in found] == EXPECTED[group]
+
+
+def test_formulas_have_their_numbers() -> None:
+    """Signs, and sizes that are not one."""
+    assert casimirs._formula(np.array([2.0, -1.0, 0.0, -0.5]), "abcd") == "2 a − b − 0.5 d"
+    assert casimirs._formula(np.array([-1.0, 1.0]), "ab") == "− a + b"
+
+
+@pytest.mark.parametrize(("form", "momentum"), [("connection", "p"), ("canonical", "pi")])
+def test_symbols_are_named(form: poisson.Form, momentum: str) -> None:
+    """As the form has them."""
+    system = make_case("SE3", 1, 0).system
+    assert str(poisson.phase_space(system, form=form).z).startswith(f"[x, {momentum}, mu_0")
 
 
 def test_casimirs_of_a_heavy_top() -> None:

@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 
 import pinred
+from pinred.reduction import potential
 from pinred.reduction.at_a_shape import Reduction
 from pinred.reduction.cyclic_joints import cyclic_joints
 from pinred.reduction.potential import Potential, pivot_weight
@@ -56,9 +57,9 @@ def test_gravity_beside_a_slide(by: float, acts: bool) -> None:
         body = pin.Inertia(1.0, np.array([0.0, 0.0, 0.5]), 0.1 * np.eye(3))
         model.appendBodyToJoint(joint, body, pin.SE3.Identity())
     model.gravity.linear = np.array([9.81 * by, 0.0, -9.81])
-    potential = Potential(pinred.load(model))
-    assert potential.is_zero is not acts
-    assert (potential.direction is None) is not acts
+    found = Potential(pinred.load(model))
+    assert found.is_zero is not acts
+    assert (found.direction is None) is not acts
 
 
 @pytest.mark.parametrize("by", [1e-6, 1e-9])
@@ -84,3 +85,53 @@ def test_a_true_wheel_is_cyclic_however_far_out(far: float) -> None:
         pin.exp3(np.array([0.3, 0.2, 0.1])) @ place.rotation, place.translation + far
     )
     assert 1 in cyclic_joints(Reduction(pinred.load(model)))
+
+
+@pytest.mark.parametrize("away", [0.0, 1e7])
+def test_where_the_root_is_placed_hides_nothing(away: float) -> None:
+    """What a joint changes is measured about the root, not about the world's origin."""
+    model = pinred.load("falling_cat").model.copy()
+    model.jointPlacements[1] = pin.SE3(np.eye(3), np.array([0.0, away, 0.0]))
+    assert cyclic_joints(Reduction(pinred.load(model))) == ()
+
+
+def slide(pushed: bool) -> tuple[int, ...]:
+    """The cyclic joints of a base that slides, and a slide on it along the same axis."""
+    model = pin.Model()
+    for i, name in enumerate(("root", "slide")):
+        at = model.addJoint(i, pin.JointModelPX(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(at, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    model.gravity.setZero()
+    return cyclic_joints(Reduction(pinred.load(model)), pushed=pushed)
+
+
+def test_a_slide_along_the_base_is_cyclic_unless_that_is_pushed() -> None:
+    """Its momentum is told in the frame of the centre of mass, which a push moves."""
+    assert slide(pushed=False) == (0,)
+    assert slide(pushed=True) == ()
+
+
+@pytest.mark.parametrize(("lever", "cyclic"), [(0.0, (0,)), (1e-3, ())])
+def test_wheels_on_a_heavy_pivot(lever: float, cyclic: tuple[int, ...]) -> None:
+    """Cyclic where they carry no weight round with them."""
+    model = pin.Model()
+    base = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "root")
+    body = pin.Inertia(2.0, np.array([0.1, 0.0, -0.5]), np.diag([0.3, 0.4, 0.5]))
+    model.appendBodyToJoint(base, body, pin.SE3.Identity())
+    place = pin.SE3(np.eye(3), np.array([0.2, 0.1, 0.3]))
+    wheel = model.addJoint(base, pin.JointModelRZ(), place, "wheel")
+    disc = pin.Inertia(1.0, np.array([lever, 0.0, 0.0]), np.diag([0.1, 0.1, 0.2]))
+    model.appendBodyToJoint(wheel, disc, pin.SE3.Identity())
+    model.gravity.linear = np.array([0.0, 0.0, -9.81])
+    system = pinred.load(model)
+    assert pivot_weight(system).any()
+    assert cyclic_joints(Reduction(system)) == cyclic
+
+
+@pytest.mark.parametrize(("moments", "axes"), [
+    ([[1.0, 3e-4, 0.0]], "x"), ([[1.0, 3e-3, 0.0]], "x, y"),
+    ([[1.0, 0.0, 0.0], [0.0, 0.0, 3e-7]], "x"), ([[1.0, 0.0, 0.0], [0.0, 0.0, 3e-6]], "x, z"),
+])  # fmt: skip
+def test_axes_of_small_moments_are_not_named(moments: list[list[float]], axes: str) -> None:
+    """Below a thousandth of the axis, or a millionth of the largest moment."""
+    assert potential._axes(np.array(moments)) == axes

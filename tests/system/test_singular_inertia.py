@@ -22,7 +22,9 @@ import pinred
 from pinred import ModelError, ModelWarning
 from pinred.common.arrays import Array
 from pinred.forces.signals import Spline
+from pinred.reduction.canonical_form import CanonicalForm
 from pinred.reduction.lost_inertia import lost_inertia
+from pinred.reduction.potential import Potential
 from pinred.scene.scene import Engine
 from pinred.system.massless_motions import hulls, lost, tree_of
 from pinred.system.singular_shapes import SingularShapes, singular_shapes
@@ -205,6 +207,19 @@ def test_nothing_is_compiled_for_what_is_refused(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(build, "ReducedGraph", None)
     assert "j0" in refusal(pendulum([(RZ, 1.0, UP)]))
+
+
+def test_a_singular_shape_has_no_metric() -> None:
+    """Nothing that divides by it is given there; a hair beside it, all of it is."""
+    model = pendulum([(RX, 0.0, NONE), (RY, 1.0, UP)])
+    with pytest.warns(ModelWarning, match="'j0' moves no mass"):
+        system = pinred.load(model, gravity=(0, 0, 0))
+    red, solve = pinred.Reduction(system), CanonicalForm(system, Potential(system)).velocity
+    momentum = np.ones(system.n)
+    for ask in (red.split, red.at, red.christoffel, red.riemann, lambda x: solve(x, momentum)):
+        with pytest.raises(pinred.SingularInertiaError, match="j0"):
+            ask(np.array([0.1, HALF]))
+        ask(np.array([0.1, HALF + 1e-3]))
 
 
 @pytest.mark.slow

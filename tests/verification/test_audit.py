@@ -71,6 +71,21 @@ def test_states_agree() -> None:
     assert found.fields < 1e-14
 
 
+def test_slow_states_are_compared_in_their_own_size() -> None:
+    """A twist of 1e-4 that is off by a tenth is off by as much of the largest rate."""
+    state = held(speed=1e-4)
+    xi = state.xi.copy()
+    xi[1] *= 1.1
+    found = audit(replace(state, xi=xi)).fields
+    assert found == pytest.approx(0.1 * np.abs(xi[0]).max() / np.abs(state.v).max())
+
+
+def test_rest_drifts_by_nothing() -> None:
+    """Without energy there is no unit of momenta, and no change of them."""
+    found = audit(held(speed=0.0))
+    assert found.momentum == found.energy == 0.0
+
+
 @pytest.mark.parametrize("part", [1e-9, 0.3])
 def test_energy_that_nobody_gave(part: float) -> None:
     """Relative to the kinetic energy about the centre of mass, however fast that moves."""

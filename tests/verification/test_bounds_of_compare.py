@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from tampering import offset, tampered
 from trees import random_model
@@ -15,7 +16,7 @@ from pinred.cli.compare import judged
 from pinred.system.joints import joint_units
 from pinred.verification.distances import FullMotion
 from pinred.verification.full_state import FullState
-from pinred.verification.report import EXIT_CODES, Verdict
+from pinred.verification.report import EXIT_CODES, Verdict, _closest
 
 RTOL, ATOL = 1e-8, 5e-9
 TOLERANCE = RTOL + ATOL
@@ -31,6 +32,28 @@ def cat() -> pinred.Trajectory:
 def passed() -> pinred.Report:
     """Its comparison."""
     return pinred.compare(cat())
+
+
+def test_the_line_names_the_worst() -> None:
+    """Of all checks the one that is the largest part of its bound, of bounds of zero, too."""
+    report = passed()
+    for name, bound in (("energy_drift", "drift_bound"), ("field_error", "field_bound")):
+        near = replace(report, **{name: 0.9 * getattr(report, bound)})
+        (words,) = (each for each in near.checks if near.checks[each][0] == getattr(near, name))
+        assert words in repr(near)
+        assert words not in repr(report)
+    assert "defect" in repr(replace(report, defect=1e-20, defect_bound=0.0))
+
+
+def test_the_closest_to_its_bound() -> None:
+    """Where nothing passes, any error is beyond it; where there is no joint, there is none."""
+    none = np.empty((3, 0))
+    assert _closest(none, none) == (0.0, 0.0)
+    errors, bounds = np.array([0.05, 1e-9, 2.0]), np.array([0.0, 1e-8, 4.0])
+    assert _closest(errors, bounds) == (0.05, 0.0)
+    assert _closest(errors[1:], bounds[1:]) == (2.0, 4.0)
+    assert _closest(np.zeros(2), np.array([0.0, 1.0]))[0] == 0.0
+    assert np.isnan(_closest(np.array([0.1, np.nan]), np.ones(2))[0])
 
 
 def test_what_passes() -> None:
@@ -189,6 +212,24 @@ def test_slides_count_by_the_size_of_the_robot() -> None:
     found = full.size(FullMotion(x=np.zeros((1, 6)), q=q[None])).joints
     sizes = {"m": radius, "rad": 1.0}
     assert found == pytest.approx([sizes[unit] for unit in joint_units(system.model)])
+
+
+@pytest.mark.parametrize("away", [0.0, 3.0])
+def test_places_of_small_robots(away: float) -> None:
+    """At rest, the radius of gyration of millimetres, and 1e-5 of the distance from the origin."""
+    model = random_model("SE3", 2, 0, armature=False)
+    for i in range(1, model.njoints):
+        at, body = model.jointPlacements[i], model.inertias[i]
+        model.jointPlacements[i] = pin.SE3(at.rotation, 1e-6 * at.translation)
+        model.inertias[i] = pin.Inertia(body.mass, 1e-6 * body.lever, 1e-12 * body.inertia)
+    system = pinred.load(model)
+    full = FullState(pinred.Scene(system=system, seed=0))
+    q = system.sorted_q(system.q(system.group.identity(), np.zeros(2)))
+    q[0] = away
+    size = full.size(FullMotion(x=np.zeros((1, 2)), q=q[None]))
+    assert full.radius(q) < 1e-5
+    assert size.position == pytest.approx(max(full.radius(q), 1e-5 * away))
+    assert size.away == away
 
 
 @pytest.mark.parametrize("rate", [0.0, 3e-13])

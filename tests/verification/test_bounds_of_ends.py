@@ -12,7 +12,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.verification import compare as judge
 from pinred.verification.defect import Defects
-from pinred.verification.distances import FullMotion
+from pinred.verification.distances import FullMotion, Size
 from pinred.verification.full_state import FullState
 from pinred.verification.report import Verdict
 
@@ -166,3 +166,52 @@ def test_a_bound_above_a_tenth_tells_nothing(
     growth = allowed / (10.0 * 50.0 * TOLERANCE)
     report = with_defects(monkeypatch, 0.0, 1.0, growth)
     assert report.verdict == verdict
+
+
+@pytest.mark.parametrize(("growth", "told", "why"), [
+    (2e5, 0, "a small change of the start has grown 2.0e+05 times by the end"),
+    (0.15 / (500.0 * TOLERANCE), 2, "errors up to 1.5e-01 would pass by the end"),
+])  # fmt: skip
+def test_why_nothing_is_told(
+    monkeypatch: pytest.MonkeyPatch, growth: float, told: int, why: str
+) -> None:
+    """Of chaos, of bounds that are too wide: which of the two it is."""
+    report = with_defects(monkeypatch, 0.0, 1.0, growth)
+    assert report.told <= told
+    assert why in report.reasons[0]
+
+
+def test_a_motion_without_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No defect is no error: what is left is round-off."""
+    none = Defects(np.empty(0), np.empty(0), np.empty(0, dtype=bool))
+    monkeypatch.setattr(judge, "defects", lambda *_: none)
+    report = pinred.compare(cat())
+    assert report.defect == 0.0
+    assert report.rotation_bounds[-1] < 1e-3 * TOLERANCE * report.growth[-1]
+
+
+def test_equations_are_judged_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 101 times over all of the motion."""
+    seen: list[Array] = []
+    whole = judge.equation_errors
+
+    def watched(traj: pinred.Trajectory, full: FullState, times: Array) -> Array:
+        seen.append(times)
+        return whole(traj, full, times)
+
+    monkeypatch.setattr(judge, "equation_errors", watched)
+    parts: list[float] = []
+    pinred.compare(cat(), progress=parts.append)
+    assert seen[0].tolist() == np.linspace(0.0, 1.0, 101).tolist()
+    assert parts == [0.1, 0.3, 0.5, 0.8, 0.9, 1.0]
+
+
+@pytest.mark.parametrize(("part", "rests"), [(0.3, True), (3.0, False)])
+@pytest.mark.parametrize("kind", ["place", "far place", "joint", "slide"])
+def test_what_counts_as_rest(kind: str, part: float, rests: bool) -> None:
+    """1e-12 of a metre or of how far it goes, of a radian, of the unit of what slides."""
+    x, q = np.zeros((2, 2)), np.zeros((2, 9))
+    x[1] = part * 1e-12 * np.array([kind == "joint", 7.0 * (kind == "slide")])
+    q[1, 0] = part * 1e-12 * {"place": 1.0, "far place": 50.0}.get(kind, 0.0)
+    size = Size(np.array([1.0, 7.0]), position=50.0 if kind == "far place" else 0.2, away=0.0)
+    assert bool(judge._at_rest(FullMotion(x=x, q=q), size)) is rests

@@ -80,6 +80,19 @@ def test_right_motions_have_small_defects() -> None:
     assert defect(spinning, spinning.system) < 1e-14
 
 
+def test_parts_of_steps_end_where_steps_do() -> None:
+    """To the last bit; halves, where the base does not turn by more than 2 rad in a step."""
+    traj = cat(RTOL)
+    knots = traj.motion.knots
+    count = len(knots) - 1
+    a, b, first = module._stretches(traj, np.arange(count))
+    assert len(a) == 2 * count
+    assert (a[first] == knots[:-1]).all()
+    assert (b[first + 1] == knots[1:]).all()
+    assert a[first + 1] == pytest.approx(0.5 * (knots[:-1] + knots[1:]), rel=1e-15)
+    assert (b[first] == a[first + 1]).all()
+
+
 def test_what_jumps_between_the_ends_of_a_step() -> None:
     """It does not show in the step, and in its parts it does."""
     knots = cat(RTOL).motion.knots
