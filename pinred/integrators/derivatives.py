@@ -16,14 +16,19 @@ from ..common.arrays import Array, read_only
 from ..common.errors import InputError, NoConvergence
 from .explicit import derivatives as explicit
 from .explicit.derivatives import Weights, weights_of
+from .explicit.reverse import reverse_of
 from .gauss import derivatives as gauss
+from .gauss import reverse as gauss_reverse
 from .gauss.tables import tables
 from .methods import AdaptiveGauss, Explicit, Gauss, Method
 from .stepping.kernel_call import SEEDS
 
 
 class Steps(Protocol):
-    """The steps of a run, as a Solution has them."""
+    """The steps of a run, as a Solution has them.
+
+    Arrays are read-only.
+    """
 
     @property
     def knots(self) -> Array:
@@ -32,6 +37,10 @@ class Steps(Protocol):
     @property
     def states(self) -> Array:
         """The states there, (K, n)."""
+
+    @property
+    def stored(self) -> Array:
+        """The same with what is kept of the stages that led there, (K, n + …)."""
 
 
 @dataclass(frozen=True)
@@ -135,28 +144,25 @@ def run_back(
 
     Raises NoConvergence if the adjoint of an implicit step has no solution that could be found.
     """
-    knots, states = run.knots, run.states
-    n, p = states.shape[1], len(params)
+    knots, stored = run.knots, run.stored
+    n, p = len(covector), len(params)
     covector, at_times, by_params = covector.copy(), at_times.copy(), np.zeros(p)
-    y = np.empty(n)
     if isinstance(method, Explicit):
-        weights = weights_of(type(method).tableau())
-        size = len(weights.A)
-        Y, K, G = (np.empty((size, n)) for _ in range(3))
-        explicit.reverse(
-            address, slopes.adjoint(), params, weights.A, weights.dense, weights.stages, quaternion,
-            knots, states, times, at_times, covector, by_params, y, Y, K, G,
-            np.empty(n + p), np.empty(size),
+        tableau = type(method).tableau()
+        dense, found = weights_of(tableau).dense, reverse_of(tableau)
+        found.sweep(
+            address, slopes.adjoint(), params, quaternion, dense, knots, stored, times, at_times,
+            covector, by_params, found.rows(n), np.empty(n + p), np.empty(dense.shape[1]),
         )  # fmt: skip
     else:
-        a, b, lanes = _gauss_weights(method)
-        Y, F, G = (np.zeros(n * lanes) for _ in range(3))
-        failed = gauss.reverse(
-            address, slopes.adjoints(lanes), params, a, b, lanes, quaternion, knots,
-            states, times, at_times, covector, by_params, y, Y, F, G, np.zeros((n + p) * lanes),
+        stages, lanes = _stages_of(method)
+        failed = gauss_reverse.reverse(
+            address, slopes.adjoints(lanes), params, stages, lanes, quaternion, knots, stored,
+            times, at_times, covector, by_params, gauss_reverse.reverse_rows(stages, n),
+            np.empty((n + p) * lanes),
         )  # fmt: skip
-        _refuse_failed(failed, knots, y)
-    explicit.back_to_given(states[0].copy(), quaternion, covector, y)
+        _refuse_failed(failed, knots, stored[max(failed - 1, 0), :n])
+    explicit.back_to_given(stored[0, :n], quaternion, covector, np.empty(n))
     return Back(covector, by_params)
 
 
@@ -174,7 +180,10 @@ def _explicit_along(
 ) -> Along:
     n, count, size = len(y0), along.shape[1], len(weights.A)
     batches = -(-count // SEEDS)
-    y, part, part_params = y0.copy(), _seeded(along, batches), _seeded(along_params, batches)
+    y = y0.copy()
+    part, part_params = (np.zeros((batches, len(a) * SEEDS)) for a in (along, along_params))
+    explicit.to_lanes(np.ascontiguousarray(along), part)
+    explicit.to_lanes(np.ascontiguousarray(along_params), part_params)
     out, out_along = np.empty((len(times), n)), np.empty((len(times), batches, n * SEEDS))
     Y, K = (np.empty((size, n)) for _ in range(2))
     explicit.forward(
@@ -182,25 +191,22 @@ def _explicit_along(
         quaternion, knots, times, y, part, part_params, out, out_along, Y, K,
         np.empty(n * SEEDS), np.empty((size, n * SEEDS)), np.empty(size),
     )  # fmt: skip
-    shape = (len(times), batches, n, SEEDS)
-    found = np.moveaxis(out_along.reshape(shape), 1, 2).reshape(len(times), n, batches * SEEDS)
-    end = np.moveaxis(part.reshape(shape[1:]), 0, 1).reshape(n, batches * SEEDS)
-    return Along(out, found[..., :count], y, end[:, :count])
+    found, end = np.empty((len(times), n, count)), np.empty((n, count))
+    for k in range(len(times)):
+        explicit.from_lanes(out_along[k], found[k])
+    explicit.from_lanes(part, end)
+    return Along(out, found, y, end)
 
 
-def _seeded(along: Array, batches: int) -> Array:
-    """Return directions (n, N) as batches of SEEDS lanes, (B, n SEEDS)."""
-    n, count = along.shape
-    whole = np.zeros((n, batches * SEEDS))
-    whole[:, :count] = along
-    parts = np.moveaxis(whole.reshape(n, batches, SEEDS), 1, 0)
-    return np.ascontiguousarray(parts).reshape(batches, n * SEEDS)
+def _stages_of(method: Method) -> tuple[int, int]:
+    assert isinstance(method, (Gauss, AdaptiveGauss))
+    return method.stages, method.lanes
 
 
 def _gauss_weights(method: Method) -> tuple[Array, Array, int]:
-    assert isinstance(method, (Gauss, AdaptiveGauss))
-    found = tables(method.stages)
-    return np.ascontiguousarray(found.mu * found.b), found.b.copy(), method.lanes
+    stages, lanes = _stages_of(method)
+    found = tables(stages)
+    return np.ascontiguousarray(found.mu * found.b), found.b.copy(), lanes
 
 
 def _refuse_failed(failed: int, knots: Array, y: Array) -> None:

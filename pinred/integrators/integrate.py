@@ -23,9 +23,11 @@ from .stepping.run_record import (
     AUTO,
     DIVERGED,
     DONE,
+    ENDS_KEPT,
     FIXED_POINT,
     FULL,
     NOT_FINITE,
+    NOTHING_KEPT,
     UNDERFLOW,
     WANTED,
     Runs,
@@ -64,6 +66,11 @@ class Solution:
     _stored: Array = field(repr=False)
     _params: Array = field(repr=False)
     _run: Runs = field(repr=False)
+
+    @property
+    def stored(self) -> Array:
+        """The states at the knots with what is kept of the stages that led there, (K, n + …)."""
+        return self._stored
 
     def at(self, times: ArrayLike) -> Array:
         """Return the states (T, n) at times (T,) in any order, as if they had been asked for.
@@ -158,7 +165,7 @@ def integrate_checked(
     """
     n = y0.shape[0]
     stepper = method.stepper()
-    run = begun_by(method, address, n, end, quaternion, canonical, keep=1)
+    run = begun_by(method, address, n, end, quaternion, canonical, keep=ENDS_KEPT)
     if stepper.needs_tangent:
         give_tangent(tangent, method, run)
     work = stepper.work(n)
@@ -209,7 +216,7 @@ def begun_by(
     end: float,
     quaternion: int,
     canonical: Canonical,
-    keep: int = 0,
+    keep: int = NOTHING_KEPT,
 ) -> Runs:
     """Return the registers of a run to `end` [s] before its first step."""
     pairs, spin = canonical

@@ -28,6 +28,8 @@ from .reduced_graph import ReducedGraph
 from .start_kernel import TwistOrMomentum, start_graph, start_kernel
 
 Outcome = Literal["x", "xdot", "pose", "xi", "body_momentum", "spatial_momentum", "energy"]
+# The numbers of a pose are as good as its tangent where a function's values are such numbers, too.
+Row = Outcome | Literal["pose_numbers"]
 
 
 def rate_of(kernel: Kernel) -> Differentiable:
@@ -60,7 +62,7 @@ def begin_of(kernel: Kernel, given: TwistOrMomentum) -> Differentiable:
     return once(kernel, (begin_of, given), make)
 
 
-def outcome_of(kernel: Kernel, rows: tuple[Outcome, ...]) -> Differentiable:
+def outcome_of(kernel: Kernel, rows: tuple[Row, ...]) -> Differentiable:
     """Return the outcome ((y, t, pose), (parameters, c₀, v₀, g)) → rows of the full state.
 
     Here t is there even if it is the last number of y, which then counts.
@@ -79,7 +81,7 @@ def sizes_of(system: System) -> dict[str, int]:
     """Return how many rows each part of an outcome has."""
     m, r = system.m, system.r
     twists = dict.fromkeys(("pose", "xi", "body_momentum", "spatial_momentum"), r)
-    return {"x": m, "xdot": m, **twists, "energy": 1}
+    return {"x": m, "xdot": m, **twists, "energy": 1, "pose_numbers": system.group.size}
 
 
 def _begin_graph(graph: ReducedGraph, given: TwistOrMomentum) -> ca.Function:
@@ -130,7 +132,7 @@ def _entries(column: ca.SX) -> list[ca.SX]:
     return [column[i] for i in range(column.numel())]
 
 
-def _outcome_graph(graph: ReducedGraph, rows: tuple[Outcome, ...]) -> ca.Function:
+def _outcome_graph(graph: ReducedGraph, rows: tuple[Row, ...]) -> ca.Function:
     system, layout = graph.system, graph.layout
     group, k, where = system.group, system.group.linear, outputs_of(system, layout)
     y, t = ca.SX.sym("y", layout.size), ca.SX.sym("t")
@@ -140,6 +142,7 @@ def _outcome_graph(graph: ReducedGraph, rows: tuple[Outcome, ...]) -> ca.Functio
     parts = {"x": out[where.x], "xdot": out[where.xdot], "energy": out[where.size - 1]}
     if layout.wanted:
         parts["pose"] = _tangent_coordinates(graph, reference, out[where.pose])
+        parts["pose_numbers"] = out[where.pose]
         parts["xi"] = out[where.v][: system.r]
         parts["body_momentum"] = out[where.body_momentum]
         parts["spatial_momentum"] = out[where.spatial_momentum]

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -151,16 +150,11 @@ class Differentiable:
         """Return the derivatives (size, N) along directions (…, N) of a and b."""
         count = da.shape[1]
         out = np.empty((size, count))
-        parts: Any = [np.zeros((len(column), SEEDS)) for column in (a, b)]
-        slopes = np.empty((size, SEEDS))
-        for first in range(0, count, SEEDS):
-            some = slice(first, min(first + SEEDS, count))
-            width = some.stop - first
-            for part, whole in zip(parts, (da, db), strict=True):
-                part[:, :width] = whole[:, some]
-            along_a, along_b = (part.ravel() for part in parts)
-            _call_forward(self.tangent.address, a, b, along_a, along_b, slopes.ravel())
-            out[:, some] = slopes[:, :width]
+        along_a, along_b, slopes = (np.zeros(k * SEEDS) for k in (len(a), len(b), size))
+        _call_in_batches(
+            self.tangent.address if count else 0, a, b, np.ascontiguousarray(da),
+            np.ascontiguousarray(db), along_a, along_b, slopes, out,
+        )  # fmt: skip
         return out
 
     def reverse(self, a: Array, b: Array, covector: Array) -> tuple[Array, Array]:
@@ -279,6 +273,34 @@ def repeat_adjoint(
 @compiled
 def _call_forward(address: int, a: Array, b: Array, da: Array, db: Array, out: Array) -> None:
     call_slopes(address, a, b, da, db, out)
+
+
+@compiled
+def _call_in_batches(
+    address: int,
+    a: Array,
+    b: Array,
+    da: Array,
+    db: Array,
+    along_a: Array,
+    along_b: Array,
+    slopes: Array,
+    out: Array,
+) -> None:
+    """Fill out (size, N) with the slopes along directions (…, N), SEEDS at once."""
+    count = da.shape[1]
+    for first in range(0, count, SEEDS):
+        width = min(SEEDS, count - first)
+        for k in range(a.shape[0]):
+            for j in range(width):
+                along_a[k * SEEDS + j] = da[k, first + j]
+        for k in range(b.shape[0]):
+            for j in range(width):
+                along_b[k * SEEDS + j] = db[k, first + j]
+        call_slopes(address, a, b, along_a, along_b, slopes)
+        for k in range(out.shape[0]):
+            for j in range(width):
+                out[k, first + j] = slopes[k * SEEDS + j]
 
 
 @compiled

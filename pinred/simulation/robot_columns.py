@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ from ..scene.scene import Scene
 from ..system.in_gravity import in_gravity
 from ..system.model_parameters import ModelParameters
 from ..system.other_inertias import nominal
+
+Slopes = dict[str, Array]
 
 _FLAT = 1e-6  # cos δ below which the angles of a step have no slopes
 
@@ -49,42 +52,28 @@ class RobotColumns:
 
     def now(self, given: Mapping[str, Any]) -> dict[str, Array]:
         """Return all values, of which some are given.  Raises InputError for unphysical ones."""
-        return self._varied.checked({**self.values, **given})
+        return self._varied.checked(given, self.values)
 
-    def put(self, constants: Array, now: Mapping[str, Array]) -> None:
-        """Write the numbers for these values among the constants."""
-        freed, first = self._layout.freed, self._bodies_at
-        bodies = constants[first : first + freed.size]
-        for i, (moments, _) in self._varied.inertias(now).items():
-            bodies[freed.of_inertia(i)] = self._maps[i] @ moments
-        for i, body, _ in self._placed(now):
-            bodies[freed.of_step(i)] = step_of_body(body)
-        for k, body, place, _ in self._links(now):
-            bodies[freed.of_link(k)] = link_numbers(body, place)
+    def put(self, constants: Array, now: Mapping[str, Array], changed: Collection[str]) -> None:
+        """Write the numbers for these values among the constants, where they have changed.
+
+        changed: names of the parameters that are not those of the scene.
+        """
+        for place, numbers, _ in self._of_bodies(now, changed):
+            constants[place] = numbers
+        first = self._bodies_at
         if self._varied.gravity:
             acting, fall = self._in_gravity(self._varied.gravity_of(now)[0])
             constants[:first] = acting
             constants[self._fall_at :] = fall
 
-    def slopes(self, now: Mapping[str, Array]) -> Iterator[tuple[slice, str, Array]]:
-        """Yield places among the constants, names, and slopes (…, size) there."""
-        freed = self._layout.freed
-        for i, (_, slopes) in self._varied.inertias(now).items():
-            for name, slope in slopes.items():
-                yield self._moved(freed.of_inertia(i)), name, self._maps[i] @ slope
-        for i, body, twists in self._placed(now):
-            if abs(body.delta[0]) < _FLAT:
-                raise InputError(
-                    f"{next(iter(twists))} turns the joint by a right angle from where the robot "
-                    "has it; there its numbers have no slopes: load the robot with a placement "
-                    "that is nearer"
-                )
-            by_twist = step_slopes(self._bodies[body.parent], body)
-            for name, twist in twists.items():
-                yield self._moved(freed.of_step(i)), name, by_twist @ twist
-        for k, body, place, twists in self._links(now):
-            for name, twist in twists.items():
-                yield self._moved(freed.of_link(k)), name, link_slopes(body, place, twist)
+    def slopes(
+        self, now: Mapping[str, Array], changed: Collection[str]
+    ) -> Iterator[tuple[slice, str, Array]]:
+        """Yield places among the constants, names, and slopes (…, size) there; see `put`."""
+        for place, _, slopes in self._of_bodies(now, changed):
+            for name, slope in slopes().items():
+                yield place, name, slope
         if self._varied.gravity:
             _, slope = self._varied.gravity_of(now)
             acting, fall = self._gravity_maps()
@@ -92,15 +81,35 @@ class RobotColumns:
             yield slice(0, self._bodies_at), name, acting @ slope
             yield slice(self._fall_at, self._fall_at + len(fall)), name, fall @ slope
 
-    def _moved(self, place: slice) -> slice:
-        return slice(self._bodies_at + place.start, self._bodies_at + place.stop)
-
-    def _placed(self, now: Mapping[str, Array]) -> Iterator[tuple[int, Body, dict[str, Array]]]:
-        """Yield index, body with its placement, and twists by name, of each placed body."""
-        for i, (place, twists) in self._varied.placements(now).items():
+    def _of_bodies(
+        self, now: Mapping[str, Array], changed: Collection[str]
+    ) -> Iterator[tuple[slice, Array, Callable[[], Slopes]]]:
+        """Yield places among the constants, the numbers there, and what gives their slopes."""
+        freed, first = self._layout.freed, self._bodies_at
+        for i, (moments, slopes) in self._varied.inertias(now, changed).items():
+            place, turn = freed.of_inertia(i), self._maps[i]
+            yield (
+                slice(first + place.start, first + place.stop),
+                turn @ moments,
+                partial(_turned, turn, slopes),
+            )
+        for i, (joint, twists) in self._varied.placements(now, changed).items():
             body, own = self._bodies[i], self._system.model.jointPlacements[i + 1]
-            step = step_at(self._bodies[body.parent], body, own, place)
-            yield i, replace(body, **step), twists
+            parent = self._bodies[body.parent]
+            moved = replace(body, **step_at(parent, body, own, joint))
+            place = freed.of_step(i)
+            yield (
+                slice(first + place.start, first + place.stop),
+                step_of_body(moved),
+                partial(_step_slopes, parent, moved, twists),
+            )
+        for k, body, link, twists in self._links(now):
+            place = freed.of_link(k)
+            yield (
+                slice(first + place.start, first + place.stop),
+                link_numbers(body, link),
+                partial(_link_slopes, body, link, twists),
+            )
 
     def _links(
         self, now: Mapping[str, Array]
@@ -176,3 +185,22 @@ def with_own(scene: Scene, names: Sequence[Any]) -> Scene:
         return scene
     values = {**varied.own(), **scene.parameters}
     return replace(scene, parameters=values)
+
+
+def _turned(turn: Array, slopes: Slopes) -> Slopes:
+    return {name: turn @ slope for name, slope in slopes.items()}
+
+
+def _step_slopes(parent: Body, body: Body, twists: Slopes) -> Slopes:
+    """Return the slopes of a step's numbers by name.  Raises InputError where there are none."""
+    if abs(body.delta[0]) < _FLAT:
+        raise InputError(
+            f"{next(iter(twists))} turns the joint by a right angle from where the robot has it; "
+            "there its numbers have no slopes: load the robot with a placement that is nearer"
+        )
+    by_twist = step_slopes(parent, body)
+    return {name: by_twist @ twist for name, twist in twists.items()}
+
+
+def _link_slopes(body: Body, place: pin.SE3, twists: Slopes) -> Slopes:
+    return {name: link_slopes(body, place, twist) for name, twist in twists.items()}

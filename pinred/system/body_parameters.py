@@ -9,14 +9,14 @@ parameterization of rigid-body inertia, IEEE Robotics and Automation Letters 7 (
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array, as_floats, vector
+from ..common.arrays import Array, as_floats, read_only, vector
 from ..common.errors import InputError
 from ..common.names import nearest
 from ..common.plain_names import listed, quoted
@@ -85,6 +85,12 @@ class Bodies:
         found = [body_parameter(system, name) for name in names]
         self.parameters = tuple(each for each in found if each is not None)
         self.free = tuple(sorted({each.body for each in self.parameters}))
+        self._body_of = {each.name: each.body for each in self.parameters}
+        self._mine: dict[int, dict[str, str]] = {body: {} for body in self.free}
+        for each in self.parameters:
+            self._mine[each.body][each.kind] = each.name
+        self._owns: dict[tuple[int, str], Array] = {}
+        self._last: dict[int, tuple[list[Array], tuple[Array, dict[str, Array]]]] = {}
         seen: dict[tuple[int, str], str] = {}
         for each in self.parameters:
             if other := seen.get((each.body, each.kind)):
@@ -103,25 +109,41 @@ class Bodies:
         """Return the values that the system has, {name: (size,)}."""
         return {each.name: _own(self._body(each.body), each.kind) for each in self.parameters}
 
-    def checked(self, values: Mapping[str, Any]) -> dict[str, Array]:
-        """Return values as arrays.  Raises InputError for those that no real body has."""
+    def checked(self, given: Mapping[str, Any], known: Mapping[str, Array]) -> dict[str, Array]:
+        """Return what is given as arrays of its own.  Raises InputError for what no real body has.
+
+        known: values of the others, checked before.
+        """
+        mine = [each for each in self.parameters if each.name in given]
         out = {}
-        for each in self.parameters:
-            what = f"parameters['{each.name}']"
-            out[each.name] = vector(
-                np.atleast_1d(as_floats(values[each.name], what)), each.size, what
-            )
-        for body in self.free:
-            self.dynamic(body, out)
+        for each in mine:
+            out[each.name] = read_only(numbers(given[each.name], each.name, each.size))
+        whole = {**known, **out}
+        for body in self.changed_by(given):
+            self.dynamic(body, whole)
         return out
+
+    def changed_by(self, names: Iterable[str]) -> list[int]:
+        """Return the bodies that some parameters change, sorted."""
+        return sorted({self._body_of[name] for name in names if name in self._body_of})
 
     def dynamic(self, body: int, values: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
         """Return (10,) mass, first and second moments of a body, and their slopes by each value.
 
         About the joint's origin: m, m c, then xx, xy, xz, yy, yz, zz.  slopes: {name: (10, size)}.
+        values: read-only arrays; for the same objects the same is returned.
         Raises InputError, naming the parameter, for what is not physical.
         """
-        mine = {each.kind: each.name for each in self.parameters if each.body == body}
+        mine = [values[name] for name in self._mine[body].values()]
+        last = self._last.get(body)
+        if last is None or any(a is not b for a, b in zip(last[0], mine, strict=True)):
+            last = mine, self._dynamic(body, values)
+            if not any(value.flags.writeable for value in mine):
+                self._last[body] = last
+        return last[1]
+
+    def _dynamic(self, body: int, values: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
+        mine = self._mine[body]
         slopes: dict[str, Array] = {}
         if "log_cholesky" in mine:
             name = mine["log_cholesky"]
@@ -131,9 +153,8 @@ class Bodies:
             total = np.asarray(theirs.toDynamicParameters())[order]
             _refuse_unphysical(total, name)
             return total, slopes
-        own = self._body(body)
         m, c, about = (
-            values[mine[kind]] if kind in mine else _own(own, kind)
+            values[mine[kind]] if kind in mine else self._own_of(body, kind)
             for kind in ("mass", "com", "inertia")
         )
         total, by_mass, by_centre = _of_point(float(m[0]), c)
@@ -190,8 +211,24 @@ class Bodies:
             out[each.name] = value
         return out
 
+    def _own_of(self, body: int, kind: str) -> Array:
+        """Return the value of a kind that a body of the system has, found once."""
+        if (body, kind) not in self._owns:
+            self._owns[body, kind] = read_only(_own(self._body(body), kind))
+        return self._owns[body, kind]
+
     def _body(self, body: int) -> pin.Inertia:
         return self._system.model.inertias[body + 1]
+
+
+def numbers(value: Any, name: str, size: int) -> Array:
+    """Return the value of a parameter as an array (size,) of its own.  Raises ShapeError."""
+    if type(value) is np.ndarray and value.shape == (size,) and value.dtype == float:
+        own: Array = value.copy()
+        if np.isfinite(own).all():
+            return own
+    what = f"parameters['{name}']"
+    return np.array(vector(np.atleast_1d(as_floats(value, what)), size, what))
 
 
 def inertia_of(moments: Array) -> pin.Inertia:
@@ -245,13 +282,15 @@ def _log_cholesky(J: Array) -> Array:
 
 def _of_point(m: float, c: Array) -> tuple[Array, Array, Array]:
     """Return the moments (10,) of a point of mass m at c, and their slopes (10,) and (10, 3)."""
-    unit, second = np.eye(3), c @ c * np.eye(3) - np.outer(c, c)
-    by_mass = np.concatenate([[1.0], c, [second[i, j] for i, j in _PAIRS]])
-    by_centre = np.zeros((10, 3))
-    by_centre[1:4] = m * unit
-    for k in range(3):
-        slope = 2.0 * c[k] * unit - np.outer(unit[k], c) - np.outer(c, unit[k])
-        by_centre[4:, k] = [m * slope[i, j] for i, j in _PAIRS]
+    x, y, z = c.tolist()
+    by_mass = np.array(
+        [1.0, x, y, z, y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y]
+    )
+    by_centre = m * np.array([
+        [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0],
+        [0.0, 2.0 * y, 2.0 * z], [-y, -x, 0.0], [-z, 0.0, -x],
+        [2.0 * x, 0.0, 2.0 * z], [0.0, -z, -y], [2.0 * x, 2.0 * y, 0.0],
+    ])  # fmt: skip
     return m * by_mass, by_mass, by_centre
 
 

@@ -6,17 +6,18 @@ roll, pitch and yaw [rad], as in a URDF file, in the frame of the carrier's join
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array, as_floats, vector
+from ..common.arrays import Array, read_only
 from ..common.errors import InputError
 from ..common.names import nearest
 from ..common.plain_names import listed, quoted
+from .body_parameters import numbers
 from .locked_joints import LockedJoints, moments_of
 from .system import System
 
@@ -132,14 +133,13 @@ class Joints:
             out[each.name] = np.concatenate([place.translation, rpy])[: each.size]
         return out
 
-    def checked(self, values: Mapping[str, Any]) -> dict[str, Array]:
-        """Return values as arrays."""
-        out = {}
-        for each in self.parameters:
-            what = f"parameters['{each.name}']"
-            given = np.atleast_1d(as_floats(values[each.name], what))
-            out[each.name] = vector(given, each.size, what)
-        return out
+    def checked(self, given: Mapping[str, Any]) -> dict[str, Array]:
+        """Return what is given as arrays of its own."""
+        return {
+            each.name: read_only(numbers(given[each.name], each.name, each.size))
+            for each in self.parameters
+            if each.name in given
+        }
 
     def perturbed(self, rng: np.random.Generator) -> dict[str, Array]:
         """Return values that have nothing in common with those of the system."""
@@ -148,19 +148,23 @@ class Joints:
         }
 
     def placements(
-        self, values: Mapping[str, Array]
+        self, values: Mapping[str, Array], changed: Collection[str]
     ) -> Iterator[tuple[int, pin.SE3, dict[str, Array]]]:
         """Yield body, placement of its joint, and its twists (6, size) by each value.
 
-        Twists are in the carrier's frame, taken at its origin.
+        Twists are in the carrier's frame, taken at its origin.  changed: only of the bodies that
+        these parameters place; by the value of one locked joint, all that may stand behind one.
         """
-        behind = self._placements(values) if self._locks else {}
+        locked = any(name in changed for name in self._locks.values())
+        behind = self._placements(values) if locked else {}
         for i in self.placed:
             if i in self._of:
                 (each,) = self._of[i]
+                if each.name not in changed:
+                    continue
                 own = self._system.model.jointPlacements[i + 1]
                 yield (i, *_placed(own, each, values[each.name]))
-            else:
+            elif locked:
                 place, twists = behind[str(self._system.model.names[i + 1])]
                 yield (
                     i,
@@ -173,9 +177,14 @@ class Joints:
                 )
 
     def inertias(
-        self, values: Mapping[str, Array]
+        self, values: Mapping[str, Array], changed: Collection[str]
     ) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Yield body, its moments (10,) about its joint's origin, and their slopes (10, size)."""
+        """Yield body, its moments (10,) about its joint's origin, and their slopes (10, size).
+
+        changed: none, if none of these parameters changes one.
+        """
+        if not any(name in changed for name in self._locks.values()):
+            return
         names, now = self._system.model.names, self._lock_values(values)
         for i in self.free:
             joint = "" if i == 0 and self._floats else str(names[i + 1])

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array, as_floats, entries_of, read_only, vector
+from ..common.arrays import Array, entries_of, read_only
 from ..common.errors import InputError
 from ..common.names import nearest
 from ..common.plain_names import brief
 from .body_parameters import SIZES as BODY_SIZES
-from .body_parameters import Bodies, body_names, body_parameter, inertia_of
+from .body_parameters import Bodies, body_names, body_parameter, inertia_of, numbers
 from .in_gravity import in_gravity
 from .joint_parameters import PLACED, Joints, joint_parameter
 from .other_inertias import nominal, with_numbers
@@ -26,6 +27,7 @@ _PARTS = {"translation": "placement"} | {
     kind: "log_cholesky" for kind in BODY_SIZES if kind != "log_cholesky"
 }
 _HUGE = 1e100  # kg, kg m², m, m/s²
+_NONE: Mapping[str, Array] = MappingProxyType({})
 INERTIAL = ("mass", "com", "inertia")  # the kinds of a whole body, of which "all" is made
 
 
@@ -159,12 +161,17 @@ class ModelParameters:
             out[self._gravity[0]] = g if whole else np.array([float(np.linalg.norm(g))])
         return out
 
-    def checked(self, values: Mapping[str, Any]) -> dict[str, Array]:
-        """Return values as arrays.  Raises InputError for those that no real robot has."""
-        out = self._bodies.checked(values) | self._joints.checked(values)
+    def checked(
+        self, given: Mapping[str, Any], known: Mapping[str, Array] = _NONE
+    ) -> dict[str, Array]:
+        """Return values as arrays that nobody changes.  Raises InputError for unphysical ones.
+
+        known: values that were checked before, of what is not given.
+        """
+        out = self._bodies.checked(given, known) | self._joints.checked(given)
         for name in self._gravity:
-            given = np.atleast_1d(as_floats(values[name], f"parameters['{name}']"))
-            out[name] = vector(given, GRAVITY[name], f"parameters['{name}']")
+            if name in given:
+                out[name] = read_only(numbers(given[name], name, GRAVITY[name]))
         for name, value in out.items():
             if np.abs(value).max() > _HUGE:
                 raise InputError(
@@ -176,26 +183,32 @@ class ModelParameters:
                 f"parameters: '{self._system.name}' has no gravity, and so no direction of it for "
                 "'gravity.strength'; give 'gravity'"
             )
-        return out
+        return {name: out[name] if name in out else known[name] for name in self.names}
 
-    def inertias(self, values: Mapping[str, Array]) -> dict[int, tuple[Array, dict[str, Array]]]:
+    def inertias(
+        self, values: Mapping[str, Array], changed: Collection[str] | None = None
+    ) -> dict[int, tuple[Array, dict[str, Array]]]:
         """Return of each free body its moments (10,), and their slopes (10, size) by each value.
 
         About its joint's origin: m, m c, then xx, xy, xz, yy, yz, zz.
+        changed: only of the bodies that these parameters change.
         """
-        found = {i: self._bodies.dynamic(i, values) for i in self._bodies.free}
-        for i, moments, slopes in self._joints.inertias(values):
+        names = self.sizes if changed is None else changed
+        found = {i: self._bodies.dynamic(i, values) for i in self._bodies.changed_by(names)}
+        for i, moments, slopes in self._joints.inertias(values, names):
             found[i] = moments, slopes
         return dict(sorted(found.items()))
 
     def placements(
-        self, values: Mapping[str, Array]
+        self, values: Mapping[str, Array], changed: Collection[str] | None = None
     ) -> dict[int, tuple[pin.SE3, dict[str, Array]]]:
         """Return of each placed body its joint's placement, and twists (6, size) by each value.
 
         Twists are in the carrier's frame, taken at its origin.
+        changed: only of the bodies that these parameters place.
         """
-        return {i: (place, twists) for i, place, twists in self._joints.placements(values)}
+        names = self.sizes if changed is None else changed
+        return {i: (place, twists) for i, place, twists in self._joints.placements(values, names)}
 
     def places(self, values: Mapping[str, Array]) -> dict[int, tuple[pin.SE3, dict[str, Array]]]:
         """Return of each of `links` its place on its body, and twists (6, size) by each value.

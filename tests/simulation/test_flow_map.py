@@ -15,6 +15,7 @@ from pinred import InputError, Parameter
 from pinred.forces import Controller, Torque, Wrench
 from pinred.integrators.derivatives import run_along
 from pinred.signals import Fourier, Hold, Spline
+from pinred.simulation.flow_map import prepared
 from pinred.simulation.flow_map.flow import Flow
 from pinred.verification.bench.flow_adjoints import beside_cvodes
 
@@ -359,3 +360,35 @@ def test_adjoints_are_those_of_cvodes(name: str, duration: float) -> None:
     found = beside_cvodes(flow, 1e-9, timed=False)
     assert found.error < 1e-6
     assert len(found.own) == len(y) + len(p)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "AdaptiveGauss"])
+def test_stages_are_kept_within_a_bound(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A gradient keeps stages only below its bound; with them or without, it is the tangent's."""
+    flow = flow_of("cartpole", method=method, times=[0.1, 0.2, 0.5])
+    jacobian = flow.jacobian()
+    covector = covector_of(flow, jacobian)
+
+    def kept() -> bool:
+        assert flow._last is not None
+        (part,) = flow._last[1].stretches
+        return bool(part.ran.stored.shape[1] > part.ran.states.shape[1])
+
+    def agrees() -> None:
+        for key, found in flow.vjp(covector).items():
+            expected = np.tensordot(covector, jacobian[key], covector.ndim)
+            size = np.linalg.norm(covector) * max(1.0, float(np.linalg.norm(jacobian[key])))
+            assert np.abs(found - expected).max(initial=0.0) < 1e-13 * size, key
+
+    agrees()  # the run of the Jacobian, which has kept none
+    assert not kept()
+    flow._last = None
+    agrees()
+    assert kept()
+    (part,) = flow._run({}).stretches
+    room = 8 * 128 * part.ran.stored.shape[1]
+    for most, expected in ((room, True), (room - 1, False)):
+        monkeypatch.setattr(prepared, "MOST_STAGES", most)
+        flow._last = None
+        agrees()
+        assert kept() is expected

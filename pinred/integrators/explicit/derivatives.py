@@ -1,10 +1,9 @@
-"""Derivatives of a run of an explicit method: of the steps it took, at their lengths.
+"""Tangents of a run of an explicit method: along the steps it took, at their lengths.
 
 A run is a map of its initial state and parameters once the lengths of its steps are constants.
-Its tangent goes along with the stages; its adjoint goes back over the steps, whose stages are
-computed again from the states at the knots (A. Griewank, A. Walther, Evaluating Derivatives,
-2nd ed., SIAM 2008, chapters 3 and 12; for Runge–Kutta, W. Hager, Numer. Math. 87 (2000) 247–282).
-States between steps are those of the dense output, which is linear in the rates of all stages.
+Its tangent goes along with the stages (A. Griewank, A. Walther, Evaluating Derivatives, 2nd ed.,
+SIAM 2008, chapter 3); its adjoint is in `reverse`.  States between steps are those of the dense
+output, which is linear in the rates of all stages.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.memo import once_for_all
 from ..stepping.compiling import compiled
-from ..stepping.kernel_call import SEEDS, call, call_adjoint, call_slopes
+from ..stepping.kernel_call import SEEDS, call, call_slopes
 from .tableau import Tableau
 
 
@@ -116,14 +115,6 @@ def across(y: Array, size: float, quaternion: int, v: Array, width: int) -> None
 
 
 @compiled
-def first_report(times: Array, knots: Array, step: int, first: int) -> int:
-    """Return the first of the times after the begin of a step, from the `first` on."""
-    while first < times.shape[0] and times[first] <= knots[step]:
-        first += 1
-    return first
-
-
-@compiled
 def last_report(times: Array, knots: Array, step: int, first: int) -> int:
     """Return the first of the times after the end of a step."""
     last = first
@@ -207,117 +198,11 @@ def forward(
 
 
 @compiled
-def reverse(
-    address: int,
-    adjoint: int,
-    params: Array,
-    A: Array,
-    dense: Array,
-    stages: int,
-    quaternion: int,
-    knots: Array,
-    states: Array,
-    times: Array,
-    at_times: Array,
-    covector: Array,
-    by_params: Array,
-    y: Array,
-    Y: Array,
-    K: Array,
-    G: Array,
-    both: Array,
-    w: Array,
-) -> None:
-    """Bring a covector (n,) at the last knot back to the first, in place.
-
-    states: (steps + 1, n) at the knots, as the integrator kept them.  at_times: (T, n) covectors
-    of the states at times.  by_params: (p,), to which the slopes by parameters are added.
-    y: (n,).  Y, K, G: (S, n).  both: (n + p,).  w: (S,).
-    """
-    n, p = y.shape[0], by_params.shape[0]
-    first = times.shape[0]
-    for step in range(knots.shape[0] - 2, -1, -1):
-        h = knots[step + 1] - knots[step]
-        last = first
-        while first > 0 and times[first - 1] > knots[step]:
-            first -= 1
-        inside = last > first and times[first] < knots[step + 1]
-        for k in range(n):
-            y[k] = states[step, k]
-        to_unit(y, quaternion)
-        fill_stages(address, params, A, stages, inside, h, y, Y, K, n)
-        end = A.shape[0] if inside else stages + 1
-        for r in range(first, last):
-            if times[r] >= knots[step + 1]:
-                for k in range(n):
-                    covector[k] += at_times[r, k]
-        for i in range(end):
-            for k in range(n):
-                G[i, k] = 0.0
-        _copy(Y[stages], both[:n])
-        size = to_unit(both[:n], quaternion)
-        across(both[:n], size, quaternion, covector, 1)
-        for k in range(n):
-            y[k] = 0.0  # from here on the covector at the begin of the step
-        for r in range(first, last):
-            if times[r] < knots[step + 1]:
-                fill_weights(dense, (times[r] - knots[step]) / h, w)
-                _add_up(both[:n], states[step], w, K, end, h)
-                if quaternion >= 0:
-                    _begin_of(both, states[step], w, K, end, h, quaternion)
-                size = to_unit(both[:n], quaternion)
-                across(both[:n], size, quaternion, at_times[r], 1)
-                for k in range(n):
-                    y[k] += at_times[r, k]
-                for i in range(end):
-                    for k in range(n):
-                        G[i, k] += h * w[i] * at_times[r, k]
-        for i in range(end - 1, -1, -1):
-            if i == stages and not inside:
-                for k in range(n):
-                    both[k] = covector[k]
-            else:
-                call_adjoint(adjoint, Y[i], params, G[i], both)
-                for k in range(p):
-                    by_params[k] += both[n + k]
-                if i == stages:
-                    for k in range(n):
-                        both[k] += covector[k]
-            for j in range(i):
-                a = h * A[i, j]
-                if a != 0.0:
-                    for k in range(n):
-                        G[j, k] += a * both[k]
-            for k in range(n):
-                y[k] += both[k]
-        _copy(y, covector)
-    for r in range(first):
-        for k in range(n):
-            covector[k] += at_times[r, k]
-
-
-@compiled
 def back_to_given(y0: Array, quaternion: int, covector: Array, y: Array) -> None:
     """Bring a covector (n,) of a state of unit length back to the state y0 as it is given."""
     _copy(y0, y)
     size = to_unit(y, quaternion)
     across(y, size, quaternion, covector, 1)
-
-
-@compiled
-def _begin_of(
-    both: Array, state: Array, w: Array, K: Array, end: int, h: float, quaternion: int
-) -> None:
-    """Put the dense output's quaternion into `both`, from the unit one at the begin of a step."""
-    total = 0.0
-    for k in range(quaternion, quaternion + 4):
-        total += state[k] * state[k]
-    size = sqrt(total)
-    for k in range(quaternion, quaternion + 4):
-        value = state[k] / size
-        for i in range(end):
-            value += h * w[i] * K[i, k]
-        both[k] = value
 
 
 @compiled
@@ -336,3 +221,19 @@ def _add_up(out: Array, base: Array, w: Array, rows: Array, count: int, h: float
 def _copy(source: Array, out: Array) -> None:
     for k in range(out.shape[0]):
         out[k] = source[k]
+
+
+@compiled
+def to_lanes(along: Array, out: Array) -> None:
+    """Fill out (B, n SEEDS) with directions (n, N), SEEDS of them at once."""
+    for k in range(along.shape[0]):
+        for j in range(along.shape[1]):
+            out[j // SEEDS, k * SEEDS + j % SEEDS] = along[k, j]
+
+
+@compiled
+def from_lanes(lanes: Array, out: Array) -> None:
+    """Fill out (n, N) with the directions that `to_lanes` has spread."""
+    for k in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[k, j] = lanes[j // SEEDS, k * SEEDS + j % SEEDS]

@@ -40,6 +40,18 @@ class Rate:
     out: int
 
 
+@dataclass(frozen=True)
+class Slopes:
+    """Row `out` = slopes of row `covector` · the rates at the state in row `at`, by that state.
+
+    Those by parameters are added up.
+    """
+
+    at: int
+    covector: int
+    out: int
+
+
 def row_sum(out: int, base: int | None, terms: Terms) -> Callable[[Array, float], None]:
     """Return combine(work, h), which makes one sum."""
 
@@ -75,6 +87,57 @@ def row_program(steps: Sequence[Sum | Rate]) -> Callable[[int, Array, Array, flo
             return ir.Constant(ir.IntType(64), calls)
 
         return types.int64(types.int64, params, work, types.float64), generate
+
+    return run
+
+
+def slope_program(
+    steps: Sequence[Sum | Slopes],
+) -> Callable[[int, Array, Array, Array, Array, float], None]:
+    """Return run(adjoint, params, work, both, by_params, h), which does all steps.
+
+    both: (n + p,), which the adjoint fills.  by_params: (p,), to which slopes by them are added.
+    """
+
+    @make_intrinsic
+    def run(  # type: ignore[no-untyped-def]
+        typing: Any,  # noqa: ARG001
+        adjoint: Any,  # noqa: ARG001
+        params: Any,
+        work: Any,
+        both: Any,
+        by_params: Any,
+        h: Any,  # noqa: ARG001
+    ):
+        check_contiguous(params, work, both, by_params)
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            adjoint, params, work, both, by_params, h = arguments
+            kinds = signature.args
+            rows = _Rows(context, builder, kinds[2], work)
+            numbers = context.make_array(kinds[1])(context, builder, params).data
+            slopes = context.make_array(kinds[3])(context, builder, both)
+            sums = context.make_array(kinds[4])(context, builder, by_params)
+            p = builder.extract_value(sums.shape, 0)
+            n = builder.sub(builder.extract_value(slopes.shape, 0), p)
+            by_parameters = builder.gep(slopes.data, [n])
+            for step in steps:
+                if isinstance(step, Sum):
+                    rows.add(step, h)
+                    continue
+                places = [rows.at(step.at), numbers, rows.at(step.covector), slopes.data]
+                emit_call(builder, adjoint, places)
+                out = rows.at(step.out)
+                with cgutils.for_range(builder, n) as loop:
+                    value = builder.load(builder.gep(slopes.data, [loop.index]))
+                    builder.store(value, builder.gep(out, [loop.index]))
+                with cgutils.for_range(builder, p) as loop:
+                    place = builder.gep(sums.data, [loop.index])
+                    value = builder.load(builder.gep(by_parameters, [loop.index]))
+                    builder.store(builder.fadd(builder.load(place), value), place)
+            return context.get_dummy_value()
+
+        return types.void(types.int64, params, work, both, by_params, types.float64), generate
 
     return run
 

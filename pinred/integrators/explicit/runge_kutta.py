@@ -21,7 +21,7 @@ import numpy as np
 from ...common.arrays import Array
 from ..stepping.compiling import bound, compiled, woven
 from ..stepping.kernel_call import call
-from ..stepping.run_record import AGAIN, DENSE, DONE, ENDS, NOT_FINITE, STEP, Run
+from ..stepping.run_record import AGAIN, DENSE, DONE, ENDS, NOT_FINITE, STAGES_KEPT, STEP, Run
 from ..stepping.state_rows import (
     NEW,
     TURN,
@@ -172,6 +172,18 @@ def accept(run: Run, work: Array, t_new: float) -> None:
         run.entry = -1  # clear of what was not finite
     run.again = 0
     run.h = min((t_new - run.t) * growth, run.max_step)
+
+
+def keep(run: Run, work: Array, t: float, knots_t: Array, knots_y: Array) -> None:
+    """Write down a knot; with stages, behind it the rates of those that have led there."""
+    keep_state(run, work, t, knots_t, knots_y)
+    if run.keep == STAGES_KEPT:
+        n, k = run.n, run.steps
+        for i in range(n):
+            knots_y[k, n + i] = work[BEGIN_RATE, i]
+        for stage in range(STAGES - 1):
+            for i in range(n):
+                knots_y[k, (stage + 2) * n + i] = work[RATES + stage, i]
 
 
 def load(run: Run, params: Array, work: Array, t_new: float, knots_y: Array, k: int) -> None:  # noqa: ARG001
@@ -345,8 +357,12 @@ def make_stepper(name: str, order: int, tableau: Tableau) -> Stepper:
 
     for function in (root, first_step, culprit, prepare):
         made_of(function)
-    hooks = Hooks(*map(made_of, (begin, until, attempt, accept, load, state)))
-    return Stepper(loops(told, hooks), lambda n, tangent: padded_rows(steps.rows, n))  # noqa: ARG005
+    hooks = Hooks(*map(made_of, (begin, until, attempt, accept, load, state, keep)))
+    return Stepper(
+        loops(told, hooks),
+        lambda n, tangent: padded_rows(steps.rows, n),  # noqa: ARG005
+        stages=tableau.stages,
+    )
 
 
 def digest(order: int, tableau: Tableau) -> str:

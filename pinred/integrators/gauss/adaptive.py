@@ -16,7 +16,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ..stepping.compiling import compiled, woven
-from ..stepping.run_record import AGAIN, DONE, NOT_FINITE, Run
+from ..stepping.run_record import AGAIN, DONE, NOT_FINITE, STAGES_KEPT, Run
 from ..stepping.state_rows import (
     TURN,
     Y,
@@ -124,6 +124,15 @@ def accept(run: Run, work: Array, t_new: float) -> None:
 
 
 @woven
+def keep(run: Run, work: Array, t: float, knots_t: Array, knots_y: Array) -> None:
+    """Write down a knot; with stages, behind it the L of the step that has led there."""
+    keep_state(run, work, t, knots_t, knots_y)
+    if run.keep == STAGES_KEPT:
+        for i in range(run.n * run.lanes):
+            knots_y[run.steps, run.n + i] = work[L, i]
+
+
+@woven
 def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
     """Do as driver.state; a step is cut where a state within it cannot be found."""
     if between(run, params, work, time, t_new, out):
@@ -184,4 +193,4 @@ def _first_step(run: Run, work: Array) -> float:
     return min(longest, 0.1 * sqrt(n / rate)) if rate > 0.0 else longest
 
 
-LOOPS = loops("AdaptiveGauss", Hooks(begin, until, attempt, accept, load, state))
+LOOPS = loops("AdaptiveGauss", Hooks(begin, until, attempt, accept, load, state, keep))

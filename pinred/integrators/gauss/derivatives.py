@@ -1,15 +1,11 @@
-"""Derivatives of a run of a Gauss method, of the steps it took: by the implicit function theorem.
+"""Tangents of a run of a Gauss method, of the steps it took: by the implicit function theorem.
 
 Stages Y_i = y + h Σ a_ij f(Y_j) hold to round-off here, whatever an integrator has left of its
 tolerance, so derivatives are those of the converged steps.  Along a direction
 
     δY_i = δy + h Σ a_ij (J_j δY_j + ∂f/∂p δp),          δy₁ = δy + h Σ b_j (J_j δY_j + …)
 
-and back, with Z_i = J_iᵀ G_i,
-
-    G_j = h b_j λ₁ + h Σ a_ij Z_i,          λ₀ = λ₁ + Σ Z_i
-
-both by fixed points, which converge as the stages do; all stages are evaluated at once, in lanes.
+by fixed points, which converge as the stages do; all stages are evaluated at once, in lanes.
 A state between the ends of a step is the end of a shorter one.  E. Hairer, C. Lubich, G. Wanner,
 Geometric Numerical Integration, 2nd ed., section VI.4.
 """
@@ -21,7 +17,7 @@ import numpy as np
 from ...common.arrays import Array
 from ..explicit.derivatives import across, to_unit
 from ..stepping.compiling import compiled
-from ..stepping.kernel_call import call, call_adjoint, call_slopes
+from ..stepping.kernel_call import call, call_slopes
 
 _MOST = 400  # turns
 _PATIENCE = 2  # turns without improvement at which round-off is all that is left
@@ -128,58 +124,6 @@ def step_forward(
 
 
 @compiled
-def step_reverse(
-    adjoint: int,
-    params: Array,
-    a: Array,
-    b: Array,
-    lanes: int,
-    h: float,
-    Y: Array,
-    covector: Array,
-    by_params: Array,
-    G: Array,
-    Z: Array,
-) -> int:
-    """Bring a covector (n,) back over a step with stages Y, in place; return the turns or −1.
-
-    G: (n lanes,).  Z: ((n + p) lanes,).
-    """
-    n, p = covector.shape[0], by_params.shape[0]
-    for i in range(n):
-        for j in range(lanes):
-            G[i * lanes + j] = h * b[j] * covector[i]
-    call_adjoint(adjoint, Y, params, G, Z)
-    best, idle, turns = np.inf, 0, -1
-    for turn in range(_MOST):
-        change = size = 0.0
-        for i in range(n):
-            for j in range(lanes):
-                total = b[j] * covector[i]
-                for k in range(lanes):
-                    total += a[k, j] * Z[i * lanes + k]
-                new = h * total
-                change = max(change, abs(new - G[i * lanes + j]))
-                size = max(size, abs(new))
-                G[i * lanes + j] = new
-        if not change < np.inf:
-            return -1
-        call_adjoint(adjoint, Y, params, G, Z)
-        idle = idle + 1 if change >= best else 0
-        best = min(best, change)
-        if _settled(change, size, best, idle):
-            turns = turn + 1 if best <= _CLOSE * size else -1
-            break
-    for i in range(n):
-        for j in range(lanes):
-            covector[i] += Z[i * lanes + j]
-    for i in range(p):
-        for j in range(lanes):
-            by_params[i] += Z[(n + i) * lanes + j]
-    return turns
-
-
-@compiled
 def forward(
     address: int,
     slopes: int,
@@ -258,75 +202,6 @@ def forward(
         while first < times.shape[0] and times[first] <= knots[step + 1]:
             _report(y, along, quaternion, out[first], out_along[first])
             first += 1
-    return 0
-
-
-@compiled
-def reverse(
-    address: int,
-    adjoint: int,
-    params: Array,
-    a: Array,
-    b: Array,
-    lanes: int,
-    quaternion: int,
-    knots: Array,
-    states: Array,
-    times: Array,
-    at_times: Array,
-    covector: Array,
-    by_params: Array,
-    y: Array,
-    Y: Array,
-    F: Array,
-    G: Array,
-    Z: Array,
-) -> int:
-    """Bring a covector (n,) at the last knot back to the first, in place.
-
-    states: (steps + 1, n) at the knots.  at_times: (T, n) covectors of the states at times, which
-    are lost.  by_params: (p,), to which the slopes by parameters are added.  y: (n,).  Y, F, G: (n
-    lanes,).  Z: ((n + p) lanes,).  Return 0, or 1 plus the first step that is not found.
-    """
-    n, first = y.shape[0], times.shape[0]
-    for step in range(knots.shape[0] - 2, -1, -1):
-        while first > 0 and times[first - 1] >= knots[step + 1]:
-            first -= 1
-            for i in range(n):
-                y[i] = states[step + 1, i]
-            size = to_unit(y, quaternion)
-            across(y, size, quaternion, at_times[first], 1)
-            for i in range(n):
-                covector[i] += at_times[first, i]
-        for i in range(n):
-            y[i] = states[step, i]
-        if step == 0:
-            to_unit(y, quaternion)
-        h = knots[step + 1] - knots[step]
-        found = find_stages(address, params, a, lanes, h, y, Y, F)
-        if (
-            found < 0
-            or step_reverse(adjoint, params, a, b, lanes, h, Y, covector, by_params, G, Z) < 0
-        ):
-            return step + 1
-        while first > 0 and times[first - 1] > knots[step]:
-            first -= 1
-            h = times[first] - knots[step]
-            if find_stages(address, params, a, lanes, h, y, Y, F) < 0:
-                return step + 1
-            _move(y, b, lanes, h, F, F[:n])
-            size = to_unit(F[:n], quaternion)
-            across(F[:n], size, quaternion, at_times[first], 1)
-            if (
-                step_reverse(adjoint, params, a, b, lanes, h, Y, at_times[first], by_params, G, Z)
-                < 0
-            ):
-                return step + 1
-            for i in range(n):
-                covector[i] += at_times[first, i]
-    for r in range(first):
-        for i in range(n):
-            covector[i] += at_times[r, i]
     return 0
 
 

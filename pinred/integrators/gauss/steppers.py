@@ -9,6 +9,7 @@ from . import adaptive as adaptive_steps
 from . import fixed_step as equal_steps
 from . import newton
 from .stages import work_rows
+from .tables import lanes_of
 
 
 def fixed_step(stages: int, *, needs_tangent: bool) -> Stepper:
@@ -18,14 +19,14 @@ def fixed_step(stages: int, *, needs_tangent: bool) -> Stepper:
 
 def adaptive(stages: int) -> Stepper:
     """Return what makes steps by their error."""
-    return _stepper(adaptive_steps.LOOPS, stages, needs_tangent=False)
+    return _stepper(adaptive_steps.LOOPS, stages, needs_tangent=False, kept=lanes_of(stages))
 
 
-def _stepper(loops: Loops, stages: int, *, needs_tangent: bool) -> Stepper:
+def _stepper(loops: Loops, stages: int, *, needs_tangent: bool, kept: int = 0) -> Stepper:
     def rows(n: int, tangent: bool) -> Array:
         work = work_rows(stages, n, newton.room(n, stages) if tangent else 0)
         if tangent:
             newton.fill(work, stages)
         return work
 
-    return Stepper(loops, rows, needs_tangent=needs_tangent)
+    return Stepper(loops, rows, stages=kept, needs_tangent=needs_tangent)

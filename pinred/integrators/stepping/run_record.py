@@ -21,6 +21,9 @@ AUTO, FIXED_POINT, NEWTON = 1, 2, 3
 # What of a step is in the rows: its ends, all that makes it, or what its dense output takes.
 ENDS, STEP, DENSE = range(3)
 
+# What is kept of steps: nothing, their ends, or the rates of their stages too.
+NOTHING_KEPT, ENDS_KEPT, STAGES_KEPT = range(3)
+
 # At most some milliseconds: Ctrl-C and progress come through.
 EVALUATIONS_BETWEEN_PAUSES = 4096
 
@@ -56,7 +59,7 @@ class Run:
     total: int  # number of steps, if it is known beforehand
     max_steps: int  # limit on trials
     budget: int  # evaluations before a pause
-    keep: int  # whether knots are kept
+    keep: int  # what is kept of steps
 
     begun: int  # whether the run has begun
     pause: int  # evaluations at which it pauses

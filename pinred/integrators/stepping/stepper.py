@@ -15,12 +15,14 @@ class Stepper:
 
     rows: of (n, tangent) the rows for n numbers in the state, with room for what Newton's
     method takes besides where `tangent` is true.  kept: numbers at a knot for one in the state.
+    stages: those besides where stages are kept, 0 if they cannot be.
     needs_tangent: whether nothing goes without the derivative of the kernel.
     """
 
     loops: Loops
     rows: Callable[[int, bool], Array]
     kept: int = 1
+    stages: int = 0
     needs_tangent: bool = False
 
     def work(self, n: int, *, tangent: bool = False) -> Array:

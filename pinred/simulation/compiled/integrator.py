@@ -132,6 +132,8 @@ def wild_steps(kernel: Kernel, plan: Plan, states: Array, times: Array) -> str:
 
 def _refined(knots: Array, parts: int) -> Array:
     """Return knots with every step in so many parts."""
+    if parts == 1:
+        return knots
     steps = np.arange(len(knots))
     return np.asarray(np.interp(np.arange(parts * (len(knots) - 1) + 1) / parts, steps, knots))
 

@@ -15,6 +15,7 @@ from ...common.arrays import Array, as_floats, vectors
 from ...common.errors import InputError, ShapeError
 from ...common.names import nearest
 from ...common.plain_names import brief, listed
+from ...kernels.begin_and_end import Row, sizes_of
 from .many_runs import entries, outputs_of_many
 from .runs import Run
 
@@ -41,20 +42,36 @@ class Columns:
         self.names, self.sizes = tuple(flow.inputs), tuple(flow.inputs.values())
         self.starts = [flow.own(name) for name in self.names]
         self.outputs, at = {}, 0
-        for name, place in flow.outputs.items():
-            width = flow.system.group.size if name == "pose" else place.stop - place.start
-            self.outputs[name] = slice(at, at + width)
-            at += width
+        self._rows: tuple[Row, ...] = tuple(
+            "pose_numbers" if name == "pose" else name for name in flow.outputs
+        )
+        sizes = sizes_of(flow.system)
+        for name, row in zip(flow.outputs, self._rows, strict=True):
+            self.outputs[name] = slice(at, at + sizes[row])
+            at += sizes[row]
         self._times = len(flow.t) if flow.over_times else 1
         self.size = at * self._times
         self._course, self._inputs = flow._course, flow._inputs
         self._cuts = np.cumsum(self.sizes)[:-1]
+        ends = np.cumsum(self.sizes).tolist()
+        self._spans = [slice(end - size, end) for end, size in zip(ends, self.sizes, strict=True)]
         self._picks = entries(self._course, self.outputs)
 
     def value(self, *columns: Any) -> Array:
         """Return the output, (size,)."""
-        outputs = self._course.outputs(self.flow._run(self._named(columns)))
-        return np.asarray(outputs[:, self._picks].ravel())
+        return self._output(self.flow._run(self._named(columns)))
+
+    def value_of(self, column: Array) -> Array:
+        """Return the output of all inputs one after another, (size,)."""
+        return self._output(self.flow._run(self._cut(column)))
+
+    def along_of(self, column: Array, direction: Array) -> Array:
+        """Return the derivative (size,) along a direction of all inputs one after another."""
+        return self._along(self.flow._run(self._cut(column)), direction[:, None])[:, 0]
+
+    def back_of(self, column: Array, covector: Array) -> Array:
+        """Return the derivatives of covector · output by all inputs one after another."""
+        return self._back(self.flow._run(self._cut(column), stages=True), covector)
 
     def values(self, *columns: Any, threads: int | None = None) -> Array:
         """Return the outputs (N, size) of N inputs at once: (N, size) columns, or (1, size).
@@ -117,11 +134,10 @@ class Columns:
 
         Of covectors (N, size) they are (N, its size).
         """
-        run = self.flow._run(self._named(columns))
+        run = self.flow._run(self._named(columns), stages=True)
         given = as_floats(covector, "the covector")
         covectors = vectors(np.atleast_2d(given), self.size, "the covector")
-        frames = self._frames(run)
-        found = np.array([self._back(run, frames, each) for each in covectors])
+        found = np.array([self._back(run, each) for each in covectors])
         found = found.reshape(len(covectors), sum(self.sizes))
         return np.split(found if given.ndim == 2 else found[0], self._cuts, axis=-1)
 
@@ -171,38 +187,25 @@ class Columns:
         """Return the output (N, size) of the outputs (N, T, ·) of kernels."""
         return np.ascontiguousarray(outputs[..., self._picks].reshape(len(outputs), -1))
 
+    def _output(self, run: Run) -> Array:
+        return np.asarray(self._course.outputs(run)[:, self._picks].ravel())
+
+    def _cut(self, column: Array) -> dict[str, Array]:
+        """Return the inputs in a column by name."""
+        return {name: column[span] for name, span in zip(self.names, self._spans, strict=True)}
+
     def _along(self, run: Run, directions: Array) -> Array:
         """Return the derivatives (size, N) of the output along directions (inputs, N)."""
         state, constants = self._inputs.basis(run.given)
-        rows = tuple(self.outputs)
-        found = self._course.along(run, rows, state @ directions, constants @ directions)
-        frames = self._frames(run)
-        parts = [
-            frames @ found[:, place] if key == "pose" else found[:, place]
-            for key, place in self.flow.outputs.items()
-        ]
-        return np.concatenate(parts, axis=1).reshape(self.size, directions.shape[1])
+        found = self._course.along(run, self._rows, state @ directions, constants @ directions)
+        return np.asarray(found.reshape(self.size, directions.shape[1]))
 
-    def _back(self, run: Run, frames: Array, covector: Array) -> Array:
+    def _back(self, run: Run, covector: Array) -> Array:
         """Return the slopes (inputs,) of covector · output."""
-        whole = covector.reshape(self._times, -1)
-        parts = [
-            np.einsum("tij,ti->tj", frames, whole[:, place]) if key == "pose" else whole[:, place]
-            for key, place in self.outputs.items()
-        ]
-        by_state, by_constants = self._course.back(run, tuple(self.outputs), np.hstack(parts))
+        whole = np.ascontiguousarray(covector).reshape(self._times, -1)
+        by_state, by_constants = self._course.back(run, self._rows, whole)
         state, constants = self._inputs.basis(run.given)
         return np.asarray(by_state @ state + by_constants @ constants)
-
-    def _frames(self, run: Run) -> Array:
-        """Return the maps, (T, size, r), from tangents of the pose to its coordinates."""
-        if "pose" not in self.outputs:
-            return np.empty(0)
-        group = self.flow.system.group
-        poses = self._course.outputs(run)[:, self._course.kernel.where.pose]
-        return np.array(
-            [np.transpose([group.rate(pose, e) for e in np.eye(group.dim)]) for pose in poses]
-        )
 
 
 def _common(counts: Sequence[int]) -> int:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Unpack, get_args
 
 import numpy as np
 
-from ...common.arrays import Array, as_floats, vector
+from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, ShapeError
 from ...common.plain_names import brief
 from ...common.signatures import shows_fields
@@ -117,7 +117,7 @@ class Flow:
         covector: (…, rows), or {output: (…, its rows)} with zero for the others.  That by a
         parameter is a number.
         """
-        run = self._run(inputs)
+        run = self._run(inputs, stages=True)
         by_state, by_constants = self._course.back(run, self._rows, self._covectors(covector))
         state, constants = self._inputs.basis(run.given)
         return self._inputs.by_name(by_state @ state + by_constants @ constants)
@@ -153,7 +153,7 @@ class Flow:
     def one_step(
         self, inputs: Mapping[str, Any], h: float, t: float, *, derivatives: bool
     ) -> tuple[State | ShapeState, Array]:
-        """Return the states (1, …) after one step from time t [s], and slopes (rows, N)."""
+        """Return the state after one step from time t [s], and slopes (rows, N)."""
         given = self._inputs.given(inputs)
         columns = self._inputs.basis(given) if derivatives else None
         return self._course.one_step(given, h, t, self._rows, columns)
@@ -185,13 +185,16 @@ class Flow:
 
         return torch_function(self.columns())
 
-    def _run(self, inputs: Mapping[str, Any]) -> Run:
-        """Return a run with these inputs: the last one, if they are the same."""
+    def _run(self, inputs: Mapping[str, Any], *, stages: bool = False) -> Run:
+        """Return a run with these inputs: the last one, if they are the same.
+
+        stages: whether a new one is to keep those of its steps.
+        """
         given = self._inputs.given(inputs)
         key = given.state.tobytes() + given.constants.tobytes()
         last = self._last
         if last is None or last[0] != key:
-            last = self._last = (key, self._course.run(given))
+            last = self._last = (key, self._course.run(given, stages=stages))
         return last[1]
 
     def _covectors(self, covector: Any) -> Array:
@@ -213,11 +216,12 @@ class Flow:
                     )
                 whole[..., place] = given
             covector = whole
-        found = as_floats(covector, "the covector")
+        found = np.array(as_floats(covector, "the covector"), order="C")
         if found.shape != shape:
             raise ShapeError(f"the covector must have shape {shape}, got {found.shape}")
-        vector(found.ravel(), found.size, "the covector")
-        return found if self.over_times else found[None]
+        if not np.isfinite(found).all():
+            raise ShapeError(f"the covector must be finite, got {brief(covector)}")
+        return found.reshape(-1, shape[-1])
 
     def _shaped(self, rows: Array) -> Array:
         return rows if self.over_times else rows[-1]

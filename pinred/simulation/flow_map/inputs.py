@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from types import MappingProxyType
@@ -30,7 +30,7 @@ class Given:
     """Inputs as columns.
 
     state: (pose, x, ẋ, ξ or μ).  constants: parameters from gravity on, and then how the centre of
-    mass falls, (k,).  robot: values of the robot's parameters, if some were given.
+    mass falls, (k,).  robot: values of the robot's parameters that were given.
     """
 
     state: Array
@@ -97,7 +97,7 @@ class Inputs:
         for name, size in self.sizes.items():
             self._spans[name] = slice(first, first + size)
             first += size
-        self._fixed = self._fixed_columns()
+        self._own: tuple[Array, Array] | None = None  # of basis, at the scene's values
         self._last: tuple[Given, tuple[Array, Array]] | None = None  # basis
 
     def value(self, name: str) -> Array:
@@ -116,10 +116,9 @@ class Inputs:
         mine = self._robot_values.keys() & values.keys() if self._robot_values else ()
         now: dict[str, Array] = {}
         if mine and self._robot is not None:
-            # Copies: runs keep them, and outlive what callers do with arrays that they lend.
-            found = self._robot.now({k: values[k] for k in mine})
-            now = {k: value.copy() for k, value in found.items()}
-            self._robot.put(constants, now)
+            now = self._robot.now({k: values[k] for k in mine})
+            self._robot.put(constants, now, mine)
+            now = {name: now[name] for name in mine}
         for name, value in values.items():
             if name in mine:
                 continue
@@ -154,22 +153,44 @@ class Inputs:
         """Return the columns (…, N) of state and constants along every number of the inputs."""
         if self._last is not None and self._last[0] is at:
             return self._last[1]
-        state, constants = self._fixed
-        if "pose0" in self.sizes:
-            group, place = self._scene.system.group, self._place["pose0"]
+        state, constants = self._own_columns()
+        if "pose0" in self.sizes and at is not self.own:
             state = state.copy()
-            rates = [group.rate(at.state[place], each) for each in np.eye(group.dim)]
-            state[place, self._spans["pose0"]] = np.transpose(rates)
-        if self._robot is not None and self._robot_values.keys() & self.sizes.keys():
+            self._put_pose(state, at)
+        if at.robot and self._robot is not None:
             constants = constants.copy()
-            for where, name, slope in self._robot.slopes({**self._robot_values, **at.robot}):
-                if name in self._spans:
-                    constants[where, self._spans[name]] += slope
+            self._put_slopes(constants, {**self._robot_values, **at.robot}, at.robot)
         self._last = (at, (state, constants))
         return state, constants
 
+    def _own_columns(self) -> tuple[Array, Array]:
+        """Return the columns of `basis` at the scene's values."""
+        if self._own is None:
+            state, constants = self._fixed_columns()
+            if "pose0" in self.sizes:
+                self._put_pose(state, self.own)
+            if self._robot is not None:
+                self._put_slopes(constants, self._robot_values, self._robot_values)
+            self._own = state, constants
+        return self._own
+
+    def _put_pose(self, state: Array, at: Given) -> None:
+        group, place = self._scene.system.group, self._place["pose0"]
+        poses = np.broadcast_to(at.state[place], (group.dim, group.size))
+        state[place, self._spans["pose0"]] = group.rate(poses, np.eye(group.dim)).T
+
+    def _put_slopes(
+        self, constants: Array, now: Mapping[str, Array], changed: Collection[str]
+    ) -> None:
+        assert self._robot is not None
+        if not self._robot_values.keys() & self.sizes.keys():
+            return
+        for where, name, slope in self._robot.slopes(now, changed):
+            if name in self._spans:
+                constants[where, self._spans[name]] = slope
+
     def _fixed_columns(self) -> tuple[Array, Array]:
-        """Return the columns of `basis` that are the same at all values of the inputs."""
+        """Return the columns of `basis` but for a pose and the robot's numbers."""
         count = sum(self.sizes.values())
         state = np.zeros((len(self.own.state), count))
         constants = np.zeros((len(self.own.constants), count))

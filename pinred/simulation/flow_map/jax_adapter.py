@@ -52,7 +52,7 @@ def _calls(columns: Columns) -> list[xla_call.Function]:
 
     Of the last, a covector follows the columns.
     """
-    batched, count = Batched(columns), len(columns.sizes)
+    batched, count, n = Batched(columns), len(columns.sizes), sum(columns.sizes)
 
     def value(inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
         outputs[0][...] = batched.value(inputs)
@@ -65,7 +65,11 @@ def _calls(columns: Columns) -> list[xla_call.Function]:
         for out, slope in zip(outputs, found, strict=True):
             out[...] = slope
 
-    return [value, along, back]
+    return [
+        xla_call.Function(columns.value_of, n, value),
+        xla_call.Function(lambda both: columns.along_of(both[:n], both[n:]), 2 * n, along),
+        xla_call.Function(lambda both: columns.back_of(both[:n], both[n:]), n + columns.size, back),
+    ]
 
 
 class _Primitives:

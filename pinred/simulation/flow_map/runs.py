@@ -10,8 +10,8 @@ from ...common.arrays import Array, read_only
 from ...common.errors import InputError, IntegrationError
 from ...integrators.derivatives import Slopes, refuse_without_derivatives, run_along, run_back
 from ...integrators.integrate import Solution, integrate_checked
-from ...integrators.methods import Explicit
-from ...kernels.begin_and_end import Outcome, begin_of, outcome_of, rate_of, sizes_of
+from ...integrators.methods import AdaptiveGauss, Explicit
+from ...kernels.begin_and_end import Row, begin_of, outcome_of, rate_of, sizes_of
 from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate
 from ...kernels.start_kernel import TwistOrMomentum
@@ -24,6 +24,7 @@ from ..plan import Plan
 from ..state import ShapeState, State
 from .inputs import Given, motion_of
 from .later import made_later
+from .outcomes_back import OutcomesBack
 from .prepared import Prepared, Ran
 
 OVERFLOWS = "the initial momentum or twist overflows: rates or momentum too large"
@@ -85,6 +86,8 @@ class Course:
         )
         layout, k = kernel.layout, plan.system.group.linear
         self._clock, self._wanted = layout.clock, layout.wanted
+        self._numbers, self._path = max(layout.size, 1), layout.line_at
+        self._backs: dict[tuple[Row, ...], OutcomesBack] = {}
         self._sizes = [layout.size, layout.gravity_at, 2 * k]
         self._falls = k
         asked, begins = plan.scene.report_times, np.append(0.0, plan.stops[:-1])
@@ -95,14 +98,17 @@ class Course:
             self._stretches.append((float(begin), float(stop), read_only(asked[inside] - begin)))
         self._begun, self._begin_at = sum(self._sizes), self._begin.value.address
         self._ready = None
-        if isinstance(self.method, Explicit) and len(self._stretches) == 1:
+        if isinstance(self.method, (Explicit, AdaptiveGauss)) and len(self._stretches) == 1:
             (_, stop, times), n = self._stretches[0], max(layout.size, 1)
             self._ready = Prepared(
                 self.method, self._address, n, stop, times, layout.quaternion, layout.canonical
             )
 
-    def run(self, given: Given) -> Run:
-        """Return the run that begins as given.  Raises IntegrationError."""
+    def run(self, given: Given, *, stages: bool = False) -> Run:
+        """Return the run that begins as given.  Raises IntegrationError.
+
+        stages: whether those of its steps are to be kept, where that can be, for the way back.
+        """
         constants, fall = self._apart(given.constants)
         out = np.empty(self._begun)
         known = self._with_line(constants, None)
@@ -115,7 +121,7 @@ class Course:
         if self._ready is not None:
             ((begin, stop, times),) = self._stretches
             here = self._within(parameters, begin, stop)
-            if (ran := self._ready(here, y)) is not None:
+            if (ran := self._ready(here, y, stages=stages)) is not None:
                 return Run(given, [Stretch(begin, times, here, ran)], line)
         return self._run_all(given, y, parameters, line)
 
@@ -185,7 +191,7 @@ class Course:
             parts.append(evaluate(kernel.outputs.address, constants, rows, kernel.where.size))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    def along(self, run: Run, rows: tuple[Outcome, ...], state: Array, constants: Array) -> Array:
+    def along(self, run: Run, rows: tuple[Row, ...], state: Array, constants: Array) -> Array:
         """Return the derivatives (T, rows, N) along directions of what the run began with."""
         kernel = self.kernel
         constants, fall = self._apart(constants)
@@ -210,39 +216,44 @@ class Course:
                 out.append(outcome.forward(*at, a, np.vstack([parameters, line]), count))
         return np.array(out)
 
-    def back(self, run: Run, rows: tuple[Outcome, ...], covectors: Array) -> tuple[Array, Array]:
-        """Return the slopes of Σ covectors · rows by the state and constants a run began with."""
+    def back(self, run: Run, rows: tuple[Row, ...], covectors: Array) -> tuple[Array, Array]:
+        """Return the slopes of Σ covectors · rows by the state and constants a run began with.
+
+        covectors: (T, rows).
+        """
         kernel, layout = self.kernel, self.kernel.layout
-        outcome, p = outcome_of(kernel, rows), self.kernel.layout.parameters
-        by_parameters, by_line = np.zeros(p), np.zeros(len(run.line))
-        covector, k = np.zeros(max(layout.size, 1)), len(covectors)
+        back = self._backs.get(rows)
+        if back is None:
+            back = self._backs[rows] = OutcomesBack(kernel, rows)
+        p, head, at = layout.parameters, self._sizes[1], self._path
+        by_rest = np.zeros(p + len(run.line))
+        covector, k = np.zeros(self._numbers), len(covectors)
         for part in reversed(run.stretches):
-            at_times = np.zeros((len(part.times), len(covector)))
-            ends = self._ends(run, part)
-            k -= len(ends)
-            for j, at in enumerate(ends):
-                by_state, by_rest = outcome.reverse(*at, covectors[k + j])
-                at_times[j, : layout.size] = by_state[: layout.size]
-                by_parameters += by_rest[:p]
-                by_line += by_rest[p:]
+            k -= len(part.times)
+            at_times = np.zeros((len(part.times), self._numbers))
+            if len(part.times):
+                constants = np.concatenate([part.parameters, run.line])
+                some = covectors[k : k + len(part.times)]
+                back(part.begin, part.times, part.ran.y, constants, some, at_times, by_rest)
             done = run_back(
                 self.method, self._address, self._slopes, part.parameters, part.ran, part.times,
                 layout.quaternion, covector, at_times,
             )  # fmt: skip
             covector = done.by_state
-            by_parameters += done.by_parameters
-        head, path = self._sizes[1], np.arange(layout.line_at, layout.line_at + layout.line)
+            by_rest[:p] += done.by_parameters
+        by_line = by_rest[p:]
         if layout.line:
-            by_line += by_parameters[path]
+            by_line += by_rest[at : at + layout.line]
         ends_of_begin = np.concatenate(
-            [covector[: layout.size], by_parameters[:head], by_line[: self._sizes[2]]]
+            [covector[: layout.size], by_rest[:head], by_line[: self._sizes[2]]]
         )
-        own = self._known(run.given)
-        state, constants = self._begin.reverse(run.given.state, own, ends_of_begin)
-        by_constants = constants + by_parameters[head:]
+        state, constants = self._begin.reverse(
+            run.given.state, self._known(run.given), ends_of_begin
+        )
+        constants += by_rest[head:p]
         if layout.line:
-            by_constants = np.delete(by_constants, path - head)
-        return state, np.concatenate([by_constants, by_line[self._sizes[2] :]])
+            constants = np.delete(constants, np.s_[at - head : at - head + layout.line])
+        return state, np.concatenate([constants, by_line[self._sizes[2] :]])
 
     def _known(self, given: Given) -> Array:
         """Return the kernel's constants, of which the begin reads no path of the centre of mass."""
@@ -268,10 +279,10 @@ class Course:
         given: Given,
         h: float,
         t: float,
-        rows: tuple[Outcome, ...],
+        rows: tuple[Row, ...],
         columns: tuple[Array, Array] | None,
     ) -> tuple[State | ShapeState, Array]:
-        """Return the states (1, …) after one step from time t, and slopes (rows, N).
+        """Return the state after one step from time t, and slopes (rows, N).
 
         columns: (…, N) directions of state and constants, if slopes are wanted.
         Raises InputError where the step goes over a break, and IntegrationError.
@@ -279,9 +290,9 @@ class Course:
         kernel, layout, plan = self.kernel, self.kernel.layout, self.plan
         self._check_step(t, h)
         own, fall = self._apart(given.constants)
-        state, constants = (np.zeros((len(each), 0)) for each in (given.state, given.constants))
-        if columns is not None:
-            state, constants = columns
+        state, constants = columns or (
+            np.zeros((len(each), 0)) for each in (given.state, given.constants)
+        )
         constants, fall_along = self._apart(constants)
         known, known_along = self._with_line(own, None), self._with_line(constants, None)
         out = self._begin.at(given.state, known, sum(self._sizes))
@@ -308,16 +319,19 @@ class Course:
             raise IntegrationError(
                 f"a step of {h:g} s of '{plan.system.name}' is not finite: take shorter ones"
             )
-        flow = CompiledFlow.made(kernel, y, parameters, line)
-        end = flow.states(np.array([t + h]), done.y, flow.numbers)
-        if columns is None or not isinstance(end, State):
+        at = np.zeros(layout.size + 1 + plan.system.group.size)
+        at[: layout.size], at[layout.size] = done.y[0, : layout.size], t + h
+        rest = np.concatenate([parameters, line])
+        out = np.empty(kernel.where.size)
+        call_value(kernel.outputs.address, at[: layout.size + 1 - layout.clock], rest, out)
+        end = made_later(plan.system, kernel.where, t + h, lambda: out, wanted=self._wanted)
+        if columns is None:
             return end, np.zeros((0, 0))
-        a = np.zeros((layout.size + 1 + plan.system.group.size, state.shape[1]))
+        at[layout.size + 1 :] = out[kernel.where.pose]
+        a = np.zeros((len(at), state.shape[1]))
         a[: layout.size] = done.slopes[0][: layout.size]
-        at = np.concatenate([done.y[0, : layout.size], [t + h], end.pose[0]])
-        rest, along_rest = np.concatenate([parameters, line]), np.vstack([directions, lines])
-        outcome = outcome_of(kernel, rows)
-        return end, outcome.forward(at, rest, a, along_rest, self._count(rows))
+        along_rest = np.vstack([directions, lines])
+        return end, outcome_of(kernel, rows).forward(at, rest, a, along_rest, self._count(rows))
 
     def _check_step(self, t: float, h: float) -> None:
         plan = self.plan
@@ -350,7 +364,7 @@ class Course:
             whole[:, size + 1 :] = out[:, where.pose]
         return [(row, constants) for row in whole]
 
-    def _count(self, rows: tuple[Outcome, ...]) -> int:
+    def _count(self, rows: tuple[Row, ...]) -> int:
         sizes = sizes_of(self.plan.system)
         return sum(sizes[row] for row in rows)
 

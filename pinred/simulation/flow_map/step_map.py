@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ...common.arrays import Array, freeze, positive, read_only
+from ...common.arrays import Array, freeze, positive
 from ...common.errors import InputError
 from ...common.plain_names import brief
 from ...kernels.begin_and_end import Outcome
@@ -94,5 +94,5 @@ class StepMap:
                 )
             given[name] = np.asarray(part)
         end, slopes = self._flow.one_step(given, self.h, float(t), derivatives=derivatives)
-        columns = {f.name: read_only(np.array(getattr(end, f.name)[-1])) for f in fields(end)}
-        return LinearStep(State(**columns), slopes[:, : self.ndx], slopes[:, self.ndx :])
+        assert isinstance(end, State)
+        return LinearStep(end, slopes[:, : self.ndx], slopes[:, self.ndx :])

@@ -251,7 +251,7 @@ class Varied:
                 now = columns.now({name: self.parameters[name][k] for name in names})
             except InputError as error:
                 raise type(error)(f"member {k}: {error}") from None
-            columns.put(whole, now)
+            columns.put(whole, now, now)
             numbers[k] = whole[first : first + layout.freed.size]
         return numbers
 

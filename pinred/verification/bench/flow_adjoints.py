@@ -54,7 +54,7 @@ def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoin
 
     def own() -> Any:
         made._last = None
-        (now,) = made._run({}).stretches
+        (now,) = made._run({}, stages=True).stretches
         return run_back(
             course.method, course._address, course._slopes, now.parameters, now.solution,
             now.times, quaternion, covector, none,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from ...common.arrays import Array
 from ...common.progress import Progress, one_by_one
 from ...integrators.integrate import integrate_checked
 from ...kernels.build import build_kernel
@@ -26,22 +27,26 @@ BUNDLED = ("planar_chain5", "satellite_two_arms")
 EXAMPLES = ("solo12", "talos")
 _SPAN = 2.0  # s
 _COUNT = 200  # evaluations at once
+_ROUNDS, _BURST = 300, 1e-3  # many short ones [s], of which some are undisturbed
 
 
 @dataclass(frozen=True)
 class FlowTiming:
     """The cost of one robot's flow: the least of several rounds, in which all take turns.
 
-    steps: of DOP853 at 1e-8.  integration, call, simulate: µs of the integrator alone, of a flow's
-    call with a look at its x, of simulate with the same scene.  gradient: of a function of the end
-    by initial shape, rates and twist, forward included, in runs; inertias: by the masses and
-    centres of all bodies besides.  gauss: the first by AdaptiveGauss at 1e-10, in its runs.
+    Every call of a flow is at another initial shape.  steps: of DOP853 at 1e-8.
+    integration, call, simulate: µs of the integrator alone, of a flow's call with a look at its x,
+    of simulate with the same scene.  step: µs of one step with its Jacobians.  gradient: of a
+    function of the end by initial shape, rates and twist, forward included, in runs; inertias: by
+    the masses and centres of all bodies besides.  gauss: the first by AdaptiveGauss at 1e-10, in
+    its runs.  jax, jax_gradient: µs of a call of JAX, and of its gradient, beside those of the
+    flow; NaN without JAX.
     cvodes: how many times as long the adjoint of CVODES takes, by CasADi at the same tolerance;
     apart: by how much its slopes differ, in parts of the largest.  adjoint: an evaluation of the
     adjoint, in those of the rate.  free: an evaluation with all inertias as inputs, in those of the
     folded kernel; placed: with all placements besides, within their pattern of zeros and quarter
-    turns; generic: with placements that may be any.  knots: bytes a step that the derivatives rest
-    on.
+    turns; generic: with placements that may be any.  knots, stages: bytes a step that a gradient
+    rests on, without stages and with them.
     """
 
     robot: str
@@ -49,9 +54,12 @@ class FlowTiming:
     integration: float
     call: float
     simulate: float
+    step: float
     gradient: float
     inertias: float
     gauss: float
+    jax: float
+    jax_gradient: float
     cvodes: float
     apart: float
     adjoint: float
@@ -59,26 +67,29 @@ class FlowTiming:
     placed: float
     generic: float
     knots: int
+    stages: int
 
     @staticmethod
     def header() -> str:
         """Return the head of the table of timings."""
         return (
             f"{'robot':<20} {'steps':>6} {'integration':>12} {'call':>7} {'simulate':>9} "
-            f"{'gradient':>9} {'inertias':>9} {'by Gauss':>9} {'CVODES':>7} {'apart':>8} "
-            f"{'adjoint':>8} {'free':>6} "
-            f"{'placed':>6} {'generic':>7} {'bytes/step':>10}\n"
-            f"{'':<20} {'':>6} {'[µs]':>12} {'[µs]':>7} {'[µs]':>9} {'[runs]':>9} {'[runs]':>9} "
-            f"{'[runs]':>9} {'[×]':>7} {'':>8} {'[rates]':>8} {'[×]':>6} {'[×]':>6} {'[×]':>7}"
+            f"{'step':>7} {'gradient':>9} {'inertias':>9} {'by Gauss':>9} {'JAX':>6} "
+            f"{'its gradient':>12} {'CVODES':>7} {'apart':>8} {'adjoint':>8} {'free':>6} "
+            f"{'placed':>6} {'generic':>7} {'bytes/step':>12}\n"
+            f"{'':<20} {'':>6} {'[µs]':>12} {'[µs]':>7} {'[µs]':>9} {'[µs]':>7} {'[runs]':>9} "
+            f"{'[runs]':>9} {'[runs]':>9} {'[+µs]':>6} {'[+µs]':>12} {'[×]':>7} {'':>8} "
+            f"{'[rates]':>8} {'[×]':>6} {'[×]':>6} {'[×]':>7}"
         )
 
     def __str__(self) -> str:
         return (
             f"{self.robot:<20} {self.steps:>6} {self.integration:>12.1f} {self.call:>7.1f} "
-            f"{self.simulate:>9.1f} {self.gradient:>9.2f} {self.inertias:>9.2f} "
-            f"{self.gauss:>9.2f} {self.cvodes:>7.0f} {self.apart:>8.1e} "
+            f"{self.simulate:>9.1f} {self.step:>7.1f} {self.gradient:>9.2f} "
+            f"{self.inertias:>9.2f} {self.gauss:>9.2f} {self.jax:>6.1f} "
+            f"{self.jax_gradient:>12.1f} {self.cvodes:>7.0f} {self.apart:>8.1e} "
             f"{self.adjoint:>8.2f} {self.free:>6.2f} "
-            f"{self.placed:>6.2f} {self.generic:>7.2f} {self.knots:>10}"
+            f"{self.placed:>6.2f} {self.generic:>7.2f} {f'{self.knots}, {self.stages}':>12}"
         )
 
 
@@ -114,20 +125,18 @@ def _bench_flow(name: str) -> FlowTiming:
             course.method, course._address, p, y, _SPAN, part.times, quaternion, None
         )
 
-    times = alternating(
-        [
-            repeated(integrate),
-            repeated(lambda: _fresh(by_motion)().x),
-            repeated(lambda: simulate(scene).x),
-            repeated(lambda: _fresh(by_motion)._run({})),
-            repeated(lambda: _gradient(by_motion)),
-            repeated(lambda: _fresh(by_all)._run({})),
-            repeated(lambda: _gradient(by_all)),
-            repeated(lambda: _fresh(by_gauss)._run({})),
-            repeated(lambda: _gradient(by_gauss)),
-        ]
-    )
-    integration, call, whole, *runs = np.nanmin(times, axis=0) * 1e6
+    step = by_motion.step(part.solution.knots[1])
+    one = np.ones(sum(place.stop - place.start for place in by_motion.outputs.values()))
+    actions = [integrate, lambda: simulate(scene).x, lambda: step.linear().by_state]
+    for made in (by_motion, by_all, by_gauss):
+        at = _Elsewhere(made)
+        actions += [partial(_run, made, at), partial(_gradient, made, at, one)]
+    at = _Elsewhere(by_motion)
+    actions += [lambda: by_motion(x0=at()).x, *_of_jax(by_motion)]
+    times = alternating([repeated(each) for each in actions], rounds=_ROUNDS, span=_BURST)
+    integration, whole, linear, *runs = np.nanmin(times, axis=0) * 1e6
+    runs, (call, *of_jax) = runs[:6], runs[6:]
+    jax, jax_gradient = of_jax or (np.nan, np.nan)
     beside = beside_cvodes(by_motion, 1e-8)
     adjoint, free, placed, generic = _evaluations(by_motion)
     return FlowTiming(
@@ -136,9 +145,12 @@ def _bench_flow(name: str) -> FlowTiming:
         integration=float(integration),
         call=float(call),
         simulate=float(whole),
+        step=float(linear),
         gradient=float(runs[1] / runs[0]),
         inertias=float(runs[3] / runs[2]),
         gauss=float(runs[5] / runs[4]),
+        jax=float(jax - call),
+        jax_gradient=float(jax_gradient - runs[1]),
         cvodes=beside.slower,
         apart=beside.error,
         adjoint=adjoint,
@@ -146,18 +158,43 @@ def _bench_flow(name: str) -> FlowTiming:
         placed=placed,
         generic=generic,
         knots=8 * (len(y) + 1),
+        stages=8 * (len(y) + 1 + len(y) * course.method.stepper().stages),
     )
 
 
-def _fresh(made: Flow) -> Flow:
-    """Return a flow that has forgotten its last run."""
-    made._last = None
-    return made
+class _Elsewhere:
+    """Initial shapes of which no two are the same."""
+
+    def __init__(self, made: Flow) -> None:
+        self._own, self._calls = made.own("x0"), 0
+
+    def __call__(self) -> Array:
+        self._calls += 1
+        return self._own + 1e-9 * self._calls
 
 
-def _gradient(made: Flow) -> object:
-    size = sum(place.stop - place.start for place in made.outputs.values())
-    return _fresh(made).vjp(np.ones(size))
+def _run(made: Flow, at: _Elsewhere) -> object:
+    return made._run({"x0": at()})
+
+
+def _gradient(made: Flow, at: _Elsewhere, covector: Array) -> object:
+    return made.vjp(covector, x0=at())
+
+
+def _of_jax(made: Flow) -> list[Callable[[], object]]:
+    """Return calls of JAX, of the flow and of a gradient; none without JAX."""
+    try:
+        import jax
+    except ImportError:
+        return []
+    function, at = made.jax(), _Elsewhere(made)
+    rest = [made.own(name) for name in made.inputs if name != "x0"]
+    whole = jax.jit(function)
+    slope = jax.jit(jax.grad(lambda *given: function(*given).sum(), range(1 + len(rest))))
+    return [
+        lambda: jax.block_until_ready(whole(at(), *rest)),
+        lambda: jax.block_until_ready(slope(at(), *rest)),
+    ]
 
 
 def _evaluations(made: Flow) -> list[float]:
@@ -180,7 +217,9 @@ def _evaluations(made: Flow) -> list[float]:
         [
             *(repeated(partial(repeat, address, numbers, y, _COUNT)) for address, numbers in rates),
             repeated(lambda: repeat_adjoint(adjoint, y, p, covector, out, _COUNT)),
-        ]
+        ],
+        rounds=_ROUNDS,
+        span=_BURST,
     )
     folded, *loosened, back = np.nanmin(times, axis=0).tolist()
     return [back / folded, *(one / folded for one in loosened)]
