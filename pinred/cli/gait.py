@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ..common.errors import InputError
 from .gait_sources import source_of
 from .limit_options import add_limits, limits_in
-from .options import numbers_in, one_of
+from .options import add_parameters, numbers_in, one_of
 from .written import written
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         "a file)",
     )  # fmt: skip
     sub.add_argument("--group", metavar="G", help="the symmetry of a robot")
+    add_parameters(sub, "a number of a robot")
     sub.add_argument("--objective", metavar="O", help=one_of(AIMS, AIMS[0]))
     sub.add_argument("--axis", metavar="A", help="x, y, z, or V1,V2,…: about or along which")
     sub.add_argument("--target", metavar="V1,…", help="of objective target: rotation [rad] or pose")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..common.errors import InputError
 from ..common.plain_names import quoted
-from .options import numbers_in
+from .options import add_parameters, numbers_in, parameters_in
 
 if TYPE_CHECKING:
     from ..planning.gait_files.load_gait import GaitFile
@@ -20,6 +20,7 @@ def add_source(sub: argparse.ArgumentParser) -> None:
         "source", metavar="SOURCE", help="a gait file (.toml), or a robot (`pinred robots`, a file)"
     )
     sub.add_argument("--group", metavar="G", help="the symmetry of a robot")
+    add_parameters(sub, "a number of a robot")
     sub.add_argument("--gait", metavar="FILE", help="recorded joint data (.csv, .npz), for a robot")
     sub.add_argument(
         "--circle", metavar="J1,J2,RADIUS",
@@ -38,11 +39,12 @@ def source_of(options: argparse.Namespace, *, gait: bool) -> GaitFile:
     from ..system.load import load
 
     if Path(options.source).suffix == ".toml":
-        for name in ("group", "gait", "circle"):
-            if getattr(options, name) is not None:
+        for name in ("group", "gait", "circle", "parameter"):
+            if getattr(options, name) not in (None, []):
                 raise InputError(f"--{name} is for robots; {quoted(options.source)} says itself")
         return load_gait(options.source)
-    system = load(options.source, group=options.group)
+    parameters = parameters_in(options.parameter)
+    system = load(options.source, group=options.group, parameters=parameters)
     connection = Connection.mechanical(system)
     if (options.gait is None) == (options.circle is None) and (gait or options.gait is not None):
         raise InputError("a robot needs a gait: give --gait FILE or --circle J1,J2,RADIUS")

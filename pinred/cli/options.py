@@ -51,6 +51,29 @@ def add_robot(
     sub.add_argument(
         "--strict", action="store_true", help="refuse what there is a warning about otherwise"
     )
+    add_parameters(sub, "a number of the robot")
+
+
+def add_parameters(sub: argparse.ArgumentParser, what: str) -> None:
+    """Add parameters by name.  what: they are."""
+    sub.add_argument(
+        "--parameter", metavar="NAME=VALUE", action="append", default=[],
+        help=f"{what}, such as hand.mass=1.3 or elbow.placement=X,Y,Z,ROLL,PITCH,YAW",
+    )  # fmt: skip
+
+
+def parameters_in(entries: Sequence[str]) -> dict[str, Any]:
+    """Return the parameters that options of the form NAME=VALUE name."""
+    out: dict[str, Any] = {}
+    for entry in entries:
+        name, _, text = entry.partition("=")
+        if not (name and text):
+            raise InputError(f"--parameter takes NAME=NUMBER, or NAME=V1,V2,…, got {quoted(entry)}")
+        if name in out:
+            raise InputError(f"--parameter has {quoted(name)} twice")
+        values = numbers_in(text, "parameter") or []
+        out[name] = values[0] if len(values) == 1 else values
+    return out
 
 
 def system_of(options: argparse.Namespace) -> System:
@@ -69,6 +92,7 @@ def system_of(options: argparse.Namespace) -> System:
         gravity=gravity,
         root=options.root,
         strict=options.strict,
+        parameters=parameters_in(options.parameter),
     )
 
 

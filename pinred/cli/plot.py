@@ -11,7 +11,7 @@ from ..common.files import FIGURES
 from ..views.plots import KINDS, options_of
 from ..views.plots.by_kind import draw
 from .motion_files import check_robot, motion_in
-from .options import scene_with
+from .options import add_parameters, parameters_in, scene_with
 from .written import written
 
 if TYPE_CHECKING:
@@ -56,6 +56,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--seed", metavar="S", type=int, help="a random initial state of a robot")
     sub.add_argument("--group", metavar="G", help="the symmetry of a robot")
     sub.add_argument("--root", metavar="BODY", help="of MJCF, which of several bodies that move")
+    add_parameters(sub, "a number of a robot")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -129,8 +130,8 @@ def _source(options: argparse.Namespace, kinds: list[str]) -> Any:
     check_robot(source, options.robot)
     if suffix not in (".npz", ".toml", ".csv"):
         return _motion_of_robot(options)
-    for name in ("time", "seed", "group", "root"):
-        if getattr(options, name) is not None:
+    for name in ("time", "seed", "group", "root", "parameter"):
+        if getattr(options, name) not in (None, []):
             raise InputError(f"--{name} is for robots; '{source}' says itself")
     if suffix == ".csv":
         from ..verification.bench.record import read_record
@@ -147,7 +148,8 @@ def _motion_of_robot(options: argparse.Namespace) -> Trajectory:
     from ..simulation.simulate import simulate
     from ..system.load import load
 
-    system = load(options.source, group=options.group, root=options.root)
+    parameters = parameters_in(options.parameter)
+    system = load(options.source, group=options.group, root=options.root, parameters=parameters)
     scene = scene_with(system, options.seed, duration=options.time)
     scene = replace(scene, times=np.linspace(0.0, scene.end, SAMPLES))
     return simulate(scene, progress=True)

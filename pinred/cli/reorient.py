@@ -68,8 +68,8 @@ def _asked(options: argparse.Namespace) -> tuple[System, dict[str, Any]]:
     if Path(options.robot).suffix == ".toml":
         from ..planning.gait_files.load_gait import load_gait
 
-        for name in ("group", "lock", "gravity", "root"):
-            if getattr(options, name) is not None:
+        for name in ("group", "lock", "gravity", "root", "parameter"):
+            if getattr(options, name) not in (None, []):
                 raise InputError(f"--{name} is for robots; {quoted(options.robot)} says itself")
         file = load_gait(options.robot)
         system = file.system

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..common.errors import InputError
 from .compare import judged
+from .options import add_parameters, parameters_in
 from .written import written
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--out", metavar="FILE", help="write the motion: traj.npz or traj.csv")
     engines = " or ".join(ENGINES)
     sub.add_argument("--engine", metavar="E", help=f"{engines}, whatever the file says")
+    add_parameters(sub, "a parameter of the file or a number of its robot, whatever the file says")
     sub.add_argument("--schema", action="store_true", help="print the JSON Schema of scenes")
 
 
@@ -45,10 +47,12 @@ def run(options: argparse.Namespace) -> int:
     from ..scene.toml.reader import read_scene_file
     from ..simulation.explain import explain
     from ..simulation.plan import plan_of
-    from ..simulation.simulate import simulate
+    from ..simulation.simulate import as_scene, simulate
 
     file = read_scene_file(options.scene)
     scene = file.scene
+    if parameters := parameters_in(options.parameter):
+        scene = as_scene(scene, {"parameters": parameters}, "run")
     explanation = explain(plan_of(scene))  # finds out whether the scene can run, too
     if options.explain:
         print(explanation)

@@ -22,7 +22,7 @@ def as_floats(value: ArrayLike, what: str) -> Array:
     """Return `value` as an array of floats.  Raises ShapeError naming `what`."""
     try:
         array = np.asarray(value)
-        if array.dtype.kind == "c":
+        if array.dtype.kind in "cSU":  # NumPy reads numbers in texts
             raise TypeError
         return np.asarray(array, dtype=float)
     except OverflowError:

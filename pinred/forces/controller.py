@@ -23,8 +23,8 @@ class Command:
 
     torque: {joint: torque} or one for each of its joints; none if None.  wrench: r entries on the
     base in its own frame, [linear; angular], at its origin.  width: for how long of the period all
-    of it is held [s], then nothing acts; to the next call if None.  A thruster that fires for a
-    part of each period is a wrench with a width.
+    of it is held [s], then nothing acts; to the next call if None, or if that comes first.  A
+    thruster that fires for a part of each period is a wrench with a width.
     """
 
     torque: Mapping[str, float] | ArrayLike | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property, partial
@@ -15,22 +15,20 @@ import numpy as np
 from ..common.arrays import Array, read_only
 from ..common.casadi_calls import Numeric
 from ..common.errors import InputError
-from ..common.memo import once
 from ..common.parameter import Affine, Parameter, parameter_of
-from ..common.plain_names import brief
-from ..reduction.potential import spring_pair
+from ..reduction.tree.free_bodies import NOTHING, Freed
 from ..system.force import Load
 from ..system.system import System
 from .acting import Acting, BaseInSpace, Prescribed
 from .columns import load_column, seen_of_base, symbols_of, through, torque_column, wrench_column
 from .force import Force, Symbols, Terms
-from .kinds import Controller, Damper, Friction, Spring
+from .kinds import Controller
 from .link_loads import of_load
-from .signals import Constant, Expression, Signal
+from .robot_symbols import RobotSymbols, numbers_of
+from .signals import Signal
 from .written import terms_of
 
 _NEAR = 1e-2  # relative
-_REMEMBERED = 16  # models of one system
 _KINKS = {
     ca.OP_FABS, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO,
     ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER,
@@ -51,18 +49,31 @@ class ForceModel:
     acting_on_base: labels of those that act on the base itself: its momentum is integrated.
     sees_momentum: whether forces depend on twist or momentum of the base as Symbols have them.
     sees_attitude, sees_place: whether forces depend on the base's attitude, and on where its centre
-    of mass is or how fast it moves.  loads: link and axes of each wrench that acts elsewhere.
-    acting_function: (t, x, ẋ, ξ, μ, numbers, pose, twist, μ and J of the base in space) →
-    (torque, wrench).  prescribed_function:
+    of mass is or how fast it moves.  sees_base_momenta: whether on its momenta in space.
+    loads: link and axes of each wrench that acts elsewhere.
+    freed: numbers of the robot that the expressions take, links among them; weighed: whether
+    gravity counts in them, as in inverse dynamics.
+    acting_function: (t, x, ẋ, ξ, μ, numbers, pose, twist, μ and J of the base in space, numbers of
+    the robot) → (torque, wrench).  prescribed_function:
     (t, numbers) → (x, ẋ, ẍ) of the prescribed joints.  potential_function: (x, numbers) → V, zero
     if not has_potential.
     """
 
     def __init__(
-        self, system: System, forces: Sequence[Force], prescribed: Mapping[str, Signal]
+        self,
+        system: System,
+        forces: Sequence[Force],
+        prescribed: Mapping[str, Signal],
+        freed: Freed = NOTHING,
+        movable: Collection[int] = (),
     ) -> None:
-        """Write all forces down.  Raises InputError for joints that are not there."""
+        """Write all forces down.  Raises InputError for joints that are not there.
+
+        freed: numbers of the robot that may vary.  movable: links whose places may, as frames.
+        """
         m, r = system.m, system.r
+        self._system, robot = system, RobotSymbols(system, freed, movable)
+        inverse: list[tuple[ca.SX, ca.SX]] = []  # accelerations, and torques for them
         self._unseen = (np.zeros(system.group.size), *np.zeros((3, r)))
         self._values: list[float] = []
         self._names: list[ca.SX] = []
@@ -100,11 +111,11 @@ class ForceModel:
                     raise InputError(f"{force.label}: only one force may know all the others")
                 others = ca.sum2(torques) - ca.gradient(potential, s.x)
                 known = dict(zip(self.joints, ca.vertsplit(xddot), strict=True))
-                required = partial(_required_torque, system, s)
+                required = partial(_required_torque, system, robot, s, inverse)
                 s = replace(s, others=others, accelerations=known, required_torque=required)
             first = len(self._values)
             terms = terms_of(force, s, self._number)
-            self._check_symbols(s, terms, force.label)
+            self._check_symbols(s, robot, terms, force.label)
             if isinstance(force, Controller):
                 held = force.count(s.names, r)
                 self.held.append((force, slice(first, first + held)))
@@ -115,7 +126,7 @@ class ForceModel:
                 torque, wrench = torque_column(terms, system), wrench_column(terms, r)
                 direct += [ca.vertcat(torque, wrench)]
                 for load in terms.loads:
-                    also = of_load(system, s, load, force.label)
+                    also = of_load(system, robot, s, load, force.label)
                     torque, wrench = torque + also.torque, wrench + also.wrench
                     acted |= {k for k in range(m) if not also.torque[k].is_zero()}
                 loads += terms.loads
@@ -129,7 +140,8 @@ class ForceModel:
         for slot, parameter, slope in self._slopes:
             self.slopes[slot, self.parameters.index(parameter)] = slope
         p = ca.vertcat(*self._names)
-        state = [s.t, s.x, s.xdot, s.xi, s.mu, p, *base]
+        self.freed, self.weighed = robot.freed, robot.weighed
+        state = [s.t, s.x, s.xdot, s.xi, s.mu, p, *base, robot.column]
         forward: ca.SX = -ca.gradient(potential, s.x)
         torque, wrench = ca.sum2(torques) + forward, ca.sum2(wrenches)
         self.prescribed_function = _function("prescribed", [s.t, p], [x, xdot, xddot])
@@ -137,9 +149,12 @@ class ForceModel:
         self._acting = Numeric(self.acting_function)
         self._prescribed = Numeric(self.prescribed_function)
         self._each = Numeric(_function("each", state, [torques, wrenches]))
+        pairs = [ca.horzcat(ca.SX(m, 0), *columns) for columns in zip(*inverse, strict=True)]
+        self._required = Numeric(_function("required", state, pairs)) if pairs else None
         self.loads = tuple((load.link, load.frame) for load in loads)
         alone = ca.sum2(ca.horzcat(ca.SX(m + r, 0), *direct)) + ca.vertcat(forward, ca.SX(r, 1))
-        columns = [alone[:m], alone[m:], ca.horzcat(ca.SX(9, 0), *map(load_column, loads))]
+        columns = ca.vertsplit(alone, [0, m, m + r])  # alone[:0] is no column
+        columns.append(ca.horzcat(ca.SX(9, 0), *map(load_column, loads)))
         self._apart = Numeric(_function("apart", state, columns))
         moves = ca.vertcat(s.xi, s.mu)
         self.sees_momentum = any(ca.depends_on(column, moves) for column in columns)
@@ -150,10 +165,24 @@ class ForceModel:
         depends = ca.which_depends(ca.vertcat(everything, potential), s.x, 1) if m else []
         self.touched = acted | set(self.joints) | {k for k in range(m) if depends[k]}
         self.sees_attitude, self.sees_place = seen_of_base(system, everything, base)
+        self.sees_base_momenta = ca.depends_on(everything, ca.vertcat(*base[2:]))
         timed = self.sees_place or ca.depends_on(everything, s.t)
         self.needs_time = bool(self.joints) or timed
         text = self.acting_function.serialize() + self.prescribed_function.serialize()
         self.key = hashlib.sha256(f"{self.joints}{text}".encode()).hexdigest()
+
+    def on(self, system: System) -> ForceModel:
+        """Return this model on the same robot with other numbers; it shares the rest."""
+        other = copy(self)
+        for name in ("_once", "robot"):  # what was made for these numbers
+            vars(other).pop(name, None)
+        other._system = system
+        return other
+
+    @cached_property
+    def robot(self) -> Array:
+        """The robot's numbers in the expressions, (freed.size + 3,): of `freed`, then gravity."""
+        return numbers_of(self._system, self.freed, weighed=self.weighed)
 
     def with_values(self, values: Mapping[str, Any]) -> ForceModel:
         """Return this model with other values of parameters, {name: value}; it shares the rest."""
@@ -192,7 +221,7 @@ class ForceModel:
         base: what forces see of it besides, None if they do not.
         """
         seen = self._of_base(base)
-        torque, wrench = self._acting(t, x, xdot, xi, mu, numbers, *seen)
+        torque, wrench = self._acting(t, x, xdot, xi, mu, numbers, *seen, self.robot)
         return Acting(torque[:, 0], wrench[:, 0])
 
     def acting_apart(
@@ -210,8 +239,28 @@ class ForceModel:
         They are not moved to the coordinates: for who does that by other means.
         """
         seen = self._of_base(base)
-        torque, wrench, loads = self._apart(t, x, xdot, xi, mu, numbers, *seen)
+        torque, wrench, loads = self._apart(t, x, xdot, xi, mu, numbers, *seen, self.robot)
         return Acting(torque[:, 0], wrench[:, 0]), loads
+
+    def required(
+        self,
+        t: float,
+        x: Array,
+        xdot: Array,
+        xi: Array,
+        mu: Array,
+        numbers: Array,
+        base: BaseInSpace | None,
+    ) -> list[tuple[Array, Array]]:
+        """Return accelerations (m,) that forces want of the joints, and the torques for them.
+
+        By their inverse dynamics, for who knows these by other means.
+        """
+        if self._required is None:
+            return []
+        seen = self._of_base(base)
+        wanted, torques = self._required(t, x, xdot, xi, mu, numbers, *seen, self.robot)
+        return list(zip(wanted.T, torques.T, strict=True))
 
     def _of_base(self, base: BaseInSpace | None) -> tuple[Array, ...]:
         if base is not None:
@@ -273,13 +322,13 @@ class ForceModel:
         twist: (r,) the full body twist of the base, not that relative to the centre of mass.
         """
         seen = self._of_base(base)
-        torques, wrenches = self._each(t, x, xdot, xi, mu, numbers, *seen)
+        torques, wrenches = self._each(t, x, xdot, xi, mu, numbers, *seen, self.robot)
         return np.asarray(torques.T @ xdot + wrenches.T @ twist)
 
-    def _check_symbols(self, s: Symbols, terms: Terms, what: str) -> None:
+    def _check_symbols(self, s: Symbols, robot: RobotSymbols, terms: Terms, what: str) -> None:
         """Raise InputError if a force contains a symbol that it was not given."""
         seen = (s.seen.pose, s.seen.xi, s.seen.mu, s.seen.J)
-        own = ca.vertcat(s.t, s.x, s.xdot, s.xi, s.mu, *seen, *self._names)
+        own = ca.vertcat(s.t, s.x, s.xdot, s.xi, s.mu, *seen, *self._names, robot.column)
         known = {symbol.element_hash() for symbol in ca.symvar(own)}
         for symbol in ca.symvar(ca.SX(ca.vertcat(*terms.expressions))):
             if symbol.element_hash() in known:
@@ -324,65 +373,19 @@ class ForceModel:
         return tuple(found)
 
 
-def remembered_model(
+def _required_torque(
     system: System,
-    springs: Mapping[str, tuple[float, float]],
-    forces: Sequence[Force],
-    prescribed: Mapping[str, Signal],
-) -> ForceModel:
-    """Return the model of springs {joint: (stiffness, rest)}, forces and prescribed joints.
-
-    The last few models of a system are kept, for scenes that differ in their start only.
-    Raises InputError for anything else, or for joints that are not there.
-    """
-    # What is equal acts the same; what cannot be compared by value is kept, and so is itself.
-    key = (
-        repr(dict(springs)),
-        *(
-            force if isinstance(force, (Spring, Damper, Friction)) else id(force)
-            for force in forces
-        ),
-        *((name, _same(signal)) for name, signal in prescribed.items()),
-    )
-    models: dict[Hashable, tuple[ForceModel, object]] = once(system, remembered_model, dict)
-    if key not in models:
-        model = _force_model(system, springs, forces, prescribed)
-        while len(models) >= _REMEMBERED:
-            models.pop(next(iter(models)), None)
-        models[key] = (model, (tuple(forces), dict(prescribed)))
-    return models[key][0]
-
-
-def _same(signal: Signal) -> Hashable:
-    simple = isinstance(signal, Expression) or (
-        isinstance(signal, Constant) and not isinstance(vars(signal)["_given"], Parameter)
-    )
-    return signal if simple else id(signal)
-
-
-def _force_model(
-    system: System,
-    springs: Mapping[str, tuple[float, float]],
-    forces: Sequence[Force],
-    prescribed: Mapping[str, Signal],
-) -> ForceModel:
-    every: list[Force] = [
-        Spring(name, *spring_pair(name, pair).tolist()) for name, pair in springs.items()
-    ]
-    for force in forces:
-        if not isinstance(force, Force):
-            raise InputError(f"forces must be those of pinred.forces, got {brief(force)}")
-        every.append(force)
-    for name, signal in prescribed.items():
-        if not isinstance(signal, Signal):
-            raise InputError(f"prescribed['{name}'] must be a Signal, got {signal!r}")
-    return ForceModel(system, every, prescribed)
-
-
-def _required_torque(system: System, s: Symbols, accelerations: Mapping[int, ca.SX]) -> ca.SX:
+    robot: RobotSymbols,
+    s: Symbols,
+    required: list[tuple[ca.SX, ca.SX]],
+    accelerations: Mapping[int, ca.SX],
+) -> ca.SX:
+    """Return the torques (m,) that give the joints accelerations, and keep both."""
     from .inverse_dynamics import required_torque  # heavy to import
 
-    return required_torque(system, s, accelerations)
+    wanted = ca.vertcat(*(accelerations[k] for k in range(system.m)))
+    required.append((wanted, required_torque(system, robot, s, wanted)))
+    return required[-1][1]
 
 
 def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:

@@ -25,6 +25,7 @@ from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.scalars import Scalar, Turn, Vec, add, cross, dot, mul, plus
 from ..system.force import Load, Symbols
 from ..system.system import System
+from .robot_symbols import RobotSymbols
 
 
 @dataclass(frozen=True)
@@ -53,22 +54,23 @@ def link_frame(system: System, name: str, what: str) -> int:
     )
 
 
-def of_load(system: System, s: Symbols, load: Load, what: str) -> OnCoordinates:
+def of_load(
+    system: System, robot: RobotSymbols, s: Symbols, load: Load, what: str
+) -> OnCoordinates:
     """Return what a load is to the coordinates.  Raises InputError, naming `what`."""
     if load.link is None:
         column = ca.vertcat(*_of_base(system, s, load.entries))
         return OnCoordinates(ca.SX(system.m, 1), ca.SX(column))
-    frame = system.model.frames[link_frame(system, load.link, what)]
+    index = link_frame(system, load.link, what)
     r, m = system.r, system.m
     xi, xdot = ca.SX.sym("xi", r), ca.SX.sym("xdot", m)
     force, moment = load.entries[:3], load.entries[3:]
     if load.frame == "world":
         force, moment = (_into_root(system, s.seen.pose, part) for part in (force, moment))
-    bodies = bodies_of(system)
+    bodies = robot.bodies
     joints = joint_values(system, ca.vertsplit(s.x) if m else [])
     rates = joint_rates(system, ca.vertsplit(xdot) if m else [])
-    chain, i = [], frame.parentJoint - 1
-    last = bodies[i].frame.actInv(frame.placement)
+    chain, i = [], system.model.frames[index].parentJoint - 1
     while i > 0:
         chain.append(i)
         i = bodies[i].parent
@@ -80,8 +82,8 @@ def of_load(system: System, s: Symbols, load: Load, what: str) -> OnCoordinates:
         part[2] = add(part[2], rates[i - 1])
         if load.frame == "world":
             force, moment = (_back(step.turns, vector) for vector in (force, moment))
-    turn = last.rotation.tolist()
-    away = plus(last.translation.tolist(), [dot(row, load.at) for row in turn])
+    turn, origin = robot.place(index)
+    away = plus(origin, [dot(row, load.at) for row in turn])
     v = plus(v, cross(w, away))
     if load.frame == "body":
         force, moment = ([dot(row, vector) for row in turn] for vector in (force, moment))

@@ -57,11 +57,9 @@ def build_kernel(
     with telling_scale(system):
         judge(kernel)
         if structure.freed:  # with other numbers, too
-            judge(
-                replace(
-                    kernel, system=with_other_numbers(system, structure.freed, structure.cyclic)
-                )
-            )
+            other = with_other_numbers(system, structure.freed, structure.cyclic)
+            moved = None if forces is None else forces.on(other)
+            judge(replace(kernel, system=other, forces=moved))
     return kernel
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -11,7 +11,9 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import InputError, KernelMismatch
 from ..reduction.potential import translations
+from ..system.joints import axes_of
 from .judged_state import JudgedState, random_state
+from .loads_by_pinocchio import LoadsByPinocchio
 
 if TYPE_CHECKING:
     from .kernel import Kernel
@@ -53,6 +55,7 @@ def _judge_at(kernel: Kernel, at: JudgedState) -> None:
         _judge_full_state(kernel, at, out)
     _judge_velocity(kernel, at, rate)
     v = _velocity_in(kernel, at, rate)
+    _judge_inverse_dynamics(kernel, at, v)
     torque, wrench = _acting(kernel, at, v)
     _judge_base(kernel, at, rate, v, wrench)
     _judge_acceleration(kernel, at, rate, v, torque, wrench)
@@ -210,14 +213,43 @@ def _velocity_in(kernel: Kernel, at: JudgedState, rate: Array) -> Array:
     return v
 
 
+def _judge_inverse_dynamics(kernel: Kernel, at: JudgedState, v: Array) -> None:
+    """Compare torques of inverse dynamics with those of Pinocchio's mass matrix and RNEA.
+
+    The base goes as its own rows of H a + bias = (0, τ) have it, with nothing acting on it.
+    """
+    system, H, r = kernel.system, at.H, kernel.system.r
+    if kernel.forces is None:
+        return
+    full = system.joint_rates(v)
+    for wanted, torque in kernel.forces.required(*_seen(at, v)):
+        bias = system.on_shape(pin.nonLinearEffects(at.model, system.data, at.q, full))
+        base = -np.linalg.solve(H[:r, :r], H[:r, r:] @ wanted + bias[:r])
+        a = np.append(base, wanted)
+        terms = at.force_terms + at.weight_terms + np.abs(H) @ np.abs(a)
+        carried = np.abs(np.linalg.solve(H[:r, :r], H[:r, r:])).T @ terms[:r]
+        true = (H @ a + bias)[r:]
+        _checker(kernel)("inverse dynamics", torque, true, terms[r:] + carried)
+
+
 def _acting(kernel: Kernel, at: JudgedState, v: Array) -> tuple[Array, Array]:
-    """Return torques (m,) and the wrench on the base (r,)."""
+    """Return torques (m,) and the wrench on the base (r,); those on links by Pinocchio."""
     system, forces = kernel.system, kernel.forces
     if forces is None:
         return np.zeros(system.m), np.zeros(system.r)
-    xi, xdot = v[: system.r], v[system.r :]
-    acting = forces.acting(at.time, at.x, xdot, xi, at.mu, at.numbers, at.in_space(v))
-    return acting.torque, acting.wrench
+    acting, loads = forces.acting_apart(*_seen(at, v))
+    if not forces.loads:
+        return acting.torque, acting.wrench
+    root = axes_of(system.model.joints[1])
+    on_all = LoadsByPinocchio(system, root, forces.loads).generalised(at.q, loads)
+    on_links = system.on_shape(on_all)
+    return acting.torque + on_links[system.r :], acting.wrench + on_links[: system.r]
+
+
+def _seen(at: JudgedState, v: Array) -> tuple[Any, ...]:
+    """Return what forces see of a state, in the order in which a ForceModel takes it."""
+    xi, xdot = v[: len(at.mu)], v[len(at.mu) :]
+    return at.time, at.x, xdot, xi, at.mu, at.numbers, at.in_space(v)
 
 
 def _moment_of_gravity(kernel: Kernel, at: JudgedState) -> Array:

@@ -16,6 +16,7 @@ from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import acting_gravity, falling, translations
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.free_bodies import Freed, free_numbers, other_placement
+from ..system.in_gravity import in_gravity
 from ..system.inertias import moved_masses, radius_of_gyration
 from ..system.other_inertias import with_numbers
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
     from ..system.system import System
     from .kernel import Kernel
+
+_HEAVIER = 1.3  # is the gravity in which kernels are judged again
 
 
 @dataclass(frozen=True)
@@ -218,7 +221,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
 
 
 def with_other_numbers(system: System, freed: Freed, cyclic: tuple[int, ...] = ()) -> System:
-    """Return the system with other numbers, inertias physical, of the bodies that are freed.
+    """Return the system with other numbers, inertias physical, of what is freed, in more gravity.
 
     Inertias that a cyclic joint carries are made heavier and no more: it has to stay cyclic.
     """
@@ -242,7 +245,15 @@ def with_other_numbers(system: System, freed: Freed, cyclic: tuple[int, ...] = (
         moments = own.inertia + np.trace(spread) * np.eye(3) - spread
         lever = own.lever + reach * rng.normal(size=3)
         changed[i + 1] = pin.Inertia(own.mass * rng.uniform(0.5, 1.5), lever, moments)
-    return with_numbers(system, changed, placed)
+    frames = {k: _elsewhere(model.frames[k].placement, rng) for k in freed.links}
+    other = with_numbers(system, changed, placed, frames)
+    return in_gravity(other, _HEAVIER * system.gravity)
+
+
+def _elsewhere(place: pin.SE3, rng: np.random.Generator) -> pin.SE3:
+    """Return another place of a link on its body."""
+    size = 0.1 + float(np.linalg.norm(place.translation))
+    return place * pin.SE3(pin.exp3(rng.uniform(0.1, 0.4, 3)), size * rng.uniform(0.1, 0.5, 3))
 
 
 def _in_space(

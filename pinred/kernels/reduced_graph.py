@@ -19,6 +19,7 @@ from functools import cached_property
 import casadi as ca
 
 from ..forces.force_model import ForceModel
+from ..forces.robot_symbols import numbers_in
 from ..reduction.base_parts import root_of
 from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..reduction.tree.articulated_sweep import sweep
@@ -48,9 +49,12 @@ class ReducedGraph:
         `compile_object` with the marks of `lanes` alone.
         """
         self.system, self.forces, self._lanes = system, forces, lanes
-        inertias = [ca.SX.sym(f"Y{k}") for k in range(structure.freed.size)]
-        self._inertias = inertias
-        self._bodies = with_free(bodies_of(system), structure.freed, inertias)
+        self._freed, own = (
+            structure.freed,
+            [ca.SX.sym(f"Y{k}") for k in range(structure.freed.size)],
+        )
+        self._own = own  # numbers of the robot
+        self._bodies = with_free(bodies_of(system), structure.freed, own)
         self._mass = total_mass(self._bodies) if structure.freed.inertias else system.mass
         group, m = system.group, system.m
         self.layout = layout_of(system, structure, forces)
@@ -106,7 +110,7 @@ class ReducedGraph:
     def parameters(self) -> ca.SX:
         """The parameters, (parameters,)."""
         constant = [self.pi[k] for k in self.layout.cyclic]
-        free = (*self._gravity, *self._inertias, *self._line)
+        free = (*self._gravity, *self._own, *self._line)
         return _column(self.base.spin, constant, list(free), self._numbers)
 
     def rate(self) -> ca.Function:
@@ -194,11 +198,20 @@ class ReducedGraph:
         """Return torques (m,) and the wrench, (r,) or none, of the forces."""
         if self.forces is None:
             return [0.0] * self.system.m, []
-        columns = (self.x, self.xdot, self.xi, mu, self._numbers, *self._in_space(mu))
+        seen, robot = self._in_space(mu), self._robot(self.forces)
+        columns = (self.x, self.xdot, self.xi, mu, self._numbers, *seen, robot)
         state = [_column(list(column)) for column in columns]
         torque, wrench = self.forces.acting_function(self._t, *state)
         on_base = _scalars(wrench) if self.forces.has_wrench else []
         return _scalars(torque), on_base
+
+    def _robot(self, forces: ForceModel) -> list[Scalar]:
+        """Return the numbers of the robot as forces take them; those that fold here fold there."""
+        links = {frame: self._own[self._freed.of_link(frame)] for frame in self._freed.links}
+        gravity: Vec = [0.0, 0.0, 0.0]
+        for axis, g in zip(self.layout.gravity, self._gravity, strict=True):
+            gravity[axis] = g
+        return [*numbers_in(self._bodies, self.system, forces.freed, links), *gravity]
 
     def _in_space(self, mu: list[Scalar]) -> list[list[Scalar]]:
         """Return pose, body twist, body and spatial momentum, if a force sees any of it."""

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, as_floats, read_only, vector
 from ..common.errors import InputError, PinredError, ShapeError
 from ..common.names import joint_index, nearest
+from ..common.parameter import Parameter
 from ..common.plain_names import brief, quoted
 from ..forces.signals import Constant, Expression, Signal
 from ..integrators.methods import METHODS, Method
@@ -59,13 +60,15 @@ def in_order(value: Any, system: System, what: str) -> Any:
 def signal(value: Any, what: str) -> Signal:
     """Return the motion of a prescribed joint as a Signal.
 
-    value: a Signal, a number or a formula in t.  Raises InputError naming `what`.
+    value: a Signal, a number, a Parameter or a formula in t.  Raises InputError naming `what`.
     """
     if isinstance(value, Signal):
         return value
     try:
         if isinstance(value, str):
             return Expression(value)
+        if isinstance(value, Parameter):
+            return Constant(value)
         if isinstance(value, Real) and not isinstance(value, bool):
             return Constant(float(value))
     except OverflowError:

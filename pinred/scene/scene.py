@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, as_floats, dimensions, positive, read_only, vector
+from ..common.arrays import Array, dimensions, positive, read_only, vector
 from ..common.defaults import Default, is_given
 from ..common.errors import InputError
-from ..common.plain_names import brief, listed, one_of
+from ..common.plain_names import brief, one_of
 from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method
-from ..system.model_parameters import ModelParameters, requested
+from ..system.model_parameters import ModelParameters
 from ..system.other_inertias import nominal
 from ..system.system import System, checked_system
 from . import forms
@@ -27,6 +27,7 @@ from .checked import checked_keyframe, checked_seed, listed_forces
 from .controls import check_span
 from .event import Event, checked_events, watched_of
 from .initial_state import GivenStates, Start, start_of
+from .parameters import GivenParameters, given_parameters
 from .passive import acting_passive, checked_passive, passive_left_out
 from .random_state import random_state
 from .report_times import EVEN_TIMES as EVEN_TIMES
@@ -83,7 +84,8 @@ class Scene:
     "hand.log_cholesky"; by a joint "elbow.placement" (x, y, z, roll, pitch, yaw), or
     "elbow.translation" of it; of a locked one "elbow.lock"; "gravity" in the world frame, or
     "gravity.strength".  These numbers are inputs of the kernel.  A list of such names, or "all" for
-    inertias and placements, makes inputs of them at the values that they have.
+    inertias and placements, makes inputs of them at the values that they have.  What the system
+    has of them (System.parameters) stays where nothing else is given.
     events: moments to find (see Event); a terminal one ends the motion, and so the scene of the
     Trajectory.
     outputs: "all", or "shape" to leave out the base.
@@ -228,8 +230,8 @@ class Scene:
     @property
     def varied(self) -> ModelParameters | None:
         """The numbers of the robot that are among the parameters; None if there are none."""
-        found: ModelParameters | None = vars(self)["_varied"]
-        return found
+        given: GivenParameters = vars(self)["_parameters"]
+        return given.varied
 
     @property
     def events_given(self) -> tuple[Event, ...]:
@@ -265,15 +267,10 @@ class Scene:
 
     def _vary_robot(self) -> None:
         """Give the robot the numbers among the parameters; the system is then one that has them."""
-        own = nominal(self.system)
-        given, others = requested(own, self.parameters)
-        self._keep("parameters", given)
-        self._keep("_requested", others)
-        varied = ModelParameters(own, list(self.parameters))
-        self._keep("_varied", varied if varied.names else None)
-        values = varied.checked(self.parameters)
-        self._keep("_values", values)
-        self._keep("system", varied.system(values))
+        given = given_parameters(self.system, self.parameters)
+        self._keep("_parameters", given)
+        self._keep("parameters", given.values)
+        self._keep("system", given.system)
 
     def _check_forces(self) -> None:
         """Write the forces down, if there are any."""
@@ -301,9 +298,10 @@ class Scene:
             self._keep("_forces", None)
             self._check_parameters([each.name for each in watched])
             return
-        from ..forces.force_model import remembered_model  # needs CasADi
+        from ..forces.remembered import remembered_model  # needs CasADi
 
-        model = remembered_model(self.system, self.springs, (*forces, *own), prescribed)
+        every = (*forces, *own)
+        model = remembered_model(self.system, self.springs, every, prescribed, self.varied)
         self._check_parameters([each.name for each in (*model.parameters, *watched)])
         model = model.with_values(self.parameters)
         check_span(model, self.end, base=self.outputs == "all")
@@ -319,33 +317,8 @@ class Scene:
 
     def _check_parameters(self, known: Sequence[str]) -> None:
         """Keep the parameters as numbers.  Raises InputError for names that nothing has."""
-        values: dict[str, Any] = {}
-        for name, value in self.parameters.items():
-            if name in vars(self)["_values"]:
-                if name in known:
-                    raise InputError(
-                        f"parameters: '{name}' is a number of the robot, and a Parameter of the "
-                        "forces has the same name; give that another"
-                    )
-                found: Array = vars(self)["_values"][name]
-                values[name] = read_only(found) if found.size > 1 else float(found[0])
-                continue
-            if name not in known:
-                raise InputError(
-                    f"parameters: no Parameter '{name}' in the forces and signals of the scene; "
-                    f"those are {listed(known, 60) or 'none'}"
-                )
-            values[name] = float(
-                vector(np.ravel(as_floats(value, name)), 1, f"parameters['{name}']")[0]
-            )
-        for name in vars(self)["_requested"]:
-            if name not in known:
-                raise InputError(
-                    f"parameters: there is no {brief(name)}; what may vary are names such as "
-                    "'link.mass' and 'joint.placement', 'gravity', and the Parameters of the "
-                    f"scene: {listed(known, 60) or 'none'}"
-                )
-        self._keep("parameters", MappingProxyType(values))
+        given: GivenParameters = vars(self)["_parameters"]
+        self._keep("parameters", MappingProxyType(given.checked(known)))
 
     def _resolve(self) -> GivenStates:
         system = self.system

@@ -66,6 +66,9 @@ def varying(plan: Plan, *, generic: bool = False) -> list[str]:
             f"inputs: placements of {', '.join(any_turn)}, of any kind (of all joints, two "
             "to four evaluations)"
         )
+    if freed.links:
+        links = ", ".join(str(plan.system.model.frames[k].name) for k in freed.links)
+        lines.append(f"inputs: places of {links}, which forces act on, on their bodies")
     if varied.gravity:
         lines.append("inputs: gravity")
     return lines

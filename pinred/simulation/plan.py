@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from ..common.arrays import Array, read_only
+from ..common.errors import SymmetryError
 from ..common.memo import once
 from ..forces.force_model import ForceModel, touched_by
 from ..integrators.methods import Method
@@ -162,10 +163,12 @@ class Plan:
 
     def freed(self, *, generic: bool = False) -> Freed:
         """Return the numbers of the robot that are inputs of the kernel; see `kind`."""
-        varied = self.scene.varied
+        varied, forces = self.scene.varied, self.forces
         if varied is None:
             return NOTHING
-        return freed_of(self.system, varied.free, varied.placed, varied.turned, generic=generic)
+        links = () if forces is None else forces.freed.links
+        bodies = varied.free, varied.placed, varied.turned
+        return freed_of(self.system, *bodies, links, generic=generic)
 
 
 def plan_of(scene: Scene) -> Plan:
@@ -189,6 +192,7 @@ def _plan(scene: Scene) -> Plan:
 
 def _acting(system: System, forces: ForceModel | None, varied: ModelParameters | None) -> Acting:
     weight, gravity = pivot_weight(system), acting_gravity(system)
+    weighed = forces is not None and forces.weighed
     driven = forces.joints if forces is not None else ()
     pushed = forces is not None and forces.has_wrench
     cyclic = cyclic_of(system, touched_by(forces), pushed=pushed)
@@ -199,6 +203,11 @@ def _acting(system: System, forces: ForceModel | None, varied: ModelParameters |
             weight = system.mass * gravity
         always = cyclic_of(other, touched_by(forces), pushed=pushed)
         cyclic = tuple(k for k in cyclic if k in always)
+    if weighed and weight.any():
+        raise SymmetryError(
+            f"gravity turns the base of '{system.name}', so that its accelerations do not follow "
+            "from shape and momentum alone; use PD control, or gravity=(0, 0, 0)"
+        )
     return Acting(
         system=system,
         forces=forces,

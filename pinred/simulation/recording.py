@@ -24,10 +24,15 @@ from ..system.catalogue import bundled_robots
 from ..system.load import is_path
 from .archive import read_arrays
 from .state import OverTime, ShapeState, State
+from .trajectory_files import parameters_in, save
 
 if TYPE_CHECKING:
     from ..system.system import System
 
+_ORIGIN = (
+    "source", "lock_joints", "lock_values", "gravity", "root",
+    "parameter_names", "parameter_sizes", "parameter_values",
+)  # fmt: skip
 _AGREE = 1e-6  # rad | m; how far q may be from pose and shape
 
 
@@ -87,8 +92,6 @@ class Recording(OverTime):
 
     def save(self, path: str | Path) -> None:
         """Write the states to a .npz, .csv or .zarr file, as `Trajectory.save` does."""
-        from .trajectory_files import save
-
         save(self, path)
 
 
@@ -107,11 +110,7 @@ def read_recording(path: str | Path, robot: str | None = None) -> Recording:
             f"{quoted_path(path)} is not a motion that pinred wrote: it has no array "
             f"'{min(missing)}'"
         )
-    origin: dict[str, Any] = {
-        name: content[name]
-        for name in ("source", "lock_joints", "lock_values", "gravity", "root")
-        if name in content
-    }
+    origin: dict[str, Any] = {name: content[name] for name in _ORIGIN if name in content}
     found = Recording(
         path, str(content["robot"]), str(content["group"]),
         tuple(map(str, np.atleast_1d(content["joints"]))), _outputs(path, content),
@@ -170,7 +169,10 @@ def _loaded(
         values = map(float, origin.get("lock_values", ()))
         lock = dict(zip(names, values, strict=True))
         root = str(origin["root"]) if "root" in origin else None
-        return load(source, group=group, lock=lock, gravity=origin.get("gravity"), root=root)
+        return load(
+            source, group=group, lock=lock, gravity=origin.get("gravity"), root=root,
+            parameters=parameters_in(origin),
+        )  # fmt: skip
     except (PinredError, ValueError, TypeError) as error:
         raise LoadError(
             f"the robot of {path} cannot be loaded: {error}; name another (--robot, or robot=)"

@@ -7,13 +7,20 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import InputError, SymmetryError
 from ..kernels.layout import Layout
 from ..reduction.potential import acting_gravity, falling
 from ..reduction.tree.body_frames import Body, bodies_of, step_at
-from ..reduction.tree.free_bodies import frame_map, step_of_body, step_slopes
+from ..reduction.tree.free_bodies import (
+    frame_map,
+    link_numbers,
+    link_slopes,
+    step_of_body,
+    step_slopes,
+)
 from ..scene.scene import Scene
 from ..system.in_gravity import in_gravity
 from ..system.model_parameters import ModelParameters
@@ -52,6 +59,8 @@ class RobotColumns:
             bodies[freed.of_inertia(i)] = self._maps[i] @ moments
         for i, body, _ in self._placed(now):
             bodies[freed.of_step(i)] = step_of_body(body)
+        for k, body, place, _ in self._links(now):
+            bodies[freed.of_link(k)] = link_numbers(body, place)
         if self._varied.gravity:
             acting, fall = self._in_gravity(self._varied.gravity_of(now)[0])
             constants[:first] = acting
@@ -73,6 +82,9 @@ class RobotColumns:
             by_twist = step_slopes(self._bodies[body.parent], body)
             for name, twist in twists.items():
                 yield self._moved(freed.of_step(i)), name, by_twist @ twist
+        for k, body, place, twists in self._links(now):
+            for name, twist in twists.items():
+                yield self._moved(freed.of_link(k)), name, link_slopes(body, place, twist)
         if self._varied.gravity:
             _, slope = self._varied.gravity_of(now)
             acting, fall = self._gravity_maps()
@@ -89,6 +101,16 @@ class RobotColumns:
             body, own = self._bodies[i], self._system.model.jointPlacements[i + 1]
             step = step_at(self._bodies[body.parent], body, own, place)
             yield i, replace(body, **step), twists
+
+    def _links(
+        self, now: Mapping[str, Array]
+    ) -> Iterator[tuple[int, Body, pin.SE3, dict[str, Array]]]:
+        """Yield frame, body, place and twists by name of each link that a force acts on."""
+        links = self._layout.freed.links
+        for k, (place, twists) in self._varied.places(now).items() if links else ():
+            if k in links:
+                joint = self._system.model.frames[k].parentJoint
+                yield k, self._bodies[joint - 1], place, twists
 
     def _in_gravity(self, g: Array) -> tuple[Array, Array]:
         """Return what of a gravity acts along the kernel's axes, and how the system falls.
@@ -154,18 +176,3 @@ def with_own(scene: Scene, names: Sequence[Any]) -> Scene:
         return scene
     values = {**varied.own(), **scene.parameters}
     return replace(scene, parameters=values)
-
-
-def relies_on_robot(scene: Scene) -> str:
-    """Return which force relies on numbers of the robot that vary, and on which; "" if none."""
-    varied, given = scene.varied, scene.forces
-    if varied is None:
-        return ""
-    forces = tuple(given) if isinstance(given, (list, tuple)) else (given,)
-    for force in forces:
-        if getattr(force, "last", False):
-            what = "inertias" if varied.inertial else "gravity"
-            return f"{force.label} relies on the robot's {what}"
-        if varied.placed and getattr(force, "link", None) is not None:
-            return f"{force.label} acts on a link, whose place relies on placements"
-    return ""

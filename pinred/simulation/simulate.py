@@ -16,6 +16,7 @@ from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
 from ..scene.options import SceneOptions
 from ..scene.scene import ENGINES, Engine, Scene
+from ..system.model_parameters import joined
 from ..system.system import System, checked_system
 from .piece import Flow, Integrate
 from .pieces import follow
@@ -72,6 +73,9 @@ def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Sc
             raise InputError(f"{what} has no option '{option}'; they are {', '.join(names)}")
     if not isinstance(scene, Scene):
         return Scene(system=checked_system(scene, what), **options)
+    parameters = options.get("parameters")
+    if isinstance(parameters, Mapping):  # what is not given stays
+        options = {**options, "parameters": joined(scene.parameters, parameters)}
     return replace(scene, **options) if options else scene
 
 

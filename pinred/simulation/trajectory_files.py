@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -9,6 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..common.files import check_path, write_atomic
+from ..system.model_parameters import GRAVITY
 from ..system.system import System
 from .state import OverTime
 from .zarr_files import write_zarr
@@ -21,7 +23,8 @@ def save(traj: OverTime, path: str | Path) -> None:
 
     npz: one array per field of State, time first, with `robot`, `group` and `joints`, and
     what load() needs to find the robot again: `source`, `lock_joints`, `lock_values`, `gravity`,
-    and `root` if it was given.
+    `root` if it was given, and other numbers of the robot as `parameter_names`, `parameter_sizes`
+    and `parameter_values`, one after another.
     csv: a row per time, columns such as `pose.x`, `x.hinge`, `energy`.
     zarr: a folder with the arrays of npz, text as its attributes; needs the package zarr.
     Either the whole file is written or none.  Raises InputError for another suffix or a
@@ -45,9 +48,18 @@ def _arrays(traj: OverTime) -> dict[str, Any]:
 
 
 def about_robot(system: System) -> dict[str, Any]:
-    """Return arrays that say which robot a file is of, and where load() finds it."""
+    """Return arrays that say which robot a file is of, and where load() finds it.
+
+    Gravity and locked joints are as they are, whoever gave them: the loaded robot or parameters.
+    """
     origin = system.origin
-    lock = {} if origin is None else origin.lock
+    lock = dict({} if origin is None else origin.lock)
+    others = dict(system.parameters)
+    for name in system.parameters:
+        if name.endswith(".lock"):
+            lock[name.removesuffix(".lock")] = float(others.pop(name))
+        elif name in GRAVITY:
+            del others[name]
     chosen = {} if origin is None or origin.root is None else {"root": np.array(origin.root)}
     return {
         "robot": np.array(system.name),
@@ -58,7 +70,34 @@ def about_robot(system: System) -> dict[str, Any]:
         "lock_values": np.array(list(lock.values()), dtype=float),
         "gravity": system.gravity,
         **chosen,
+        **_parameters(others),
     }
+
+
+def _parameters(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return arrays with the names of parameters, how many numbers each has, and all of these."""
+    if not values:
+        return {}
+    rows = [np.ravel(value) for value in values.values()]
+    return {
+        "parameter_names": np.array(list(values), dtype=str),
+        "parameter_sizes": np.array([len(row) for row in rows]),
+        "parameter_values": np.concatenate(rows).astype(float),
+    }
+
+
+def parameters_in(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parameters, {name: value}, in arrays that were read.
+
+    Raises ValueError if these do not belong together.
+    """
+    names = [str(name) for name in np.atleast_1d(content.get("parameter_names", ()))]
+    sizes = [int(size) for size in np.atleast_1d(content.get("parameter_sizes", ()))]
+    values = np.ravel(np.asarray(content.get("parameter_values", ()), dtype=float))
+    if len(names) != len(sizes) or min(sizes, default=1) < 1 or sum(sizes) != len(values):
+        raise ValueError("the names, sizes and values of its parameters do not belong together")
+    rows = np.split(values, np.cumsum(sizes)[:-1]) if names else []
+    return dict(zip(names, rows, strict=True))
 
 
 def _write_csv(traj: OverTime, file: BinaryIO) -> None:

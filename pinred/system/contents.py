@@ -72,7 +72,7 @@ class Contents:
     couplings: joints that follow others.  freed: the body that the file fixes to the world and
     that floats here, or "".
     visuals: shapes to draw that were given along with the model.  locked: the joints that were
-    locked, whose values may vary; None where they may not, as in MJCF.
+    locked, if some were.
     """
 
     left_out: tuple[LeftOut, ...] = ()

@@ -190,6 +190,17 @@ def with_followers(
     return out, tuple(left)
 
 
+def locked_by(
+    lock: Mapping[str, float], couplings: Sequence[Coupling], joints: Sequence[str]
+) -> dict[str, Coupling]:
+    """Return how those of the locked joints that follow a locked one do so, by their names."""
+    known = [each for each in couplings if each.leader in joints and each.follower in joints]
+    if not any(each.leader in lock for each in known):
+        return {}
+    whole = resolved(known, joints)
+    return {name: each for name, each in whole.items() if {name, each.leader} <= lock.keys()}
+
+
 def _refuse_lock(each: Coupling) -> NoReturn:
     raise InputError(
         f"lock: joint '{each.follower}' follows '{each.leader}' ({each}); lock '{each.leader}', "

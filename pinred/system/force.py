@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 import numpy as np
 
@@ -47,6 +47,11 @@ class SeenState:
     xi: Any
     mu: Any
     J: Any
+
+    def __getattr__(self, name: str) -> NoReturn:
+        """Refuse a name that is none of the state's.  Raises AttributeError."""
+        names = ", ".join(field.name for field in fields(self))
+        raise AttributeError(f"a state has {names}, no {name!r}")
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from .locked_joints import LockedJoints, moments_of
 from .system import System
 
 SIZES = {"placement": 6, "translation": 3, "lock": 1}
+PLACED = ("placement", "translation")  # the kinds that any joint but the root has
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ def joint_parameter(system: System, name: str) -> JointParameter | None:
     if kind == "lock":
         locked = system.contents.locked
         known = [] if locked is None else list(locked.names)
+        if locked is not None and word in locked.frozen and word not in known:
+            raise InputError(f"parameters: '{name}' does not vary: {locked.why_not(word)}")
         if word not in known:
             raise InputError(
                 f"parameters: '{system.name}' has no locked joint {quoted(word)} whose value may "
@@ -74,7 +77,7 @@ class Joints:
 
     parameters: in their order.  placed: indices of the bodies, 0 for the root, whose joints are
     placed by them, sorted.  free: those whose inertias they change.  turned: of `placed`, those
-    whose axes they turn.
+    whose axes they turn.  links: frames of links that they move on their bodies.
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
@@ -90,8 +93,9 @@ class Joints:
             for joint, moved in self._placements({}).items():
                 if moved[1].keys() & self._locks.keys():
                     behind.add(self._body(joint))
-            for place in self._locked.carried({}).values():
-                if place.twists.keys() & self._locks.keys():
+            for i, place in self._locked.carried({}).items():
+                heavy = self._locked.raw.inertias[i].mass > 0.0
+                if heavy and place.twists.keys() & self._locks.keys():
                     free.add(self._body(place.joint))
         for each in self.parameters:
             if each.kind == "lock":
@@ -113,6 +117,8 @@ class Joints:
             i for i in self.placed if i in behind or self._of[i][0].kind == "placement"
         )
         self.free = tuple(sorted(free))
+        self._frames = self._locked.frames(system.model, list(self._locks)) if self._locks else {}
+        self.links = tuple(sorted(self._frames))
 
     def own(self) -> dict[str, Array]:
         """Return the values that the system has, {name: (size,)}."""
@@ -178,6 +184,24 @@ class Joints:
                 name: moments_of(slopes[joint])[:, None] for joint, name in self._locks.items()
             }
             yield i, moments_of(J), found
+
+    def places(self, values: Mapping[str, Array]) -> dict[int, tuple[pin.SE3, dict[str, Array]]]:
+        """Return of each of `links` its place on its body, and twists (6, 1) by each value.
+
+        Twists are in the body's frame, taken at its origin.
+        """
+        if not self._frames:
+            return {}
+        carried, out = self._locked.carried(self._lock_values(values)), {}
+        for k, frame in self._frames.items():
+            under = carried[self._locked.raw.frames[frame].parentJoint]
+            found = {
+                name: under.twists[joint][:, None]
+                for joint, name in self._locks.items()
+                if joint in under.twists
+            }
+            out[k] = under.moved * self._locked.raw.frames[frame].placement, found
+        return out
 
     @property
     def _locked(self) -> LockedJoints:

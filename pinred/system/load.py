@@ -29,16 +29,17 @@ from ..lie.groups import GROUPS, group_named
 from ..lie.se3 import SE3
 from . import catalogue
 from .contents import Contents, Coupling
-from .coupling import with_followers
+from .coupling import locked_by, with_followers
 from .joints import motion_group, root_joint
-from .locked_joints import LockedJoints
+from .locked_joints import LockedJoints, Tie
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
+from .model_parameters import with_parameters
 from .model_passive import passive_contents
 from .pinocchio_mimics import plain_joints
 from .rerooting import rebuild
 from .robot_files import is_mjcf, read_description, read_text, read_xml
-from .root_chain import RootChain, root_chain
+from .root_chain import RootChain, places_on_root, root_chain
 from .system import InitialState, Origin, System
 from .urdf import mimic_couplings
 from .visuals import mesh_folders, with_visuals
@@ -60,6 +61,7 @@ def load(
     root: str | None = None,
     strict: bool = False,
     meshes: str | Path | Iterable[str | Path] = (),
+    parameters: Mapping[str, ArrayLike] | None = None,
 ) -> System:
     """Load a robot and read it as symmetry group times shape.
 
@@ -81,6 +83,8 @@ def load(
         inertia that no distribution of mass has, and mass matrices singular at single shapes.
     meshes: a folder, or several, in which playback looks for the meshes of a URDF file, beside
         those above the file.
+    parameters: {name: value} of masses, placements and other numbers of the robot that are to be
+        others than in the file, by the names that `Scene` has for them.
 
     Warns with LeftOutWarning of what acts in a file and is not part of the reduction
     (System.left_out).  Raises LoadError if there is nothing to read, ModelError if pinred
@@ -95,10 +99,12 @@ def load(
     weight = None if gravity is None else _gravity(gravity)
     locked = _locked(lock)
     folders = mesh_folders(meshes)
+    given = {} if parameters is None else parameters
     if mujoco := _as_mujoco(source):
         if folders:
             raise InputError("meshes= is for URDF; an MJCF file says where its meshes are")
-        return _load_mujoco(source, mujoco, wanted, locked, weight, root)
+        system = _load_mujoco(source, mujoco, wanted, locked, weight, root)
+        return with_parameters(system, given)
     visuals = with_visuals(source)
     if visuals is not None:
         source = visuals.model
@@ -130,14 +136,21 @@ def load(
         origin = Origin(str(Path(source).absolute()), locked, meshes=folders)
     else:
         raw, couplings = _example(name)
-    locked, couplings = with_followers(locked, couplings, list(raw.names))
+    every = couplings
+    locked, couplings = with_followers(locked, every, list(raw.names))
     bare = rebuild(raw, _frozen(raw, locked))
     chain = root_chain(bare)
     model = _on_root(bare, wanted, chain)
     contents = passive_contents(raw, list(model.names)[2:], locked)
     fixed = None
-    if locked and not (couplings or chain):
-        fixed = LockedJoints(raw, locked)
+    if locked:
+        ties = {
+            name: Tie(each.leader, (each.offset, each.ratio))
+            for name, each in locked_by(locked, every, list(raw.names)).items()
+        }
+        places = {} if chain is None else places_on_root(bare, chain)
+        several = tuple(n for n in locked if raw.joints[raw.getJointId(n)].nv > 1)
+        fixed = LockedJoints(raw, locked, ties, places, str(model.names[1]), several)
     contents = replace(contents, visuals=visuals, couplings=couplings, locked=fixed)
     if weight is not None:
         model.gravity.linear = weight
@@ -148,7 +161,7 @@ def load(
         if strict:
             raise ModelError(f"{quoted(name)} is refused, strictly: {doubt}")
         warnings.warn(f"{quoted(name)}: {doubt}", ModelWarning, stacklevel=2)
-    return system
+    return with_parameters(system, given)
 
 
 def _as_mujoco(source: object) -> str:

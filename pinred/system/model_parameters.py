@@ -8,17 +8,23 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array, as_floats, entries_of, vector
+from ..common.arrays import Array, as_floats, entries_of, read_only, vector
 from ..common.errors import InputError
+from ..common.names import nearest
 from ..common.plain_names import brief
-from .body_parameters import Bodies, body_parameter, inertia_of
+from .body_parameters import SIZES as BODY_SIZES
+from .body_parameters import Bodies, body_names, body_parameter, inertia_of
 from .in_gravity import in_gravity
-from .joint_parameters import Joints, joint_parameter
-from .other_inertias import with_numbers
+from .joint_parameters import PLACED, Joints, joint_parameter
+from .other_inertias import nominal, with_numbers
 from .system import System
 
 # Gravity in the world frame [m/s²], or its strength along the direction that it has.
 GRAVITY = {"gravity": 3, "gravity.strength": 1}
+# What says a part of what another kind of parameter says.
+_PARTS = {"translation": "placement"} | {
+    kind: "log_cholesky" for kind in BODY_SIZES if kind != "log_cholesky"
+}
 _HUGE = 1e100  # kg, kg m², m, m/s²
 INERTIAL = ("mass", "com", "inertia")  # the kinds of a whole body, of which "all" is made
 
@@ -35,6 +41,54 @@ def size_of(system: System, name: str) -> int | None:
         return body.size
     joint = joint_parameter(system, name)
     return None if joint is None else joint.size
+
+
+def plain_value(value: Array) -> float | Array:
+    """Return a value as scenes show it: one number, or a read-only array."""
+    return read_only(value.copy()) if value.size > 1 else float(value[0])
+
+
+def kinds_near(system: System, name: object, known: Sequence[str] = ()) -> str:
+    """Return words on what may vary of a robot, the nearest name to a wrong one first.
+
+    known: other names that there are.
+    """
+    words = [f"{body}.{kind}" for body in body_names(system) for kind in BODY_SIZES]
+    words += [f"{joint}.{kind}" for joint in list(system.model.names)[2:] for kind in PLACED]
+    locked = system.contents.locked
+    words += [] if locked is None else [f"{joint}.lock" for joint in locked.names]
+    hint = nearest(str(name), [*known, *GRAVITY, *words]) if isinstance(name, str) else ""
+    return (
+        f"{hint}of the robot these may vary: {', '.join(f'LINK.{kind}' for kind in BODY_SIZES)}, "
+        f"{', '.join(f'JOINT.{kind}' for kind in (*PLACED, 'lock'))}, {', '.join(GRAVITY)}"
+    )
+
+
+def joined(already: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return parameters, of which those that are given win, and stand for all they say."""
+    out = {**already, **given}
+    for name in already.keys() - given.keys():
+        if any(
+            name.endswith(f".{part}") and name.removesuffix(part) + whole in given
+            for part, whole in _PARTS.items()
+        ) or (name in GRAVITY and "gravity" in given):
+            del out[name]
+    return out
+
+
+def with_parameters(system: System, parameters: Any) -> System:
+    """Return the system with other numbers; those that it has already stay where none are given.
+
+    Raises InputError for names that the robot does not have, and values that no real one has.
+    """
+    if not isinstance(parameters, Mapping):
+        raise InputError(f"parameters must be {{name: value}}, got {brief(parameters)}")
+    own, values = nominal(system), joined(system.parameters, parameters)
+    varied = ModelParameters(own, list(values))
+    for name in values:
+        if name not in varied.names:
+            raise InputError(f"parameters: there is no {brief(name)}; {kinds_near(own, name)}")
+    return varied.system(varied.checked(values))
 
 
 def all_names(system: System) -> list[str]:
@@ -70,7 +124,8 @@ class ModelParameters:
 
     names: of the parameters, in their order.  free: indices of the bodies, 0 for the root, whose
     inertias vary.  placed: of those whose joints' placements do; turned: of these, those whose
-    axes turn.  gravity: whether that varies.
+    axes turn.  links: frames of links whose places on their bodies vary: behind locked joints.
+    gravity: whether that varies.
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
@@ -93,11 +148,7 @@ class ModelParameters:
         self.names = tuple(self.sizes)
         self.free = tuple(sorted({*self._bodies.free, *self._joints.free}))
         self.placed, self.turned = self._joints.placed, self._joints.turned
-
-    @property
-    def inertial(self) -> bool:
-        """Whether inertias or placements are among the parameters."""
-        return bool(self.free or self.placed)
+        self.links = self._joints.links
 
     def own(self) -> dict[str, Array]:
         """Return the values that the system has, {name: (size,)}."""
@@ -146,6 +197,13 @@ class ModelParameters:
         """
         return {i: (place, twists) for i, place, twists in self._joints.placements(values)}
 
+    def places(self, values: Mapping[str, Array]) -> dict[int, tuple[pin.SE3, dict[str, Array]]]:
+        """Return of each of `links` its place on its body, and twists (6, size) by each value.
+
+        Twists are as those of `placements`.
+        """
+        return self._joints.places(values)
+
     def gravity_of(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
         """Return gravity in the world frame, (3,), and its slopes, (3, size)."""
         g = self._system.gravity
@@ -163,8 +221,12 @@ class ModelParameters:
             return self._system
         inertias = {i + 1: inertia_of(found) for i, (found, _) in self.inertias(values).items()}
         places = {i + 1: place for i, (place, _) in self.placements(values).items()}
-        other = with_numbers(self._system, inertias, places)
-        return in_gravity(other, self.gravity_of(values)[0]) if self._gravity else other
+        frames = {k: place for k, (place, _) in self.places(values).items()}
+        other = with_numbers(self._system, inertias, places, frames)
+        if self._gravity:
+            other = in_gravity(other, self.gravity_of(values)[0])
+        vars(other)["_parameters"] = {name: plain_value(values[name]) for name in self.names}
+        return other
 
     def perturbed(self, rng: np.random.Generator) -> dict[str, Array]:
         """Return values that have nothing in common with those of the system."""

@@ -1,4 +1,4 @@
-"""A system with other inertias and placements, and the one it was made of."""
+"""A system with other inertias, placements and links, and the one it was made of."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ def with_numbers(
     system: System,
     inertias: Mapping[int, pin.Inertia],
     placements: Mapping[int, pin.SE3] | None = None,
+    frames: Mapping[int, pin.SE3] | None = None,
 ) -> System:
     """Return a system with other inertias of some bodies, and other placements of some joints.
 
-    Both by joint of the model.
+    Both by joint of the model.  frames: other places of links on their bodies, by frame of it.
     """
     other = copy(system)  # without what was made for its own numbers
     own = vars(other)
@@ -32,4 +33,6 @@ def with_numbers(
         other.model.inertias[joint] = inertia
     for joint, placement in (placements or {}).items():
         other.model.jointPlacements[joint] = placement
+    for frame, placement in (frames or {}).items():
+        other.model.frames[frame].placement = placement
     return other

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from .root_chain import RootChain
+from .root_chain import RootChain, places_on_root
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,12 @@ def rebuild(
     armature, lower, upper = _free_limits(root)
     if chain is not None:
         armature = [chain.armature]
-    along = pin.SE3.Identity()  # the chain, in the world
+    on_root = {} if chain is None else places_on_root(raw, chain)
     for i in order or range(1, raw.njoints):
         under, joint = carriers[raw.parents[i]], raw.joints[i]
         at = under.placement * raw.jointPlacements[i]
         if chain is not None and i <= chain.last:
-            along = along * raw.jointPlacements[i]
-            carrier = _Carrier(base, chain.at.actInv(along))
+            carrier = _Carrier(base, on_root[str(raw.names[i])])
         elif i in frozen:
             q[joint.idx_q : joint.idx_q + joint.nq] = frozen[i]
             moved = joint.createData()

@@ -55,6 +55,15 @@ def root_chain(raw: pin.Model) -> RootChain | None:
     return None
 
 
+def places_on_root(raw: pin.Model, chain: RootChain) -> dict[str, pin.SE3]:
+    """Return where the bodies of a chain's joints sit on the group's root joint, by the joints."""
+    out, along = {}, pin.SE3.Identity()
+    for i in range(1, chain.last + 1):
+        along = along * raw.jointPlacements[i]
+        out[str(raw.names[i])] = chain.at.actInv(along)
+    return out
+
+
 def _alone(raw: pin.Model, last: int) -> pin.Model:
     """Return the first joints of a model without all that hangs on them."""
     chain = pin.Model()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -210,6 +211,11 @@ class System:
 
     def _mass(self) -> float:
         return float(sum(self.model.inertias[i].mass for i in range(1, self.model.njoints)))
+
+    @property
+    def parameters(self) -> Mapping[str, float | Array]:
+        """Numbers of the robot that it was given after loading, by name (see Scene.parameters)."""
+        return MappingProxyType(vars(self).get("_parameters", {}))
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:

@@ -163,9 +163,13 @@ def _ends(
     steps = np.searchsorted(knots, times, side="left")
     # Between the ends of steps is what the method makes of it, of an order less than the steps.
     # A defect beyond what passes is a failure, and excuses none.
-    mean = min(float(missed.steps.mean()) if missed.steps.size else 0.0, DEFECT * tolerance)
-    within = min(float(missed.inside.max(initial=0.0)), BETWEEN * tolerance)
-    local = steps * mean + np.where(steps > 0, within, 0.0) + _ROUND_OFF * (steps + 1)
+    mean = float(missed.steps.mean()) if missed.steps.size else 0.0
+    within = float(missed.inside.max(initial=0.0))
+    parts = min(1.0, DEFECT * tolerance / (mean or 1.0))
+    parts_within = min(1.0, BETWEEN * tolerance / (within or 1.0))
+    carried = parts * float(missed.carried.mean()) if missed.steps.size else 0.0
+    carried_within = parts_within * float(missed.carried_inside.max(initial=0.0))
+    local = steps * carried + np.where(steps > 0, carried_within, 0.0) + _ROUND_OFF * (steps + 1)
     floor = _RESOLVED + np.maximum.accumulate(between)
     allowed = SAFETY * (growth * local + floor)
     told = int(np.argmax(allowed > JUDGEABLE)) if (allowed > JUDGEABLE).any() else len(times)
@@ -189,7 +193,7 @@ def _ends(
             f"the ends of the motion say something until t = {until:g} s only: {rest}; "
             "compare a shorter motion, or a tighter tolerance",
         )
-    return _Ends(bound, mean, told, reasons)
+    return _Ends(bound, parts * mean, told, reasons)
 
 
 def _at_rest(truth: FullMotion, size: Size) -> tuple[str, ...]:

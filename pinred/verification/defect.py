@@ -45,11 +45,16 @@ class Defects:
 
     Those of parts show what is reported between the ends of steps.  smooth: (S,) where the
     equations are smooth within the step; a kink of a force is more than a method can follow.
+    The tolerance holds for rates in parts of what the absolute one is to the relative one; of a
+    motion that is slower than that, carried and carried_inside, (S,) and (P,), are the same in
+    parts of its own rates, as growth is measured: a small rate goes far in a long time.
     """
 
     steps: Array
     inside: Array
     smooth: NDArray[np.bool_]
+    carried: Array
+    carried_inside: Array
 
     @property
     def worst(self) -> float:
@@ -89,15 +94,21 @@ def _defects(traj: Trajectory, full: FullState, which: Indices) -> Defects:
             apart = np.maximum(apart, np.abs(rates[k] - other))
     moved = np.einsum("k,skn->sn", _WEIGHTS, rates.reshape(len(a), len(_NODES), -1))
     missed = end - start - half[:, None] * moved
-    sizes = _sizes(traj, full)
+    sizes, own = _sizes(traj, full)
     whole = np.add.reduceat(missed, first)  # ends of parts within a step cancel
     # What round-off leaves of ABA, where the mass matrix is almost singular, is no defect.
     noise = APART * apart
-    steps, inside = (
-        (np.maximum(np.abs(part) - np.outer(time, noise), 0.0) / sizes).max(axis=1)
+    whole, missed = (
+        np.maximum(np.abs(part) - np.outer(time, noise), 0.0)
         for part, time in ((whole, np.add.reduceat(b - a, first)), (missed, b - a))
     )
-    return Defects(steps, inside, smooth=np.ones(len(which), dtype=bool))
+    return Defects(
+        steps=(whole / sizes).max(axis=1),
+        inside=(missed / sizes).max(axis=1),
+        smooth=np.ones(len(which), dtype=bool),
+        carried=(whole / own).max(axis=1),
+        carried_inside=(missed / own).max(axis=1),
+    )
 
 
 def _stretches(traj: Trajectory, which: Indices) -> tuple[Array, Array, Indices]:
@@ -125,28 +136,30 @@ def full_states(traj: Trajectory, full: FullState, times: Array) -> Array:
     return np.array([full.state(*row) for row in rows])
 
 
-def _sizes(traj: Trajectory, full: FullState) -> Array:
-    """Return the largest number of each kind at the ends of steps, in every place, (n,).
+def _sizes(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
+    """Return the largest number of each kind at the ends of steps, in every place, (n,) twice.
 
-    Angles and quaternions count as 1 at least, lengths as the radius of gyration, and rates as
-    what the absolute tolerance is to the relative one.  Of places, the distance travelled
-    counts, and that from the origin where its round-off does.
+    Angles and quaternions count as 1 at least, lengths as the radius of gyration.  Of places, the
+    distance travelled counts, and that from the origin where its round-off does.  Rates count as
+    what the absolute tolerance is to the relative one at least; the second time, as what
+    leads through an angle of 1 by the end.
     """
     y = full_states(traj, full, traj.motion.knots)
     group, m, r = traj.system.group, full.joints, traj.system.r
     linear, size = group.linear, group.size
     radius = full.radius(full.q(y[0]))
-    out, least = np.empty(y.shape[1]), np.zeros(y.shape[1])
-    least[:linear], least[linear : size + m] = radius, 1.0
-    slow = traj.scene.atol / traj.scene.rtol
-    least[size + m :] = slow
-    least[size + m : size + m + linear] = slow * radius
-    edges = [0, linear, size, size + m, size + m + linear, size + m + r, len(out)]
+    out, least = np.empty((2, y.shape[1])), np.zeros((2, y.shape[1]))
+    least[:, :linear], least[:, linear : size + m] = radius, 1.0
+    slow = np.array([traj.scene.atol / traj.scene.rtol, 1.0 / traj.scene.end])
+    least[:, size + m :] = np.minimum(slow, slow[0])[:, None]
+    least[:, size + m : size + m + linear] *= radius
+    edges = [0, linear, size, size + m, size + m + linear, size + m + r, y.shape[1]]
     for first, last in pairwise(edges):
         if last > first:
             kind = y[:, first:last]
             if first == 0 and linear:
                 offset = OFFSET * np.abs(kind).max()
                 kind = np.append(np.abs(kind - kind[0]).ravel(), offset)
-            out[first:last] = max(np.abs(kind).max(), least[first])
-    return np.where(out > 0.0, out, 1.0)
+            out[:, first:last] = np.maximum(np.abs(kind).max(), least[:, first, None])
+    sizes, own = np.where(out > 0.0, out, 1.0)
+    return sizes, own

@@ -15,6 +15,7 @@ import pinocchio as pin
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
 from ..forces.acting import BaseInSpace
+from ..kernels.loads_by_pinocchio import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.control import Control, Replay
 from ..simulation.state import Sample, State
@@ -22,9 +23,9 @@ from ..simulation.stops import stops_of
 from ..system.joints import joint_units
 from ..system.system import System
 from .audit import Audit, difference
+from .configuration import Configuration
 from .distances import Distance, FullMotion, Size
 from .hairer import Hairer
-from .loads_by_pinocchio import LoadsByPinocchio
 from .root_motion import root_motion
 from .ties import Ties
 from .weights import weights
@@ -62,18 +63,22 @@ class FullState:
         self._r, self._m = system.r, system.model.njoints - 2
         unseen = np.full(system.r, np.nan)  # which would be seen if a force did look there
         self._unseen = unseen, unseen
-        self._circles = [i for i, joint in enumerate(system.model.joints[2:]) if joint.nq == 2]
         self.ties = Ties(system)
         # Pinocchio 4.1 leaves the armature of slanted revolute joints out of the kinetic energy.
         self._weightless = system.model.copy()
         self._weightless.gravity.setZero()
         self._bare = system.model.copy()
         self._bare.armature = np.zeros(system.model.nv)
+        self._rotors = system.model.armature[: system.r].copy()
         self._root = root = root_motion(system.model)
         self._axes, self._linear, self._size = root.axes, root.linear, root.size
+        self._configuration = Configuration(system.model, root)
         self._held = system.model.copy()  # where the root slides, a weight only makes all fall
-        falls = system.model.jointPlacements[1].rotation @ root.axes[:3, : root.linear]
-        self._held.gravity.linear -= falls @ (falls.T @ system.model.gravity.linear)
+        placement = system.model.jointPlacements[1]
+        self._to_root, self._pivot = placement.rotation.T.copy(), placement.translation.copy()
+        self._along = np.hstack([part.T @ self._to_root for part in (root.axes[:3], root.axes[3:])])
+        self._slides = placement.rotation @ root.axes[:3, : root.linear]
+        self._held.gravity.linear -= self._slides @ (self._slides.T @ system.model.gravity.linear)
         placed = () if self._forces is None else self._forces.loads
         self._loads = LoadsByPinocchio(system, root.axes, placed) if placed else None
         self._driven = [] if self._forces is None else list(self._forces.joints)
@@ -174,12 +179,16 @@ class FullState:
         base = self.base_in_space(q, y[:size], v)
         return Sample(self.ties.shape(x), self.ties.shape(v[r:]), xi, mu, np.zeros(3), base)
 
-    def base_in_space(self, q: Array, root: Array, v: Array) -> BaseInSpace:
+    def base_in_space(
+        self, q: Array, root: Array, v: Array, *, momenta: bool = True
+    ) -> BaseInSpace:
         """Return pose, twist and momenta of the base, all by Pinocchio from its q and v."""
         r, k = self._r, self._linear
         pose = root.copy()
         if self._root.turns == 3:
             pose[k:] /= np.linalg.norm(root[k:])
+        if not momenta:
+            return BaseInSpace(pose, v[:r].copy(), *self._unseen)
         rest = np.zeros(len(v))
         mu = np.array(pin.rnea(self._weightless, self._data, q, rest, v)[:r])
         J = self.momentum(q, v, np.zeros(3), about_pivot=True)
@@ -203,7 +212,9 @@ class FullState:
         x, v, q = y[size : size + m], y[size + m :], self.q(y)
         xi, mu = self._relative(q, v) if self._forces.sees_momentum else self._unseen
         state = self.ties.shape(x), self.ties.shape(v[r:]), xi, mu, self._numbers
-        base = self.base_in_space(q, y[:size], v) if self._forces.sees_base else None
+        base = None
+        if self._forces.sees_base:
+            base = self.base_in_space(q, y[:size], v, momenta=self._forces.sees_base_momenta)
         acting, loads = self._forces.acting_apart(t, *state, base)
         tau = np.append(acting.wrench, self.ties.at_leaders(acting.torque))
         if self._loads is not None:
@@ -217,25 +228,18 @@ class FullState:
         data, r, k = self._data, self._r, self._linear
         inside = self.momentum(q, v, np.zeros(3), about_pivot=self._root.is_pivoted)
         body = data.oMi[1].rotation.T
-        root = self._model.jointPlacements[1].rotation
         xi, mu = v[:r].copy(), np.zeros(r)
         if k:
             velocity = body @ data.hg.linear / data.Ig.mass
             xi[:k] -= (self._axes[:3].T @ velocity)[:k]
         angular = inside[k:]
-        mu[k:] = body @ root @ angular if len(angular) == 3 else angular
+        mu[k:] = body @ (angular @ self._to_root) if len(angular) == 3 else angular
         return xi, mu
 
     def q(self, y: Array) -> Array:
         """Return Pinocchio's configuration of y, (nq,)."""
-        root, x = y[: self._size], y[self._size : self._size + self._m]
-        parts = [self._root.q(root)]
-        first = 0
-        for k in self._circles:
-            parts += [x[first:k], np.array([np.cos(x[k]), np.sin(x[k])])]
-            first = k + 1
-        parts.append(x[first:])
-        return np.concatenate(parts)
+        size = self._size
+        return self._configuration(y[:size], y[size : size + self._m])
 
     def distance(self, a: FullMotion, b: FullMotion) -> Distance:
         """Return how far b is from a over time."""
@@ -363,9 +367,9 @@ class FullState:
 
     def carried_energy(self, q: Array, v: Array) -> float:
         """Return the part of the kinetic energy that the centre of mass has along the group [J]."""
-        data, root = self._data, self._model.jointPlacements[1].rotation
+        data = self._data
         pin.ccrba(self._model, data, self._near(q), v)
-        carried = self._axes[:3].T @ root.T @ data.hg.linear
+        carried = self._axes[:3].T @ self._to_root @ data.hg.linear
         return 0.5 * float(carried @ carried) / float(data.Ig.mass)
 
     def _seen(self, q: Array, axes: pin.Convention) -> Array:
@@ -386,15 +390,11 @@ class FullState:
         Linear momentum is less `fall`; angular momentum is about the frame's origin, or
         about the centre of mass.
         """
-        model, data = self._model, self._data
-        pin.ccrba(model, data, self._near(q), v)
-        placement = model.jointPlacements[1]
-        linear, angular = data.hg.linear, data.hg.angular
+        data = self._data
+        pin.ccrba(self._model, data, self._near(q), v)
+        both = data.hg.vector.copy()
         if about_pivot:
-            away = placement.rotation @ self._axes[:3, : self._linear] @ q[: self._linear]
-            arm = data.com[0] - placement.translation + away
-            angular = angular + pin.skew(arm) @ linear  # np.cross takes ten times as long
-        to_root = placement.rotation.T
-        rotor = model.armature[: self._r] * v[: self._r]
-        parts = np.append(to_root @ (linear - fall), to_root @ angular)
-        return np.asarray(self._axes.T @ parts + rotor)
+            arm = data.com[0] - self._pivot + self._slides @ q[: self._linear]
+            both[3:] += pin.skew(arm) @ both[:3]  # np.cross takes ten times as long
+        both[:3] -= fall
+        return np.asarray(self._along @ both + self._rotors * v[: self._r])

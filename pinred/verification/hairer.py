@@ -3,12 +3,17 @@
 SciPy's compiled loop swallows what its callbacks raise, Ctrl-C included, and goes on with what
 happens to be in its memory, perhaps for ever.  So nothing is raised there: a failure is kept, the
 loop is told to stop after its step, and the failure is raised behind it.
+
+That loop begins anew at each time that is asked for, and its own guess of a first step is some ten
+times too short, which doubles the evaluations where times are close.  So it is told what has
+passed before.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from math import ceil
 
 import numpy as np
 from scipy.integrate import ode
@@ -18,6 +23,8 @@ from ..common.interrupts import held_interrupt
 
 _GO, _STOP = 1, -1  # what the loop is told after a step
 _MOST_STEPS = 10_000_000
+_EVALUATIONS = {"dop853": 12, "dopri5": 6}  # of a step that passes
+_CALM = 8  # spans without a rejected step, after which longer steps are tried
 _LEAST = 1e-120  # change over a run; of the squares of less, Hairer's error estimate makes 0/0
 
 
@@ -42,10 +49,12 @@ class Hairer:
         self._least = _LEAST / max(end - t, 1.0)
         self._raised: BaseException | None = None
         self._stopped: Callable[[], bool] = bool
-        solver = ode(self._kept)
-        solver.set_integrator(method, rtol=rtol, atol=atol, nsteps=_MOST_STEPS)
-        solver.set_solout(self._after_a_step)
-        self._solver = solver.set_initial_value(y, t)
+        self._method, self._options = method, {"rtol": rtol, "atol": atol, "nsteps": _MOST_STEPS}
+        self._solver = ode(self._kept).set_integrator(method, **self._options)
+        self._solver.set_initial_value(y, t)
+        self._passed, self._calm = 0.0, 0  # the length of steps that pass, and for how many spans
+        self._patience = 0  # spans after which longer ones are tried: at once, until that fails
+        self._evaluations, self._ends = 0, [t]
 
     @property
     def t(self) -> float:
@@ -57,17 +66,42 @@ class Hairer:
 
         Raises what the vector field raises, and KeyboardInterrupt.
         """
+        self._begin(t)
         with held_interrupt() as self._stopped, warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # its failures are the caller's to tell
             y = self._solver.integrate(t)
         if self._raised is not None:
             raise self._raised
+        self._learn()
         return y if self._solver.successful() and np.isfinite(y).all() else None
+
+    def _begin(self, t: float) -> None:
+        """Set the first of the steps to a time, which are to be of one length."""
+        span = t - self.t
+        steps = ceil(span / self._passed) if self._passed else 0
+        first = span / steps if steps else 0.0  # zero: as the loop guesses it
+        self._solver.set_integrator(self._method, **self._options, first_step=first)
+        self._solver.set_solout(self._after_a_step)
+        self._evaluations, self._ends = 0, []
+
+    def _learn(self) -> None:
+        """Take note of how long steps may be."""
+        lengths = np.diff(self._ends)
+        if not len(lengths):
+            return
+        # One evaluation at the begin, and a second where the loop guesses.
+        if self._evaluations > _EVALUATIONS[self._method] * len(lengths) + 2:
+            self._passed, self._calm, self._patience = float(lengths.max()), 0, _CALM
+            return
+        self._passed, self._calm = max(self._passed, float(lengths.max())), self._calm + 1
+        if self._calm > self._patience:
+            self._passed, self._calm = 2.0 * min(self._passed, float(lengths.sum())), 0
 
     def _kept(self, t: float, y: Array) -> Array:
         """Return dy/dt; zero, with which any step succeeds, once the run is to stop."""
         if self._raised is not None or self._stopped():
             return np.zeros_like(y)
+        self._evaluations += 1
         try:
             rate = self._rate(t, y)
             return np.where(np.abs(rate) < self._least, 0.0, rate)
@@ -75,5 +109,6 @@ class Hairer:
             self._raised = error
             return np.zeros_like(y)
 
-    def _after_a_step(self, _t: float, _y: Array) -> int:
+    def _after_a_step(self, t: float, _y: Array) -> int:
+        self._ends.append(t)
         return _STOP if self._raised is not None or self._stopped() else _GO

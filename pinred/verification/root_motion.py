@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import cos, sin, sqrt
 
 import numpy as np
 import pinocchio as pin
@@ -42,23 +43,40 @@ class RootMotion:
             if self.plane is None:
                 return v
             out, (i, j) = v.copy(), self.plane
-            c, s = np.cos(root[-1]), np.sin(root[-1])
+            c, s = cos(root[-1]), sin(root[-1])
             out[i], out[j] = c * v[i] - s * v[j], s * v[i] + c * v[j]
             return out
-        q = pin.Quaternion(root[-4:])
-        spin = pin.Quaternion(np.append(0.5 * v[-3:], 0.0))
-        turn = (q * spin).coeffs()
-        if not self.linear:
-            return np.asarray(turn)
-        return np.concatenate([q.normalized().matrix() @ v[:3], turn])
+        # Written out: with arrays of three it takes four times as long.
+        i, j, k, w = root[-4:].tolist()
+        *slide, p, q, s = v.tolist()
+        turn = [
+            0.5 * (w * p + j * s - k * q),
+            0.5 * (w * q + k * p - i * s),
+            0.5 * (w * s + i * q - j * p),
+            -0.5 * (i * p + j * q + k * s),
+        ]
+        if not slide:
+            return np.array(turn)
+        a, b, c = slide  # turned by 1 + 2 (w ω̂ + ω̂²) / |q|²
+        two = 2.0 / (i * i + j * j + k * k + w * w)
+        l, m, n = two * (j * c - k * b), two * (k * a - i * c), two * (i * b - j * a)
+        return np.array(
+            [
+                a + w * l + j * n - k * m,
+                b + w * m + k * l - i * n,
+                c + w * n + i * m - j * l,
+                *turn,
+            ]
+        )
 
     def q(self, root: Array) -> Array:
         """Return Pinocchio's configuration of the joint."""
         if self.circle:
-            return np.concatenate([root[:-1], [np.cos(root[-1]), np.sin(root[-1])]])
+            return np.array([*root[:-1], cos(root[-1]), sin(root[-1])])
         q = root.copy()
         if self.turns == 3:
-            q[-4:] /= np.linalg.norm(root[-4:])
+            quaternion = q[-4:]
+            quaternion /= sqrt(quaternion @ quaternion)
         return q
 
 

@@ -196,6 +196,7 @@ def test_the_two_forms_are_told_apart() -> None:
         (lambda s, a=1, b=2, c=3, d=4: 0.0, r"with one argument and with four"),
         (lambda t, x: 0.0, r"must be a function of \(t, x, xdot, mu\), or one state s .* takes 2"),
         (lambda: 0.0, r"takes 0 arguments"),
+        (lambda s: s.twist[0], r"a state has t, x, xdot, pose, xi, mu, J, no 'twist'"),
         (lambda s, *, k: 0.0, r"keyword-only argument without a default"),
         (min, r"does not say how many arguments|\*args|with one"),
     ],
@@ -256,3 +257,15 @@ def test_links_that_follow_others(group: str, axes: Any, seed: int) -> None:
     expected = case.whole.T @ jacobian.T @ np.append(F, N + np.cross(own @ point, F))
     found = np.append(acting.wrench, acting.torque)
     np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
+
+
+def test_a_body_without_joints_is_pushed_and_judged() -> None:
+    """A cart by F t²/2m; a rigid body by ABA."""
+    cart = pinred.load("cartpole", lock=["pole_pivot"])
+    mass = sum(inertia.mass for inertia in cart.model.inertias)
+    pushed = pinred.simulate(cart, xi0=[0.0], duration=2.0, forces=[Wrench([0.3])])
+    np.testing.assert_allclose(pushed.pose[-1], [0.6 / mass], rtol=1e-10)
+    assert pinred.compare(pushed)
+    drag = Wrench(lambda s: -s.xi)
+    body = pinred.simulate(pinred.load("rigid_body"), seed=0, duration=0.5, forces=[drag])
+    assert pinred.compare(body)

@@ -76,9 +76,9 @@ def test_refusals() -> None:
     one, two = Parameter("k", 1.0), Parameter("k", 1.0)
     with pytest.raises(InputError, match="two Parameters are called 'k'"):
         end([Spring("bend", one), Damper("bend", two)])
-    with pytest.raises(InputError, match=r"no Parameter 'gian' .*; those are gain"):
+    with pytest.raises(InputError, match=r"no 'gian'; did you mean 'gain'\? .* here are gain"):
         end([Spring("bend", Parameter("gain", 1.0))], parameters={"gian": 2.0})
-    with pytest.raises(InputError, match="those are none"):
+    with pytest.raises(InputError, match="here are none"):
         end(parameters={"gain": 2.0})
     with pytest.raises(InputError, match=r"parameters\['gain'\] must be finite"):
         end([Spring("bend", Parameter("gain", 1.0))], parameters={"gain": np.inf})
@@ -125,3 +125,26 @@ def test_curves_of_many_parameters(count: int) -> None:
     plan = {"bend": Spline(times, [0.0, *knots, 0.0], end="clamped")}
     traj = pinred.simulate(pinred.load("falling_cat"), prescribed=plan, momentum=0, duration=1.0)
     np.testing.assert_allclose(traj(float(times[3])).x[0], knots[2].value, atol=1e-9)
+
+
+def test_wherever_a_number_stands() -> None:
+    """In `springs`, and as the place of a joint; times of tables decide where they have breaks."""
+    cat = pinred.load("falling_cat")
+    options: dict[str, Any] = {"seed": 1, "duration": 0.2, "times": [0.2]}
+
+    def moved(k: Any, s: Any, **more: Any) -> Any:
+        return pinred.simulate(
+            cat, springs={"bend": (k, 0.1), "twist": (1.0, k)}, prescribed={"sway": s}, **options,
+            **more,
+        ).q  # fmt: skip
+
+    k, s = Parameter("k", 1.0), Parameter("s", 0.3)
+    found = moved(k, s, parameters={"k": 2.5, "s": -0.2})
+    np.testing.assert_array_equal(found, moved(2.5, -0.2))
+    # Another Parameter of the same name and value is another one.
+    np.testing.assert_array_equal(moved(Parameter("k", 1.0), s, parameters={"k": 2.5}),
+                                  moved(2.5, 0.3))  # fmt: skip
+    with pytest.raises(InputError, match="times of a Linear say where it has breaks"):
+        pinred.signals.Linear([0.0, k, 2.0], [0.0, 1.0, 0.0])  # type: ignore[arg-type]
+    with pytest.raises(pinred.ShapeError, match="must be numbers, got '2'"):
+        pinred.Scene(system=cat, seed=1, parameters={"back.mass": "2"})

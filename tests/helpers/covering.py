@@ -84,7 +84,7 @@ class Recorder:
             yield
         finally:
             sys.settrace(None)
-            threading.settrace(None)  # type: ignore[arg-type]
+            threading.settrace(None)
             self._now = None
             if test != IMPORT:
                 self.found.seconds[test] = time.perf_counter() - began
@@ -119,4 +119,4 @@ def leave_numba_alone() -> None:
         finally:
             sys.settrace(tracing)
 
-    Dispatcher.compile = untraced
+    Dispatcher.compile = untraced  # type: ignore[method-assign]

@@ -104,7 +104,8 @@ class MutantSession:
             found.sort(key=lambda test: not any(part in test for part in parts))
         found = [test for test in found if covering.seconds[test] < LONG]
         killers = [name for name, _ in self._killers[module].most_common(3) if name in found]
-        left, out = self._budget, []
+        left = self._budget
+        out: list[str] = []
         for name in dict.fromkeys([*killers, *found]):
             left -= covering.seconds[name]
             if left > 0.0 or not out:

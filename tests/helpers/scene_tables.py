@@ -16,7 +16,8 @@ def kind_of(schema: dict[str, Any], defs: dict[str, Any]) -> str:
     """The type of a value, in words."""
     if "$ref" in schema:
         name = schema["$ref"].rsplit("/", 1)[1]
-        return "a signal" if name == "signal" else kind_of(defs[name], defs)
+        known = {"signal": "a signal", "parameters": "by name: number, or list of numbers"}
+        return known.get(name) or kind_of(defs[name], defs)
     if "anyOf" in schema:
         return ", or ".join(kind_of(part, defs) for part in schema["anyOf"])
     if "enum" in schema:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -185,7 +187,7 @@ def test_formulas_have_their_numbers() -> None:
 
 
 @pytest.mark.parametrize(("form", "momentum"), [("connection", "p"), ("canonical", "pi")])
-def test_symbols_are_named(form: poisson.Form, momentum: str) -> None:
+def test_symbols_are_named(form: Literal["connection", "canonical"], momentum: str) -> None:
     """As the form has them."""
     system = make_case("SE3", 1, 0).system
     assert str(poisson.phase_space(system, form=form).z).startswith(f"[x, {momentum}, mu_0")

@@ -17,6 +17,10 @@ from pinred.signals import Constant, Fourier, Hold, Linear, Spline
 GAIN, BIAS = Parameter("gain", 1.0), Parameter("bias", 0.1)
 
 
+PUSH = Wrench([0.1, 0.2, 0.3], link="back", at=[0.1, 0.0, 0.2])
+HELD = ComputedTorque({"bend": 0.5, "sway": 0.2, "twist": 0.1}, kp=9.0, kd=6.0)
+
+
 def feedback(_t: Any, x: Any, xdot: Any, _mu: Any) -> Any:
     """Return a torque with constants that vary."""
     return {"bend": -GAIN * x["bend"] + BIAS * xdot[1]}
@@ -63,7 +67,16 @@ SCENES: dict[str, Callable[[float], dict[str, Any]]] = {
             )
         ]
     },
+    "beside a wrench on a link": lambda v: {
+        "forces": [PUSH],
+        "parameters": {"twist.placement": [0.1, 0.2 * v, 0.3, 0.2 * v, -0.3, 0.4], "back.mass": v},
+    },
+    "beside computed torque": lambda v: {
+        "forces": [HELD],
+        "parameters": {"sway.translation": [0.1, 0.2 * v, 0.3], "back.com": [v, 0.1, 0.0]},
+    },
 }  # fmt: skip
+SLOW = ("computed torque", "beside a wrench on a link", "beside computed torque")
 
 
 @pytest.fixture
@@ -89,7 +102,7 @@ def entries(folder: Any) -> int:
 
 @pytest.mark.parametrize(
     "kind",
-    [k if k != "computed torque" else pytest.param(k, marks=pytest.mark.slow) for k in SCENES],
+    [pytest.param(k, marks=pytest.mark.slow) if k in SLOW else k for k in SCENES],
 )
 def test_one_build_for_a_hundred_numbers(kind: str, builds: list[str], tmp_path: Any) -> None:
     """Every coefficient of a force or signal takes a hundred values with one kernel."""
@@ -157,6 +170,29 @@ def test_one_build_for_a_hundred_gravities(builds: list[str]) -> None:
     assert len(builds) == 3
     pinred.simulate(pinred.load("cartpole", gravity=(0, 0, 0)), duration=0.1)
     assert len(builds) == 5  # the start is that of before
+
+
+@pytest.mark.slow
+def test_one_build_for_a_hundred_robots_under_forces(builds: list[str]) -> None:
+    """Members and flows take numbers and gravity under computed torque as they come."""
+    pole, values = pinred.load("cartpole"), np.linspace(0.5, 1.5, 100)
+    forces = [ComputedTorque({"pole_pivot": 0.3}, kp=9.0, kd=6.0)]
+    numbers = {
+        "pole.mass": values,
+        "pole_pivot.translation": np.outer(values, [1.0, 0.1, 0.0]),
+        "gravity": np.outer(values, [0.0, 0.0, -9.0]),
+    }
+    options: dict[str, Any] = {"duration": 0.1, "times": [0.1], "seed": 1, "forces": forces}
+    many = pinred.simulate_many(pole, members=numbers, method="DOP853", **options)
+    assert sorted(builds) == ["outputs", "rate", "start"]
+    assert np.ptp(many.x[:, -1]) < 1e-11  # whatever they are, it is held
+    assert len(np.unique(many.xi[:, -1], axis=0)) == 100
+    flow = pinred.flow(pole, wrt=[*numbers], method="DOP853", **options)
+    made = len(builds)
+    for k in range(0, 100, 9):
+        end: Any = flow(**{name: column[k] for name, column in numbers.items()})
+        np.testing.assert_allclose(end.xi[0], many.xi[k, -1], rtol=0, atol=1e-9)
+    assert len(builds) <= made + 1  # the begin of a flow
 
 
 @pytest.mark.slow

@@ -96,6 +96,8 @@ def test_bad_members() -> None:
         pinred.simulate_many(system, x0=np.zeros((2, 1)), xdot0=np.zeros((3, 1)))
     with pytest.raises(pinred.ShapeError, match="none"):
         pinred.simulate_many(system, x0=[0.0])
+    with pytest.raises(pinred.ShapeError, match="none, and one for all push"):
+        pinred.simulate_many(system, duration=0.1, members={"push": np.zeros((3, 3))})
     with pytest.raises(pinred.InputError, match="no option 'speed'"):
         pinred.simulate_many(system, x0=np.zeros((2, 1)), speed=1.0)  # type: ignore[call-arg]
     with pytest.raises(pinred.InputError, match="not both"):

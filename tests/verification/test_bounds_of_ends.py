@@ -13,6 +13,7 @@ from pinred.common.arrays import Array
 from pinred.verification import compare as judge
 from pinred.verification.defect import Defects
 from pinred.verification.distances import FullMotion, Size
+from pinred.verification.equations_of_motion import equation_errors
 from pinred.verification.full_state import FullState
 from pinred.verification.report import Verdict
 
@@ -87,9 +88,14 @@ def with_defects(
     inside: float,
     growth: float | Array,
     traj: pinred.Trajectory | None = None,
+    own: float = 1.0,
 ) -> pinred.Report:
-    """The comparison, of a motion whose defects and growth were those."""
-    made = Defects(np.full(9, steps), np.full(9, inside), np.ones(9, dtype=bool))
+    """The comparison, of a motion whose defects and growth were those.
+
+    own: how much more the defects are in parts of the motion's own rates.
+    """
+    both = np.full(9, steps), np.full(9, inside)
+    made = Defects(*both, np.ones(9, dtype=bool), *(own * part for part in both))
     monkeypatch.setattr(judge, "defects", lambda *_: made)
     monkeypatch.setattr(
         FullState, "growth", lambda _full, _y0, _motion, times, *_: growth + np.zeros(len(times))
@@ -134,13 +140,22 @@ def test_nothing_is_judged_after_what_can_be_told(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize(("steps", "most"), [(1e-9, 1e-9), (1e-4, 3.0 * TOLERANCE)])
 @pytest.mark.parametrize(("inside", "least"), [(1e-8, 1e-8), (1e-2, 50.0 * TOLERANCE)])
+@pytest.mark.parametrize("own", [1.0, 30.0])
 def test_ends_are_bounded_by_defects(
-    monkeypatch: pytest.MonkeyPatch, steps: float, most: float, inside: float, least: float
+    monkeypatch: pytest.MonkeyPatch,
+    steps: float,
+    most: float,
+    inside: float,
+    least: float,
+    own: float,
 ) -> None:
-    """Ten times their sum times the growth; defects that fail excuse nothing."""
-    report = with_defects(monkeypatch, steps, inside, 7.0)
+    """Ten times their sum times the growth; defects that fail excuse nothing.
+
+    Growth is that of parts of the motion's own rates.
+    """
+    report = with_defects(monkeypatch, steps, inside, 7.0, own=own)
     count = np.searchsorted(cat().motion.knots, report.t)
-    local = count * most + np.where(count > 0, least, 0.0)
+    local = own * (count * most + np.where(count > 0, least, 0.0))
     assert report.rotation_bounds == pytest.approx(
         10.0 * (7.0 * local + 1e-13), rel=0.02, abs=2e-11
     )
@@ -183,8 +198,9 @@ def test_why_nothing_is_told(
 
 def test_a_motion_without_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """No defect is no error: what is left is round-off."""
-    none = Defects(np.empty(0), np.empty(0), np.empty(0, dtype=bool))
-    monkeypatch.setattr(judge, "defects", lambda *_: none)
+    none = np.empty(0)
+    made = Defects(none, none, np.empty(0, dtype=bool), none, none)
+    monkeypatch.setattr(judge, "defects", lambda *_: made)
     report = pinred.compare(cat())
     assert report.defect == 0.0
     assert report.rotation_bounds[-1] < 1e-3 * TOLERANCE * report.growth[-1]
@@ -193,7 +209,7 @@ def test_a_motion_without_steps(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_equations_are_judged_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     """At 101 times over all of the motion."""
     seen: list[Array] = []
-    whole = judge.equation_errors
+    whole = equation_errors
 
     def watched(traj: pinred.Trajectory, full: FullState, times: Array) -> Array:
         seen.append(times)

@@ -143,6 +143,24 @@ def test_round_off_far_away_is_none() -> None:
     assert defect(traj, traj.system) > 0.99 * JUMP / np.abs(traj.states.xdot).max()
 
 
+@pytest.mark.parametrize(("slow", "duration", "unit"), [(1e-3, 1.0, 1.0), (1e-3, 50.0, 0.02)])
+def test_what_slow_rates_carry(slow: float, duration: float, unit: float) -> None:
+    """A jump of a rate, in parts of what leads through a radian by the end, or of the rates.
+
+    For the tolerance it is a part of what the absolute one is to the relative one, 1 rad/s.
+    """
+    x0, xdot0 = [0.5, 3.0, -2.0], [slow, 0.0, 0.0]
+    resting = pinred.simulate(
+        pinred.load("falling_cat"), duration=duration, rtol=1e-8, atol=1e-8, x0=x0, xdot0=xdot0
+    )
+    traj = jumped(resting, "xdot", 1, duration)
+    found = defects(traj, FullState(resting.scene))
+    own = max(unit, float(np.abs(traj(traj.motion.knots).xdot).max()))
+    assert found.worst == pytest.approx(JUMP, rel=1e-2)
+    assert found.carried.max() == pytest.approx(JUMP / own, rel=1e-2)
+    assert found.carried_inside.max() == pytest.approx(JUMP / own, rel=1e-2)
+
+
 def test_steps_that_are_judged() -> None:
     """All up to 200, and of more as many at random."""
     fine = pinred.DOP853(max_step=END / 230)
@@ -164,7 +182,7 @@ def test_kinks_of_forces_stand_out(monkeypatch: pytest.MonkeyPatch, kinks: bool)
     steps = np.array([1.0, 1.0, 1.0, 9.9, 10.1])
 
     def made(*_: object) -> Defects:
-        return Defects(steps, steps, np.ones(5, dtype=bool))
+        return Defects(steps, steps, np.ones(5, dtype=bool), steps, steps)
 
     monkeypatch.setattr(module, "_defects", made)
     scene = pinred.Scene(system=system, duration=0.1, xdot0=[1.0], forces=acting)

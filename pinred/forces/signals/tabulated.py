@@ -39,6 +39,11 @@ class _Table(Signal):
 
     def __post_init__(self) -> None:
         kind = type(self).__name__
+        if next(parameters_in(self.times), None):
+            raise InputError(
+                f"times of a {kind} say where it has breaks, and cannot be Parameters; its values "
+                "can"
+            )
         times = finite_list(self.times, f"times of a {kind}")
         if times.size < self._least:
             raise ShapeError(f"a {kind} needs at least {self._least} entries, got {times.size}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ...scene.toml.keys import ROBOT
+from ...scene.toml.parameter_tables import NamedNumbers
 from ...scene.toml.schema import (
     ByName,
     Either,
@@ -179,6 +180,7 @@ REORIENT = Table(
 GAIT_FILE = Table(
     {
         **ROBOT,
+        "parameters": Key(NamedNumbers(), "numbers of the robot, such as hand.mass (docs/flow.md)"),
         "connection": Key(
             Tagged("kind", CONNECTIONS, "a connection"), "what moves the body", default="mechanical"
         ),

@@ -17,6 +17,7 @@ from ...analysis.gaits.gait import Gait
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...scene.toml.documents import read_document, robot_in
+from ...scene.toml.parameter_tables import file_parameters, refuse_others, with_robots_own
 from ...scene.toml.places import naming
 from ...system.system import System
 from .gait_keys import GAIT_FILE
@@ -54,7 +55,9 @@ def load_gait(path: str | Path) -> GaitFile:
     """
     document, place = read_document(path, GAIT_FILE, "gait")
     folder = Path(path).parent
-    system = robot_in(document, folder, place)
+    given = file_parameters(document, place)
+    system, others = with_robots_own(robot_in(document, folder, place), given, place)
+    refuse_others(system, others)
     with naming(place / "connection"):
         connection = _connection(system, document.get("connection", {"kind": "mechanical"}))
     if "base" in document:

@@ -1,4 +1,4 @@
-"""Bodies whose inertias and steps from their parents are symbols, in the frames of the sweep.
+"""Bodies whose inertias, steps from their parents and links are symbols, in the sweep's frames.
 
 In these frames inertias are linear in those in the joint's own frame, so that a kernel takes them
 as they come and no division or sine of them is in it.  Of a step, it takes cosines and sines.
@@ -21,6 +21,7 @@ from .scalars import Scalar, add
 
 NUMBERS = 10  # of an inertia: mass, moment (3,), inertia about the origin (6,)
 STEP = 8  # of a step: cosine and sine of α and of δ, the joint's offset, shift (3,)
+LINK = 12  # of a link's place on its body: rotation, row by row, and origin (3,)
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _ANGLES, _OFFSET, _SHIFT = (slice(0, 2), slice(2, 4)), slice(4, 5), slice(5, 8)  # of a step
 _FOLDED = {"0": 0.0, "+": 1.0, "-": -1.0}
@@ -33,19 +34,25 @@ class Freed:
 
     inertias: indices of the bodies, 0 for the root, whose inertias are.  steps: of those whose
     steps from their parents are, with the pattern of each: for its STEP numbers, "x" for an
-    input, "0", "+" and "-" for 0, 1 and −1, "n" for the number that the robot has.
+    input, "0", "+" and "-" for 0, 1 and −1, "n" for the number that the robot has.  links: frames
+    of the model whose places on their bodies are, of those that forces act on.
     """
 
     inertias: tuple[int, ...] = ()
     steps: tuple[tuple[int, str], ...] = ()
+    links: tuple[int, ...] = ()
 
     @property
     def size(self) -> int:
-        """How many numbers the kernel takes: of all bodies, then of all steps."""
+        """How many numbers the kernel takes: of all bodies, then of all steps, then of links."""
+        return self._links_at + LINK * len(self.links)
+
+    @property
+    def _links_at(self) -> int:
         return NUMBERS * len(self.inertias) + STEP * len(self.steps)
 
     def __bool__(self) -> bool:
-        return bool(self.inertias or self.steps)
+        return bool(self.inertias or self.steps or self.links)
 
     def of_inertia(self, body: int) -> slice:
         """Return the place of a body's inertia among the numbers."""
@@ -58,6 +65,11 @@ class Freed:
         first = NUMBERS * len(self.inertias) + STEP * at
         return slice(first, first + STEP)
 
+    def of_link(self, frame: int) -> slice:
+        """Return the place of a link's place among the numbers."""
+        first = self._links_at + LINK * self.links.index(frame)
+        return slice(first, first + LINK)
+
 
 NOTHING = Freed()
 
@@ -67,10 +79,11 @@ def freed_of(
     inertias: Sequence[int],
     placed: Sequence[int],
     turned: Collection[int],
+    links: Sequence[int] = (),
     *,
     generic: bool,
 ) -> Freed:
-    """Return what a kernel takes as inputs for these bodies.
+    """Return what a kernel takes as inputs for these bodies and links.
 
     turned: of `placed`, those whose axes turn.  generic: whether placements may become any; else
     the pattern is that of the system's own numbers.
@@ -80,7 +93,7 @@ def freed_of(
         steps = [(i, _pattern(bodies[i], own[i])) for i in placed]
     else:
         steps = [(i, "x" * STEP if i in turned else "nnnnnxxx") for i in placed]
-    return Freed(tuple(inertias), tuple(steps))
+    return Freed(tuple(inertias), tuple(steps), tuple(links))
 
 
 def _pattern(body: Body, own: Body) -> str:
@@ -174,7 +187,11 @@ def step_slopes(parent: Body, body: Body) -> Array:
 
 def step_of_body(body: Body) -> Array:
     """Return the numbers (STEP,) of a body's step."""
-    return np.array([*body.alpha, *body.delta, body.offset, *body.r], dtype=float)
+    return np.array(_step_of(body), dtype=float)
+
+
+def _step_of(body: Body) -> list[Scalar]:
+    return [*body.alpha, *body.delta, body.offset, *body.r]
 
 
 def other_placement(parent: Body, body: Body, pattern: str, rng: np.random.Generator) -> pin.SE3:
@@ -199,9 +216,29 @@ def other_placement(parent: Body, body: Body, pattern: str, rng: np.random.Gener
     return parent.frame * there * body.frame.inverse()
 
 
-def numbers_of(body: Body) -> Array:
-    """Return the numbers (10,) of a body's inertia."""
-    return np.array([body.mass, *body.moment, *body.inertia])
+def of_bodies(bodies: Sequence[Body], freed: Freed) -> list[Scalar]:
+    """Return the numbers of freed inertias and steps as these bodies have them, symbols or not."""
+    inertias = [bodies[i] for i in freed.inertias]
+    out = [n for body in inertias for n in (body.mass, *body.moment, *body.inertia)]
+    return out + [number for i, _ in freed.steps for number in _step_of(bodies[i])]
+
+
+def link_numbers(body: Body, place: pin.SE3) -> Array:
+    """Return the numbers (LINK,) of a link with a place in the frame of its body's joint."""
+    there = body.frame.actInv(place)
+    return np.concatenate([np.asarray(there.rotation).ravel(), there.translation])
+
+
+def link_slopes(body: Body, place: pin.SE3, twists: Array) -> Array:
+    """Return the slopes (LINK, N) of a link's numbers by twists (6, N) that move its place.
+
+    The twists are in the frame of the body's joint, taken at its origin.
+    """
+    turn, out = body.frame.rotation.T, np.empty((LINK, twists.shape[1]))
+    for k, (v, w) in enumerate(zip(twists[:3].T, twists[3:].T, strict=True)):
+        out[:9, k] = (turn @ pin.skew(w) @ place.rotation).ravel()
+        out[9:, k] = turn @ (v + np.cross(w, place.translation))
+    return out
 
 
 def free_numbers(system: System, freed: Freed) -> Array:
@@ -210,9 +247,9 @@ def free_numbers(system: System, freed: Freed) -> Array:
         return np.empty(0)
 
     def make() -> Array:
-        bodies = bodies_of(system)
-        parts = [numbers_of(bodies[i]) for i in freed.inertias]
-        parts += [step_of_body(bodies[i]) for i, _ in freed.steps]
-        return np.concatenate(parts)
+        bodies, frames = bodies_of(system), system.model.frames
+        links = [link_numbers(bodies[frames[k].parentJoint - 1], frames[k].placement)
+                 for k in freed.links]  # fmt: skip
+        return np.concatenate([np.array(of_bodies(bodies, freed), dtype=float), *links])
 
     return once(system, (free_numbers, freed), make)

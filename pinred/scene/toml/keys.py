@@ -10,6 +10,7 @@ from ...lie.groups import GROUPS
 from ..random_state import DURATION
 from ..scene import ENGINES, EVEN_TIMES, OUTPUTS, Scene
 from .force_kinds import FORCE
+from .parameter_tables import NamedNumbers
 from .schema import (
     ByName,
     Either,
@@ -191,7 +192,9 @@ SCENE = Table(
             default="it does not",
         ),
         "parameters": Key(
-            ByName(NUMBER), "names with numbers, which the formulas of forces may use"
+            NamedNumbers(),
+            "numbers by name: of the robot, such as hand.mass (docs/flow.md), and those that the "
+            "formulas of forces and events use",
         ),
         "prescribed": Key(ByName(SIGNAL), "joints that follow a plan, each a signal"),
         "forces": Key(ListOf(FORCE), "what acts"),

@@ -70,12 +70,15 @@ class Place:
 
 
 @contextmanager
-def naming(place: Place) -> Iterator[None]:
-    """Put a place in front of the message of any error of pinred raised inside."""
+def naming(place: Place, already: str = "") -> Iterator[None]:
+    """Put a place in front of the message of any error of pinred raised inside.
+
+    already: words at the front of messages that say the same.
+    """
     try:
         yield
     except PinredError as error:
-        raise type(error)(place.tell(one_line(error))) from None
+        raise type(error)(place.tell(one_line(error).removeprefix(already))) from None
 
 
 def one_line(error: Exception) -> str:

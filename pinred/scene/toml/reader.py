@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NoReturn
@@ -14,9 +14,9 @@ from ...common.errors import PinredError
 from ...common.parameter import Parameter
 from ...forces.columns import symbols_of
 from ...forces.force import Force, Limit
-from ...forces.force_model import remembered_model
 from ...forces.formula import NAMES, Formula
 from ...forces.link_loads import link_frame
+from ...forces.remembered import remembered_model
 from ...forces.signals import Signal
 from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS, Method
@@ -27,6 +27,7 @@ from ..scene import Engine, Scene
 from .documents import read_document, robot_in
 from .force_kinds import FORCES
 from .keys import SCENE
+from .parameter_tables import FileParameter, file_parameters, refuse_others, with_robots_own
 from .places import Place, naming, one_line, unknown
 from .signal_reader import SignalReader
 
@@ -65,8 +66,10 @@ class _Builder:
     def __init__(self, folder: Path, place: Place, document: dict[str, Any]) -> None:
         self.folder, self.place, self.document = folder, place, document
         self.signals = SignalReader(folder)
-        self.system = robot_in(document, folder, place)
-        self.parameters = self._parameters()
+        given = file_parameters(document, place)
+        self.system, others = with_robots_own(robot_in(document, folder, place), given, place)
+        self.places = {each.name: each.place for each in others}
+        self.parameters = self._parameters(others)
         self.symbols, _ = symbols_of(self.system, None)
 
     def built(self) -> SceneFile:
@@ -98,6 +101,7 @@ class _Builder:
         ]
         options = {**self._start(), **run, "springs": springs, "prescribed": prescribed}
         options["events"] = events
+        options["parameters"] = {name: each.value for name, each in self.parameters.items()}
         options |= {k: self.document[k] for k in ("passive", "friction") if k in self.document}
         try:
             scene = Scene(system=self.system, forces=forces, **options)
@@ -106,13 +110,17 @@ class _Builder:
             self._explain(error, forces, prescribed)
         return SceneFile(scene, engine)
 
-    def _parameters(self) -> dict[str, Any]:
+    def _parameters(self, given: Sequence[FileParameter]) -> dict[str, Parameter]:
         """Return the names that formulas may use beside those of the state."""
-        place, found = self.place / "parameters", {}
-        for name, value in self.document.get("parameters", {}).items():
-            if not name.isidentifier() or name in (*NAMES, *FUNCTIONS):
-                (place / name).fail("must be a name of letters and digits that is not taken")
-            found[name] = Parameter(name, value)
+        found = {}
+        for each in given:
+            if "." in each.name:
+                refuse_others(self.system, [each])
+            if not each.name.isidentifier() or each.name in (*NAMES, *FUNCTIONS):
+                each.place.fail("must be a name of letters and digits that is not taken")
+            if not isinstance(each.value, float):
+                each.place.fail("a number that formulas use must be one, got a list")
+            found[each.name] = Parameter(each.name, each.value)
         return found
 
     def _start(self) -> dict[str, Any]:
@@ -212,6 +220,10 @@ class _Builder:
             place, text = found[0], found[1]
         elif word and section:
             place = place / section / word[0]
+        elif text.startswith("parameters: "):
+            named = [at for name, at in self.places.items() if f"'{name}'" in text]
+            place = named[0] if named else place / "parameters"
+            text = text.removeprefix("parameters: ")
         else:
             for k, force in enumerate(forces):
                 try:

@@ -19,7 +19,7 @@ from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene import forms
 from ...scene.scene import Scene
-from ..robot_columns import RobotColumns, relies_on_robot, with_own
+from ..robot_columns import RobotColumns, with_own
 
 _NONE: Mapping[str, Array] = MappingProxyType({})
 STATE = ("x0", "xdot0", "pose0", "xi0", "momentum")
@@ -204,15 +204,9 @@ class Inputs:
 def with_varied(scene: Scene, names: Sequence[str]) -> Scene:
     """Return a scene with the robot's parameters among the names as its own, at their values.
 
-    Raises InputError for bodies and joints that are not there, and for forces that rely on what
-    is to vary.
+    Raises InputError for bodies and joints that are not there.
     """
-    scene = with_own(scene, _listed(names))
-    if why := relies_on_robot(scene):
-        raise InputError(
-            f"{why}, which the flow varies; use simulate, or a force that does not rely on that"
-        )
-    return scene
+    return with_own(scene, _listed(names))
 
 
 def motion_of(scene: Scene) -> str:

@@ -27,21 +27,17 @@ class Group:
 
     members: their indices, sorted.  plan: of all of them, but for what is their own.  given: (k, …)
     their initial states.  own: numbers of the kernel that differ between them, if some do.
-    apart: why they cannot share a kernel and run one by one, "" if they share one.
     """
 
     members: Indices
     plan: Plan
     given: GivenStates
     own: OwnNumbers | None = None
-    apart: str = ""
 
     @property
     def one_by_one(self) -> str:
         """Why these members run one by one; "" if they run together."""
         plan = self.plan
-        if self.apart:
-            return self.apart
         if plan.scene.events_given:
             return "events are looked for"
         if plan.forces is not None and plan.forces.held:

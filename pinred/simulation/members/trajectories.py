@@ -149,7 +149,8 @@ class Trajectories(OverTime):
         """Write all members to a .npz or .zarr file (see members/files.py).  Raises InputError."""
         from .files import save
 
-        save(self, {f.member: (f.time, f.reason) for f in self.failures}, path)
+        scenes = [self._scene_of(member) for member in range(len(self))]
+        save(self, scenes, {f.member: (f.time, f.reason) for f in self.failures}, path)
 
     def _states(self, member: int) -> State | ShapeState:
         """Return the states of one member over the report times, those of a failed one too."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from ...common.arrays import Array, as_floats, dimensions, vectors
 from ...common.errors import InputError, ShapeError, SymmetryError
-from ...common.names import nearest
 from ...common.plain_names import brief, listed
 from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
@@ -22,11 +21,11 @@ from ...scene.initial_state import GivenStates
 from ...scene.random_state import random_state
 from ...scene.scene import Scene
 from ...system.in_gravity import in_gravity
-from ...system.model_parameters import requested, size_of
+from ...system.model_parameters import GRAVITY, kinds_near, requested, size_of
 from ...system.other_inertias import nominal
 from ...system.system import System
 from ..own_numbers import OwnNumbers
-from ..robot_columns import RobotColumns, relies_on_robot, with_own
+from ..robot_columns import RobotColumns, with_own
 from ..simulate import as_scene
 from .groups import Group, Members, members_plan
 
@@ -52,13 +51,19 @@ class Varied:
         seeds: Sequence[int] | None,
     ) -> None:
         """Take options of a scene, and members by name.  Raises InputError and ShapeError."""
-        self.base, self.seeds = base, seeds
-        self.system = system = nominal(base.system) if isinstance(base, Scene) else base
+        self.seeds = seeds
+        own = dict(base.parameters)
+        if isinstance(base, Scene):
+            self.system = system = nominal(base.system)
+            self.base: System | Scene = replace(base, system=system, parameters={})
+        else:
+            self.base = self.system = system = nominal(base)
         self.common = dict(options)
         parameters = self.common.pop("parameters", None)
         parameters = {} if parameters is None else parameters
         if not isinstance(parameters, Mapping):  # names alone, of what all have as it is
             parameters, others = requested(system, parameters)
+            parameters |= {name: own[name] for name in parameters if name in own}
             if others:
                 raise InputError(
                     f"parameters: {brief(others[0])} is no number of the robot, and has no value "
@@ -92,7 +97,7 @@ class Varied:
             del self.robot["gravity"]
         strength = given.get("gravity.strength")
         if strength is not None and dimensions(strength) == 1 and self.gravity is None:
-            g = self.system.gravity
+            g = np.asarray(own.get("gravity", self.system.gravity))
             unit = g / np.linalg.norm(g) if g.any() else g
             self.gravity = np.outer(_column(strength, "gravity.strength"), unit)
             del given["gravity.strength"], self.robot["gravity.strength"]
@@ -102,8 +107,9 @@ class Varied:
             if dimensions(value) == (2 if self.robot.get(name, 1) > 1 else 1)
         }
         fixed = {name: value for name, value in given.items() if name not in self.parameters}
-        if isinstance(base, Scene):
-            fixed = {n: v for n, v in base.parameters.items() if n not in given} | fixed
+        if self.gravity is not None:
+            own = {name: value for name, value in own.items() if name not in GRAVITY}
+        fixed = {name: value for name, value in own.items() if name not in given} | fixed
         self.common["parameters"] = fixed
         self.count = self._count()
 
@@ -120,9 +126,10 @@ class Varied:
             sizes["seeds"] = len(self.seeds)
         if len(set(sizes.values())) != 1:
             found = ", ".join(f"{name}: {size}" for name, size in sizes.items()) or "none"
+            same = ", ".join(self.common["parameters"])
             raise ShapeError(
                 f"at least one of {_WHAT} must have shape (N, …), all with the same N; "
-                f"the lengths are {found}"
+                f"the lengths are {found}" + (f", and one for all {same}" if same else "")
             )
         count = next(iter(sizes.values()))
         if not count:
@@ -156,20 +163,15 @@ class Varied:
         known = [] if model is None else [each.name for each in model.parameters]
         for name in self.parameters:
             if name not in (*known, *self.robot):
-                hint = nearest(name, [*STATES, "gravity", *known])
                 raise InputError(
-                    f"members: nothing called {brief(name)} varies in these scenes; {hint}"
-                    f"what may is {_WHAT}: {listed(known, 60) or 'none'}"
+                    f"members: nothing called {brief(name)} varies in these scenes; "
+                    f"{kinds_near(self.system, name, [*STATES, *known])}; of the scenes {_WHAT}: "
+                    f"{listed(known, 60) or 'none'}"
                 )
         first = self.scene(0)  # checks all that is common
         varying = [name for name in self.robot if name in self.parameters]
         if varying:
             template = with_own(template, varying)
-            if why := relies_on_robot(template):
-                every = np.arange(self.count)
-                plan = members_plan(first)
-                scene_of = partial(self._scene_by, plan.scene.method)
-                return Members(self.count, [Group(every, plan, first.given, apart=why)], scene_of)
         elif self.gravity is not None:
             template = replace(template, system=self.system)
         numbers = self._numbers(template)

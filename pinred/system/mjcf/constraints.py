@@ -10,7 +10,8 @@ import numpy as np
 
 from ...common.errors import ModelError
 from ..contents import Coupling
-from ..coupling import with_followers
+from ..coupling import locked_by, with_followers
+from ..locked_joints import Tie
 from .joints import Joint, joint_of
 from .package import mujoco_package
 from .tree import Tree
@@ -134,9 +135,12 @@ def _in_proportion(follower: Joint, leader: Joint, c0: float, c1: float) -> Coup
     return Coupling(follower.name, leader.name, ratio=c1, offset=offset)
 
 
-def locked_with_followers(world: World, lock: Mapping[str, float]) -> dict[str, float]:
-    """Return locks with those of the joints that follow locked ones, by whatever polynomial.
+def locked_with_followers(
+    world: World, lock: Mapping[str, float]
+) -> tuple[dict[str, float], dict[str, Tie]]:
+    """Return locks with those of the joints that follow locked ones, and how these do.
 
+    They may do so by whatever polynomial.
     Raises InputError for followers in proportion that are locked alone.
     """
     own = {joint for body in world.bodies for joint in world.joints(body)}
@@ -154,12 +158,16 @@ def locked_with_followers(world: World, lock: Mapping[str, float]) -> dict[str, 
             straight.append(_in_proportion(follower, leader, factors[0], factors[1]))
     names = [world.joint_names[joint] for joint in own]
     out, _ = with_followers(lock, straight, names)
+    ties: dict[str, Tie] = {}
     for follower, leader, factors in bent:
         if leader.name in out and follower.name not in out:
-            by = out[leader.name] - leader.q0
-            out[follower.name] = follower.q0 + float(np.polynomial.Polynomial(factors)(by))
+            law = (follower.q0 + factors[0], *factors[1:])
+            ties[follower.name] = Tie(leader.name, law, at=leader.q0)
+            out[follower.name], _ = ties[follower.name].follow(out[leader.name])
             out, _ = with_followers(out, straight, names)
-    return out
+    for name, each in locked_by(out, straight, names).items():
+        ties[name] = Tie(each.leader, (each.offset, each.ratio))
+    return out, ties
 
 
 def refuse_heavy_tendons(tree: Tree, tendons: Sequence[int]) -> None:

@@ -13,6 +13,7 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...lie.group import Group
 from ..contents import Contents
+from ..locked_joints import LockedJoints
 from .acting import acting_on, tendons_on
 from .compile import compiled
 from .constraints import constraints_of, locked_with_followers, refuse_heavy_tendons
@@ -48,8 +49,16 @@ def read_mujoco(
     what = str(source) if isinstance(source, (str, Path)) else "the model"
     world = robot_in(compiled(source), root, what)
     weight = gravity_of(world)
-    lock = locked_with_followers(world, lock)
-    tree = tree_of(world, lock, weight.felt if gravity is None else gravity)
+    lock, ties = locked_with_followers(world, lock)
+    felt = weight.felt if gravity is None else gravity
+    tree = tree_of(world, lock, felt)
+    locked = None
+    if lock:
+        root_name = "" if tree.root is None else str(tree.model.names[1])
+        raw = tree_of(world, lock, felt, whole=True).model
+        ids = {name: joint for joint, name in enumerate(world.joint_names)}
+        several = tuple(name for name in lock if world.kind(ids[name]) in ("ball", "free"))
+        locked = LockedJoints(raw, lock, ties, root_name=root_name, several=several)
     constraints = constraints_of(tree)
     refuse_heavy_tendons(tree, tendons_on(tree))
     still = [world.body_names[body] for body in tree.still]
@@ -61,6 +70,7 @@ def read_mujoco(
             keyframes=keyframes_of(tree, group, constraints.couplings),
             couplings=constraints.couplings,
             freed=still[0] if still and tree.root is None else "",
+            locked=locked,
         )
 
     name = bytes(world.model.names).split(b"\0", 1)[0].decode(errors="replace")

@@ -34,7 +34,8 @@ class Tree:
 
     carriers: by body.  root: the motion of the joints of the carrying body; None if that is
     fixed in the file, or if several bodies hang on what is.  shape: the joints of the shape.
-    locked: ids of joints that are frozen.
+    locked: ids of joints that are frozen.  whole: whether those of them that may vary are joints
+    of the model all the same.
     """
 
     world: World
@@ -44,6 +45,7 @@ class Tree:
     root: RootMotion | None = None
     shape: list[Joint] = field(default_factory=list)
     locked: dict[int, float] = field(default_factory=dict)
+    whole: bool = False
 
     @property
     def still(self) -> list[int]:
@@ -58,15 +60,17 @@ class Tree:
         return [joint for joint in joints if joint not in self.locked]
 
 
-def tree_of(world: World, lock: Mapping[str, float], gravity: Array) -> Tree:
+def tree_of(
+    world: World, lock: Mapping[str, float], gravity: Array, *, whole: bool = False
+) -> Tree:
     """Return the robot's bodies on their joints.
 
     lock: joints to freeze, with their values.  gravity: (3,) [m/s²], what acts on rotors
-    of the base.
+    of the base.  whole: whether to keep frozen joints behind the root as joints of the model.
     Raises InputError for a joint to lock that is not there, ModelError for joints inside the
     tree that have several degrees of freedom, and for armature that the base cannot have.
     """
-    tree = Tree(world, pin.Model(), gravity, locked=_locked(world, lock))
+    tree = Tree(world, pin.Model(), gravity, locked=_locked(world, lock), whole=whole)
     tree.model.gravity.linear = gravity
     moved = _first_moved(tree)
     armature: list[Array] = []
@@ -80,7 +84,10 @@ def tree_of(world: World, lock: Mapping[str, float], gravity: Array) -> Tree:
         if body == moved:
             carrier, todo = _add_root(tree, carrier, todo, armature, limits)
         for joint in todo:
-            carrier = _add_joint(tree, carrier, joint, armature, limits)
+            if joint in tree.locked and not _kept(tree, joint, carrier, moved):
+                carrier = Carrier(carrier.joint, carrier.at * _frozen(tree, joint))
+            else:
+                carrier = _add_joint(tree, carrier, joint, armature, limits)
         tree.carriers[body] = carrier
         _add_body(tree, body)
     tree.model.armature = np.concatenate([np.empty(0), *armature])
@@ -163,8 +170,6 @@ def _add_joint(
 ) -> Carrier:
     """Add one joint of a body; return where the body sits behind it."""
     world = tree.world
-    if joint in tree.locked:
-        return Carrier(at.joint, at.at * _frozen(tree, joint))
     found = joint_of(world, joint)
     if found.nv != 1:
         raise ModelError(
@@ -180,6 +185,15 @@ def _add_joint(
     armature.append(found.armature)
     limits.append(_limits(world, joint))
     return Carrier(index, found.at_point.inverse())
+
+
+def _kept(tree: Tree, joint: int, at: Carrier, moved: int | None) -> bool:
+    """Return whether a frozen joint is one of the model: not ahead of the root, and not a ball."""
+    return (
+        tree.whole
+        and tree.world.kind(joint) in ("slide", "hinge")
+        and (moved is None or at.joint != 0)
+    )
 
 
 def _frozen(tree: Tree, joint: int) -> pin.SE3:

@@ -1,6 +1,6 @@
-"""Wrenches on links in the full simulation: Jacobians of Pinocchio's frames.
+"""Wrenches on links by Jacobians of Pinocchio's frames: for the judges of kernels and motions.
 
-The judge's own way from a wrench at a point of a link to forces on the coordinates, τ = Jᵀ (F, N),
+Their own way from a wrench at a point of a link to forces on the coordinates, τ = Jᵀ (F, N),
 which shares nothing with forces/link_loads.py.
 """
 
@@ -57,5 +57,5 @@ class LoadsByPinocchio:
                 arm = placement @ point
                 jacobian = pin.getFrameJacobian(model, data, frame, reference)
             pull = turn @ force
-            out += jacobian.T @ np.concatenate([pull, turn @ moment + np.cross(arm, pull)])
+            out += jacobian.T @ np.concatenate([pull, turn @ moment + pin.skew(arm) @ pull])
         return out
