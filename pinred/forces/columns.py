@@ -73,7 +73,7 @@ def torque_column(terms: Terms, system: System) -> ca.SX:
     column = ca.SX(system.m, 1)
     for k, value in sorted(terms.torque.items()):
         i, ratio = through(system, k)
-        column[i] = value if k < system.m else column[i] + ratio * value
+        column[i] += ratio * value
     return column
 
 

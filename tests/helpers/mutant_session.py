@@ -54,6 +54,7 @@ class MutantSession:
         self._recorder = Recorder(package, modules)
         self._items: dict[str, pytest.Item] = {}
         self._functions: list[FunctionType] = []
+        self._compiled: list[Dispatcher] = []
         self._killers: defaultdict[str, Counter[str]] = defaultdict(Counter)
         self._session: pytest.Session
         self.covering = Covering()
@@ -68,7 +69,9 @@ class MutantSession:
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Ask for mutants, instead of running all tests."""
         self._items = {item.nodeid: item for item in session.items}
-        self._functions = [each for each in gc.get_objects() if isinstance(each, FunctionType)]
+        known = gc.get_objects()
+        self._functions = [each for each in known if isinstance(each, FunctionType)]
+        self._compiled = [each for each in known if isinstance(each, Dispatcher)]
         gc.freeze()  # so that forks do not copy what they only look at
         self._ask(self)
         return True
@@ -157,9 +160,8 @@ class MutantSession:
         for function, code in changed:
             function.__code__ = code
         if module.startswith("integrators"):
-            for each in gc.get_objects():
-                if isinstance(each, Dispatcher):
-                    each._cache = NullCache()  # type: ignore[attr-defined]
+            for each in self._compiled:
+                each._cache = NullCache()
         with tempfile.TemporaryDirectory() as own:
             if module.startswith(_COMPILED) and not module.startswith("kernels/judge"):
                 os.environ["PINRED_CACHE_DIR"] = own

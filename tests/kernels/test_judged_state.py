@@ -52,6 +52,8 @@ def test_states_are_far_apart() -> None:
     v = np.array([at.v for at in states if at is not None])
     assert 1.9 < np.abs(x).max() <= 2.0
     assert 0.5 < v[:, 3:].std() < 2.0
+    turns = np.array([at.pose[2] for at in states if at is not None])
+    assert 0.3 < np.abs(turns).max() <= 1.0
     # The momentum of the base's translation is none, in all terms of its three components.
     at = states[0]
     assert at is not None

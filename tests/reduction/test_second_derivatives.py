@@ -77,6 +77,7 @@ def test_many_shapes_at_once(count: int) -> None:
     system = pinred.load("satellite_two_arms")
     x = np.random.default_rng(1).uniform(-2.0, 2.0, (count, system.m))
     every = inertia_derivatives(system, x)
+    assert not any(values.flags.writeable for values in vars(every).values())
     for k in range(count):
         alone = inertia_derivatives(system, x[k : k + 1])
         for name in ("H", "dH", "d2H", "com", "dcom", "d2com"):

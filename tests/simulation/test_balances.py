@@ -12,6 +12,7 @@ import pinred
 from pinred.forces import Controller, Damper, Spring, Torque, Wrench
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Fourier, Hold
+from pinred.simulation.balances import EnergyBalance, MomentumBalance
 
 G = np.array([0.5, 0.0, -3.0])  # of tree("SE3", …)
 
@@ -110,3 +111,16 @@ def test_times_that_start_late() -> None:
     late = pinred.simulate(system, duration=2.0, forces=damper, times=[1.0, 2.0])
     np.testing.assert_allclose(late.energy_balance.work, whole.energy_balance.work[1:], rtol=1e-9)
     np.testing.assert_allclose(late.energy_balance.residual, 0.0, atol=1e-9)
+
+
+def test_residuals_are_what_does_not_add_up() -> None:
+    """Of energies and momenta that nobody gave, from the first time on."""
+    t = np.array([0.0, 1.0])
+    work = np.array([[0.5, 0.25], [1.5, 3.25]])
+    energy = EnergyBalance(t, np.array([2.0, 6.5]), ("a", "b"), work)
+    assert energy.residual.tolist() == [0.0, 0.5]
+    momentum, impulse = np.array([[1.0, 2.0], [4.0, 8.0]]), np.array([[0.5, 0.0], [2.5, 5.0]])
+    found = MomentumBalance(t, momentum, impulse)
+    assert found.residual.tolist() == [[0.0, 0.0], [1.0, 1.0]]
+    for values in (energy.work, energy.energy, found.momentum, found.impulse):
+        assert not values.flags.writeable
