@@ -41,7 +41,8 @@ def torch_function(columns: Columns) -> Callable[..., Any]:
         out = []
         for name, size, value in zip(columns.names, columns.sizes, arranged, strict=True):
             try:
-                tensor = torch.as_tensor(value)
+                # Arrays that stay as they are may be read only, which tensors may not.
+                tensor = torch.as_tensor(value.copy() if isinstance(value, np.ndarray) else value)
             except (TypeError, ValueError, RuntimeError):
                 raise InputError(f"{name} must be numbers, got {brief(value)}") from None
             if tensor.is_complex() or tensor.dtype == torch.bool:
