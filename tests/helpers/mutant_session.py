@@ -161,7 +161,7 @@ class MutantSession:
             function.__code__ = code
         if module.startswith("integrators"):
             for each in self._compiled:
-                each._cache = NullCache()
+                each._cache = NullCache()  # type: ignore[attr-defined]
         with tempfile.TemporaryDirectory() as own:
             if module.startswith(_COMPILED) and not module.startswith("kernels/judge"):
                 os.environ["PINRED_CACHE_DIR"] = own
