@@ -65,17 +65,33 @@ TESTS: dict[str, list[str]] = {
         "forces", "scene/test_odd_values.py", "simulation/test_balances.py",
         "views/test_notebook_cards.py",
     ],
-    "integrators": ["integrators", "simulation/test_step_map.py"],
+    "integrators/explicit/derivatives": [
+        "simulation/test_step_map.py", "simulation/test_flow_map.py",
+    ],
+    "integrators/explicit/reverse": ["simulation/test_flow_map.py", "simulation/test_adapters.py"],
+    "integrators/explicit": [
+        "integrators/test_steppers.py", "integrators/test_claimed_orders.py",
+        "integrators/test_tableaux.py", "integrators/test_tolerance_of_turns.py",
+    ],
+    "integrators/gauss/derivatives": [
+        "simulation/test_step_map.py", "simulation/test_flow_map.py",
+    ],
+    "integrators/gauss/reverse": ["simulation/test_flow_map.py", "simulation/test_adapters.py"],
+    "integrators/gauss": ["integrators/test_gauss.py", "integrators/test_newton_in_gauss.py"],
+    "integrators/radau": ["integrators/test_radau.py"],
+    "integrators/variational": ["integrators/test_variational.py"],
+    "integrators/lanes": ["integrators/test_lanes.py", "integrators/test_claimed_orders.py"],
+    "integrators/derivatives": ["simulation/test_step_map.py", "simulation/test_flow_map.py"],
+    "integrators": [
+        "integrators/test_steppers.py", "integrators/test_batches.py",
+        "integrators/test_claimed_orders.py", "integrators/test_further_method.py",
+        "integrators/test_memory.py", "integrators/test_radau.py",
+    ],
     "simulation": [
         "simulation/test_balances.py", "verification/test_audit.py", "forces/test_forces.py",
         "verification/test_bounds_of_compare.py", "verification/test_small_faults.py",
         "views/test_notebook_cards.py",
     ],
-}  # fmt: skip
-# What is compiled leaves no trace of what runs it: the tests that do, of parts of integrators.
-RUN_BY = {
-    "radau": ["radau"], "gauss": ["gauss"], "variational": ["variational"], "lanes": ["lanes"],
-    "explicit": ["steppers", "claimed", "tableaux", "turns"], "tsit5": ["lanes", "claimed"],
 }  # fmt: skip
 
 
@@ -296,7 +312,7 @@ def _found(
 
     plugin = MutantSession(
         copied.root / "pinred", list(every), asked,
-        seconds=options.seconds, budget=options.budget, compiled=RUN_BY,
+        seconds=options.seconds, budget=options.budget,
     )  # fmt: skip
     copied.session(tests, plugin)
     rows: list[Row] = []
@@ -312,8 +328,8 @@ def _found(
 
 
 def _tell(row: Row, told: TextIO) -> None:
-    """Print what survived."""
-    if row.outcome and not row.outcome.startswith("killed"):
+    """Print what became of a mutant, unless it is left for later."""
+    if row.outcome:
         print(f"{row.module}:{row.line}: {row.change}: {row.outcome}", file=told, flush=True)
 
 

@@ -240,6 +240,23 @@ def test_a_run_that_reaches_a_singular_shape_names_the_joint() -> None:
     assert pinred.compare(traj).passed
 
 
+def test_words_begin_at_a_millionth_of_the_usual() -> None:
+    """Half way down to where the rod lies on the first axis, by CRBA's least eigenvalue."""
+    model = pendulum([(RX, 0.0, NONE), (RY, 0.2, 0.3 * UP)])
+    with pytest.warns(ModelWarning, match="'j0' moves no mass"):
+        system = pinred.load(model, gravity=(0, 0, 0))
+    rng, least = np.random.default_rng(5), Least(model)
+    usual = float(np.median([least(rng.uniform(-3, 3, 2)) for _ in range(200)]))
+    silent, told = 0.1, 1e-6
+    assert lost_inertia(system, np.array([0.1, HALF + silent])) == ""
+    for _ in range(30):
+        middle = np.sqrt(silent * told)
+        words = lost_inertia(system, np.array([0.1, HALF + middle]))
+        silent, told = (silent, middle) if words else (middle, told)
+    assert words == "" or "'j0'" in words
+    assert least(np.array([0.1, HALF + told])) == pytest.approx(1e-6 * usual, rel=0.7)
+
+
 def test_strictly_a_warning_is_a_refusal() -> None:
     """strict=True refuses singular single shapes."""
     with pytest.raises(ModelError, match="j1"):
