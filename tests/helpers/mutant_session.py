@@ -15,6 +15,7 @@ import traceback
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
@@ -129,24 +130,21 @@ class MutantSession:
         changed = self._changed(module, mutant)
         if changed is None:
             return None
-        while True:
-            failed = self._forked(lambda: self._run(module, changed, tests), self._seconds)
-            if failed == "":
-                return "survived"
+        while failed := self._forked(partial(self._run, module, changed, tests), self._seconds):
             if self._passes_without(module, failed):
-                break
+                self.killed(module, failed)
+                return f"killed by {failed}"
             tests = [test for test in tests if test != failed]
-        self.killed(module, failed)
-        return f"killed by {failed}"
+        return "survived"
 
     def _passes_without(self, module: str, test: str) -> bool:
-        """Whether a test passes where all is compiled anew, as for a mutant, but nothing changed."""
+        """Whether a test passes with all compiled anew, as for a mutant, but nothing changed."""
         if test not in self._items or not module.startswith(_COMPILED):
             return True
         key = (module.split("/", maxsplit=1)[0], test)
         if key not in self._passes:
             self._passes[key] = not self._forked(
-                lambda: self._run(module, [], [test]), self._seconds
+                partial(self._run, module, [], [test]), self._seconds
             )
         return self._passes[key]
 
