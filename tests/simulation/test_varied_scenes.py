@@ -197,3 +197,14 @@ def test_a_link_behind_a_locked_joint() -> None:
         for q in (found.q, many.q[k], end.q):
             np.testing.assert_allclose(q, expected.q, rtol=0, atol=1e-9)
     assert np.abs(many.q[0] - many.q[1]).max() > 1e-3
+
+
+def test_what_is_told_of_links() -> None:
+    """Those that forces act on, where numbers may move them."""
+    satellite = pinred.load("satellite_two_arms")
+    pull = Wrench([0.0, 0.0, 0.1], link="left_hand")
+    locked = pinred.load("satellite_two_arms", lock={"left_wrist": 0.2})
+    said = pinred.flow(locked, seed=0, duration=0.1, forces=[pull], wrt=["left_wrist.lock"])
+    assert "inputs: places of left_hand, which forces act on" in said.explain()
+    fixed = pinred.flow(satellite, seed=0, duration=0.1, forces=[pull], wrt=["x0"])
+    assert "places of" not in fixed.explain()

@@ -54,7 +54,9 @@ def inside(screen: Browser, width: int, height: int) -> list[list[float]]:
     return found
 
 
-@pytest.fixture(scope="module", params=["falling_cat", "solo12"])
+@pytest.fixture(
+    scope="module", params=["falling_cat", pytest.param("solo12", marks=pytest.mark.by_hand)]
+)
 def page(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page of a robot, 2 s."""
     seed: dict[str, Any] = {"seed": 0} if request.param == "solo12" else {}
@@ -129,7 +131,10 @@ def quarters(screen: Browser, t: float) -> NDArray[np.int64]:
     return np.asarray(seen.reshape(2, height // 2, 2, width // 2).sum(axis=(1, 3)).ravel())
 
 
-@pytest.mark.parametrize(("name", "seed"), [("solo12", 0), ("falling_cat", None)])
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [pytest.param("solo12", 0, marks=pytest.mark.by_hand), ("falling_cat", None)],
+)
 def test_grid_is_seen_all_along(
     screen: Browser, tmp_path: Path, name: str, seed: int | None
 ) -> None:

@@ -49,7 +49,7 @@ def _csv(path: Path) -> tuple[Array, Array]:
         rows = list(csv.reader(file))
     if not rows or not rows[0] or rows[0][0].strip() != "t":
         raise ValueError("the first line must be t and the names of the joints")
-    data = as_floats([row for row in rows[1:] if row], "the lines")
+    data = as_floats([[float(cell) for cell in row] for row in rows[1:] if row], "the lines")
     return data[:, 0], data[:, 1:]
 
 
