@@ -176,7 +176,7 @@ class MutantSession:
             if module.startswith("integrators"):
                 for each in self._compiled:
                     each._cache = NullCache()  # type: ignore[attr-defined]
-                numba.config.CACHE_DIR = own  # of those that are made from now on
+                numba.config.CACHE_DIR = own  # type: ignore[attr-defined]  # of those that are made from now on
             if module.startswith(_COMPILED) and not module.startswith("kernels/judge"):
                 os.environ["PINRED_CACHE_DIR"] = own
             items = [self._items[name] for name in tests]

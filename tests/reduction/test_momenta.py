@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pinocchio as pin
@@ -31,7 +33,7 @@ from pinred.reduction.tree.link_motions import inertia_tensors, root_twist, spee
 from pinred.reduction.tree.link_motions import twists_at as twists_of_bodies
 from pinred.reduction.tree.momenta import bracket, centre_of_mass, locked, momenta
 
-CLOSE = {"rel": 1e-9, "abs": 1e-9}
+CLOSE: Any = {"rel": 1e-9, "abs": 1e-9}
 
 
 def number(expression: ca.SX) -> Array:
@@ -193,7 +195,7 @@ def test_slopes_of_places(case: Case) -> None:
 
 def at_step(body: Body, numbers: Array) -> pin.SE3:
     """The step Rz(β) Rx(α) Ry(δ) Rz(ε) after a shift, with these numbers."""
-    pairs = [(body.beta[0], body.beta[1]), numbers[:2], numbers[2:4]]
+    pairs: Any = [(body.beta[0], body.beta[1]), numbers[:2], numbers[2:4]]
     angles = [float(np.arctan2(sine, cosine)) for cosine, sine in pairs]
     R = np.eye(3)
     for angle, axis in zip([*angles, float(numbers[4])], "zxyz", strict=True):

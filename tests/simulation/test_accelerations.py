@@ -11,6 +11,7 @@ from trees import random_model
 
 import pinred
 from pinred.common.arrays import Array
+from pinred.scene.scene import Engine
 from pinred.simulation.accelerations import Accelerations, accelerations
 
 TIMES = np.linspace(0.0, 0.5, 6)
@@ -19,7 +20,7 @@ AMPLITUDE, RATE = 0.3, 2.0
 
 
 @cache
-def free(name: str, engine: pinred.Engine) -> pinred.Trajectory:
+def free(name: str, engine: Engine) -> pinred.Trajectory:
     """A robot that nobody pushes."""
     system, rng = pinred.load(name), np.random.default_rng(3)
     return pinred.simulate(
@@ -45,7 +46,7 @@ def positions(traj: pinred.Trajectory, found: Accelerations) -> list[Array]:
 
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
 @pytest.mark.parametrize("name", ["falling_cat", "cartpole", "coupled_planar"])
-def test_accelerations_are_those_of_aba(name: str, engine: pinred.Engine) -> None:
+def test_accelerations_are_those_of_aba(name: str, engine: Engine) -> None:
     """To ten digits; and what two lengths of difference leave is no more than round-off."""
     traj = free(name, engine)
     found, model = accelerations(traj, TIMES, SIZE), traj.system.model
