@@ -1,4 +1,4 @@
-"""Hypothesis profile: failures print what reproduces them; no time limit on noisy machines.
+"""Hypothesis profiles: failures print what reproduces them; no time limit on noisy machines.
 
 And the browser that the tests of pages share.
 """
@@ -13,13 +13,20 @@ from hypothesis import settings
 import pinred
 from pinred.views.playback.headless_browser import Browser, browser, find_browser
 
-settings.register_profile("pinred", deadline=None, print_blob=True)
+settings.register_profile("pinred", deadline=None, print_blob=True, max_examples=40)
+settings.register_profile("by hand", settings.get_profile("pinred"), max_examples=200)
 settings.load_profile("pinred")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option that runs what is left out otherwise."""
     parser.addoption("--by-hand", action="store_true", help="run the tests marked by_hand, too")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Try more examples where time is no matter."""
+    if config.getoption("--by-hand"):
+        settings.load_profile("by hand")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -197,6 +197,7 @@ def test_satellite_arms(tell: Callable[[str], Told]) -> None:
     assert abs(end) < 1e-9
 
 
+@pytest.mark.by_hand
 def test_integrators(tell: Callable[[str], Told]) -> None:
     """Orders 2, 4 and 6; errors against ABA; energy grows by RKMK4 and not by Gauss."""
     told = tell("06")
@@ -280,6 +281,7 @@ def test_best_stroke(tell: Callable[[str], Told]) -> None:
     assert told.text.count("verdict: PASSED") == 1
 
 
+@pytest.mark.by_hand
 def test_satellite_turns_by_its_arms(tell: Callable[[str], Told]) -> None:
     """A quarter turn by Pinocchio's centroidal map; full ABA."""
     told = tell("14")

@@ -40,7 +40,7 @@ def test_mass_matrix_and_its_derivatives(case: CoupledCase) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(coupled_cases())
 def test_sweep_solves_for_velocities_and_forces(case: CoupledCase) -> None:
     """H v = (μ, π) for any momentum, and π̇ against the derivative of the Lagrangian by y."""

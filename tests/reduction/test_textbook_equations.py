@@ -47,7 +47,7 @@ def springs_of(case: Case) -> dict[str, tuple[float, float]]:
     return dict.fromkeys(case.system.shape_names[::2], (1.5, 0.4))
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(cases(0))
 def test_lagrange_poincare(case: Case) -> None:
     """Accelerations with joint torques, springs and a base wrench are those of ABA."""

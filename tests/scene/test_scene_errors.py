@@ -393,7 +393,7 @@ def mutated(draw: st.DrawFn) -> str:
 
 
 @pytest.mark.slow
-@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=mutated())
 def test_nothing_but_errors_of_pinred(text: str, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Whatever stands in a file, reading it raises an error of pinred, in one line, or none."""
@@ -434,7 +434,7 @@ VALUES = st.recursive(
 
 
 @pytest.mark.slow
-@settings(max_examples=500)
+@settings(max_examples=200)
 @given(st.sampled_from(EXAMPLES), st.data())
 def test_reader_and_schema_agree(path: Path, data: st.DataObject) -> None:
     """A document with one value changed is refused by both or by neither."""
