@@ -77,7 +77,7 @@ def test_units_in_ascii() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+@pytest.mark.parametrize("encoding", [pytest.param("utf-8", marks=pytest.mark.by_hand), "ascii"])
 def test_file_names_that_are_no_text(tmp_path: Path, encoding: str) -> None:
     """Motions and scenes may have them; a robot's file is refused in words."""
     folder = Path(os.fsdecode(bytes(tmp_path) + b"/f\xff"))

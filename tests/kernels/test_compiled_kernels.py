@@ -35,7 +35,7 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(cases(0, 6))
 def test_kernels_of_random_trees(case: Case) -> None:
     """Any group and joints, springs, with and without momentum: as the readable route."""

@@ -111,7 +111,7 @@ def test_limbs_of_one_build_are_found() -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(groups, st.integers(2, 6), st.integers(1, 4), seeds, st.sampled_from(MADE))
 def test_kernels_of_alike_limbs(
     group: str, limbs: int, joints: int, seed: int, made: Callable[..., pin.Model]

@@ -36,6 +36,7 @@ def tensors() -> list[Any]:
     return [torch.tensor(each, requires_grad=True) for each in AT]
 
 
+@pytest.mark.by_hand
 def test_gradcheck() -> None:
     """Both modes agree with differences in double precision, of a batch with shared inputs too."""
     function = flow_of(method="Gauss(0.01)").torch()

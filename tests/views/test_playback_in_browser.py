@@ -149,7 +149,7 @@ def test_served_page(screen: Browser) -> None:
         assert requests(screen) == [player.url]
 
 
-@pytest.mark.parametrize("name", ["falling_cat", "solo12"])
+@pytest.mark.parametrize("name", ["falling_cat", pytest.param("solo12", marks=BY_HAND)])
 def test_bodies_are_where_pinocchio_puts_them(screen: Browser, tmp_path: Path, name: str) -> None:
     """Joints, CoM, arrow and inertia in the browser's scene, at a frame and between frames."""
     system = pinred.load(name)
@@ -208,7 +208,7 @@ def test_arrow_stands_still_on_the_screen(screen: Browser, tmp_path: Path) -> No
     assert (gone[0] & gone[1]).sum() < 0.5 * gone[0].sum()
 
 
-@pytest.mark.slow
+@BY_HAND
 def test_every_switch_shows_something(screen: Browser, tmp_path: Path) -> None:
     """Each overlay is visible, and its switch takes it away and brings it back."""
     traj = pinred.simulate(pinred.load("falling_cat"), duration=2.0)
@@ -266,6 +266,7 @@ def test_controls(screen: Browser, tmp_path: Path) -> None:
     assert complaints(screen) == []
 
 
+@BY_HAND
 def test_a_minute_at_sixty_frames(screen: Browser, tmp_path: Path) -> None:
     """60 s at 60 frames a second of the cat: below 20 MB, ready in less than 5 s."""
     traj = pinred.simulate(pinred.load("falling_cat"), duration=60.0)
