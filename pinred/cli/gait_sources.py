@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..common.errors import InputError
 from ..common.plain_names import quoted
-from .options import add_parameters, numbers_in, parameters_in
+from .options import add_parameters, numbers_in, parameters_in, refuse_of_robots
 
 if TYPE_CHECKING:
     from ..planning.gait_files.load_gait import GaitFile
@@ -39,9 +39,7 @@ def source_of(options: argparse.Namespace, *, gait: bool) -> GaitFile:
     from ..system.load import load
 
     if Path(options.source).suffix == ".toml":
-        for name in ("group", "gait", "circle", "parameter"):
-            if getattr(options, name) not in (None, []):
-                raise InputError(f"--{name} is for robots; {quoted(options.source)} says itself")
+        refuse_of_robots(options, options.source, "group", "gait", "circle", "parameter")
         return load_gait(options.source)
     parameters = parameters_in(options.parameter)
     system = load(options.source, group=options.group, parameters=parameters)

@@ -76,6 +76,13 @@ def parameters_in(entries: Sequence[str]) -> dict[str, Any]:
     return out
 
 
+def refuse_of_robots(options: argparse.Namespace, source: str, *names: str) -> None:
+    """Refuse options that are for robots beside a file that says itself.  Raises InputError."""
+    for name in names:
+        if getattr(options, name) not in (None, []):
+            raise InputError(f"--{name} is for robots; {quoted(source)} says itself")
+
+
 def system_of(options: argparse.Namespace) -> System:
     """Return the system that the options of `add_robot` name."""
     from ..system.load import load

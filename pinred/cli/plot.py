@@ -11,7 +11,7 @@ from ..common.files import FIGURES
 from ..views.plots import KINDS, options_of
 from ..views.plots.by_kind import draw
 from .motion_files import check_robot, motion_in
-from .options import add_parameters, parameters_in, scene_with
+from .options import add_parameters, parameters_in, refuse_of_robots, scene_with
 from .written import written
 
 if TYPE_CHECKING:
@@ -130,9 +130,7 @@ def _source(options: argparse.Namespace, kinds: list[str]) -> Any:
     check_robot(source, options.robot)
     if suffix not in (".npz", ".toml", ".csv"):
         return _motion_of_robot(options)
-    for name in ("time", "seed", "group", "root", "parameter"):
-        if getattr(options, name) not in (None, []):
-            raise InputError(f"--{name} is for robots; '{source}' says itself")
+    refuse_of_robots(options, source, "time", "seed", "group", "root", "parameter")
     if suffix == ".csv":
         from ..verification.bench.record import read_record
 

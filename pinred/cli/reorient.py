@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
-from ..common.plain_names import quoted
 from .limit_options import add_limits, limits_in
-from .options import add_robot, by_joint_in, numbers_in, system_of
+from .options import add_robot, by_joint_in, numbers_in, refuse_of_robots, system_of
 from .written import written
 
 if TYPE_CHECKING:
@@ -68,9 +67,7 @@ def _asked(options: argparse.Namespace) -> tuple[System, dict[str, Any]]:
     if Path(options.robot).suffix == ".toml":
         from ..planning.gait_files.load_gait import load_gait
 
-        for name in ("group", "lock", "gravity", "root", "parameter"):
-            if getattr(options, name) not in (None, []):
-                raise InputError(f"--{name} is for robots; {quoted(options.robot)} says itself")
+        refuse_of_robots(options, options.robot, "group", "lock", "gravity", "root", "parameter")
         file = load_gait(options.robot)
         system = file.system
         out |= file.reorient

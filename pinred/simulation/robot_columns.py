@@ -85,11 +85,11 @@ class RobotColumns:
         self, now: Mapping[str, Array], changed: Collection[str]
     ) -> Iterator[tuple[slice, Array, Callable[[], Slopes]]]:
         """Yield places among the constants, the numbers there, and what gives their slopes."""
-        freed, first = self._layout.freed, self._bodies_at
+        freed = self._layout.freed
         for i, (moments, slopes) in self._varied.inertias(now, changed).items():
             place, turn = freed.of_inertia(i), self._maps[i]
             yield (
-                slice(first + place.start, first + place.stop),
+                self._among_constants(place),
                 turn @ moments,
                 partial(_turned, turn, slopes),
             )
@@ -99,17 +99,20 @@ class RobotColumns:
             moved = replace(body, **step_at(parent, body, own, joint))
             place = freed.of_step(i)
             yield (
-                slice(first + place.start, first + place.stop),
+                self._among_constants(place),
                 step_of_body(moved),
                 partial(_step_slopes, parent, moved, twists),
             )
         for k, body, link, twists in self._links(now):
             place = freed.of_link(k)
             yield (
-                slice(first + place.start, first + place.stop),
+                self._among_constants(place),
                 link_numbers(body, link),
                 partial(_link_slopes, body, link, twists),
             )
+
+    def _among_constants(self, place: slice) -> slice:
+        return slice(self._bodies_at + place.start, self._bodies_at + place.stop)
 
     def _links(
         self, now: Mapping[str, Array]

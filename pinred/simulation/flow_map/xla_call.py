@@ -115,9 +115,7 @@ def _arrays(size: int, where: int) -> list[Any]:
 
 
 def _answer(frame: Any) -> bool:
-    """Answer what XLA asks beside calls; return whether it has asked for something."""
-    if not frame[EXTENSION]:
-        return False
+    """Answer what XLA asks by an extension; return whether it has asked for something."""
     extension = _words(frame[EXTENSION], _METADATA + 1)
     if extension[1] & 0xFFFFFFFF != _ASKS_FOR_VERSION:
         return False
