@@ -93,8 +93,7 @@ class _Left:
         options = {"gtol": 1e-9, "maxiter": 80}
         # Where a joint behind it has lost its own inertia, slopes may be beyond all numbers.
         with np.errstate(over="ignore", invalid="ignore"):
-            end = minimize(self.at, x, jac=True, method="BFGS", options=options).x
-        return np.asarray(end) if np.isfinite(end).all() else x
+            return np.asarray(minimize(self.at, x, jac=True, method="BFGS", options=options).x)
 
     def within(self, x: Array) -> bool:
         """Return whether slides are where a robot is: far out, other inertias are none."""
