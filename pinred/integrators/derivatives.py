@@ -22,6 +22,7 @@ from .gauss import reverse as gauss_reverse
 from .gauss.tables import tables
 from .methods import AdaptiveGauss, Explicit, Gauss, Method
 from .stepping.kernel_call import SEEDS
+from .stepping.seed_lanes import from_lanes, to_lanes
 
 
 class Steps(Protocol):
@@ -182,8 +183,8 @@ def _explicit_along(
     batches = -(-count // SEEDS)
     y = y0.copy()
     part, part_params = (np.zeros((batches, len(a) * SEEDS)) for a in (along, along_params))
-    explicit.to_lanes(np.ascontiguousarray(along), part)
-    explicit.to_lanes(np.ascontiguousarray(along_params), part_params)
+    to_lanes(np.ascontiguousarray(along), part)
+    to_lanes(np.ascontiguousarray(along_params), part_params)
     out, out_along = np.empty((len(times), n)), np.empty((len(times), batches, n * SEEDS))
     Y, K = (np.empty((size, n)) for _ in range(2))
     explicit.forward(
@@ -193,8 +194,8 @@ def _explicit_along(
     )  # fmt: skip
     found, end = np.empty((len(times), n, count)), np.empty((n, count))
     for k in range(len(times)):
-        explicit.from_lanes(out_along[k], found[k])
-    explicit.from_lanes(part, end)
+        from_lanes(out_along[k], found[k])
+    from_lanes(part, end)
     return Along(out, found, y, end)
 
 

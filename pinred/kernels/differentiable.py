@@ -17,6 +17,7 @@ from ..common.arrays import Array
 from ..common.errors import InputError, KernelMismatch
 from ..integrators.stepping.compiling import compiled
 from ..integrators.stepping.kernel_call import SEEDS, call, call_adjoint, call_slopes
+from ..integrators.stepping.seed_lanes import from_lanes, to_lanes
 from ..reduction.tree.limbs import Lanes
 from .adjoint_lanes import adjoint_in_lanes
 from .derived import derived_code
@@ -150,7 +151,8 @@ class Differentiable:
         """Return the derivatives (size, N) along directions (…, N) of a and b."""
         count = da.shape[1]
         out = np.empty((size, count))
-        along_a, along_b, slopes = (np.zeros(k * SEEDS) for k in (len(a), len(b), size))
+        batches = -(-count // SEEDS)
+        along_a, along_b, slopes = (np.zeros((batches, k * SEEDS)) for k in (len(a), len(b), size))
         _call_in_batches(
             self.tangent.address if count else 0, a, b, np.ascontiguousarray(da),
             np.ascontiguousarray(db), along_a, along_b, slopes, out,
@@ -288,19 +290,11 @@ def _call_in_batches(
     out: Array,
 ) -> None:
     """Fill out (size, N) with the slopes along directions (…, N), SEEDS at once."""
-    count = da.shape[1]
-    for first in range(0, count, SEEDS):
-        width = min(SEEDS, count - first)
-        for k in range(a.shape[0]):
-            for j in range(width):
-                along_a[k * SEEDS + j] = da[k, first + j]
-        for k in range(b.shape[0]):
-            for j in range(width):
-                along_b[k * SEEDS + j] = db[k, first + j]
-        call_slopes(address, a, b, along_a, along_b, slopes)
-        for k in range(out.shape[0]):
-            for j in range(width):
-                out[k, first + j] = slopes[k * SEEDS + j]
+    to_lanes(da, along_a)
+    to_lanes(db, along_b)
+    for k in range(slopes.shape[0]):
+        call_slopes(address, a, b, along_a[k], along_b[k], slopes[k])
+    from_lanes(slopes, out)
 
 
 @compiled
