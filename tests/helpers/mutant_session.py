@@ -28,7 +28,7 @@ from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
 
 LONG = 20.0  # s; tests that take longer are left out
-_COMPILED = ("forces", "integrators", "kernels", "lie", "reduction")  # what may be in kernels
+_IN_KERNELS = ("forces", "kernels", "lie", "reduction")  # what kernels may be made of
 
 
 class MutantSession:
@@ -139,7 +139,7 @@ class MutantSession:
 
     def _passes_without(self, module: str, test: str) -> bool:
         """Whether a test passes with all compiled anew, as for a mutant, but nothing changed."""
-        if test not in self._items or not module.startswith(_COMPILED):
+        if test not in self._items or not (module.startswith(_IN_KERNELS) or self._woven(module)):
             return True
         key = (module.split("/", maxsplit=1)[0], test)
         if key not in self._passes:
@@ -173,11 +173,11 @@ class MutantSession:
         for function, code in changed:
             function.__code__ = code
         with tempfile.TemporaryDirectory() as own:
-            if module.startswith("integrators"):
+            if self._woven(module):
                 for each in self._compiled:
                     each._cache = NullCache()  # type: ignore[attr-defined]
                 numba.config.CACHE_DIR = own  # type: ignore[attr-defined]  # of those that are made from now on
-            if module.startswith(_COMPILED) and not module.startswith("kernels/judge"):
+            if module.startswith(_IN_KERNELS) and not module.startswith("kernels/judge"):
                 os.environ["PINRED_CACHE_DIR"] = own
             items = [self._items[name] for name in tests]
             for item, then in zip(items, [*items[1:], None], strict=True):
@@ -185,6 +185,11 @@ class MutantSession:
                 if self._session.testsfailed:
                     return item.nodeid
         return ""
+
+    def _woven(self, module: str) -> bool:
+        """Whether compiled integrators may be made of functions of a module."""
+        text = (self._package / module).read_text()
+        return module.startswith("integrators") and "compiling import" in text
 
     def _forked(self, work: Callable[[], str], seconds: float) -> str:
         """Do some work in a fork and return what it returns: the test that failed, or why."""

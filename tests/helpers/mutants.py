@@ -77,9 +77,16 @@ TESTS: dict[str, list[str]] = {
         "simulation/test_step_map.py", "simulation/test_flow_map.py",
     ],
     "integrators/gauss/reverse": ["simulation/test_flow_map.py", "simulation/test_adapters.py"],
-    "integrators/gauss": ["integrators/test_gauss.py", "integrators/test_newton_in_gauss.py"],
-    "integrators/radau": ["integrators/test_radau.py"],
-    "integrators/variational": ["integrators/test_variational.py"],
+    "integrators/gauss": [
+        "integrators/test_counted_evaluations.py", "integrators/test_gauss.py",
+        "integrators/test_newton_in_gauss.py",
+    ],
+    "integrators/radau": [
+        "integrators/test_counted_evaluations.py", "integrators/test_radau.py",
+    ],
+    "integrators/variational": [
+        "integrators/test_counted_evaluations.py", "integrators/test_variational.py",
+    ],
     "integrators/lanes": ["integrators/test_lanes.py", "integrators/test_claimed_orders.py"],
     "integrators/derivatives": ["simulation/test_step_map.py", "simulation/test_flow_map.py"],
     "integrators": [
@@ -152,15 +159,14 @@ class Copy:
     def outcome(self, module: str, mutant: Mutant, tests: list[str], seconds: float) -> str:
         """Return what tests say of a mutant when the package is imported with it."""
         target = self.root / "pinred" / module
-        own = target.read_text()
+        text = target.read_text()
         self._write(target, mutant.text)
         with tempfile.TemporaryDirectory() as own_cache:
             files = list(dict.fromkeys(test.split("::")[0] for test in tests))
-            places = {"PINRED_CACHE_DIR": own_cache}
-            if module.startswith("integrators"):
-                places["NUMBA_CACHE_DIR"] = own_cache
+            own = "NUMBA" if module.startswith("integrators") else "PINRED"
+            places = {f"{own}_CACHE_DIR": own_cache}
             code = self._forked(files, Chosen(tests), places, seconds)
-        self._write(target, own)
+        self._write(target, text)
         if code == 0:
             return "survived"
         said = self._said.read_text(errors="replace").splitlines()

@@ -38,9 +38,9 @@ from .stages import (
     L,
     finish,
     guess,
+    guess_evenly,
     iterate,
     prepare_guess,
-    start_evenly,
 )
 
 _SAFETY, _SHRINK, _GROW, _HALF = 0.9, 0.25, 4.0, 0.5
@@ -57,8 +57,7 @@ def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) 
     keep_state(run, work, 0.0, knots_t, knots_y)
     for i in range(run.n):
         work[CARRY, i] = 0.0
-    start_evenly(run.address, params, work, run.n, run.lanes, L, 1.0)
-    run.evaluations += run.stages
+    guess_evenly(run, params, work, L, 1.0)
     if not_finite_in(run, work, RATE):
         return NOT_FINITE
     run.h = _first_step(run, work)
@@ -79,16 +78,14 @@ def until(run: Run) -> float:
 @woven
 def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
     """Do as driver.attempt."""
-    n, lanes, stages, h = run.n, run.lanes, run.stages, t_new - run.t
+    n, lanes, h = run.n, run.lanes, t_new - run.t
     if run.before > 0.0:
-        prepare_guess(work, lanes, stages, GUESS, 1.0, h / run.before)
+        prepare_guess(work, lanes, run.stages, GUESS, 1.0, h / run.before)
         guess(work, n, lanes, GUESS, OLD, L)
     else:
-        start_evenly(run.address, params, work, n, lanes, L, h)
-        run.evaluations += stages
+        guess_evenly(run, params, work, L, h)
     _measure_by_tolerance(run, work)
-    turns = iterate(run.address, params, work, n, lanes, L, h, _LEFT)
-    run.evaluations += (turns if turns > 0 else 1) * stages
+    turns = iterate(run, params, work, L, h, _LEFT)
     if turns == NO_SOLUTION:
         run.before = 0.0 if not_finite_in(run, work, L) else run.before
         return reject(run, h * _HALF)

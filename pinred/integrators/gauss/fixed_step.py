@@ -11,7 +11,6 @@ import numpy as np
 
 from ...common.arrays import Array
 from ..stepping.compiling import compiled, woven
-from ..stepping.kernel_call import SEEDS
 from ..stepping.run_record import (
     AGAIN,
     AUTO,
@@ -50,9 +49,9 @@ from .stages import (
     L,
     finish,
     guess,
+    guess_evenly,
     iterate,
     prepare_guess,
-    start_evenly,
 )
 
 _STAY = 64  # steps by Newton's method before fixed-point iteration is tried again
@@ -81,8 +80,7 @@ def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa:
     # The steps are of one length to the last bit: round-off in the clock does not count.
     h = run.h
     if run.steps == 0:
-        start_evenly(run.address, params, work, n, lanes, L, h)
-        run.evaluations += stages
+        guess_evenly(run, params, work, L, h)
         if not_finite_in(run, work, L):
             return NOT_FINITE
         prepare_guess(work, lanes, stages, GUESS, 1.0, 1.0)
@@ -91,9 +89,8 @@ def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa:
     if newton:
         turns = find_stages_by_newton(run, params, work, L, MAIN, abs(h - run.factored) > 0.0, h)
     else:
-        turns = find_stages(run.address, params, work, n, lanes, L, h)
+        turns = find_stages(run, params, work, L, h)
     if turns == NO_SOLUTION and auto and not newton:
-        run.evaluations += stages
         run.remaining = _STAY
         return AGAIN
     if turns == NO_SOLUTION:
@@ -102,7 +99,6 @@ def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa:
         run.remaining = _STAY
     elif run.remaining > 0:
         run.remaining -= 1
-    run.evaluations += turns * stages
     finish(work, n, lanes, L)
     return DONE
 
@@ -147,13 +143,11 @@ def not_finite_in(run: Run, work: Array, row: int) -> bool:
 
 
 @compiled
-def find_stages(
-    address: int, params: Array, work: Array, n: int, lanes: int, row: int, h: float
-) -> int:
+def find_stages(run: Run, params: Array, work: Array, row: int, h: float) -> int:
     """Find a step's stages to round-off by fixed points; return the turns, or NO_SOLUTION."""
-    _measure(work, n, lanes, row)
+    _measure(work, run.n, run.lanes, row)
     work[INFO, 0] = _SLACK
-    return iterate(address, params, work, n, lanes, row, h, ROUND_OFF)
+    return iterate(run, params, work, row, h, ROUND_OFF)
 
 
 @compiled
@@ -164,19 +158,12 @@ def find_stages_by_newton(
 
     which, fresh: whose factors, and whether they have to be made.
     """
-    n, lanes, stages = run.n, run.lanes, run.stages
-    _measure(work, n, lanes, row)
-    made = (n + SEEDS - 1) // SEEDS
-    if fresh:
-        run.evaluations += made
-        if not prepare(run.tangent, params, work, n, stages, which, h):
-            return NO_SOLUTION
-    turns = refine(run.address, run.tangent, params, work, n, lanes, stages, row, which, fresh, h)
+    _measure(work, run.n, run.lanes, row)
+    if fresh and not prepare(run, params, work, which, h):
+        return NO_SOLUTION
+    turns = refine(run, params, work, row, which, fresh, h)
     if which == MAIN:
         run.factored = 0.0 if turns == NO_SOLUTION else h
-    if turns != NO_SOLUTION and turns < 0:
-        run.evaluations += made
-        turns = -turns
     return turns
 
 
@@ -209,49 +196,45 @@ def between(run: Run, params: Array, work: Array, time: float, t_new: float, out
 
     Between the ends it is that of a shorter step from the begin.
     """
-    n, lanes, stages = run.n, run.lanes, run.stages
-    turns = 1
+    n, lanes, found = run.n, run.lanes, True
     if not copy_an_end(run, work, time, t_new, out):
         h = time - run.t
         if run.known == STEP:
-            prepare_guess(work, lanes, stages, WITHIN, 0.0, h / (t_new - run.t))
+            prepare_guess(work, lanes, run.stages, WITHIN, 0.0, h / (t_new - run.t))
             guess(work, n, lanes, WITHIN, L, SUB)
         else:
-            start_evenly(run.address, params, work, n, lanes, SUB, h)
-        turns = NO_SOLUTION
-        if run.solver != NEWTON:
-            turns = find_stages(run.address, params, work, n, lanes, SUB, h)
-        if turns == NO_SOLUTION and run.solver != FIXED_POINT and run.tangent != 0:
-            start_evenly(run.address, params, work, n, lanes, SUB, h)
+            guess_evenly(run, params, work, SUB, h)
+        found = run.solver != NEWTON and find_stages(run, params, work, SUB, h) != NO_SOLUTION
+        if not found and run.solver != FIXED_POINT and run.tangent != 0:
+            guess_evenly(run, params, work, SUB, h)
             turns = find_stages_by_newton(run, params, work, SUB, OTHER, True, h)
-        if turns == NO_SOLUTION:
-            turns = _in_pieces(run, params, work, h, out)
-        else:
+            found = turns != NO_SOLUTION
+        if found:
             for i in range(n):
                 out[i] = work[Y, i] + _sum(work, SUB, i, lanes)
-        run.evaluations += max(turns, 1) * stages
+        else:
+            found = _in_pieces(run, params, work, h, out)
     unit_alone(out, run.quaternion)
-    return bool(turns != NO_SOLUTION)
+    return found
 
 
 @compiled
-def _in_pieces(run: Run, params: Array, work: Array, h: float, out: Array) -> int:
+def _in_pieces(run: Run, params: Array, work: Array, h: float, out: Array) -> bool:
     """Write the state after h from row Y, by as few shorter steps as have solutions.
 
-    A long step whose first guess was good can be beyond one that begins without. Return the
-    turns, or NO_SOLUTION with NaN in out.
+    A long step whose first guess was good can be beyond one that begins without.  Return whether
+    there is one, with NaN in out if not.
     """
-    address, n, lanes, pieces = run.address, run.n, run.lanes, 2
+    n, lanes, pieces = run.n, run.lanes, 2
     for i in range(n):
         out[i] = work[Y, i]
-    turns, total = NO_SOLUTION, 0
+    turns = NO_SOLUTION
     while turns == NO_SOLUTION and pieces <= _PIECES:
         for _ in range(pieces):
-            start_evenly(address, params, work, n, lanes, SUB, h / pieces)
-            turns = find_stages(address, params, work, n, lanes, SUB, h / pieces)
+            guess_evenly(run, params, work, SUB, h / pieces)
+            turns = find_stages(run, params, work, SUB, h / pieces)
             if turns == NO_SOLUTION:
                 break
-            total += turns + 1
             for i in range(n):
                 work[Y, i] += _sum(work, SUB, i, lanes)
         for i in range(n):
@@ -260,7 +243,7 @@ def _in_pieces(run: Run, params: Array, work: Array, h: float, out: Array) -> in
             if turns != NO_SOLUTION or pieces == _PIECES:
                 out[i] = end
         pieces *= 2
-    return total if turns != NO_SOLUTION else NO_SOLUTION
+    return bool(turns != NO_SOLUTION)
 
 
 @compiled

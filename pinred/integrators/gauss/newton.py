@@ -16,6 +16,7 @@ from ...common.arrays import Array, read_only
 from ..stepping.compiling import compiled
 from ..stepping.kernel_call import SEEDS, call
 from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
+from ..stepping.run_record import Run
 from ..stepping.state_rows import Y, first_not_finite
 from .stages import BEST, MU, NO_SOLUTION, RATE, ROWS, SCALE, STAGE, B, multiply
 from .tables import MOST_STAGES, tables
@@ -69,16 +70,16 @@ def _wide(n: int) -> int:
 
 
 @compiled
-def prepare(
-    tangent: int, params: Array, work: Array, n: int, stages: int, which: int, h: float
-) -> bool:
+def prepare(run: Run, params: Array, work: Array, which: int, h: float) -> bool:
     """Factor the systems of a step h from row Y; return whether that was possible."""
+    n, stages = run.n, run.stages
     wide, p = _wide(n), (stages + 1) // 2
     behind = work.reshape(-1)[ROWS * work.shape[1] :]
     at = p * _ENTRY + 2 * wide
     seeds, slopes = behind[at : at + SEEDS * wide], behind[at + SEEDS * wide :][: SEEDS * wide]
     pivots, matrix = _systems(behind, n, p, which)
-    jacobian(tangent, work[Y], params, seeds, slopes, matrix, 0, n)
+    jacobian(run.tangent, work[Y], params, seeds, slopes, matrix, 0, n)
+    run.evaluations += wide // SEEDS
     for k in range(p):
         a, b = behind[k * _ENTRY], behind[k * _ENTRY + 1]
         real, imag = n + 2 * n * k, 2 * n + 2 * n * k
@@ -106,14 +107,14 @@ def _systems(behind: Array, n: int, p: int, which: int) -> tuple[Array, Array]:
 
 @compiled
 def refine(
-    address: int, tangent: int, params: Array, work: Array, n: int, lanes: int, stages: int,
-    row: int, which: int, fresh: bool, h: float,
-) -> int:  # fmt: skip
+    run: Run, params: Array, work: Array, row: int, which: int, fresh: bool, h: float
+) -> int:
     """Bring the L in `row` from a guess to the solution; return the turns, or NO_SOLUTION.
 
     fresh: whether the factors are those of this step; if not, they are renewed where they
-    serve badly, and the turns come negative.  SCALE holds the inverse of the largest number.
+    serve badly.  SCALE holds the inverse of the largest number.
     """
+    n, lanes, stages = run.n, run.lanes, run.stages
     wide, p = _wide(n), (stages + 1) // 2
     behind = work.reshape(-1)[ROWS * work.shape[1] :]
     b, c = behind[p * _ENTRY :][:wide], behind[p * _ENTRY + wide :][:wide]
@@ -121,7 +122,8 @@ def refine(
     scale, before, stalls, renewed = work[SCALE, 0], np.inf, 0, False
     for turn in range(1, _MOST + 1):
         multiply(work, STAGE, Y, MU, row, n, lanes)
-        call(address, work[STAGE], params, work[RATE])
+        call(run.address, work[STAGE], params, work[RATE])
+        run.evaluations += stages
         for i in range(n):
             for j in range(stages):
                 at = i * lanes + j
@@ -156,13 +158,13 @@ def refine(
         if not size < np.inf:
             return NO_SOLUTION
         if size == 0.0:
-            return -turn if renewed else turn
+            return turn
         if size >= _STALLED * before:
             stalls += 1
             if size <= _SMALL or (stalls > 1 and size <= _SLACK):
-                return -turn if renewed else turn
+                return turn
         if not (fresh or renewed) and size > _SMALL and size > _SLOW * before:
-            if not prepare(tangent, params, work, n, stages, which, h):
+            if not prepare(run, params, work, which, h):
                 return NO_SOLUTION
             renewed, stalls = True, 0
         before = size

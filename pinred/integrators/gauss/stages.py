@@ -11,6 +11,7 @@ import numpy as np
 from ...common.arrays import Array
 from ..stepping.compiling import compiled
 from ..stepping.kernel_call import call
+from ..stepping.run_record import Run
 from ..stepping.state_rows import NEW, Y
 from .lane_sums import product, refreshment
 from .tables import lanes_of, tables
@@ -100,20 +101,27 @@ def guess(work: Array, n: int, lanes: int, table: int, source: int, row: int) ->
 
 
 @compiled
-def iterate(
-    address: int, params: Array, work: Array, n: int, lanes: int, row: int, h: float, limit: float
-) -> int:
+def guess_evenly(run: Run, params: Array, work: Array, row: int, h: float) -> None:
+    """Do as start_evenly, in a run that counts its evaluations."""
+    start_evenly(run.address, params, work, run.n, run.lanes, row, h)
+    run.evaluations += run.stages
+
+
+@compiled
+def iterate(run: Run, params: Array, work: Array, row: int, h: float, limit: float) -> int:
     """Bring the L in `row` from a guess to the solution; return the turns it took.
 
     limit: on what is still to come, by SCALE; ROUND_OFF to go on until no number changes by
     less than before in two turns.  NO_SOLUTION if that does not come about.
     """
+    address, n, lanes = run.address, run.n, run.lanes
     change, best = work[CHANGE], work[BEST]
     for i in range(n * lanes):
         change[i] = best[i] = np.inf
     before = expected = np.inf
     idle = 0
     for turn in range(1, (MOST_WITHIN if row == SUB else MOST) + 1):
+        run.evaluations += run.stages
         if lanes == 4:
             _multiply4(work, STAGE, Y, MU, row, n)
             call(address, work[STAGE], params, work[RATE])

@@ -206,11 +206,11 @@ def _newton(run: Run, params: Array, work: Array, h: float) -> int:
             for i in range(n):
                 work[STAGE, i] = work[Y, i] + work[Z + k, i]
             call(run.address, work[STAGE], params, work[F + k])
+            run.evaluations += 1
             entry = first_not_finite(work[F + k], n)
             if entry >= 0:
                 run.entry = entry
                 return 0
-        run.evaluations += 3
         _residual(work, n, h)
         solve(work, one, n, work[PIVOTS], work[F])
         solve_complex(work, parts, imag, n, work[PIVOTS + 1], work[F + 1], work[F + 2])
