@@ -14,6 +14,8 @@ import pytest
 from aba import kinematics
 from orders import measured
 from scipy.integrate import solve_ivp
+from scipy.integrate._ivp import radau as book
+from scipy.interpolate import BarycentricInterpolator
 from stiff_kernels import kernels
 
 import pinred
@@ -71,9 +73,19 @@ def _edge_slope(y: Any, p: Any, v: Any, d: Any) -> None:  # noqa: ARG001
         d[j], d[8 + j], d[16 + j] = 0.0, 0.0, -0.5 / np.sqrt(0.5 - y[0]) * v[j]
 
 
+def _sloped(y: Any, p: Any, d: Any) -> None:  # noqa: ARG001
+    d[0] = -y[0]
+
+
+def _sloped_slope(y: Any, p: Any, v: Any, d: Any) -> None:  # noqa: ARG001
+    for j in range(8):
+        d[j] = -p[0] * v[j]
+
+
 POL, POL_SLOPE = kernels(_pol, _pol_slope)
 POWER, POWER_SLOPE = kernels(_power, _power_slope)
 EDGE, EDGE_SLOPE = kernels(_edge, _edge_slope)
+SLOPED, SLOPED_SLOPE = kernels(_sloped, _sloped_slope)
 TIMES = np.array([0.0, 0.0, 0.3, 0.301, 1.0, 2.5, 2.5, 4.0])
 
 
@@ -273,6 +285,42 @@ def test_van_der_pol() -> None:
     assert run.steps < 1200
 
 
+@pytest.mark.parametrize(("power", "start"), [(20.0, 30.0), (50.0, 100.0), (60.0, 100.0)])
+def test_a_step_is_cut_where_newton_would_take_too_long(power: float, start: float) -> None:
+    """By what Hairer and Wanner's (IV.8) say of a turn's changes, found with Butcher's matrix."""
+    rtol, atol, most = 1e-3, 1.0, 7
+    scale, rate = start + atol / rtol, -(start ** (1.0 - power))
+
+    def f(y: Array) -> Array:
+        return np.asarray(rate * y**power)
+
+    h = 0.01 * scale / start
+    tolerance = 0.1 * rtol ** (2.0 / 3.0)  # of an estimate of order 3
+    k = np.arange(3)
+    A = book.C[:, None] ** (k + 1) / (k + 1) @ np.linalg.inv(book.C[:, None] ** k)
+    newton = np.eye(3) - h * rate * power * start ** (power - 1.0) * A
+    Z, sizes, ratios = np.zeros(3), [], []
+    while True:
+        change = np.linalg.solve(newton, h * A @ f(start + Z) - Z)
+        Z += change
+        sizes.append(np.sqrt(np.mean((book.TI @ change / (tolerance * scale)) ** 2)))
+        if len(sizes) > 1:
+            ratios.append(sizes[-1] / sizes[-2])
+            quotient = np.prod(ratios[-2:]) ** (1.0 / len(ratios[-2:]))
+            left = quotient / (1.0 - quotient) * sizes[-1]
+            assert left > 0.03
+            still = left * quotient ** (most - 1 - len(sizes)) / 0.03
+            if still >= 1.0:
+                break
+    cut = 0.8 * still ** (-1.0 / (4 + most - 1 - len(sizes)))
+    found = integrate_many(
+        Radau(rtol, atol, max_steps=2), POWER, [[rate, power]], [[start]], 1e3, [],
+        tangent=POWER_SLOPE,
+    )  # fmt: skip
+    assert (found.rejected[0], found.steps[0]) == (1, 1)
+    assert found.end[0] == pytest.approx(cut * h, rel=1e-10)
+
+
 # --- bits, ends and failures ---------------------------------------------------------------
 
 
@@ -307,6 +355,21 @@ def test_later_on_a_robot() -> None:
     other = pinred.simulate(system, seed=3, duration=1.0, method=Radau(), times=[0.0, 1.0])
     assert np.array_equal(other(traj.t).q, traj.q)
     np.testing.assert_allclose(np.linalg.norm(traj.pose[:, 3:], axis=1), 1.0, rtol=1e-15)
+
+
+def test_states_between_without_a_derivative() -> None:
+    """Where it is no number, states are those of the polynomial through the stages."""
+    run = integrate(Radau(1e-4, 1e-6), SLOPED, [1.0], [1.0], 3.0, [], tangent=SLOPED_SLOPE)
+    k = len(run.knots) // 2
+    t, h = run.knots[k], run.knots[k + 1] - run.knots[k]
+    stages = np.append(0.0, run.stored[k + 1, 1:])
+    through = BarycentricInterpolator(np.append(0.0, book.C), stages)
+    parts = np.linspace(0.1, 0.9, 9)
+    for lost in (np.inf, np.nan):
+        found = replace(run, _params=np.array([lost])).at(t + parts * h)[:, 0]
+        np.testing.assert_allclose(found, run.states[k, 0] + through(parts), rtol=1e-13)
+    exact = np.exp(-t - parts * h)
+    assert abs(run.at(t + parts * h)[:, 0] - exact).max() < 0.1 * abs(found - exact).max()
 
 
 def test_many_are_as_one() -> None:
