@@ -184,7 +184,7 @@ def _first_step(run: Run, work: Array) -> float:
     n, lanes, quaternion = run.n, run.lanes, run.quaternion
     rate = 0.0
     for i in range(n):
-        scale = run.atol / run.rtol + (TURN if 0 <= i - quaternion < 4 else abs(work[Y, i]))
+        scale = run.atol / run.rtol + (TURN if in_quaternion(i, quaternion) else abs(work[Y, i]))
         rate += (work[RATE, i * lanes] / scale) ** 2
     longest: float = min(run.t_end, run.max_step)
     return min(longest, 0.1 * sqrt(n / rate)) if rate > 0.0 else longest

@@ -1,0 +1,75 @@
+"""Step control: units change no bit, and steps are as long as their error lets them be."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.special import spherical_jn
+from stiff_kernels import kernels
+
+from pinred import AdaptiveGauss
+from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.methods import METHODS, ErrorControl
+
+KINDS = [kind for kind in METHODS.values() if issubclass(kind, ErrorControl)]
+
+
+def _wide(lanes: int) -> tuple[int, Any]:
+    """Two oscillators, with angular velocities p[0] and p[1], and a little friction p[2]."""
+
+    def rate(y: Any, p: Any, d: Any) -> None:
+        for j in range(lanes):
+            a, b, u, v = y[j], y[lanes + j], y[2 * lanes + j], y[3 * lanes + j]
+            d[j], d[lanes + j] = p[0] * b, -p[0] * a
+            d[2 * lanes + j], d[3 * lanes + j] = p[1] * v, -p[1] * u - p[2] * v
+
+    def slope(y: Any, p: Any, v: Any, d: Any) -> None:  # noqa: ARG001
+        for j in range(8):
+            d[j], d[8 + j] = p[0] * v[8 + j], -p[0] * v[j]
+            d[16 + j], d[24 + j] = p[1] * v[24 + j], -p[1] * v[16 + j] - p[2] * v[24 + j]
+
+    return kernels(rate, slope)
+
+
+KERNELS = {lanes: _wide(lanes) for lanes in (1, 8)}
+
+
+def run(method: ErrorControl, rates: Any, y0: Any, times: Any) -> Solution:
+    """The oscillators up to the last of some times."""
+    address, tangent = KERNELS[method.lanes]
+    return integrate(method, address, rates, y0, times[-1], times, tangent=tangent)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("rtol", [1e-4, 1e-10])
+def test_units_of_powers_of_two_change_no_bit(kind: type[ErrorControl], rtol: float) -> None:
+    """Neither those of states nor that of time: in steps, trials and in states between them."""
+    rates, y0 = np.array([1.0, 7.0, 0.5]), np.array([1.0, 0.0, -0.3, 0.4])
+    times = np.linspace(0.0, 3.0, 14)
+    one = run(kind(rtol, rtol / 8), rates, y0, times)
+    for size, second in ((2.0**40, 1.0), (2.0**-40, 1.0), (1.0, 2.0**30), (2.0**20, 2.0**-30)):
+        method = kind(rtol, size * rtol / 8)
+        other = run(method, rates / second, size * y0, second * times)
+        assert np.array_equal(other.knots, second * one.knots)
+        assert np.array_equal(other.y, size * one.y)
+        told = ("steps", "rejected", "evaluations")
+        assert [getattr(other, name) for name in told] == [getattr(one, name) for name in told]
+
+
+def test_steps_are_as_long_as_their_error_lets() -> None:
+    """Rates along a circle have Legendre coefficients in Bessel functions: so has the error."""
+    rtol, least = 1e-12, 1.0  # the absolute tolerance is that of states of size one
+    found = run(AdaptiveGauss(rtol, least * rtol), [1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [100.0])
+    h, t = np.diff(found.knots), found.knots[:-1]
+    turn = np.exp(1j * (t + h / 2)) * 15.0 * (-1j) * spherical_jn(7, h / 2)  # that of exp(i t)
+    sizes = least + abs(np.array([np.cos(t), np.sin(t)]))
+    relative = h * np.array([turn.imag, turn.real]) / sizes
+    error = np.sqrt((relative**2).sum(axis=0) / 4) ** (17 / 8) / rtol
+    assert found.rejected == 0
+    assert len(h) > 40
+    assert h[0] == pytest.approx(0.1 * np.sqrt(4.0) / 1.0, rel=1e-12)  # of rate 1 in size 1
+    allowed = np.clip(0.9 * error ** (-1 / 17), 0.25, 4.0) * h
+    assert h[1] <= allowed[0]  # with less, where the iteration of the first was slow
+    np.testing.assert_allclose(h[2:-2], allowed[1:-3], rtol=1e-3)
