@@ -16,7 +16,7 @@ from orders import measured
 
 import pinred
 from pinred import AdaptiveGauss
-from pinred.integrators.methods import METHODS
+from pinred.integrators.methods import METHODS, options_of
 
 ROOT = Path(__file__).parents[2]
 DOCUMENT = (ROOT / "docs/integrators.md").read_text(encoding="utf-8")
@@ -26,7 +26,7 @@ import json
 import numpy as np
 import pinred
 from pinred.cli.main import main
-from pinred.integrators.methods import METHODS
+from pinred.integrators.methods import METHODS, options_of
 from pinred.verification.bench import SOLVERS
 
 cat, BS3 = pinred.load("falling_cat"), METHODS["BS3"]
@@ -78,11 +78,15 @@ def test_a_further_explicit_method_is_one_file(tmp_path: Path) -> None:
 
 
 def test_the_table_of_the_document_is_what_the_methods_claim() -> None:
-    """Every method has its row, with the order, steps and symplecticity of its value."""
-    rows = re.findall(r"^\| `(\w+)\(.*?\)` \|(.*)\|$", DOCUMENT, re.MULTILINE)
-    assert sorted(name for name, _ in rows) == list(METHODS)
-    for name, row in rows:
+    """Every method has its row, with the defaults, order, steps and symplecticity of its value."""
+    rows = re.findall(r"^\| `(\w+)\((.*?)\)` \|(.*)\|$", DOCUMENT, re.MULTILINE)
+    assert sorted(name for name, *_ in rows) == list(METHODS)
+    for name, written, row in rows:
         kind: Any = METHODS[name]
+        options = {option.name: option for option in options_of(kind)}
+        for one in written.split(", "):
+            option, _, default = one.partition("=")
+            assert options[option].default == (float(default) if default else None)
         given: tuple[Any, ...] = () if kind.adaptive else (0.1,)
         method = kind(*given, order=16) if name == "Gauss" else kind(*given)
         order, steps, between, symplectic, _ = (cell.strip() for cell in row.split("|"))

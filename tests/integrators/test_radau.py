@@ -122,6 +122,27 @@ def test_linear_systems(n: int) -> None:
     assert not factor_complex(rows, 1, n + 1, n, pivots)
 
 
+def test_small_pivots_are_not_taken() -> None:
+    """Where they would cost all digits, in real and in imaginary parts; zeros cost nothing."""
+    for tiny in (1e-20, 0.0, 1e-20j):
+        M = np.array([[tiny, 1.0, 0.0], [1.0, 1.0, 2.0], [0.0, 3.0, 1j if tiny else 1.0]])
+        b, pivots = np.array([1.0, 2.0, 3.0]), np.zeros(3)
+        exact = np.linalg.solve(M, b)
+        rows = np.zeros((6, 8))
+        rows[:3, :3], rows[3:, :3] = M.real, M.imag
+        x, y = b.copy(), np.zeros(3)
+        assert factor_complex(rows, 0, 3, 3, pivots)
+        solve_complex(rows, 0, 3, 3, pivots, x, y)
+        np.testing.assert_allclose(x + 1j * y, exact, rtol=1e-14, atol=1e-14)
+        rows = np.zeros((3, 8))
+        rows[:, :3] = M.real + M.imag
+        x = b.copy()
+        assert factor(rows, 0, 3, pivots)
+        solve(rows, 0, 3, pivots, x)
+        exact = np.linalg.solve(M.real + M.imag, b)
+        np.testing.assert_allclose(x, exact, rtol=1e-14, atol=1e-14)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["planar_chain5", "coupled_spatial", "solo12"])
 def test_derivative_by_pinocchio(robot: str) -> None:
