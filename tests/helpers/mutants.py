@@ -91,7 +91,8 @@ TESTS: dict[str, list[str]] = {
     ],
     "integrators/lanes": ["integrators/test_lanes.py", "integrators/test_claimed_orders.py"],
     "integrators/methods": [
-        "integrators/test_equal_steps.py", "integrators/test_tableaux.py",
+        "integrators/test_equal_steps.py", "integrators/test_further_method.py",
+        "integrators/test_tableaux.py",
         "integrators/test_steppers.py", "integrators/test_batches.py",
     ],
     "integrators/derivatives": ["simulation/test_step_map.py", "simulation/test_flow_map.py"],
