@@ -72,18 +72,18 @@ TESTS: dict[str, list[str]] = {
     "integrators/explicit": [
         "integrators/test_steppers.py", "integrators/test_claimed_orders.py",
         "integrators/test_tableaux.py", "integrators/test_tolerance_of_turns.py",
-        "integrators/test_units.py",
+        "integrators/test_step_control.py",
     ],
     "integrators/gauss/derivatives": [
         "simulation/test_step_map.py", "simulation/test_flow_map.py",
     ],
     "integrators/gauss/reverse": ["simulation/test_flow_map.py", "simulation/test_adapters.py"],
     "integrators/gauss": [
-        "integrators/test_counted_evaluations.py", "integrators/test_units.py",
+        "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
         "integrators/test_gauss.py", "integrators/test_newton_in_gauss.py",
     ],
     "integrators/radau": [
-        "integrators/test_counted_evaluations.py", "integrators/test_units.py",
+        "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
         "integrators/test_radau.py",
     ],
     "integrators/variational": [
@@ -92,12 +92,12 @@ TESTS: dict[str, list[str]] = {
     "integrators/lanes": ["integrators/test_lanes.py", "integrators/test_claimed_orders.py"],
     "integrators/methods": [
         "integrators/test_equal_steps.py", "integrators/test_further_method.py",
-        "integrators/test_tableaux.py",
-        "integrators/test_steppers.py", "integrators/test_batches.py",
+        "integrators/test_tableaux.py", "integrators/test_steppers.py",
+        "integrators/test_batches.py",
     ],
     "integrators/derivatives": ["simulation/test_step_map.py", "simulation/test_flow_map.py"],
     "integrators": [
-        "integrators/test_counted_evaluations.py", "integrators/test_units.py",
+        "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
         "integrators/test_steppers.py", "integrators/test_batches.py",
         "integrators/test_claimed_orders.py", "integrators/test_further_method.py",
         "integrators/test_memory.py", "integrators/test_radau.py",

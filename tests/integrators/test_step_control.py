@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.integrate
 from scipy.special import spherical_jn
 from stiff_kernels import kernels
 
-from pinred import AdaptiveGauss
+from pinred import DOP853, AdaptiveGauss, Tsit5
 from pinred.integrators.integrate import Solution, integrate
-from pinred.integrators.methods import METHODS, ErrorControl
+from pinred.integrators.methods import METHODS, ErrorControl, Explicit
 
 KINDS = [kind for kind in METHODS.values() if issubclass(kind, ErrorControl)]
 
@@ -33,7 +34,12 @@ def _wide(lanes: int) -> tuple[int, Any]:
     return kernels(rate, slope)
 
 
+def _power(y: Any, p: Any, d: Any) -> None:
+    d[0] = p[0] * y[0] ** p[1]
+
+
 KERNELS = {lanes: _wide(lanes) for lanes in (1, 8)}
+POWER, _ = kernels(_power, lambda y, p, v, d: None)  # noqa: ARG005
 
 
 def run(method: ErrorControl, rates: Any, y0: Any, times: Any) -> Solution:
@@ -56,6 +62,47 @@ def test_units_of_powers_of_two_change_no_bit(kind: type[ErrorControl], rtol: fl
         assert np.array_equal(other.y, size * one.y)
         told = ("steps", "rejected", "evaluations")
         assert [getattr(other, name) for name in told] == [getattr(one, name) for name in told]
+
+
+@pytest.mark.parametrize("kind", [DOP853, Tsit5])
+def test_steps_are_as_long_as_the_error_lets_by_the_book(kind: type[Explicit]) -> None:
+    """Each is the one before times what its error allows: SciPy's estimate for DOP853."""
+    rates, y0 = np.array([1.0, 7.0, 0.5]), np.array([1.0, 0.0, -0.3, 0.4])
+    M = np.zeros((4, 4))
+    M[0, 1], M[1, 0], M[2, 3], M[3, 2], M[3, 3] = 1.0, -1.0, 7.0, -7.0, -0.5
+    rtol, atol, tableau = 1e-9, 1e-9, kind.tableau()
+    found = run(kind(rtol, atol), rates, y0, [5.0])
+    h, order = np.diff(found.knots), kind(1.0, 1.0).order
+    assert found.rejected == 0
+    assert len(h) > 50
+    book = scipy.integrate.DOP853(lambda t, y: M @ y, 0.0, y0, 1.0)  # noqa: ARG005
+    for k in range(len(h) - 3):
+        y, end = found.states[k], found.states[k + 1]
+        K = np.zeros((tableau.stages + 1, 4))
+        for j in range(len(K)):
+            K[j] = M @ (y + h[k] * tableau.A[j, : len(K)] @ K)
+        scale = atol + rtol * np.maximum(abs(y), abs(end))
+        if kind is DOP853:
+            error = book._estimate_error_norm(K, h[k], scale)
+        else:
+            error = h[k] * np.sqrt(np.mean((tableau.errors[0] @ K / scale) ** 2))
+        growth = np.clip(0.9 * error ** (-1.0 / order), 1.0 / 3.0, 6.0)
+        assert error < 1.0
+        assert h[k + 1] == pytest.approx(growth * h[k], rel=1e-5)
+
+
+@pytest.mark.parametrize("kind", [DOP853, Tsit5])
+@pytest.mark.parametrize("power", [0.0, 0.25, 1.0, 4.0])
+@pytest.mark.parametrize("rate", [1.0, 1e6])
+def test_the_first_step(kind: type[Explicit], power: float, rate: float) -> None:
+    """Hairer's, from the first two derivatives, in units of the time that the second tells."""
+    rtol, atol, order = 1e-6, 1e-7, kind(1.0, 1.0).order
+    found = integrate(kind(rtol, atol), POWER, [rate, power], [1.0], 0.1 / rate, [])
+    bend = (1.01**power - 1.0) / 0.01
+    unit = 1.0 / np.sqrt(bend) if power else 1.0
+    steepest = max(bend * unit**2, unit) / (atol + rtol)
+    first = unit * (0.01 / steepest) ** (1.0 / order)
+    assert rate * found.knots[1] == pytest.approx(min(first, 0.1), rel=1e-9)
 
 
 def test_steps_are_as_long_as_their_error_lets() -> None:
