@@ -75,8 +75,11 @@ def test_a_member_does_not_depend_on_the_others(method: Explicit) -> None:
     same(run(method, params[order], y0[order], threads=3), order, whole)
 
 
-@pytest.mark.by_hand
-@pytest.mark.parametrize(("method", "lanes"), [(METHODS[0], 8), (METHODS[0], 16), (METHODS[1], 8)])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("method", "lanes"),
+    [(METHODS[0], 8), (METHODS[1], 8), pytest.param(METHODS[0], 16, marks=pytest.mark.by_hand)],
+)
 def test_members_are_those_of_the_scalar_integrator(method: Explicit, lanes: int) -> None:
     """Steps, trials and evaluations are the same, and states but for round-off."""
     params, y0 = members(21)
@@ -93,7 +96,7 @@ def test_members_are_those_of_the_scalar_integrator(method: Explicit, lanes: int
     assert np.isnan(found.y[2, 3:]).all()
 
 
-@pytest.mark.by_hand
+@pytest.mark.slow
 def test_limits_and_starts() -> None:
     """Too many steps, rates that are not finite at once, no member, no times, no such width."""
     method = METHODS[0]
