@@ -12,10 +12,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from aba import kinematics
+from numpy.polynomial import Polynomial
 from orders import measured
 from scipy.integrate import solve_ivp
 from scipy.integrate._ivp import radau as book
-from scipy.interpolate import BarycentricInterpolator
 from stiff_kernels import kernels
 
 import pinred
@@ -73,13 +73,13 @@ def _edge_slope(y: Any, p: Any, v: Any, d: Any) -> None:  # noqa: ARG001
         d[j], d[8 + j], d[16 + j] = 0.0, 0.0, -0.5 / np.sqrt(0.5 - y[0]) * v[j]
 
 
-def _sloped(y: Any, p: Any, d: Any) -> None:  # noqa: ARG001
-    d[0] = -y[0]
+def _sloped(y: Any, p: Any, d: Any) -> None:
+    d[0] = -p[0] * y[0]
 
 
 def _sloped_slope(y: Any, p: Any, v: Any, d: Any) -> None:  # noqa: ARG001
     for j in range(8):
-        d[j] = -p[0] * v[j]
+        d[j] = -p[0] * p[1] * v[j]
 
 
 POL, POL_SLOPE = kernels(_pol, _pol_slope)
@@ -378,19 +378,30 @@ def test_later_on_a_robot() -> None:
     np.testing.assert_allclose(np.linalg.norm(traj.pose[:, 3:], axis=1), 1.0, rtol=1e-15)
 
 
-def test_states_between_without_a_derivative() -> None:
-    """Where it is no number, states are those of the polynomial through the stages."""
-    run = integrate(Radau(1e-4, 1e-6), SLOPED, [1.0], [1.0], 3.0, [], tangent=SLOPED_SLOPE)
-    k = len(run.knots) // 2
-    t, h = run.knots[k], run.knots[k + 1] - run.knots[k]
-    stages = np.append(0.0, run.stored[k + 1, 1:])
-    through = BarycentricInterpolator(np.append(0.0, book.C), stages)
-    parts = np.linspace(0.1, 0.9, 9)
-    for lost in (np.inf, np.nan):
-        found = replace(run, _params=np.array([lost])).at(t + parts * h)[:, 0]
-        np.testing.assert_allclose(found, run.states[k, 0] + through(parts), rtol=1e-13)
-    exact = np.exp(-t - parts * h)
-    assert abs(run.at(t + parts * h)[:, 0] - exact).max() < 0.1 * abs(found - exact).max()
+def test_states_between_the_ends_of_a_step() -> None:
+    """The stages' polynomial, and what it lacks of ẏ and ÿ, filtered; that alone without J."""
+    x = np.linspace(0.05, 0.95, 19)
+    for rate in (1.0, 1e3):
+        run = integrate(
+            Radau(1e-4, 1e-8), SLOPED, [rate, 1.0], [1.0], 3.0, [], tangent=SLOPED_SLOPE
+        )
+        lengths = np.diff(run.knots)
+        assert rate * lengths.max() > (100.0 if rate > 1.0 else 0.2)
+        for k, h in enumerate(lengths.tolist()):
+            t, z = run.knots[k] + x * h, -rate * h
+            start, end = run.states[k : k + 2, 0]
+            nodes = np.append(0.0, book.C)
+            P = Polynomial.fit(nodes, np.append(0.0, run.stored[k + 1, 1:]), 3, domain=[0.0, 1.0])
+            passed = 1.0 - (1.0 - 1.0 / (1.0 - z / book.MU_REAL)) ** 3
+            slope = passed * (z * start - P.deriv(1)(0.0))
+            bend, last = passed**2 * (z**2 * np.array([start, end]) - P.deriv(2)([0.0, 1.0]))
+            added = x * (1 - x) ** 3 * (1 + 3 * x) * slope
+            added += 0.5 * x**2 * (1 - x) ** 3 * bend + 0.5 * x**3 * (1 - x) ** 2 * last
+            size = 1e-11 * max(abs(start), abs(end)) * max(1.0, abs(z))
+            np.testing.assert_allclose(run.at(t)[:, 0], start + P(x) + added, atol=size)
+            for lost in (np.inf, np.nan):
+                alone = replace(run, _params=np.array([rate, lost])).at(t)[:, 0]
+                np.testing.assert_allclose(alone, start + P(x), atol=size)
 
 
 def test_many_are_as_one() -> None:
