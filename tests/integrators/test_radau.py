@@ -82,10 +82,20 @@ def _sloped_slope(y: Any, p: Any, v: Any, d: Any) -> None:  # noqa: ARG001
         d[j] = -p[0] * p[1] * v[j]
 
 
+def _servo(y: Any, p: Any, d: Any) -> None:
+    d[0], d[1] = -p[0] * (y[0] - np.cos(y[1])), 1.0
+
+
+def _servo_slope(y: Any, p: Any, v: Any, d: Any) -> None:
+    for j in range(8):
+        d[j], d[8 + j] = -p[0] * (v[j] + np.sin(y[1]) * v[8 + j]), 0.0
+
+
 POL, POL_SLOPE = kernels(_pol, _pol_slope)
 POWER, POWER_SLOPE = kernels(_power, _power_slope)
 EDGE, EDGE_SLOPE = kernels(_edge, _edge_slope)
 SLOPED, SLOPED_SLOPE = kernels(_sloped, _sloped_slope)
+SERVO, SERVO_SLOPE = kernels(_servo, _servo_slope)
 TIMES = np.array([0.0, 0.0, 0.3, 0.301, 1.0, 2.5, 2.5, 4.0])
 
 
@@ -402,6 +412,24 @@ def test_states_between_the_ends_of_a_step() -> None:
             for lost in (np.inf, np.nan):
                 alone = replace(run, _params=np.array([rate, lost])).at(t)[:, 0]
                 np.testing.assert_allclose(alone, start + P(x), atol=size)
+
+
+def test_what_follows_a_signal_is_exact_at_the_ends_only() -> None:
+    """In closed form: between the ends of long steps it is, too, where `max_step` is given."""
+    rate, t = 1e8, np.linspace(0.5, 10.0, 97)
+
+    def exact(t: Array) -> Array:
+        return np.asarray((rate**2 * np.cos(t) + rate * np.sin(t)) / (rate**2 + 1.0))
+
+    def run(max_step: float) -> Solution:
+        method = Radau(1e-6, 1e-6, max_step=max_step)
+        return integrate(method, SERVO, [rate], [1.0, 0.0], 10.0, [], tangent=SERVO_SLOPE)
+
+    for max_step, bounds in ((np.inf, (1e-2, 1.0)), (0.1, (0.0, 1e-5))):
+        found = run(max_step)
+        assert abs(found.states[:, 0] - exact(found.knots)).max() < 1e-5
+        least, most = bounds
+        assert least <= abs(found.at(t)[:, 0] - exact(t)).max() < most
 
 
 def test_many_are_as_one() -> None:
