@@ -48,6 +48,7 @@ class Defects:
     The tolerance holds for rates in parts of what the absolute one is to the relative one; of a
     motion that is slower than that, carried and carried_inside, (S,) and (P,), are the same in
     parts of its own rates, as growth is measured: a small rate goes far in a long time.
+    blurred: by how much of these ABA itself is off in a second, by round-off [1/s].
     """
 
     steps: Array
@@ -55,6 +56,7 @@ class Defects:
     smooth: NDArray[np.bool_]
     carried: Array
     carried_inside: Array
+    blurred: float
 
     @property
     def worst(self) -> float:
@@ -108,6 +110,7 @@ def _defects(traj: Trajectory, full: FullState, which: Indices) -> Defects:
         smooth=np.ones(len(which), dtype=bool),
         carried=(whole / own).max(axis=1),
         carried_inside=(missed / own).max(axis=1),
+        blurred=float((apart / own).max()),
     )
 
 

@@ -126,13 +126,16 @@ def test_round_off_of_aba_is_no_defect(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten times what two ways through it are apart, for as long as the step lasts."""
     traj = jumped(cat(RTOL), "xdot", 2, END)
     full = Rounded(traj.scene)
-    whole = defects(traj, full).worst
+    clean = defects(traj, full)
+    whole = clean.worst
     length = float(np.diff(traj.motion.knots)[-1])
     size = JUMP / whole
     monkeypatch.setattr(Rounded, "left", 0.03 * JUMP / length)
     found = defects(traj, full)
     assert found.worst == pytest.approx(whole - 0.3 * JUMP / size, rel=1e-3)
     assert found.inside.max() > found.worst  # half as long, so half of that is taken off
+    own = JUMP / clean.carried.max()
+    assert found.blurred == pytest.approx(0.03 * JUMP / length / own, rel=1e-3)
     monkeypatch.setattr(Rounded, "left", 0.3 * JUMP / length)
     assert defects(traj, full).worst < 1e-6
 
@@ -182,7 +185,7 @@ def test_kinks_of_forces_stand_out(monkeypatch: pytest.MonkeyPatch, kinks: bool)
     steps = np.array([1.0, 1.0, 1.0, 9.9, 10.1])
 
     def made(*_: object) -> Defects:
-        return Defects(steps, steps, np.ones(5, dtype=bool), steps, steps)
+        return Defects(steps, steps, np.ones(5, dtype=bool), steps, steps, 0.0)
 
     monkeypatch.setattr(module, "_defects", made)
     scene = pinred.Scene(system=system, duration=0.1, xdot0=[1.0], forces=acting)
