@@ -145,7 +145,9 @@ def _sizes(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
     Angles and quaternions count as 1 at least, lengths as the radius of gyration.  Of places, the
     distance travelled counts, and that from the origin where its round-off does.  Rates count as
     what the absolute tolerance is to the relative one at least; the second time, as what
-    leads through an angle of 1 by the end.
+    leads through an angle of 1 by the end, each joint by its own.  The base's turns are no
+    numbers that grow as it turns: of its spin that of the start counts, as of the kick whose
+    growth is measured.
     """
     y = full_states(traj, full, traj.motion.knots)
     group, m, r = traj.system.group, full.joints, traj.system.r
@@ -164,5 +166,9 @@ def _sizes(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
                 offset = OFFSET * np.abs(kind).max()
                 kind = np.append(np.abs(kind - kind[0]).ravel(), offset)
             out[:, first:last] = np.maximum(np.abs(kind).max(), least[:, first, None])
+    joints, turns = slice(size + m + r, None), slice(size + m + linear, size + m + r)
+    out[1, joints] = np.maximum(np.abs(y[:, joints]).max(axis=0), least[1, joints])
+    began = np.abs(y[0, turns]).max(initial=0.0)
+    out[1, turns] = np.minimum(out[1, turns], np.maximum(began, least[1, turns]))
     sizes, own = np.where(out > 0.0, out, 1.0)
     return sizes, own

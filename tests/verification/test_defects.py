@@ -158,10 +158,30 @@ def test_what_slow_rates_carry(slow: float, duration: float, unit: float) -> Non
     )
     traj = jumped(resting, "xdot", 1, duration)
     found = defects(traj, FullState(resting.scene))
-    own = max(unit, float(np.abs(traj(traj.motion.knots).xdot).max()))
+    own = max(unit, float(np.abs(traj(traj.motion.knots).xdot[:, 1]).max()))
     assert found.worst == pytest.approx(JUMP, rel=1e-2)
     assert found.carried.max() == pytest.approx(JUMP / own, rel=1e-2)
     assert found.carried_inside.max() == pytest.approx(JUMP / own, rel=1e-2)
+
+
+@pytest.mark.parametrize(("name", "column"), [("xdot", 0), ("xi", 4)])
+def test_what_rates_carry_behind_faster_ones(name: str, column: int) -> None:
+    """A joint counts by its own rate, however fast others are; a base by that of the start."""
+    system = pinred.load("reaction_wheel_satellite")
+    assert system.shape_names[0] == "panel_hinge"
+    moved = pinred.simulate(
+        system, duration=END, rtol=1e-8, atol=1e-8, xdot0=[0.1, 300.0, 200.0, 100.0],
+        xi0=[0.0, 0.0, 0.0, 0.1, 0.2, 0.1],
+        forces=[pinred.forces.Wrench([0.0, 0.0, 0.0, 500.0, 0.0, 0.0])],
+    )  # fmt: skip
+    traj = jumped(moved, name, column, END)
+    found, states = defects(traj, FullState(moved.scene)), traj(traj.motion.knots)
+    kind = np.abs(states.xdot if name == "xdot" else states.xi[:, 3:]).max()
+    own = np.abs(states.xdot[:, column]).max() if name == "xdot" else 0.2
+    own = max(min(1.0 / END, 1.0), float(own))  # what leads through a radian, or atol over rtol
+    assert kind > 3.0 * own
+    assert found.worst == pytest.approx(JUMP / kind, rel=1e-2)
+    assert found.carried.max() == pytest.approx(JUMP / own, rel=1e-2)
 
 
 def test_steps_that_are_judged() -> None:
