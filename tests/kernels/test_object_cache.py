@@ -12,7 +12,7 @@ import pytest
 
 from pinred.common.errors import CacheWarning, InputError
 from pinred.kernels import object_cache
-from pinred.kernels.object_cache import ObjectCache, cache_key
+from pinred.kernels.object_cache import CacheEntry, ObjectCache, cache_key
 
 KEY, OTHER = cache_key("one"), cache_key("two")
 CODE = bytes(range(256)) * 9
@@ -273,9 +273,14 @@ def test_a_full_folder_is_not_listed_at_every_put(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One put in some lists it, however full; the sum of all stays within the limit even so."""
-    listed = []
+    listed: list[int] = []
     entries = object_cache._entries
-    monkeypatch.setattr(object_cache, "_entries", lambda at: listed.append(at) or entries(at))
+
+    def counted(at: int) -> list[CacheEntry]:
+        listed.append(at)
+        return entries(at)
+
+    monkeypatch.setattr(object_cache, "_entries", counted)
     limit = 120 * (HEADER + 100)
     for k in range(200):
         ObjectCache(folder, limit=limit).put(cache_key(str(k)), bytes(100))

@@ -97,7 +97,7 @@ def with_defects(
     own: how much more the defects are in parts of the motion's own rates.  blurred: by ABA [1/s].
     """
     both = np.full(9, steps), np.full(9, inside)
-    made = Defects(*both, np.ones(9, dtype=bool), *(own * part for part in both), blurred)
+    made = Defects(*both, np.ones(9, dtype=bool), own * both[0], own * both[1], blurred)
     monkeypatch.setattr(judge, "defects", lambda *_: made)
     monkeypatch.setattr(
         FullState, "growth", lambda _full, _y0, _motion, times, *_: growth + np.zeros(len(times))
