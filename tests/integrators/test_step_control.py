@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from math import factorial
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.integrate
+from numpy.polynomial import Polynomial
 from scipy.special import spherical_jn
 from stiff_kernels import kernels
 
@@ -120,3 +122,18 @@ def test_steps_are_as_long_as_their_error_lets() -> None:
     allowed = np.clip(0.9 * error ** (-1 / 17), 0.25, 4.0) * h
     assert h[1] <= allowed[0]  # with less, where the iteration of the first was slow
     np.testing.assert_allclose(h[2:-2], allowed[1:-3], rtol=1e-3)
+    assert h[-1] == pytest.approx(h[-2], rel=1e-12)  # and no short one at the end
+
+
+@pytest.mark.parametrize("rtol", [1e-4, 1e-6, 1e-8, 1e-10])
+def test_what_iterations_leave_and_what_they_cost(rtol: float) -> None:
+    """A part of the tolerance, by Padé's approximation; a turn gains a factor of some 6."""
+    s = 8
+    N = Polynomial([factorial(2 * s - k) / (factorial(k) * factorial(s - k)) for k in range(s + 1)])
+    found = run(AdaptiveGauss(rtol, rtol), [1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [100.0])
+    h, z = np.diff(found.knots), found.states[:, 0] - 1j * found.states[:, 1]
+    left = abs(z[1:] - z[:-1] * N(1j * h) / N(-1j * h)) / np.sqrt(4) / rtol  # in the mean
+    assert 1e-3 < np.median(left[1:]) < 0.05
+    assert left[1:].max() < 0.15  # the first is guessed badly
+    slowest = 1.0 / abs(N.roots()).min()  # of a turn, for a step of one radian
+    assert 0.12 < np.median(h) * slowest < 0.25
