@@ -134,8 +134,8 @@ def test_linear_systems(n: int) -> None:
 
 def test_small_pivots_are_not_taken() -> None:
     """Where they would cost all digits, in real and in imaginary parts; zeros cost nothing."""
-    for tiny in (1e-20, 0.0, 1e-20j):
-        M = np.array([[tiny, 1.0, 0.0], [1.0, 1.0, 2.0], [0.0, 3.0, 1j if tiny else 1.0]])
+    for first, below, last in ((1e-20, 1, 1j), (0, 1, 1), (1e-20j, 1, 1j), (2, 1j, 1)):
+        M = np.array([[first, 1.0, 0.0], [below, 1.0, 2.0], [0.0, 3.0, last]])
         b, pivots = np.array([1.0, 2.0, 3.0]), np.zeros(3)
         exact = np.linalg.solve(M, b)
         rows = np.zeros((6, 8))
