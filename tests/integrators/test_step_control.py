@@ -132,6 +132,7 @@ def test_what_iterations_leave_and_what_they_cost(rtol: float) -> None:
     N = Polynomial([factorial(2 * s - k) / (factorial(k) * factorial(s - k)) for k in range(s + 1)])
     found = run(AdaptiveGauss(rtol, rtol), [1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [100.0])
     h, z = np.diff(found.knots), found.states[:, 0] - 1j * found.states[:, 1]
+    assert h[1] == pytest.approx(4.0 * h[0], rel=1e-12)  # whose error is nothing
     left = abs(z[1:] - z[:-1] * N(1j * h) / N(-1j * h)) / np.sqrt(4) / rtol  # in the mean
     assert 1e-3 < np.median(left[1:]) < 0.05
     assert left[1:].max() < 0.15  # the first is guessed badly
