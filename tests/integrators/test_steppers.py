@@ -28,6 +28,7 @@ from pinred.common.errors import (
     TooManySteps,
 )
 from pinred.integrators import integrate as drive
+from pinred.integrators import integrate_many as several
 from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.methods import DOP853, RKMK4, Explicit, Method, Tsit5
@@ -394,6 +395,20 @@ def test_a_failing_member_leaves_the_others_alone() -> None:
     short = integrate_many(DOP853(max_steps=3), power, params[:1], [[1.0]], 3.0, times)
     assert [STATUS[s] for s in short.status.tolist()] == ["too many steps"]
     assert integrate_many(DOP853(), power, np.ones((0, 2)), np.ones((0, 1)), 1.0, []).ok.all()
+
+
+def test_progress_of_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The part of the members that is done, from none on."""
+    monkeypatch.setattr(several, "_LOOK", 1e-3)
+    parts: list[float] = []
+    long = DOP853(max_steps=10**6)
+    y0 = np.ones((16, 2))
+    integrate_many(
+        long, oscillator, np.ones((16, 1)), y0, 1e4, [], threads=1, progress=parts.append
+    )
+    assert parts == sorted(parts)
+    assert parts[0] < 0.5
+    assert set(parts) <= {k / 16 for k in range(17)}
 
 
 # --- ends and failures ---------------------------------------------------------------------
