@@ -278,6 +278,21 @@ def test_time_scales(omega: float) -> None:
     assert still.steps < 30
 
 
+@pytest.mark.parametrize("kind", EXPLICIT)
+@pytest.mark.parametrize("second", [2.0**20, 2.0**-20])
+def test_what_turns_is_measured_by_angles_and_the_rest_by_its_size(
+    kind: type[Explicit], second: float
+) -> None:
+    """A free top in other units of time has other rates and the same attitudes, to the bit."""
+    t, method = np.linspace(0.0, 5.0, 7), kind(1e-9, 1e-300)
+    one = integrate(method, top, FREE, TOP0, t[-1], t, 3)
+    y0 = np.append(TOP0[:3] / second, TOP0[3:])
+    other = integrate(method, top, FREE, y0, second * t[-1], second * t, 3)
+    assert np.array_equal(other.knots, second * one.knots)
+    assert np.array_equal(other.y[:, :3], one.y[:, :3] / second)
+    assert np.array_equal(other.y[:, 3:], one.y[:, 3:])
+
+
 @pytest.mark.parametrize(("kind", "most"), [(DOP853, 200), (Tsit5, 400)])
 def test_a_kick_makes_steps_shorter(kind: type[Explicit], most: int) -> None:
     """Steps that run into it are rejected."""
