@@ -54,7 +54,9 @@ TESTS: dict[str, list[str]] = {
     ],
     "kernels/judge": [
         "kernels/test_judged_state.py", "kernels/test_judged_velocities.py",
-        "kernels/test_judge.py", "forces/test_refused_forces.py",
+        "kernels/test_judge.py", "kernels/test_allowances.py", "kernels/test_judged_forces.py",
+        "kernels/test_sizes_of_terms.py", "kernels/test_other_numbers.py",
+        "forces/test_refused_forces.py",
     ],
     "reduction": [
         "reduction", "kernels/test_limbs.py", "simulation/test_varied_inertias.py",
