@@ -82,8 +82,12 @@ def test_slow_states_are_compared_in_their_own_size() -> None:
 
 def test_rest_drifts_by_nothing() -> None:
     """Without energy there is no unit of momenta, and no change of them."""
-    found = audit(held(speed=0.0))
+    state = held(speed=0.0)
+    found = audit(state)
     assert found.momentum == found.energy == 0.0
+    momenta = state.body_momentum.copy()
+    momenta[1, 2] = 1e-3  # where nothing moves, in kg m/s
+    assert audit(replace(state, body_momentum=momenta)).fields == pytest.approx(1e-3)
 
 
 @pytest.mark.parametrize("part", [1e-9, 0.3])
