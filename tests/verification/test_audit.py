@@ -167,6 +167,16 @@ def test_work_of_wrenches_is_what_energy_is_a_part_of() -> None:
     assert audit(state, work).energies == pytest.approx([0.0, -5.0, 0.0])
 
 
+@pytest.mark.parametrize("impulse", [None, np.zeros((3, 6))])
+def test_work_is_counted_from_the_first_state(impulse: Array | None) -> None:
+    """What had been done before that is no drift, and none of what energy is a part of."""
+    state = held()
+    work = measures(state)[3] * np.array([3.0, 3.5, 3.0])
+    scene = pinred.Scene(system=tree(), seed=0)
+    found = FullState(scene).audit(state, work, impulse)
+    assert found.energies == pytest.approx([0.0, -0.5, 0.0])
+
+
 @pytest.mark.parametrize(
     "name", ["pose", "xi", "xdot", "body_momentum", "spatial_momentum", "energy"]
 )

@@ -19,7 +19,7 @@ from pinred.common.arrays import Array
 from pinred.forces import SeenState, Torque, Wrench
 from pinred.lie import GROUPS
 from pinred.system.joints import axes_of
-from pinred.verification.full_state import FINEST, FullState
+from pinred.verification.full_state import FINEST, KICK, FullState
 from pinred.verification.hairer import Hairer
 
 
@@ -216,3 +216,15 @@ def test_times_that_differ_by_round_off_are_one(method: str) -> None:
     times = np.array([0.0, 0.5 * end, np.nextafter(0.5 * end, end), end])
     found = full.run(y0, times, 1e-8, 1e-10, method=method).x[:, 0]
     assert found == pytest.approx(1e-3 * times)
+
+
+def test_growth_is_at_least_one() -> None:
+    """A kick is a smaller part of a motion that goes far; bounds do not shrink for that."""
+    system = pinred.load("cartpole", gravity=np.zeros(3))
+    scene = pinred.Scene(system=system, x0=[1.0], xdot0=[10.0], xi0=[20.0], duration=1.0)
+    full, start, times = FullState(scene), scene.start, np.linspace(0.0, 1.0, 5)
+    y0 = full.state(start.pose, start.x, start.xi, start.xdot)
+    motion = full.run(y0, times, 1e-10, 1e-12)
+    kicked = full.run(full.kick(y0, 1.0, KICK), times, 1e-10, 1e-12)
+    assert full.distance(motion, kicked).relative(full.size(motion))[0] < 0.5 * KICK
+    assert full.growth(y0, motion, times, 1e-10, 1e-12)[0] == 1.0
