@@ -195,6 +195,19 @@ def test_each_field_is_compared(name: str) -> None:
         assert found == pytest.approx(seen, rel=1e-3, nan_ok=True)
 
 
+def test_small_angles_are_compared_in_radians() -> None:
+    """Of two hinges that hardly turn, 1e-5 rad are 1e-5."""
+    model = pin.Model()
+    for i, joint in enumerate((pin.JointModelRZ(), pin.JointModelRX())):
+        at = model.addJoint(i, joint, pin.SE3.Identity(), f"hinge{i}")
+        model.appendBodyToJoint(at, pin.Inertia.FromSphere(1.0, 0.2), pin.SE3(1))
+    model.gravity.setZero()
+    traj = pinred.simulate(pinred.load(model), x0=[0.02], xdot0=[0.01], xi0=[0.0], times=[0.0, 0.1])
+    wrong = replace(traj.states, pose=traj.states.pose + 1e-5)
+    found = FullState(traj.scene).audit(wrong, np.zeros(2), None).fields
+    assert found == pytest.approx(1e-5, rel=1e-6)
+
+
 def pushed() -> pinred.Trajectory:
     """A tree with a thruster."""
     thruster = forces.Wrench([0.3, 0.1, 0.0, 0.2, 0.0, 0.1])
