@@ -228,3 +228,25 @@ def test_growth_is_at_least_one() -> None:
     kicked = full.run(full.kick(y0, 1.0, KICK), times, 1e-10, 1e-12)
     assert full.distance(motion, kicked).relative(full.size(motion))[0] < 0.5 * KICK
     assert full.growth(y0, motion, times, 1e-10, 1e-12)[0] == 1.0
+
+
+def test_rates_of_prescribed_joints() -> None:
+    """Their plan's, whatever the state says of them; the others go as H a + b = 0 says."""
+    system, t = handed("SE3"), 0.4
+    plans = {1: "0.3*sin(2*t)", 2: "0.2*cos(3*t)"}
+    given = {system.shape_names[k]: pinred.signals.Expression(f) for k, f in plans.items()}
+    full, y, _, v = case("SE3", prescribed=given)
+    x, v = y[7:10].copy(), v.copy()
+    x[1:] = 0.3 * np.sin(2 * t), 0.2 * np.cos(3 * t)
+    v[7:9] = 0.6 * np.cos(2 * t), -0.6 * np.sin(3 * t)
+    a = np.zeros(9)
+    a[7:9] = -1.2 * np.sin(2 * t), -1.8 * np.cos(3 * t)
+    model, data = system.model, system.model.createData()
+    q = full.q(full.state(y[:7], x, v[:6], v[6:]))
+    upper = np.triu(pin.crba(model, data, q))
+    H = upper + np.triu(upper, 1).T
+    bias = pin.nonLinearEffects(model, data, q, v)
+    a[:7] = np.linalg.solve(H[:7, :7], -(bias + H @ a)[:7])
+    rate = full.rate(t, y)
+    assert rate[7:10] == pytest.approx(v[6:])
+    assert rate[10:] == pytest.approx(a)
