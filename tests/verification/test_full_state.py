@@ -250,3 +250,20 @@ def test_rates_of_prescribed_joints() -> None:
     rate = full.rate(t, y)
     assert rate[7:10] == pytest.approx(v[6:])
     assert rate[10:] == pytest.approx(a)
+
+
+@pytest.mark.parametrize("method", ["dop853", "dopri5"])
+def test_forces_that_jump_between_times(method: str) -> None:
+    """A slide on a slide, of 1 kg each, pushed by 0.4 N and from 0.5 s on by −0.2 N."""
+    model = pin.Model()
+    for i, name in enumerate(("root", "slide")):
+        at = model.addJoint(i, pin.JointModelPX(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(at, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    model.gravity.setZero()
+    push = Torque({"slide": pinred.signals.Hold([0.0, 0.5], [0.4, -0.2])})
+    scene = pinred.Scene(system=pinred.load(model), x0=[0.0], forces=push, duration=1.0)
+    full, times = FullState(scene), np.array([0.0, 0.3, 1.0])
+    found = full.run(np.zeros(4), times, 1e-10, 1e-12, method=method).x[:, 0]
+    speed = 2.0 * 0.4 * 0.5  # both masses move
+    last = 0.5 * 0.8 * 0.5**2 + speed * 0.5 - 0.5 * 0.4 * 0.5**2
+    assert found == pytest.approx([0.0, 0.5 * 0.8 * 0.3**2, last])
