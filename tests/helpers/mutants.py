@@ -1,8 +1,9 @@
 """Mutants of modules, and the tests that kill them: `python tests/helpers/mutants.py MODULE …`.
 
 Each mutant is one small change of one module (see mutations.py), in a copy of the package.  Of
-the tests of the module's room, those that run the changed line are run, the quickest first, until
-one fails (killed) or all pass (survived: the tests do not see it, or there is nothing to see).
+the tests of the module's room, those that run the changed line are run, the quickest first and
+further cases of the same later, until one fails (killed) or all pass (survived: the tests do not
+see it, or there is nothing to see).
 Where none runs the line, it is "not run", which is no better.  Options: --table FILE.csv, --sample
 N (so many of each module, at random by --seed), --seconds of a mutant's tests, --budget (seconds
 of tests without a mutant, of which the others are left out), --tests (these instead of the
