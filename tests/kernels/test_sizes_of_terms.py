@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from trees import random_model
 
 import pinred
 from pinred import forces
@@ -207,6 +208,23 @@ def test_terms_of_accelerations(monkeypatch: pytest.MonkeyPatch) -> None:
     a = np.abs([found["expected acceleration"][0], 2.0 * at.numbers[0]])  # of t²
     sums = at.force_terms[0] + at.weight_terms[0] + np.abs(at.H[0]) @ a
     assert found["acceleration"] == pytest.approx([sums / (CART + POLE)])
+
+
+def test_accelerations_beside_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a tree whose second joint follows one: H a + b = 0 in all other rows."""
+    system = pinred.load(random_model("SE3", 3, 1))
+    plan = {system.shape_names[1]: pinred.signals.Expression("20*t**2")}
+    scene = pinred.Scene(system=system, seed=0, prescribed=plan)
+    judged = kernel_of(plan_of(scene), zero_momentum=False)
+    at = drawn(judged)
+    found = sizes(monkeypatch, lambda: judging._judge_at(judged, at))
+    data = at.model.createData()
+    upper = np.triu(pin.crba(at.model, data, at.q))
+    whole = upper + np.triu(upper, 1).T
+    bias = pin.nonLinearEffects(at.model, data, at.q, at.v)
+    free, planned = [k for k in range(9) if k != 7], 2.0 * at.numbers[0]  # of t²
+    a = np.linalg.solve(whole[np.ix_(free, free)], -(bias[free] + whole[free, 7] * planned))
+    assert found["expected acceleration"] == pytest.approx(a)
 
 
 def test_terms_of_inverse_dynamics(monkeypatch: pytest.MonkeyPatch) -> None:

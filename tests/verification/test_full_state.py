@@ -59,8 +59,10 @@ def bodies(model: pin.Model, q: Array, v: Array) -> Bodies:
 
 
 def handed(group: str) -> pinred.System:
-    """Return a tree with a link on its last body."""
+    """Return a tree with a link on its last body; a hinge on which it turns has a rotor."""
     model = tree(group, 3, 5).model.copy()
+    if group == "SO2":
+        model.armature = np.append(0.3, model.armature[1:])
     place = pin.SE3(pin.exp3(np.array([0.3, -0.2, 0.5])), np.array([0.1, -0.2, 0.3]))
     model.addFrame(pin.Frame("hand", model.njoints - 1, place, pin.FrameType.BODY))
     return pinred.load(model)
