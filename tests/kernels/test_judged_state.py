@@ -128,3 +128,17 @@ def test_states_lie_on_all_sides() -> None:
         times = np.array([at.time for at in drawn(forces=torque)])
         assert 0.0 <= times.min() < 0.1
         assert 0.8 * last < times.max() <= last
+
+
+def test_no_state_where_a_plan_is_not_defined() -> None:
+    """Others are drawn instead."""
+    system = pinred.load("planar_chain5")
+    plan = {system.shape_names[1]: pinred.signals.Expression("sqrt(0.3 - t)")}
+    scene = pinred.Scene(system=system, seed=0, prescribed=plan, duration=0.1)
+    kernel, rng = kernel_of(plan_of(scene), zero_momentum=False), np.random.default_rng(0)
+    states = [random_state(kernel, rng, 1.0) for _ in range(30)]
+    found = [at for at in states if at is not None]
+    assert 5 < len(found) < 25
+    for at in found:
+        assert at.time < at.numbers[0] if at.numbers.size else at.time < 0.3
+        assert np.isfinite([*at.x, *at.v, *at.accelerations]).all()

@@ -18,11 +18,13 @@ from pinred.reduction.tree.free_bodies import Freed, pattern_of
 
 
 def tree(*, gravity: float = 5.0) -> pinred.System:
-    """Return a tree with a link on each body, the last in the joint's origin."""
+    """Return a tree with a link on each body, the first 0.1 m out, the last in the origin."""
     model, rng = random_model("SE3", 4, 2), np.random.default_rng(0)
     model.gravity.linear = gravity * np.array([1.0, -2.0, 3.0])
     for i in range(1, model.njoints):
         place = placement(rng) if i < model.njoints - 1 else pin.SE3.Identity()
+        if i == 1:
+            place.translation = np.array([0.0, 0.06, 0.08])
         model.addFrame(pin.Frame(f"tip{i}", i, 0, place, pin.FrameType.BODY), False)
     return pinred.load(model)
 
@@ -62,14 +64,16 @@ def test_inertias(arm: float) -> None:
     assert system.model.inertias[1] != other.model.inertias[1]
 
 
-def test_a_point_stays_near_itself() -> None:
-    """A body without extent is given one, of a thousandth of its lever."""
-    model = tree().model.copy()
-    model.inertias[5] = pin.Inertia(1.0, np.array([0.3, 0.0, 0.4]), np.zeros((3, 3)))
+@pytest.mark.parametrize("radius", [0.0, 0.5e-3])
+def test_small_bodies_far_out(radius: float) -> None:
+    """They are given the extent of a thousandth of their lever besides their own."""
+    model, lever = tree().model.copy(), np.array([0.3, 0.0, 0.4])
+    model.inertias[5] = pin.Inertia(1.0, lever, radius**2 / 3.0 * np.eye(3))
     model.armature = np.append(np.zeros(6), np.ones(model.nv - 6))
     found = with_other_numbers(pinred.load(model), Freed(inertias=(4,))).model.inertias[5]
-    assert moments(found)[0] == pytest.approx(2.0 * 0.5e-3 * np.sqrt(3.0), rel=0.5)
-    assert 1e-4 < np.linalg.norm(found.lever - [0.3, 0.0, 0.4]) < 2e-3
+    reach = radius + 0.5e-3
+    assert 1.5 * reach < moments(found)[0] < 6.0 * reach
+    assert 0.2 * reach < np.linalg.norm(found.lever - lever) < 4.0 * reach
 
 
 def test_what_hangs_on_a_cyclic_joint() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from coupled_trees import make_case
 from trees import random_model
 
 import pinred
@@ -174,7 +175,7 @@ def test_axes_are_named() -> None:
 
 
 def test_springs_are_refused_by_name() -> None:
-    """Of joints that are not there, or pairs that are none."""
+    """Of joints that are not there or follow others, or pairs that are none."""
     system = pinred.load("planar_chain5")
     name = system.shape_names[0]
     pairs: list[Any] = [(1.0,), (1.0, 2.0, 3.0), (np.inf, 0.0), (1.0, np.nan)]
@@ -183,3 +184,7 @@ def test_springs_are_refused_by_name() -> None:
             Potential(system, {name: pair})
     with pytest.raises(pinred.InputError, match="springs: no shape joint 'wing'; the joints are"):
         Potential(system, {name: (1.0, 0.0), "wing": (1.0, 0.0)})
+    coupled = make_case("SE3", 5, 0).system
+    follower = coupled.couplings[0].follower
+    with pytest.raises(pinred.InputError, match=f"springs: .*{follower}.* follows"):
+        Potential(coupled, {follower: (1.0, 0.0)})
