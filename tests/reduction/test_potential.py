@@ -150,12 +150,13 @@ def test_round_off_of_a_rotation(part: float, kept: bool) -> None:
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
 def test_what_counts_as_a_moment(part: float, broken: bool, size: float) -> None:
     """About a hinge: 1e-10 of the weight times the distance of the centre of mass, or gyration."""
-    for lever, radius in ((size, 0.0), (0.1 * size, size)):
+    for lever, radius, along in ((1.0, 0.0, 0.0), (0.1, 1.0, 0.0), (0.1, 0.0, 1.0)):
         model, mass, away = pin.Model(), 20.0 / size, pin.SE3(np.eye(3), np.array([3e6, 0, 0]))
         root = model.addJoint(0, pin.JointModelRZ(), away, "hinge")
-        body = pin.Inertia(mass, np.array([lever, 0, 0]), mass * radius**2 * np.eye(3))
+        moments = mass * (radius * size) ** 2 * np.eye(3)
+        body = pin.Inertia(mass, size * np.array([lever, 0.0, along]), moments)
         model.appendBodyToJoint(root, body, pin.SE3.Identity())
-        reach = np.hypot(lever, radius)
+        reach = np.hypot(lever, max(radius, along))
         # The axis leans by a small angle, so that the weight has a moment of that part about it.
         model.gravity.linear = size * np.array([0.0, part * reach / lever, -1.0])
         assert bool(broken_by_gravity(pinred.load(model))) is broken
