@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from functools import cache
 from typing import Any
 
@@ -54,7 +55,9 @@ class Spy:
 def test_references_are_tighter_and_of_two_orders(monkeypatch: pytest.MonkeyPatch) -> None:
     """A hundred times, by two methods, and the kicked one as tight as they are."""
     spy = Spy(monkeypatch)
-    pinred.compare(cat())
+    began = time.perf_counter()
+    report = pinred.compare(cat())
+    assert 0.0 < report.wall_full < time.perf_counter() - began
     assert spy.runs[0] == ("dop853", RTOL, ATOL)  # that whose time is taken
     assert sorted(name for name, *_ in spy.runs[1:]) == ["dop853", "dop853", "dopri5"]
     for _, rtol, atol in spy.runs[1:]:
@@ -136,6 +139,7 @@ def test_nothing_is_judged_after_what_can_be_told(monkeypatch: pytest.MonkeyPatc
     assert report.reference_bound == pytest.approx(700.0 * TOLERANCE)
     assert report.reference_error < 1e-9
     assert report.verdict is Verdict.CANNOT_TELL
+    assert f"say something until t = {report.t[50]:g} s only" in report.reasons[0]
 
 
 @pytest.mark.parametrize(("steps", "most"), [(1e-9, 1e-9), (1e-4, 3.0 * TOLERANCE)])
@@ -194,6 +198,7 @@ def test_why_nothing_is_told(
     report = with_defects(monkeypatch, 0.0, 1.0, growth)
     assert report.told <= told
     assert why in report.reasons[0]
+    assert "until t = 0 s only" in report.reasons[0]
 
 
 def test_a_motion_without_steps(monkeypatch: pytest.MonkeyPatch) -> None:

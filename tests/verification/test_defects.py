@@ -18,7 +18,7 @@ from pinred.verification.defect import Defects, defect, defects
 from pinred.verification.full_state import FullState
 from pinred.verification.stress.made_robots import single
 
-RTOL, END = 1e-9, 0.5
+RTOL, ATOL, END = 1e-9, 1e-11, 0.5
 JUMP = 1e-3
 
 
@@ -93,6 +93,29 @@ def test_parts_of_steps_end_where_steps_do() -> None:
     assert (b[first] == a[first + 1]).all()
 
 
+def test_halves_are_enough_where_nothing_turns() -> None:
+    """However long a step is."""
+    cart = pinred.load("cartpole", gravity=np.zeros(3))
+    traj = pinred.simulate(
+        cart, x0=[0.0], xdot0=[0.0], xi0=[0.3], duration=100.0, method=pinred.RKMK4(step=50.0)
+    )
+    a, b, first = module._stretches(traj, np.arange(2))
+    assert a.tolist() == [0.0, 25.0, 50.0, 75.0]
+    assert b.tolist() == [25.0, 50.0, 75.0, 100.0]
+    assert first.tolist() == [0, 2]
+
+
+def test_angles_count_by_a_radian() -> None:
+    """Or by the largest, if that is more, however little of it is travelled."""
+    system = pinred.load("elroys_beanie")
+    traj = pinred.simulate(
+        system, pose0=[8.0], x0=[0.1], xi0=[0.2], xdot0=[0.2], duration=END, rtol=RTOL, atol=ATOL
+    )
+    unit = 8.0 + 0.2 * END  # without springs both spin steadily
+    assert defect(jumped(traj, "pose", 0, END), system) == pytest.approx(JUMP / unit, rel=1e-3)
+    assert defect(jumped(traj, "x", 0, END), system) == pytest.approx(JUMP, rel=1e-3)
+
+
 def test_what_jumps_between_the_ends_of_a_step() -> None:
     """It does not show in the step, and in its parts it does."""
     knots = cat(RTOL).motion.knots
@@ -137,6 +160,26 @@ def test_round_off_of_aba_is_no_defect(monkeypatch: pytest.MonkeyPatch) -> None:
     assert defects(traj, full).worst < 1e-6
 
 
+def test_round_off_is_told_by_one_evaluation_in_eight(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a stretch, in the world's axes; more would take as long as the integral itself."""
+    times: list[tuple[float, bool]] = []
+    rate = FullState.rate
+
+    def counted(
+        self: FullState, t: float, y: Array, axes: pin.Convention = pin.Convention.LOCAL
+    ) -> Array:
+        times.append((t, axes == pin.Convention.WORLD))
+        return rate(self, t, y, axes)
+
+    monkeypatch.setattr(FullState, "rate", counted)
+    traj = cat(RTOL)
+    stretches = 2 * (len(traj.motion.knots) - 1)
+    defects(traj, FullState(traj.scene))
+    of_bodies = [t for t, world in times if not world]
+    assert len(of_bodies) == 8 * stretches
+    assert [t for t, world in times if world] == of_bodies[::8]
+
+
 def test_round_off_far_away_is_none() -> None:
     """Both ways begin where the base is."""
     traj = jumped(cat(RTOL, 1e7), "xdot", 2, END)
@@ -179,7 +222,7 @@ def test_kinks_of_forces_stand_out(monkeypatch: pytest.MonkeyPatch, kinks: bool)
     """Ten times the median, where forces have kinks; what is no number is none."""
     system = pinred.load("coupled_planar")
     acting = [pinred.forces.Torque(lambda _t, x, *_: 0.1 * casadi.fabs(x))] if kinks else []
-    steps = np.array([1.0, 1.0, 1.0, 9.9, 10.1])
+    steps = np.array([2.0, 2.0, 2.0, 19.8, 20.2])
 
     def made(*_: object) -> Defects:
         return Defects(steps, steps, np.ones(5, dtype=bool), steps, steps)
@@ -189,7 +232,7 @@ def test_kinks_of_forces_stand_out(monkeypatch: pytest.MonkeyPatch, kinks: bool)
     traj = pinred.simulate(scene)
     found = defects(traj, FullState(scene))
     assert found.smooth.tolist() == [True] * 4 + [not kinks]
-    assert found.worst == (9.9 if kinks else 10.1)
+    assert found.worst == (19.8 if kinks else 20.2)
     steps[0] = np.nan
     assert np.isnan(defects(traj, FullState(scene)).worst)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import ode
 
 from pinred.common.arrays import Array
 from pinred.verification.hairer import Hairer
@@ -55,6 +56,16 @@ def test_a_far_time_takes_no_more_than_before() -> None:
 
 
 METHODS = ["dop853", "dopri5"]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_first_span_is_that_of_the_loop_alone(method: str) -> None:
+    """Nothing has been learned yet: the same evaluations, and the same numbers to the last bit."""
+    alone, told = Swing(), Swing()
+    loop = ode(alone).set_integrator(method, rtol=1e-12, atol=1e-14, nsteps=10_000)
+    loop.set_initial_value(np.array([1.0, 0.0]), 0.0)
+    assert swing(method, np.array([7.0]), told)[0] == loop.integrate(7.0)[0]
+    assert told.calls == alone.calls
 
 
 @pytest.mark.parametrize("method", METHODS)
