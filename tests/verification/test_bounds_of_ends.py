@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -201,14 +202,25 @@ def test_why_nothing_is_told(
     assert "until t = 0 s only" in report.reasons[0]
 
 
-def test_a_motion_without_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No defect is no error: what is left is round-off."""
-    none = np.empty(0)
-    made = Defects(none, none, np.empty(0, dtype=bool), none, none)
-    monkeypatch.setattr(judge, "defects", lambda *_: made)
-    report = pinred.compare(cat())
-    assert report.defect == 0.0
-    assert report.rotation_bounds[-1] < 1e-3 * TOLERANCE * report.growth[-1]
+def test_ends_of_a_motion_without_defects() -> None:
+    """Round-off of each step and of the references is left; once apart, these are so from then on.
+
+    Growth stretches that of steps, and a place far away has round-off of its own.
+    """
+    knots = np.arange(1025.0) / 1024.0
+    traj: Any = SimpleNamespace(motion=SimpleNamespace(knots=knots))
+    times, steps = np.array([0.0, 0.25, 0.5 + 1e-9, 1.0]), np.array([0, 256, 513, 1024])
+    growth, between = np.array([1.0, 2.0, 3.0, 50.0]), np.array([0.0, 4e-13, 1e-13, 2e-13])
+    none = np.zeros(3)
+    made = Defects(none, none, np.ones(3, dtype=bool), none, none)
+    size = Size(joints=np.array([2.0, 5.0]), position=3.0, away=7e3)
+    ends = judge._ends(traj, times, growth, made, between, size, TOLERANCE)
+    apart = np.array([0.0, 4e-13, 4e-13, 4e-13])
+    expected = 10.0 * (growth * 1e-15 * (steps + 1) + 1e-13 + apart)
+    assert ends.bound.rotation == pytest.approx(expected, rel=1e-9, abs=0.0)
+    assert ends.bound.joints == pytest.approx(np.outer(expected, [2.0, 5.0]), rel=1e-9, abs=0.0)
+    assert ends.bound.position == pytest.approx(3.0 * expected + 7e-11, rel=1e-9, abs=0.0)
+    assert (ends.mean, ends.told, ends.reasons) == (0.0, 4, ())
 
 
 def test_equations_are_judged_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
