@@ -164,8 +164,8 @@ def _ends(
     # Between the ends of steps is what the method makes of it, of an order less than the steps.
     # A defect beyond what passes is a failure, and excuses none.
     mean, within = float(missed.steps.mean()), float(missed.inside.max())
-    parts = min(1.0, DEFECT * tolerance / (mean or 1.0))
-    parts_within = min(1.0, BETWEEN * tolerance / (within or 1.0))
+    most, most_within = DEFECT * tolerance, BETWEEN * tolerance
+    parts, parts_within = most / max(mean, most), most_within / max(within, most_within)
     carried = parts * float(missed.carried.mean())
     carried_within = parts_within * float(missed.carried_inside.max())
     local = steps * carried + np.where(steps > 0, carried_within, 0.0) + _ROUND_OFF * (steps + 1)
