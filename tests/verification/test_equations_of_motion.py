@@ -135,6 +135,24 @@ def test_a_drive_follows_its_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found[:, 0] == pytest.approx(left[:, 0] / sums[:, 0], rel=1e-8)
 
 
+def test_each_drive_has_a_row_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It gives whatever force an error elsewhere takes; the rows of all others show that."""
+    system = pinred.load("planar_chain5")
+    r, names = system.r, system.shape_names
+    plan = {names[k]: pinred.signals.Expression(f"{0.2 * k} + 0.3*sin(2*t)") for k in (1, 3)}
+    traj = pinred.simulate(system, prescribed=plan, xi0=[0.3, 0.1, 0.5], duration=0.5)
+    true = equations_of_motion.accelerations
+
+    def off(*of: Any) -> Accelerations:
+        found = true(*of)
+        return replace(found, a=found.a + 1e-3 * (np.arange(r + system.m) == r - 1))
+
+    monkeypatch.setattr(equations_of_motion, "accelerations", off)
+    found = equation_errors(traj, FullState(traj.scene), TIMES).max(axis=0)
+    assert found[[r + 1, r + 3]] == pytest.approx(0.0, abs=1e-9)
+    assert (np.delete(found, [r + 1, r + 3]) > 1e-6).all()
+
+
 def test_forces_that_are_hardly_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     """At rest they count in steps of 1e-290 N."""
     off = 1e-297 * OFF
