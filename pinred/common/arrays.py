@@ -22,7 +22,7 @@ def as_floats(value: ArrayLike, what: str) -> Array:
     """Return `value` as an array of floats.  Raises ShapeError naming `what`."""
     try:
         array = np.asarray(value)
-        if array.dtype.kind in "cSU":  # NumPy reads numbers in texts
+        if array.dtype.kind in "bcmMSU":  # NumPy reads numbers in texts, truths and durations
             raise TypeError
         return np.asarray(array, dtype=float)
     except OverflowError:
@@ -87,6 +87,8 @@ def _finite(array: Array, what: str, labels: Sequence[str]) -> Array:
 def positive(value: float, what: str) -> float:
     """Return `value` as a finite float above zero.  Raises InputError naming `what`."""
     try:
+        if np.asarray(value).dtype.kind == "b":
+            raise TypeError
         number = float(value)
     except OverflowError:
         raise InputError(f"{what} must be at most {_LARGEST:.1e}") from None

@@ -32,6 +32,7 @@ from ..common.version import __version__
 from .secret import secret
 
 LIMIT = 256 * 2**20  # bytes
+_WRITERS = 8  # as many processes may fill what is free before any of them looks again
 
 _VERSION = 2
 _MAGIC = b"pinred\x00\n"
@@ -42,6 +43,7 @@ _ENTRY = re.compile(r"([0-9a-f]{64})\.o")
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 _said: set[tuple[str, str]] = set()  # folders, and what has been said about them once
+_room: dict[tuple[Path, int], int] = {}  # by folder and limit: to be written before the next look
 
 
 class CacheEntry(NamedTuple):
@@ -136,8 +138,9 @@ class ObjectCache:
         try:
             with self._open(make=True) as folder:
                 if folder is not None:
-                    _write(folder, name, header + _signature(header, code) + code)
-                    self._trim(folder)
+                    entry = header + _signature(header, code) + code
+                    _write(folder, name, entry)
+                    self._trim(folder, len(entry))
         except OSError as error:
             self._say_once("write", f"compiled code is not kept in '{self.folder}': {error}")
 
@@ -154,16 +157,22 @@ class ObjectCache:
             sweep(folder)
             return sum(_remove(folder, f"{entry.key}.o") for entry in _entries(folder))
 
-    def _trim(self, folder: int) -> None:
+    def _trim(self, folder: int, written: int) -> None:
+        """Remove entries above the limit; look at the folder only where it could be exceeded."""
+        place = (self.folder, self.limit)
+        _room[place] = _room.get(place, 0) - written
+        if _room[place] >= 0:
+            return
         entries = _entries(folder)
         total = sum(entry.size for entry in entries)
-        if total <= self.limit:
-            return
+        # More than must go goes at once: a full folder is not listed at every put.
+        enough = self.limit if total <= self.limit else self.limit - self.limit // 16
         for entry in entries:
-            if total <= self.limit:
-                return
-            _remove(folder, f"{entry.key}.o")
-            total -= entry.size
+            if total <= enough:
+                break
+            if _remove(folder, f"{entry.key}.o"):
+                total -= entry.size
+        _room[place] = (self.limit - total) // _WRITERS
 
     @contextmanager
     def _open(self, *, make: bool) -> Iterator[int | None]:

@@ -169,6 +169,7 @@ def _ends(
     carried = parts * float(missed.carried.mean())
     carried_within = parts_within * float(missed.carried_inside.max())
     local = steps * carried + np.where(steps > 0, carried_within, 0.0) + _ROUND_OFF * (steps + 1)
+    local += missed.blurred * times  # the reference is led by it, and so may both references be
     floor = _RESOLVED + np.maximum.accumulate(between)
     allowed = SAFETY * (growth * local + floor)
     told = int(np.argmax(allowed > JUDGEABLE)) if (allowed > JUDGEABLE).any() else len(times)

@@ -48,6 +48,7 @@ class Defects:
     The tolerance holds for rates in parts of what the absolute one is to the relative one; of a
     motion that is slower than that, carried and carried_inside, (S,) and (P,), are the same in
     parts of its own rates, as growth is measured: a small rate goes far in a long time.
+    blurred: by how much of these ABA itself is off in a second, by round-off [1/s].
     """
 
     steps: Array
@@ -55,6 +56,7 @@ class Defects:
     smooth: NDArray[np.bool_]
     carried: Array
     carried_inside: Array
+    blurred: float
 
     @property
     def worst(self) -> float:
@@ -108,6 +110,7 @@ def _defects(traj: Trajectory, full: FullState, which: Indices) -> Defects:
         smooth=np.ones(len(which), dtype=bool),
         carried=(whole / own).max(axis=1),
         carried_inside=(missed / own).max(axis=1),
+        blurred=float((apart / own).max()),
     )
 
 
@@ -142,7 +145,9 @@ def _sizes(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
     Angles and quaternions count as 1 at least, lengths as the radius of gyration.  Of places, the
     distance travelled counts, and that from the origin where its round-off does.  Rates count as
     what the absolute tolerance is to the relative one at least; the second time, as what
-    leads through an angle of 1 by the end.
+    leads through an angle of 1 by the end, each joint by its own.  The base's turns are no
+    numbers that grow as it turns: of its spin that of the start counts, as of the kick whose
+    growth is measured.
     """
     y = full_states(traj, full, traj.motion.knots)
     group, m, r = traj.system.group, full.joints, traj.system.r
@@ -161,5 +166,9 @@ def _sizes(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
                 offset = OFFSET * np.abs(kind).max()
                 kind = np.append(np.abs(kind - kind[0]).ravel(), offset)
             out[:, first:last] = np.maximum(np.abs(kind).max(), least[:, first, None])
+    joints, turns = slice(size + m + r, None), slice(size + m + linear, size + m + r)
+    out[1, joints] = np.maximum(np.abs(y[:, joints]).max(axis=0), least[1, joints])
+    began = np.abs(y[0, turns]).max(initial=0.0)
+    out[1, turns] = np.minimum(out[1, turns], np.maximum(began, least[1, turns]))
     sizes, own = np.where(out > 0.0, out, 1.0)
     return sizes, own

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from pinred.common.errors import CacheWarning, InputError
-from pinred.kernels.object_cache import ObjectCache, cache_key
+from pinred.kernels import object_cache
+from pinred.kernels.object_cache import CacheEntry, ObjectCache, cache_key
 
 KEY, OTHER = cache_key("one"), cache_key("two")
 CODE = bytes(range(256)) * 9
@@ -249,7 +250,7 @@ def test_folder_without_permission(filled: tuple[ObjectCache, Path]) -> None:
 def test_least_recently_used_goes_first(folder: Path) -> None:
     """The sum of all entries stays within the limit; use is what counts, not age."""
     keys = [cache_key(str(k)) for k in range(6)]
-    cache = ObjectCache(folder, limit=3 * (HEADER + 100))
+    cache = ObjectCache(folder, limit=3 * (HEADER + 100) + 50)
     for age, key in enumerate(keys[:3]):
         cache.put(key, bytes(100))
         os.utime(folder / f"{key}.o", (1000.0 + age, 1000.0 + age))
@@ -266,6 +267,26 @@ def test_least_recently_used_goes_first(folder: Path) -> None:
     assert cache.entries() == before
     ObjectCache(folder, limit=0).put(keys[5], b"")
     assert cache.entries() == before
+
+
+def test_a_full_folder_is_not_listed_at_every_put(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One put in some lists it, however full; the sum of all stays within the limit even so."""
+    listed: list[int] = []
+    entries = object_cache._entries
+
+    def counted(at: int) -> list[CacheEntry]:
+        listed.append(at)
+        return entries(at)
+
+    monkeypatch.setattr(object_cache, "_entries", counted)
+    limit = 120 * (HEADER + 100)
+    for k in range(200):
+        ObjectCache(folder, limit=limit).put(cache_key(str(k)), bytes(100))
+        assert sum(file.stat().st_size for file in folder.iterdir()) <= limit
+    assert len(listed) < 130
+    assert sum(file.stat().st_size for file in folder.iterdir()) > 0.9 * limit
 
 
 def test_leftovers_and_strangers(filled: tuple[ObjectCache, Path]) -> None:

@@ -48,6 +48,15 @@ def test_numbers_that_are_no_floats(name: str, cat: pinred.System) -> None:
             pinred.Scene(system=cat, **_any(name, value))
 
 
+@pytest.mark.parametrize("odd", [True, np.array(True), np.timedelta64(3, "s")])
+@pytest.mark.parametrize("name", ["momentum", "xdot0", "x0", "rtol", "duration", "parameters"])
+def test_truths_and_durations_are_no_numbers(name: str, odd: Any, cat: pinred.System) -> None:
+    """True is no mass of 1 kg, and three seconds are none either."""
+    given = {"parameters": {"front.mass": odd}, "x0": [odd] * cat.m, "xdot0": [odd] * cat.m}
+    with pytest.raises(pinred.InputError, match=r"must be (numbers|a number)"):
+        pinred.Scene(system=cat, **_any(name, given.get(name, odd)))
+
+
 @pytest.mark.parametrize(
     "seeds", [3, [1.5], ["a"], [[1]], [-1], "12", {1: 2}, [[1, 2], [3]], [True]]
 )

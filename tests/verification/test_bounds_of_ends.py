@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import pinred
@@ -93,13 +94,14 @@ def with_defects(
     growth: float | Array,
     traj: pinred.Trajectory | None = None,
     own: float = 1.0,
+    blurred: float = 0.0,
 ) -> pinred.Report:
     """The comparison, of a motion whose defects and growth were those.
 
-    own: how much more the defects are in parts of the motion's own rates.
+    own: how much more the defects are in parts of the motion's own rates.  blurred: by ABA [1/s].
     """
     both = np.full(9, steps), np.full(9, inside)
-    made = Defects(*both, np.ones(9, dtype=bool), *(own * part for part in both))
+    made = Defects(*both, np.ones(9, dtype=bool), own * both[0], own * both[1], blurred)
     monkeypatch.setattr(judge, "defects", lambda *_: made)
     monkeypatch.setattr(
         FullState, "growth", lambda _full, _y0, _motion, times, *_: growth + np.zeros(len(times))
@@ -167,6 +169,36 @@ def test_ends_are_bounded_by_defects(
     assert report.shape_bounds[:, 0] == pytest.approx(report.rotation_bounds)  # 1 rad at least
 
 
+def test_round_off_of_aba_leads_the_reference_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As much a second as two ways to it are apart, times the growth; ten times that passes."""
+    report = with_defects(monkeypatch, 0.0, 0.0, 7.0, blurred=1e-7)
+    assert report.rotation_bounds == pytest.approx(10.0 * 7.0 * 1e-7 * report.t, abs=2e-11)
+
+
+def test_a_thin_body_on_a_lever() -> None:
+    """A free body moves on as it began, but for the five digits that its inertia takes of rates.
+
+    Both references take them from the same ABA, so their difference does not show this.
+    """
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")
+    inertia = pin.Inertia(0.5, np.array([0.2, 0.0, 0.2]), 2e-7 * np.eye(3))
+    model.appendBodyToJoint(1, inertia, pin.SE3.Identity())
+    traj = pinred.simulate(
+        pinred.load(model), duration=1.0, xi0=[-0.1, 1.3, -0.3], rtol=1e-12, atol=1e-13
+    )
+    spin, arm = -0.3, np.array([0.2, 0.0])
+    angle = spin * traj.t
+    centre = arm + np.outer(traj.t, [-0.1, 1.3 + spin * 0.2])
+    turned = np.column_stack([np.cos(angle), np.sin(angle)]) * 0.2
+    assert traj.pose[:, :2] == pytest.approx(centre - turned, abs=1e-10)
+    assert traj.pose[:, 2] == pytest.approx(angle, abs=1e-10)
+    report = pinred.compare(traj)
+    assert report.rotation_errors.max() > 3e-13
+    assert report.passed
+    assert report.rotation_bounds.max() < 1e-8
+
+
 @pytest.mark.parametrize(("growth", "verdict"), [(9e4, "PASSED"), (1.1e5, "CANNOT TELL")])
 def test_a_kick_of_a_millionth(
     monkeypatch: pytest.MonkeyPatch, growth: float, verdict: str
@@ -203,20 +235,20 @@ def test_why_nothing_is_told(
 
 
 def test_ends_of_a_motion_without_defects() -> None:
-    """Round-off of each step and of the references is left; once apart, these are so from then on.
+    """Round-off of steps, of ABA and of the references is left; once apart, these stay so.
 
-    Growth stretches that of steps, and a place far away has round-off of its own.
+    Growth stretches that of steps and of ABA, and a place far away has round-off of its own.
     """
     knots = np.arange(1025.0) / 1024.0
     traj: Any = SimpleNamespace(motion=SimpleNamespace(knots=knots))
     times, steps = np.array([0.0, 0.25, 0.5 + 1e-9, 1.0]), np.array([0, 256, 513, 1024])
     growth, between = np.array([1.0, 2.0, 3.0, 50.0]), np.array([0.0, 4e-13, 1e-13, 2e-13])
     none = np.zeros(3)
-    made = Defects(none, none, np.ones(3, dtype=bool), none, none)
+    made = Defects(none, none, np.ones(3, dtype=bool), none, none, 3e-13)
     size = Size(joints=np.array([2.0, 5.0]), position=3.0, away=7e3)
     ends = judge._ends(traj, times, growth, made, between, size, TOLERANCE)
     apart = np.array([0.0, 4e-13, 4e-13, 4e-13])
-    expected = 10.0 * (growth * 1e-15 * (steps + 1) + 1e-13 + apart)
+    expected = 10.0 * (growth * (1e-15 * (steps + 1) + 3e-13 * times) + 1e-13 + apart)
     assert ends.bound.rotation == pytest.approx(expected, rel=1e-9, abs=0.0)
     assert ends.bound.joints == pytest.approx(np.outer(expected, [2.0, 5.0]), rel=1e-9, abs=0.0)
     assert ends.bound.position == pytest.approx(3.0 * expected + 7e-11, rel=1e-9, abs=0.0)

@@ -149,7 +149,8 @@ def test_round_off_of_aba_is_no_defect(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten times what two ways through it are apart, for as long as the step lasts."""
     traj = jumped(cat(RTOL), "xdot", 2, END)
     full = Rounded(traj.scene)
-    whole = defects(traj, full).worst
+    clean = defects(traj, full)
+    whole = clean.worst
     length = float(np.diff(traj.motion.knots)[-1])
     size = JUMP / whole
     monkeypatch.setattr(Rounded, "left", 0.03 * JUMP / length)
@@ -157,6 +158,8 @@ def test_round_off_of_aba_is_no_defect(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.worst == pytest.approx(whole - 0.3 * JUMP / size, rel=1e-3)
     # Half as long, so half of that is taken off.
     assert found.inside.max() == pytest.approx(whole - 0.15 * JUMP / size, rel=1e-3)
+    own = JUMP / clean.carried.max()
+    assert found.blurred == pytest.approx(0.03 * JUMP / length / own, rel=1e-3)
     monkeypatch.setattr(Rounded, "left", 0.3 * JUMP / length)
     assert defects(traj, full).worst < 1e-6
 
@@ -199,10 +202,30 @@ def test_what_slow_rates_carry(slow: float, duration: float, unit: float) -> Non
     )
     traj = jumped(resting, "xdot", 1, duration)
     found = defects(traj, FullState(resting.scene))
-    own = max(unit, float(np.abs(traj(traj.motion.knots).xdot).max()))
+    own = max(unit, float(np.abs(traj(traj.motion.knots).xdot[:, 1]).max()))
     assert found.worst == pytest.approx(JUMP, rel=1e-2)
     assert found.carried.max() == pytest.approx(JUMP / own, rel=1e-2)
     assert found.carried_inside.max() == pytest.approx(JUMP / own, rel=1e-2)
+
+
+@pytest.mark.parametrize(("name", "column"), [("xdot", 0), ("xi", 4)])
+def test_what_rates_carry_behind_faster_ones(name: str, column: int) -> None:
+    """A joint counts by its own rate, however fast others are; a base by that of the start."""
+    system = pinred.load("reaction_wheel_satellite")
+    assert system.shape_names[0] == "panel_hinge"
+    moved = pinred.simulate(
+        system, duration=END, rtol=1e-8, atol=1e-8, xdot0=[0.1, 300.0, 200.0, 100.0],
+        xi0=[0.0, 0.0, 0.0, 0.1, 0.2, 0.1],
+        forces=[pinred.forces.Wrench([0.0, 0.0, 0.0, 500.0, 0.0, 0.0])],
+    )  # fmt: skip
+    traj = jumped(moved, name, column, END)
+    found, states = defects(traj, FullState(moved.scene)), traj(traj.motion.knots)
+    kind = np.abs(states.xdot if name == "xdot" else states.xi[:, 3:]).max()
+    own = np.abs(states.xdot[:, column]).max() if name == "xdot" else 0.2
+    own = max(min(1.0 / END, 1.0), float(own))  # what leads through a radian, or atol over rtol
+    assert kind > 3.0 * own
+    assert found.worst == pytest.approx(JUMP / kind, rel=1e-2)
+    assert found.carried.max() == pytest.approx(JUMP / own, rel=1e-2)
 
 
 def test_steps_that_are_judged() -> None:
@@ -226,7 +249,7 @@ def test_kinks_of_forces_stand_out(monkeypatch: pytest.MonkeyPatch, kinks: bool)
     steps = np.array([2.0, 2.0, 2.0, 19.8, 20.2])
 
     def made(*_: object) -> Defects:
-        return Defects(steps, steps, np.ones(5, dtype=bool), steps, steps)
+        return Defects(steps, steps, np.ones(5, dtype=bool), steps, steps, 0.0)
 
     monkeypatch.setattr(module, "_defects", made)
     scene = pinred.Scene(system=system, duration=0.1, xdot0=[1.0], forces=acting)
