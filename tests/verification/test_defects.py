@@ -208,16 +208,30 @@ def test_what_slow_rates_carry(slow: float, duration: float, unit: float) -> Non
     assert found.carried_inside.max() == pytest.approx(JUMP / own, rel=1e-2)
 
 
+@cache
+def satellite() -> pinred.Trajectory:
+    """A panel, the first joint, beside wheels that spin fast, on a base that a wrench turns."""
+    return pinred.simulate(
+        pinred.load("reaction_wheel_satellite"), duration=END, rtol=1e-8, atol=1e-8,
+        xdot0=[0.1, 300.0, 200.0, 100.0], xi0=[9.0, 0.0, 0.0, 0.1, 0.2, 0.1],
+        forces=[pinred.forces.Wrench([0.0, 0.0, 0.0, 500.0, 0.0, 0.0])],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "column"), [("pose", 4), ("x", 0), ("x", 1), ("xi", 1)])
+def test_what_else_is_carried_as_it_is(name: str, column: int) -> None:
+    """Places, angles and velocities: in parts of the largest of their kind, as the tolerance is."""
+    traj = jumped(satellite(), name, column, END)
+    found = defects(traj, FullState(traj.scene))
+    assert found.carried.max() == pytest.approx(found.worst, rel=1e-6)
+    assert found.carried_inside.max() == pytest.approx(found.inside.max(), rel=1e-6)
+
+
 @pytest.mark.parametrize(("name", "column"), [("xdot", 0), ("xi", 4)])
 def test_what_rates_carry_behind_faster_ones(name: str, column: int) -> None:
     """A joint counts by its own rate, however fast others are; a base by that of the start."""
-    system = pinred.load("reaction_wheel_satellite")
-    assert system.shape_names[0] == "panel_hinge"
-    moved = pinred.simulate(
-        system, duration=END, rtol=1e-8, atol=1e-8, xdot0=[0.1, 300.0, 200.0, 100.0],
-        xi0=[0.0, 0.0, 0.0, 0.1, 0.2, 0.1],
-        forces=[pinred.forces.Wrench([0.0, 0.0, 0.0, 500.0, 0.0, 0.0])],
-    )  # fmt: skip
+    moved = satellite()
+    assert moved.system.shape_names[0] == "panel_hinge"
     traj = jumped(moved, name, column, END)
     found, states = defects(traj, FullState(moved.scene)), traj(traj.motion.knots)
     kind = np.abs(states.xdot if name == "xdot" else states.xi[:, 3:]).max()
@@ -226,6 +240,19 @@ def test_what_rates_carry_behind_faster_ones(name: str, column: int) -> None:
     assert kind > 3.0 * own
     assert found.worst == pytest.approx(JUMP / kind, rel=1e-2)
     assert found.carried.max() == pytest.approx(JUMP / own, rel=1e-2)
+
+
+def test_what_a_spin_from_rest_carries() -> None:
+    """In parts of what leads through a radian by the end, however fast it becomes."""
+    system = pinred.load("elroys_beanie")
+    push = pinred.forces.Wrench([0.05])
+    pushed = pinred.simulate(
+        system, xi0=[0.0], xdot0=[0.0], duration=50.0, rtol=1e-8, atol=1e-8, forces=[push]
+    )
+    traj = jumped(pushed, "xi", 0, 50.0)
+    assert np.abs(pushed.xi).max() > 0.3
+    found = defects(traj, FullState(pushed.scene))
+    assert found.carried.max() == pytest.approx(JUMP / 0.02, rel=1e-3)
 
 
 def test_steps_that_are_judged() -> None:

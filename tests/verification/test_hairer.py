@@ -79,9 +79,11 @@ def test_an_error_comes_out(method: str) -> None:
             raise LookupError("here")
         return -y
 
+    solver = Hairer(rate, method, np.ones(1), 0.0, 1e-10, 1e-12, 9.0)
     with pytest.raises(LookupError, match="here"):
-        Hairer(rate, method, np.ones(1), 0.0, 1e-10, 1e-12, 9.0).integrate(9.0)
+        solver.integrate(9.0)
     assert len(calls) == 31
+    assert 0.0 < solver.t < 1.0  # the loop ends with the step
 
 
 @pytest.mark.parametrize("method", METHODS)
