@@ -13,7 +13,7 @@ from hypothesis import settings
 import pinred
 from pinred.views.playback.headless_browser import Browser, browser, find_browser
 
-settings.register_profile("pinred", deadline=None, print_blob=True, max_examples=40)
+settings.register_profile("pinred", deadline=None, print_blob=True, max_examples=20)
 settings.register_profile("by hand", settings.get_profile("pinred"), max_examples=200)
 settings.load_profile("pinred")
 

@@ -293,7 +293,7 @@ def agree(
     error = np.abs(found - expected)
     allowed = tolerance * float(np.abs(expected).max()) + ROUND_OFF * np.asarray(terms)
     if not (error <= allowed).all():
-        k = int(np.argmax(np.where(error <= allowed, 0.0, 1.0)))
+        k = int(np.argmin(error <= allowed))
         raise KernelMismatch(
             f"{who} disagrees with Pinocchio: {what} is off by {error[k]:.3g} of "
             f"{np.abs(expected).max():.3g}\nfound    {found}\nexpected {expected}"

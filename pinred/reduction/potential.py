@@ -216,7 +216,8 @@ def _check_invariance(system: System, model: pin.Model, data: pin.Data) -> None:
         return
     gravity = ", ".join(f"{g:g}" for g in system.gravity)
     if system.group.turns == 1:
-        axis = ", ".join(f"{a:.3g}" for a in directions[0] / np.linalg.norm(directions[0]))
+        unit = directions[0] / np.linalg.norm(directions[0])
+        axis = ", ".join(f"{a:.3g}" for a in np.round(unit, 9) + 0.0)  # without its round-off
         broken = f"turning about its axis ({axis}), which is not along gravity,"
     else:
         broken = f"turning about the world's {_axes(np.array(directions))} axes"

@@ -21,7 +21,10 @@ from ..system.system import Indices, System
 from .full_state import APART, OFFSET, FullState
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+# The mean over a part of ∫ f from its begin, ½ ∫ (1 − s) f ds.
+_MEANS = 0.5 * _WEIGHTS * (1.0 - _NODES)
 _MOST_STEPS = 200  # beyond these a random choice is judged
+_SLOPE = 1e-6  # of the sizes of numbers, over which a slope is measured
 _STANDS_OUT = 10.0  # times the median step: it holds a kink of a force
 
 
@@ -35,7 +38,7 @@ def defect(
     root's coordinates, joint coordinates, and the velocities of both.
     """
     full = FullState(replace(traj.scene, system=system))
-    found = defects(traj, full, steps=steps)
+    found = defects(traj, full, steps=steps, led=False)
     return float(found.inside.max(initial=0.0)) if inside else found.worst
 
 
@@ -47,7 +50,8 @@ class Defects:
     equations are smooth within the step; a kink of a force is more than a method can follow.
     The tolerance holds for rates in parts of what the absolute one is to the relative one; of a
     motion that is slower than that, carried and carried_inside, (S,) and (P,), are the same in
-    parts of its own rates, as growth is measured: a small rate goes far in a long time.
+    parts of its own rates, as growth is measured: a small rate goes far in a long time.  Of a
+    step, carried counts where what is missed inside it leads to, even if that adds up to nothing.
     blurred: by how much of these ABA itself is off in a second, by round-off [1/s].
     """
 
@@ -64,13 +68,34 @@ class Defects:
         return float(self.steps[self.smooth].max(initial=0.0))
 
 
-def defects(traj: Trajectory, full: FullState, *, steps: int = _MOST_STEPS) -> Defects:
-    """Return the defects of a trajectory by ABA; see `defect`."""
+@dataclass(frozen=True)
+class _Course:
+    """Parts of steps (P,), and the nodes of their quadrature (8 P,) with states and ABA's rates.
+
+    missed: (P, n) over each part.  mean: (P, n) of what is missed from its begin.
+    """
+
+    nodes: Array
+    numbers: list[Array]
+    y: Array
+    rates: Array
+    missed: Array
+    mean: Array
+    lengths: Array
+
+
+def defects(
+    traj: Trajectory, full: FullState, *, steps: int = _MOST_STEPS, led: bool = True
+) -> Defects:
+    """Return the defects of a trajectory by ABA; see `defect`.
+
+    led: find out where they lead in a step, too; without that, carried tells nothing of it.
+    """
     count = len(traj.motion.knots) - 1
     which = np.arange(count)
     if count > steps:
         which = np.sort(np.random.default_rng(0).choice(which, steps, replace=False))
-    found = _defects(traj, full, which)
+    found = _defects(traj, full, which, led=led)
     forces = traj.scene.force_model
     if forces is None or not forces.has_kinks:
         return found
@@ -79,7 +104,7 @@ def defects(traj: Trajectory, full: FullState, *, steps: int = _MOST_STEPS) -> D
     return replace(found, smooth=~(found.steps > usual))
 
 
-def _defects(traj: Trajectory, full: FullState, which: Indices) -> Defects:
+def _defects(traj: Trajectory, full: FullState, which: Indices, *, led: bool) -> Defects:
     """Return the defects of some steps."""
     a, b, first = _stretches(traj, which)
     middle, half = 0.5 * (a + b), 0.5 * (b - a)
@@ -94,24 +119,57 @@ def _defects(traj: Trajectory, full: FullState, which: Indices) -> Defects:
         if k % len(_NODES) == 0:  # one of each stretch tells enough of round-off
             other = full.rate(t, between[k], pin.Convention.WORLD)
             apart = np.maximum(apart, np.abs(rates[k] - other))
-    moved = np.einsum("k,skn->sn", _WEIGHTS, rates.reshape(len(a), len(_NODES), -1))
-    missed = end - start - half[:, None] * moved
+    parts = (len(a), len(_NODES), -1)
+    moved = half[:, None] * np.einsum("k,skn->sn", _WEIGHTS, rates.reshape(parts))
+    until = half[:, None] * np.einsum("k,skn->sn", _MEANS, rates.reshape(parts))
+    missed = end - start - moved
+    mean = 0.5 * np.einsum("k,skn->sn", _WEIGHTS, between.reshape(parts)) - start - until
+    course = _Course(nodes, numbers, between, rates, missed, mean, b - a)
     sizes, own = _sizes(traj, full)
     whole = np.add.reduceat(missed, first)  # ends of parts within a step cancel
+    ends = _led(full, course, first, sizes) if led else whole
     # What round-off leaves of ABA, where the mass matrix is almost singular, is no defect.
-    noise = APART * apart
-    whole, missed = (
+    noise, steps = APART * apart, np.add.reduceat(b - a, first)
+    whole, ends, missed = (
         np.maximum(np.abs(part) - np.outer(time, noise), 0.0)
-        for part, time in ((whole, np.add.reduceat(b - a, first)), (missed, b - a))
+        for part, time in ((whole, steps), (ends, steps), (missed, b - a))
     )
     return Defects(
         steps=(whole / sizes).max(axis=1),
         inside=(missed / sizes).max(axis=1),
         smooth=np.ones(len(which), dtype=bool),
-        carried=(whole / own).max(axis=1),
+        carried=(np.maximum(whole, ends) / own).max(axis=1),
         carried_inside=(missed / own).max(axis=1),
         blurred=float((apart / own).max()),
     )
+
+
+def _led(full: FullState, course: _Course, first: Indices, sizes: Array) -> Array:
+    """Return by how much the ends of steps are off, (S, n), by what was missed before in each.
+
+    Of linear equations the parts of what is missed may cancel, though the step ends elsewhere:
+    interpolants are such that they do.  So what is missed until a time leads on from there, by the
+    slope of ABA in the middle of each part: e = D + z, where z' = J (D + z).
+    """
+    off = np.zeros_like(course.missed)
+    begins = np.isin(np.arange(len(off)), first)
+    for part in range(len(off)):
+        before = np.zeros_like(off[part]) if begins[part] else off[part - 1]
+        led = before + course.mean[part]
+        led += 0.5 * _slope(full, course, part, led, sizes)
+        off[part] = before + course.missed[part] + _slope(full, course, part, led, sizes)
+    return np.asarray(off[np.append(first[1:], len(off)) - 1])
+
+
+def _slope(full: FullState, course: _Course, part: int, off: Array, sizes: Array) -> Array:
+    """Return what a state that is off by so much, (n,), leads to over a part."""
+    unit = float(np.abs(off / sizes).max()) / _SLOPE
+    if not 0.0 < unit < np.inf:
+        return np.zeros_like(off)
+    k = part * len(_NODES) + len(_NODES) // 2
+    full.hold(course.numbers[k])
+    rate = full.rate(course.nodes[k], course.y[k] + off / unit)
+    return np.asarray(course.lengths[part] * unit * (rate - course.rates[k]))
 
 
 def _stretches(traj: Trajectory, which: Indices) -> tuple[Array, Array, Indices]:

@@ -10,7 +10,7 @@ import json
 import sys
 import threading
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -32,7 +32,7 @@ class Covering:
     lines: dict[str, dict[int, list[str]]] = field(default_factory=dict)
 
     def tests(self, module: str, line: int, end: int) -> list[str]:
-        """Return the tests that run one of these lines, the quickest first."""
+        """Return the tests that run one of these lines, in the order of `quickest`."""
         known = self.lines.get(module, {})
         found = {test for k in range(line, end + 1) for test in known.get(k, [])}
         return self.of_module(module) if IMPORT in found else self.quickest(found)
@@ -46,8 +46,16 @@ class Covering:
         return [*self.quickest(found), *self.quickest(set(self.seconds) - found)]
 
     def quickest(self, tests: set[str]) -> list[str]:
-        """Return tests in the order of the time that they take."""
-        return sorted(tests, key=lambda test: (self.seconds.get(test, 0.0), test))
+        """Return tests in the order of the time that they take.
+
+        The k-th case of a test counts k times, for it likely sees no more than the others.
+        """
+        cases: Counter[str] = Counter()
+        weights = {}
+        for test in sorted(tests, key=lambda test: (self.seconds.get(test, 0.0), test)):
+            cases[name := test.split("[")[0]] += 1
+            weights[test] = self.seconds.get(test, 0.0) * cases[name]
+        return sorted(weights, key=lambda test: (weights[test], test))
 
     def write(self, path: Path) -> None:
         """Write it as JSON."""

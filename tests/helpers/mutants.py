@@ -1,8 +1,9 @@
 """Mutants of modules, and the tests that kill them: `python tests/helpers/mutants.py MODULE …`.
 
 Each mutant is one small change of one module (see mutations.py), in a copy of the package.  Of
-the tests of the module's room, those that run the changed line are run, the quickest first, until
-one fails (killed) or all pass (survived: the tests do not see it, or there is nothing to see).
+the tests of the module's room, those that run the changed line are run, the quickest first and
+further cases of the same later, until one fails (killed) or all pass (survived: the tests do not
+see it, or there is nothing to see).
 Where none runs the line, it is "not run", which is no better.  Options: --table FILE.csv, --sample
 N (so many of each module, at random by --seed), --seconds of a mutant's tests, --budget (seconds
 of tests without a mutant, of which the others are left out), --tests (these instead of the
@@ -54,7 +55,9 @@ TESTS: dict[str, list[str]] = {
     ],
     "kernels/judge": [
         "kernels/test_judged_state.py", "kernels/test_judged_velocities.py",
-        "kernels/test_judge.py", "forces/test_refused_forces.py",
+        "kernels/test_judge.py", "kernels/test_allowances.py", "kernels/test_judged_forces.py",
+        "kernels/test_sizes_of_terms.py", "kernels/test_other_numbers.py",
+        "forces/test_refused_forces.py",
     ],
     "reduction": [
         "reduction", "kernels/test_limbs.py", "simulation/test_varied_inertias.py",

@@ -26,17 +26,21 @@ METHODS: tuple[Method, ...] = (
     DOP853(1e-8, 1e-10),
     Tsit5(1e-6, 1e-8),
     RKMK4(0.01),
-    *(Gauss(0.01, order) for order in (2, 4, 6, 8, 10, 16)),
-    *(Gauss(0.01, order, "Newton") for order in (2, 6, 16)),
+    *(Gauss(0.01, order) for order in (6, 16)),
+    Gauss(0.01, 6, "Newton"),
     AdaptiveGauss(1e-8, 1e-10),
     Radau(1e-6, 1e-8),
     Variational(0.01),
 )
+FURTHER = [
+    pytest.param(Gauss(0.01, order, *solver), marks=pytest.mark.by_hand)
+    for order, *solver in ((2,), (4,), (8,), (10,), (2, "Newton"), (16, "Newton"))
+]
 ROBOTS = ("rigid_body", "cartpole", "coupled_planar", "elroys_beanie", "falling_cat")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", METHODS, ids=str)
+@pytest.mark.parametrize("method", [*METHODS, *FURTHER], ids=str)
 def test_rows_are_enough(method: Method, monkeypatch: pytest.MonkeyPatch) -> None:
     """Marks behind the rows survive steps, reports between them, and states asked for later."""
     made: list[Array] = []

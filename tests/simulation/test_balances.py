@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -9,10 +12,11 @@ from forced_trees import tree
 from scipy.integrate import cumulative_simpson
 
 import pinred
+from pinred.common.arrays import Array
 from pinred.forces import Controller, Damper, Spring, Torque, Wrench
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Fourier, Hold
-from pinred.simulation.balances import EnergyBalance, MomentumBalance
+from pinred.simulation.balances import EnergyBalance, MomentumBalance, _integral
 
 G = np.array([0.5, 0.0, -3.0])  # of tree("SE3", …)
 
@@ -124,3 +128,33 @@ def test_residuals_are_what_does_not_add_up() -> None:
     assert found.residual.tolist() == [[0.0, 0.0], [1.0, 1.0]]
     for values in (energy.work, energy.energy, found.momentum, found.impulse):
         assert not values.flags.writeable
+
+
+@pytest.mark.parametrize("last", [0.0, 0.2, 0.3, 1.7, 2.5])
+def test_integrals_over_steps(last: float) -> None:
+    """Of polynomials of degree 7 that jump at every knot: exact at all times, in what is needed."""
+    knots, seen = np.array([0.0, 0.3, 1.0, 2.5]), []
+    rng = np.random.default_rng(0)
+    pieces = [[np.polynomial.Polynomial(rng.normal(size=8)) for _ in range(2)] for _ in range(3)]
+
+    class Steps:
+        """A motion of three steps."""
+
+    def integrand(t: Array) -> Array:
+        seen.append(t)
+        step = np.searchsorted(knots, t) - 1
+        return np.array([[p(s) for p in pieces[k]] for s, k in zip(t, step, strict=True)])
+
+    motion: Any = Steps()
+    motion.knots = knots
+    times = np.array([s for s in (0.0, 0.1, 0.3, 0.7, 1.0, 1.7, 2.5) if s <= last])
+    times = np.unique(np.append(times, last))
+    found = _integral(motion, times, integrand)
+    for time, row in zip(times, found, strict=True):
+        whole = np.zeros(2)
+        for k, (first, end) in enumerate(pairwise(knots)):
+            until = min(max(time, first), end)
+            whole += [p.integ()(until) - p.integ()(first) for p in pieces[k]]
+        assert row == pytest.approx(whole, rel=1e-12, abs=1e-12)
+    needed = knots[max(1, int(np.searchsorted(knots, last)))]
+    assert np.concatenate(seen).max() < needed

@@ -82,8 +82,12 @@ def test_slow_states_are_compared_in_their_own_size() -> None:
 
 def test_rest_drifts_by_nothing() -> None:
     """Without energy there is no unit of momenta, and no change of them."""
-    found = audit(held(speed=0.0))
+    state = held(speed=0.0)
+    found = audit(state)
     assert found.momentum == found.energy == 0.0
+    momenta = state.body_momentum.copy()
+    momenta[1, 2] = 1e-3  # where nothing moves, in kg m/s
+    assert audit(replace(state, body_momentum=momenta)).fields == pytest.approx(1e-3)
 
 
 @pytest.mark.parametrize("part", [1e-9, 0.3])
@@ -163,6 +167,16 @@ def test_work_of_wrenches_is_what_energy_is_a_part_of() -> None:
     assert audit(state, work).energies == pytest.approx([0.0, -5.0, 0.0])
 
 
+@pytest.mark.parametrize("impulse", [None, np.zeros((3, 6))])
+def test_work_is_counted_from_the_first_state(impulse: Array | None) -> None:
+    """What had been done before that is no drift, and none of what energy is a part of."""
+    state = held()
+    work = measures(state)[3] * np.array([3.0, 3.5, 3.0])
+    scene = pinred.Scene(system=tree(), seed=0)
+    found = FullState(scene).audit(state, work, impulse)
+    assert found.energies == pytest.approx([0.0, -0.5, 0.0])
+
+
 @pytest.mark.parametrize(
     "name", ["pose", "xi", "xdot", "body_momentum", "spatial_momentum", "energy"]
 )
@@ -179,6 +193,19 @@ def test_each_field_is_compared(name: str) -> None:
         values[1] += change
         found = audit(replace(state, **{name: values})).fields
         assert found == pytest.approx(seen, rel=1e-3, nan_ok=True)
+
+
+def test_small_angles_are_compared_in_radians() -> None:
+    """Of two hinges that hardly turn, 1e-5 rad are 1e-5."""
+    model = pin.Model()
+    for i, joint in enumerate((pin.JointModelRZ(), pin.JointModelRX())):
+        at = model.addJoint(i, joint, pin.SE3.Identity(), f"hinge{i}")
+        model.appendBodyToJoint(at, pin.Inertia.FromSphere(1.0, 0.2), pin.SE3(1))
+    model.gravity.setZero()
+    traj = pinred.simulate(pinred.load(model), x0=[0.02], xdot0=[0.01], xi0=[0.0], times=[0.0, 0.1])
+    wrong = replace(traj.states, pose=traj.states.pose + 1e-5)
+    found = FullState(traj.scene).audit(wrong, np.zeros(2), None).fields
+    assert found == pytest.approx(1e-5, rel=1e-6)
 
 
 def pushed() -> pinred.Trajectory:

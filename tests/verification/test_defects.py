@@ -178,7 +178,7 @@ def test_round_off_is_told_by_one_evaluation_in_eight(monkeypatch: pytest.Monkey
     monkeypatch.setattr(FullState, "rate", counted)
     traj = cat(RTOL)
     stretches = 2 * (len(traj.motion.knots) - 1)
-    defects(traj, FullState(traj.scene))
+    defects(traj, FullState(traj.scene), led=False)
     of_bodies = [t for t, world in times if not world]
     assert len(of_bodies) == 8 * stretches
     assert [t for t, world in times if world] == of_bodies[::8]
@@ -255,6 +255,37 @@ def test_what_a_spin_from_rest_carries() -> None:
     assert found.carried.max() == pytest.approx(JUMP / 0.02, rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("method", "far"), [("Tsit5", 0.3), ("DOP853", 1.0), ("AdaptiveGauss", 0.3)]
+)
+def test_what_parts_of_a_step_hide_from_each_other(method: str, far: float) -> None:
+    """A beanie on a spring, x = x₀ cos ωt: what steps are off by is what is carried.
+
+    The residual of Tsit5's states between the ends of steps adds up to nothing there.  Those of
+    DOP853 are a radian of the spring long, which a slope in each half cannot follow more closely.
+    """
+    system = pinred.load("elroys_beanie")
+    traj = pinred.simulate(
+        system, duration=2.0, x0=[1.0], springs={"beanie": (30.0, 0.0)}, rtol=1e-6, atol=1e-6,
+        method=method,
+    )  # fmt: skip
+    knots, full = traj.motion.knots, FullState(traj.scene)
+    y, found = module.full_states(traj, full, knots), defects(traj, full)
+    inertia = pin.crba(system.model, pin.Data(system.model), system.q(y[0, :1], y[0, 1:2]))
+    inertia = np.triu(inertia) + np.triu(inertia, 1).T
+    share = inertia[0, 1] / inertia[0, 0]
+    omega = np.sqrt(30.0 / (inertia[1, 1] - share * inertia[0, 1]))
+    x, v, step = y[:-1, 1], y[:-1, 3], np.diff(knots)
+    c, s = np.cos(omega * step), np.sin(omega * step)
+    off = np.column_stack([y[1:, 1] - (c * x + s / omega * v), y[1:, 3] - (c * v - omega * s * x)])
+    own = module._sizes(traj, full)[1]
+    expected = np.abs(np.column_stack([off, share * off]) / own[[1, 3, 0, 2]])
+    assert found.carried == pytest.approx(expected.max(axis=1), rel=far, abs=1e-12)
+    if method == "Tsit5":
+        assert found.worst < 1e-12 < 1e-9 < expected.max()
+        assert defects(traj, full, led=False).carried.max() < 1e-12
+
+
 def test_steps_that_are_judged() -> None:
     """All up to 200, and of more as many at random."""
     fine = pinred.DOP853(max_step=END / 230)
@@ -275,7 +306,7 @@ def test_kinks_of_forces_stand_out(monkeypatch: pytest.MonkeyPatch, kinks: bool)
     acting = [pinred.forces.Torque(lambda _t, x, *_: 0.1 * casadi.fabs(x))] if kinks else []
     steps = np.array([2.0, 2.0, 2.0, 19.8, 20.2])
 
-    def made(*_: object) -> Defects:
+    def made(*_: object, **__: object) -> Defects:
         return Defects(steps, steps, np.ones(5, dtype=bool), steps, steps, 0.0)
 
     monkeypatch.setattr(module, "_defects", made)

@@ -33,11 +33,12 @@ def test_a_right_motion_does_not_fail(seed: int) -> None:
         305311,
         330803,
         331983,
+        333656,
         pytest.param(305596, marks=pytest.mark.by_hand),
     ],
 )
 def test_what_was_called_wrong_once(seed: int) -> None:
-    """Spheres of a millimetre on a lever, almost singular; wrenches on what falls or turns."""
+    """Small spheres on a lever, wrenches on what falls or turns, a stiff spring by Tsit5."""
     assert judged(seed).verdict == "PASSED"
 
 

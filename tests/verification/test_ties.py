@@ -164,7 +164,10 @@ def test_a_kick_leaves_followers_on_their_leaders() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["panda", "baxter", "pr2", "talos_full", "tiago_pro"])
+@pytest.mark.parametrize("name", [
+    "panda", "baxter", "tiago_pro",
+    *(pytest.param(name, marks=pytest.mark.by_hand) for name in ("pr2", "talos_full")),
+])  # fmt: skip
 def test_robots_with_grippers(name: str) -> None:
     """As they are in example-robot-data; both engines, and the judge."""
     pytest.importorskip("example_robot_data")

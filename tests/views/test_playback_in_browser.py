@@ -36,6 +36,9 @@ ROBOTS: dict[str, dict[str, Any]] = {
 }
 
 
+OTHERS = [pytest.param(name, marks=BY_HAND) for name in ROBOTS if name != "falling_cat"]
+
+
 def show(screen: Browser, url: str) -> None:
     """Open a page and wait until it plays."""
     screen.open(url, **SIZE)
@@ -105,7 +108,7 @@ def test_the_checks_can_fail(screen: Browser, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*list(ROBOTS)[:3], pytest.param("talos", marks=BY_HAND)])
+@pytest.mark.parametrize("name", ["falling_cat", *OTHERS])
 def test_saved_page(screen: Browser, tmp_path: Path, name: str) -> None:
     """It opens from disk, is not blank, plays by itself, says nothing, asks nobody."""
     traj = pinred.simulate(pinred.load(name), **ROBOTS[name])
