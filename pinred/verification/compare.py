@@ -163,12 +163,11 @@ def _ends(
     steps = np.searchsorted(knots, times, side="left")
     # Between the ends of steps is what the method makes of it, of an order less than the steps.
     # A defect beyond what passes is a failure, and excuses none.
-    mean = float(missed.steps.mean()) if missed.steps.size else 0.0
-    within = float(missed.inside.max(initial=0.0))
-    parts = min(1.0, DEFECT * tolerance / (mean or 1.0))
-    parts_within = min(1.0, BETWEEN * tolerance / (within or 1.0))
-    carried = parts * float(missed.carried.mean()) if missed.steps.size else 0.0
-    carried_within = parts_within * float(missed.carried_inside.max(initial=0.0))
+    mean, within = float(missed.steps.mean()), float(missed.inside.max())
+    most, most_within = DEFECT * tolerance, BETWEEN * tolerance
+    parts, parts_within = most / max(mean, most), most_within / max(within, most_within)
+    carried = parts * float(missed.carried.mean())
+    carried_within = parts_within * float(missed.carried_inside.max())
     local = steps * carried + np.where(steps > 0, carried_within, 0.0) + _ROUND_OFF * (steps + 1)
     local += missed.blurred * times  # the reference is led by it, and so may both references be
     floor = _RESOLVED + np.maximum.accumulate(between)

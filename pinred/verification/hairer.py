@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from math import ceil
 
 import numpy as np
 from scipy.integrate import ode
@@ -66,7 +65,7 @@ class Hairer:
 
         Raises what the vector field raises, and KeyboardInterrupt.
         """
-        self._begin(t)
+        self._begin()
         with held_interrupt() as self._stopped, warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # its failures are the caller's to tell
             y = self._solver.integrate(t)
@@ -75,12 +74,10 @@ class Hairer:
         self._learn()
         return y if self._solver.successful() and np.isfinite(y).all() else None
 
-    def _begin(self, t: float) -> None:
-        """Set the first of the steps to a time, which are to be of one length."""
-        span = t - self.t
-        steps = ceil(span / self._passed) if self._passed else 0
-        first = span / steps if steps else 0.0  # zero: as the loop guesses it
-        self._solver.set_integrator(self._method, **self._options, first_step=first)
+    def _begin(self) -> None:
+        """Begin with a step as long as those that pass; at first, as the loop guesses it (0)."""
+        options = {**self._options, "first_step": self._passed}
+        self._solver.set_integrator(self._method, **options)
         self._solver.set_solout(self._after_a_step)
         self._evaluations, self._ends = 0, []
 
@@ -99,15 +96,14 @@ class Hairer:
 
     def _kept(self, t: float, y: Array) -> Array:
         """Return dy/dt; zero, with which any step succeeds, once the run is to stop."""
-        if self._raised is not None or self._stopped():
-            return np.zeros_like(y)
-        self._evaluations += 1
-        try:
-            rate = self._rate(t, y)
-            return np.where(np.abs(rate) < self._least, 0.0, rate)
-        except BaseException as error:  # whatever it is, it is raised again outside
-            self._raised = error
-            return np.zeros_like(y)
+        rate = np.zeros_like(y)
+        if self._raised is None and not self._stopped():
+            self._evaluations += 1
+            try:
+                rate = self._rate(t, y)
+            except BaseException as error:  # whatever it is, it is raised again outside
+                self._raised = error
+        return np.where(np.abs(rate) < self._least, 0.0, rate)
 
     def _after_a_step(self, t: float, _y: Array) -> int:
         self._ends.append(t)

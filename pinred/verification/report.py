@@ -133,9 +133,9 @@ class Report:
 
     def __repr__(self) -> str:
         """Return one line."""
-        worst, (value, bound) = max(
-            self.checks.items(), key=lambda check: check[1][0] / max(check[1][1], 1e-300)
-        )
+        values, bounds = np.array(list(self.checks.values())).T
+        k = _worst(values, bounds)
+        worst, value, bound = list(self.checks)[k], values[k], bounds[k]
         told = f": {self.reasons[0]}" if self.verdict is Verdict.CANNOT_TELL else ""
         return (
             f"<Report of {self.robot}, {self.duration:g} s: {self.verdict}{told}; "
@@ -189,9 +189,14 @@ class Report:
 
 
 def _closest(errors: Array, bounds: Array) -> tuple[float, float]:
-    """Return the error and the bound of which it is the largest part; what is no number wins."""
+    """Return the error and the bound of which it is the largest part; zeros if there is none."""
     if not errors.size:
         return 0.0, 0.0
-    parts = np.divide(errors, bounds, out=np.where(errors > 0.0, np.inf, 0.0), where=bounds > 0.0)
-    k = int(np.argmax(np.where(np.isfinite(errors), parts, np.inf)))
+    k = _worst(errors, bounds)
     return float(errors.ravel()[k]), float(bounds.ravel()[k])
+
+
+def _worst(errors: Array, bounds: Array) -> int:
+    """Return where the error is the largest part of its bound; what is no number wins."""
+    parts = np.divide(errors, bounds, out=np.where(errors > 0.0, np.inf, 0.0), where=bounds > 0.0)
+    return int(np.argmax(np.where(np.isfinite(errors), parts, np.inf)))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -55,7 +57,9 @@ class Spy:
 def test_references_are_tighter_and_of_two_orders(monkeypatch: pytest.MonkeyPatch) -> None:
     """A hundred times, by two methods, and the kicked one as tight as they are."""
     spy = Spy(monkeypatch)
-    pinred.compare(cat())
+    began = time.perf_counter()
+    report = pinred.compare(cat())
+    assert 0.0 < report.wall_full < time.perf_counter() - began
     assert spy.runs[0] == ("dop853", RTOL, ATOL)  # that whose time is taken
     assert sorted(name for name, *_ in spy.runs[1:]) == ["dop853", "dop853", "dopri5"]
     for _, rtol, atol in spy.runs[1:]:
@@ -138,6 +142,7 @@ def test_nothing_is_judged_after_what_can_be_told(monkeypatch: pytest.MonkeyPatc
     assert report.reference_bound == pytest.approx(700.0 * TOLERANCE)
     assert report.reference_error < 1e-9
     assert report.verdict is Verdict.CANNOT_TELL
+    assert f"say something until t = {report.t[50]:g} s only" in report.reasons[0]
 
 
 @pytest.mark.parametrize(("steps", "most"), [(1e-9, 1e-9), (1e-4, 3.0 * TOLERANCE)])
@@ -226,16 +231,28 @@ def test_why_nothing_is_told(
     report = with_defects(monkeypatch, 0.0, 1.0, growth)
     assert report.told <= told
     assert why in report.reasons[0]
+    assert "until t = 0 s only" in report.reasons[0]
 
 
-def test_a_motion_without_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No defect is no error: what is left is round-off."""
-    none = np.empty(0)
-    made = Defects(none, none, np.empty(0, dtype=bool), none, none, 0.0)
-    monkeypatch.setattr(judge, "defects", lambda *_: made)
-    report = pinred.compare(cat())
-    assert report.defect == 0.0
-    assert report.rotation_bounds[-1] < 1e-3 * TOLERANCE * report.growth[-1]
+def test_ends_of_a_motion_without_defects() -> None:
+    """Round-off of steps, of ABA and of the references is left; once apart, these stay so.
+
+    Growth stretches that of steps and of ABA, and a place far away has round-off of its own.
+    """
+    knots = np.arange(1025.0) / 1024.0
+    traj: Any = SimpleNamespace(motion=SimpleNamespace(knots=knots))
+    times, steps = np.array([0.0, 0.25, 0.5 + 1e-9, 1.0]), np.array([0, 256, 513, 1024])
+    growth, between = np.array([1.0, 2.0, 3.0, 50.0]), np.array([0.0, 4e-13, 1e-13, 2e-13])
+    none = np.zeros(3)
+    made = Defects(none, none, np.ones(3, dtype=bool), none, none, 3e-13)
+    size = Size(joints=np.array([2.0, 5.0]), position=3.0, away=7e3)
+    ends = judge._ends(traj, times, growth, made, between, size, TOLERANCE)
+    apart = np.array([0.0, 4e-13, 4e-13, 4e-13])
+    expected = 10.0 * (growth * (1e-15 * (steps + 1) + 3e-13 * times) + 1e-13 + apart)
+    assert ends.bound.rotation == pytest.approx(expected, rel=1e-9, abs=0.0)
+    assert ends.bound.joints == pytest.approx(np.outer(expected, [2.0, 5.0]), rel=1e-9, abs=0.0)
+    assert ends.bound.position == pytest.approx(3.0 * expected + 7e-11, rel=1e-9, abs=0.0)
+    assert (ends.mean, ends.told, ends.reasons) == (0.0, 4, ())
 
 
 def test_equations_are_judged_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:

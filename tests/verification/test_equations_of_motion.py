@@ -12,7 +12,7 @@ import pytest
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.simulation.accelerations import Accelerations
+from pinred.simulation.accelerations import Accelerations, accelerations
 from pinred.verification import equations_of_motion
 from pinred.verification.equations_of_motion import equation_errors
 from pinred.verification.full_state import FullState
@@ -133,6 +133,23 @@ def test_a_drive_follows_its_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found[:, 1] == pytest.approx(H[:, 1, 1] * (2e-3 - 1e-4) / sums[:, 1], rel=1e-8)
     left = np.abs(H @ OFF) - 10.0 * np.abs(H) @ spread
     assert found[:, 0] == pytest.approx(left[:, 0] / sums[:, 0], rel=1e-8)
+
+
+def test_each_drive_has_a_row_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It gives whatever force an error elsewhere takes; the rows of all others show that."""
+    system = pinred.load("planar_chain5")
+    r, names = system.r, system.shape_names
+    plan = {names[k]: pinred.signals.Expression(f"{0.2 * k} + 0.3*sin(2*t)") for k in (1, 3)}
+    traj = pinred.simulate(system, prescribed=plan, xi0=[0.3, 0.1, 0.5], duration=0.5)
+
+    def off(*of: Any) -> Accelerations:
+        found = accelerations(*of)
+        return replace(found, a=found.a + 1e-3 * (np.arange(r + system.m) == r - 1))
+
+    monkeypatch.setattr(equations_of_motion, "accelerations", off)
+    found = equation_errors(traj, FullState(traj.scene), TIMES).max(axis=0)
+    assert found[[r + 1, r + 3]] == pytest.approx(0.0, abs=1e-9)
+    assert (np.delete(found, [r + 1, r + 3]) > 1e-6).all()
 
 
 def test_forces_that_are_hardly_numbers(monkeypatch: pytest.MonkeyPatch) -> None:

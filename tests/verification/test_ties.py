@@ -68,6 +68,48 @@ def test_accelerations_in_gravity(alone: bool) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize(("driven", "seed"), [([0], 0), ([2, 0], 1), ([1, 2], 2), ([], 3)])
+def test_accelerations_of_driven_joints(driven: list[int], seed: int) -> None:
+    """Those that are given, followers with them; Gᵀ of the whole tree for all others."""
+    case = make_case("SE3", 7, seed, heavy=True)
+    system, rng, G, r = case.system, case.rng, case.whole, case.system.r
+    ties, model, data = Ties(system), system.model, system.model.createData()
+    q = system.model_q(system.group.exp(rng.normal(size=r)), rng.uniform(-2, 2, system.m))
+    v, tau, given = G @ rng.normal(size=system.n), rng.normal(size=model.nv), rng.normal(size=3)
+    upper = pin.crba(model, data, q)
+    H = G.T @ (np.triu(upper) + np.triu(upper, 1).T) @ G
+    held = r + np.array(driven, dtype=int)
+    free = np.setdiff1d(np.arange(system.n), held)
+    a = np.zeros(system.n)
+    a[held] = given[: len(driven)]
+    right = G.T @ (tau - pin.nonLinearEffects(model, data, q, v)) - H @ a
+    a[free] = np.linalg.solve(H[np.ix_(free, free)], right[free])
+    found = ties.acceleration(q, v, tau, ties.leads[driven].tolist(), given[: len(driven)])
+    np.testing.assert_allclose(found, G @ a, rtol=1e-8, atol=1e-8)
+
+
+def test_accelerations_of_a_tree_that_is_singular_without_its_ties(tmp_path: Path) -> None:
+    """A leader without mass moves that of its follower: one system with multipliers, not ABA."""
+    system = pinred.load(write(tmp_path, MASSLESS))
+    ties, model, data = Ties(system), system.model, system.model.createData()
+    (coupling,) = system.couplings
+    joints = list(model.names)[2:]
+    G = np.delete(np.eye(model.nv), system.r + joints.index(coupling.follower), axis=1)
+    leader = system.r + joints.index(coupling.leader)
+    column = int(np.flatnonzero(G[leader])[0])
+    G[system.r + joints.index(coupling.follower), column] = coupling.ratio
+    rng = np.random.default_rng(0)
+    q = system.model_q(system.group.exp(rng.normal(size=system.r)), rng.uniform(-1, 1, system.m))
+    v, tau = G @ rng.normal(size=G.shape[1]), rng.normal(size=model.nv)
+    upper = pin.crba(model, data, q)
+    H = np.triu(upper) + np.triu(upper, 1).T
+    assert np.linalg.cond(H) > 1e12 > 1e8 * np.linalg.cond(G.T @ H @ G)
+    bias = pin.nonLinearEffects(model, data, q, v)
+    expected = G @ np.linalg.solve(G.T @ H @ G, G.T @ (tau - bias))
+    found = ties.acceleration(q, v, tau)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("group", "seed"), [("SE3", 0), ("SE2", 4), ("SO3", 5), ("SO2", 8)])
 def test_compare_passes(group: str, seed: int) -> None:
