@@ -23,6 +23,7 @@ Springs: TypeAlias = Mapping[str, tuple[float, float]]
 
 _SAMPLES = 8  # random configurations at which an invariance is tried
 _ROUND_OFF = 4e-16  # of the largest entry of a rotation
+_LEVEL = 1e-12  # of a place times gravity: less is round-off
 _TOLERANCE = 1e-10  # of weight times size, the torque that counts as none
 
 
@@ -123,14 +124,24 @@ class Potential:
 
 
 def pivot_weight(system: System) -> Array:
-    """Return m g in the root joint's fixed frame, (3,), if it turns a pivoted base, else zero."""
+    """Return m g in the root joint's fixed frame, (3,), if it turns a pivoted base, else zero.
+
+    A robot that is balanced on a pivot above or below the world's origin counts as turned, by no
+    moment: only so its height, which has an energy, follows gravity and mass where these vary.
+    """
     return system.workspace(pivot_weight, lambda: read_only(_pivot_weight(system)))
 
 
 def _pivot_weight(system: System) -> Array:
-    if system.group.is_pivot and broken_by_gravity(system):
+    if system.group.is_pivot and (broken_by_gravity(system) or _is_lifted(system)):
         return np.asarray(system.mass * system.model.jointPlacements[1].rotation.T @ system.gravity)
     return np.zeros(3)
+
+
+def _is_lifted(system: System) -> bool:
+    place, gravity = system.model.jointPlacements[1].translation, system.gravity
+    size = float(np.linalg.norm(place) * np.linalg.norm(gravity))
+    return abs(float(place @ gravity)) > _LEVEL * size
 
 
 def broken_by_gravity(system: System) -> str:

@@ -114,17 +114,19 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
 def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalance:
     """Return the momentum balance of a motion at the times of some states."""
     system, forces = plan.system, plan.forces
-    model, data = system.model, system.data
-    axes = axes_of(model.joints[1])
-    placement, weight = model.jointPlacements[1], system.mass * system.gravity
+    axes, weight = axes_of(system.model.joints[1]), system.mass * system.gravity
+    # About the root's place, from which arms are counted, not the world's origin: a robot that is
+    # balanced there has none, and no round-off of one.
+    model, rotation = system.model.copy(), system.model.jointPlacements[1].rotation
+    model.jointPlacements[1].translation = np.zeros(3)
+    data = model.createData()
 
     def impulses(t: Array) -> Array:
         full = with_base(motion.states(t), system.name)
         out = np.empty((len(t), system.r))
         for k, q in enumerate(full.q):
-            arm = pin.centerOfMass(model, data, q) - placement.translation
-            parts = np.append(weight, np.cross(arm, weight)).reshape(2, 3)
-            out[k] = axes.T @ (parts @ placement.rotation).ravel()
+            parts = np.append(weight, np.cross(pin.centerOfMass(model, data, q), weight))
+            out[k] = axes.T @ (parts.reshape(2, 3) @ rotation).ravel()
         if forces is not None and plan.acting.wrench:
             body = [
                 forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers, s.base).wrench

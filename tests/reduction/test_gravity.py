@@ -224,3 +224,28 @@ def test_a_pivot_at_the_centre_of_mass_does_not_feel_gravity(outputs: Any) -> No
         assert pinred.compare(pinred.simulate(heavy, seed=1, duration=1.0)).passed
     readable = pinred.simulate(heavy, seed=1, duration=1.0, outputs=outputs, engine="pinocchio")
     np.testing.assert_allclose(readable.outputs.energy, with_it.outputs.energy, rtol=1e-6)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_robot_balanced_on_a_pivot_in_the_air(engine: Any) -> None:
+    """It moves as without gravity, and the energy of its height is −m g·p."""
+    place, weight = np.array([0.3, -0.4, 1.2]), np.array([0.5, 0.3, -9.0])
+    systems = []
+    for gravity in (np.zeros(3), weight):
+        model = pin.Model()
+        model.addJoint(0, pin.JointModelSpherical(), pin.SE3(pin.exp3(place), place), "bearing")
+        body = pin.Inertia(4.0, np.zeros(3), np.diag([0.2, 0.3, 0.4]))
+        model.appendBodyToJoint(1, body, pin.SE3.Identity())
+        wheel = model.addJoint(1, pin.JointModelRX(), pin.SE3.Identity(), "wheel")
+        model.appendBodyToJoint(wheel, pin.Inertia.FromSphere(1.0, 0.2), pin.SE3.Identity())
+        model.gravity.linear = gravity
+        systems.append(pinred.load(model))
+    options: Any = {"seed": 1, "duration": 1.0, "engine": engine}
+    light, heavy = (pinred.simulate(system, **options) for system in systems)
+    np.testing.assert_allclose(heavy.q, light.q, atol=1e-7)
+    np.testing.assert_allclose(heavy.energy, light.energy - 5.0 * place @ weight, rtol=1e-7)
+    assert np.abs(heavy.momentum_balance.impulse).max() == 0.0
+    assert pinred.compare(heavy).passed
+    half = pinred.simulate(systems[1], parameters={"gravity": 0.5 * weight}, **options)
+    np.testing.assert_allclose(half.energy, light.energy - 2.5 * place @ weight, rtol=1e-7)
+    assert pinred.compare(half).passed

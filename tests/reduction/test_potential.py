@@ -106,10 +106,12 @@ def test_no_shape_has_no_potential() -> None:
     assert Potential(system, weight=False).direction is None
 
 
-def pivot(lever: float, gravity: Array, turn: Array) -> pinred.System:
+def pivot(
+    lever: float, gravity: Array, turn: Array, at: tuple[float, ...] = (3.0, -4.0, 5.0)
+) -> pinred.System:
     """Return a body of 2 kg on a pivot that is turned, and a wheel of 1 kg on it."""
     model = pin.Model()
-    place = pin.SE3(pin.exp3(turn), np.array([3.0, -4.0, 5.0]))
+    place = pin.SE3(pin.exp3(turn), np.array(at))
     root = model.addJoint(0, pin.JointModelSpherical(), place, "pivot")
     body = pin.Inertia(2.0, np.array([lever, 0.0, 0.0]), np.diag([0.2, 0.3, 0.4]))
     model.appendBodyToJoint(root, body, pin.SE3.Identity())
@@ -123,7 +125,8 @@ def test_weights_of_pivots() -> None:
     """The weight in the root's frame, where it turns the base; that is all that acts then."""
     gravity, turn = np.array([1.0, -2.0, 3.0]), np.array([0.3, 0.2, -0.5])
     back = pin.exp3(turn).T
-    heavy, light = pivot(0.3, gravity, turn), pivot(0.0, gravity, turn)
+    heavy, light = pivot(0.3, gravity, turn), pivot(0.0, gravity, turn, (2.0, 4.0, 2.0))
+    assert gravity @ [2.0, 4.0, 2.0] == 0.0
     assert pivot_weight(heavy) == pytest.approx(3.0 * back @ gravity)
     assert acting_gravity(heavy) == pytest.approx(back @ gravity)
     assert "world's x, y, z axes" in broken_by_gravity(heavy)
@@ -131,6 +134,9 @@ def test_weights_of_pivots() -> None:
     assert pivot_weight(light).tolist() == acting_gravity(light).tolist() == [0.0] * 3
     assert broken_by_gravity(light) == ""
     assert shape_gravity(light).is_zero
+    lifted = pivot(0.0, gravity, turn)  # turned by no moment, so that its height has an energy
+    assert pivot_weight(lifted) == pytest.approx(3.0 * back @ gravity)
+    assert broken_by_gravity(lifted) == ""
     hinge, _, acting = hung("SO2")
     assert pivot_weight(hinge).tolist() == [0.0] * 3
     root = hinge.model.jointPlacements[1].rotation
