@@ -185,8 +185,8 @@ def _stretches(traj: Trajectory, which: Indices) -> tuple[Array, Array, Indices]
     share = np.concatenate([np.arange(n) for n in parts]) / np.repeat(parts, parts)
     later = np.concatenate([np.arange(1, n + 1) for n in parts]) / np.repeat(parts, parts)
     start, end = np.repeat(knots[which], parts), np.repeat(knots[which + 1], parts)
-    # With a share of 1 it is the end of the step to the last bit, for no time is negative.
-    a, b = start + share * (end - start), start + later * (end - start)
+    # The ends of the steps themselves, to the last bit: no state is known after the last.
+    a, b = start + share * (end - start), np.where(later < 1.0, start + later * (end - start), end)
     return a, b, np.concatenate([[0], np.cumsum(parts)[:-1]])
 
 

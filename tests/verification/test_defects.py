@@ -93,6 +93,16 @@ def test_parts_of_steps_end_where_steps_do() -> None:
     assert (b[first] == a[first + 1]).all()
 
 
+def test_no_part_ends_after_the_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A begin plus what is left until the end may be more than the end, by round-off."""
+    start, end = 0.001, 0.009
+    assert start + (end - start) > end
+    traj = pinred.simulate(pinred.load("rigid_body"), duration=end, xi0=[0.1, 0.2, 0.3])
+    monkeypatch.setattr(type(traj.motion), "knots", np.array([0.0, start, end]))
+    assert module._stretches(traj, np.arange(2))[1][-1] == end
+    assert np.isfinite(defects(traj, FullState(traj.scene)).worst)
+
+
 def test_halves_are_enough_where_nothing_turns() -> None:
     """However long a step is."""
     cart = pinred.load("cartpole", gravity=np.zeros(3))
