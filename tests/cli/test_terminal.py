@@ -32,7 +32,7 @@ def run(
         ("inspect", "falling_cat"),
         ("compare", "falling_cat", "--time", "0.1"),
         ("run", SCENE, "--check", "--explain"),
-        pytest.param(("run", SCENE, "--compare"), marks=pytest.mark.slow),
+        pytest.param(("run", SCENE, "--compare"), marks=pytest.mark.by_hand),
         ("robots",),
         ("run", "--schema"),
         pytest.param(("stress", "--only", "units"), marks=pytest.mark.by_hand),
@@ -46,8 +46,11 @@ def test_commands_on_an_ascii_terminal(words: tuple[str, ...]) -> None:
     assert b"Traceback" not in done.stderr
 
 
+OTHERS = [pytest.param(name, marks=pytest.mark.by_hand) for name in COMMANDS if name != "gait"]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["", *COMMANDS])
+@pytest.mark.parametrize("command", ["", "gait", *OTHERS])
 def test_help_on_an_ascii_terminal(command: str) -> None:
     """Each page is the one of a terminal that can do more, but for single letters."""
     words = [command, "--help"] if command else ["--help"]

@@ -299,7 +299,7 @@ def test_names_are_only_names(screen: Browser, tmp_path: Path) -> None:
     assert complaints(screen) == []
 
 
-@pytest.mark.slow
+@BY_HAND
 def test_films(screen: Browser, tmp_path: Path) -> None:
     """Frames, gif and mp4: as many pictures as were asked for, of that size, that move."""
     del screen  # one is started for each film; this only skips where there is none
