@@ -12,7 +12,7 @@ from ..common.errors import SymmetryError
 from ..reduction.at_a_shape import ReducedShape, Reduction
 from ..reduction.casimirs import casimirs
 from ..reduction.cyclic_joints import cyclic_joints
-from ..reduction.potential import pivot_weight
+from ..reduction.potential import broken_by_gravity, pivot_weight
 from ..scene.passive import passive_left_out
 from ..scene.scene import Scene
 from ..simulation.explain import skipped
@@ -164,7 +164,8 @@ def _symmetries(system: System, cyclic: tuple[str, ...], broken: str) -> list[st
     if broken:
         return [broken]
     kept = system.group.conserved
-    if pivot_weight(system).any():  # what is left of SO(3) is turning about the vertical
+    # What is left of SO(3) is turning about the vertical, unless the robot is balanced.
+    if pivot_weight(system).any() and broken_by_gravity(system):
         kept = "angular momentum about the direction of gravity through the pivot"
     lines = [f"{system.group.name}: conserves {kept}"]
     if cyclic:
