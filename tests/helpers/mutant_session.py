@@ -130,12 +130,14 @@ class MutantSession:
         changed = self._changed(module, mutant)
         if changed is None:
             return None
-        while failed := self._forked(partial(self._run, module, changed, tests), self._seconds):
+        while tests and (
+            failed := self._forked(partial(self._run, module, changed, tests), self._seconds)
+        ):
             if self._passes_without(module, failed):
                 self.killed(module, failed)
                 return f"killed by {failed}"
             tests = [test for test in tests if test != failed]
-        return "survived"
+        return "survived" if tests else "not run"  # those that fail without it tell nothing
 
     def _passes_without(self, module: str, test: str) -> bool:
         """Whether a test passes with all compiled anew, as for a mutant, but nothing changed."""
