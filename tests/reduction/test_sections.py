@@ -128,6 +128,27 @@ def test_slopes_in_another_section(case: Case) -> None:
     assert relative(across, there[:r, r:], size) < 1e-13
 
 
+@settings(max_examples=15)
+@given(cases(1, 5))
+def test_slope_of_the_centre_of_mass_in_another_section(case: Case) -> None:
+    """∂c′ by differences of c, which Pinocchio puts there, taken back through h."""
+    system, h, root = case.system, wavy(case), case.system.model.jointPlacements[1]
+
+    def com(x: Array) -> Array:
+        q = system.model_q(h(x)[0], x)  # the robot moved by h stands where its own frame says
+        pin.forwardKinematics(system.model, system.data, q)
+        body = system.data.oMi[1].copy()
+        own = system.model_q(system.group.identity(), x)
+        place = root.actInv(pin.centerOfMass(system.model, system.data, own))
+        return np.array(root.actInv(body).actInv(place))
+
+    steps = 1e-6 * np.eye(system.m)
+    slope = np.array([(com(case.x + e) - com(case.x - e)) / 2e-6 for e in steps]).T
+    found = pinred.Reduction(system).change_section(h)
+    assert found.at(case.x).com == pytest.approx(com(case.x), abs=1e-12)
+    assert relative(found.com_slope(case.x), slope) < 1e-7
+
+
 @settings(max_examples=30)
 @given(cases(1, 5), st.booleans())
 def test_motion_does_not_see_the_section(case: Case, heavy: bool) -> None:
