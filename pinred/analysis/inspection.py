@@ -12,7 +12,7 @@ from ..common.errors import SymmetryError
 from ..reduction.at_a_shape import ReducedShape, Reduction
 from ..reduction.casimirs import casimirs
 from ..reduction.cyclic_joints import cyclic_joints
-from ..reduction.potential import broken_by_gravity, pivot_weight
+from ..reduction.potential import broken_by_gravity
 from ..scene.passive import passive_left_out
 from ..scene.scene import Scene
 from ..simulation.explain import skipped
@@ -165,7 +165,7 @@ def _symmetries(system: System, cyclic: tuple[str, ...], broken: str) -> list[st
         return [broken]
     kept = system.group.conserved
     # What is left of SO(3) is turning about the vertical, unless the robot is balanced.
-    if pivot_weight(system).any() and broken_by_gravity(system):
+    if system.group.is_pivot and broken_by_gravity(system):
         kept = "angular momentum about the direction of gravity through the pivot"
     lines = [f"{system.group.name}: conserves {kept}"]
     if cyclic:

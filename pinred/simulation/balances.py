@@ -117,9 +117,9 @@ def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalan
     axes, weight = axes_of(system.model.joints[1]), system.mass * system.gravity
     # About the root's place, from which arms are counted, not the world's origin: a robot that is
     # balanced there has none, and no round-off of one.
-    model, rotation = system.model.copy(), system.model.jointPlacements[1].rotation
+    model, data = system.model.copy(), system.data
+    rotation = model.jointPlacements[1].rotation.copy()
     model.jointPlacements[1].translation = np.zeros(3)
-    data = model.createData()
 
     def impulses(t: Array) -> Array:
         full = with_base(motion.states(t), system.name)

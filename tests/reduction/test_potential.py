@@ -144,6 +144,13 @@ def test_weights_of_pivots() -> None:
     assert not shape_gravity(hinge).is_zero
 
 
+@pytest.mark.parametrize(("part", "lifted"), [(0.9e-12, False), (1.1e-12, True), (-1.1e-12, True)])
+def test_what_counts_as_lifted(part: float, lifted: bool) -> None:
+    """A height of 1e-12 of the distance from the world's origin, above or below it."""
+    system = pivot(0.0, np.array([0.0, 0.0, -9.0]), np.zeros(3), (2.0, 0.0, 2.0 * part))
+    assert pivot_weight(system).any() == lifted
+
+
 @pytest.mark.parametrize(("part", "kept"), [(3e-16, False), (6e-16, True)])
 def test_round_off_of_a_rotation(part: float, kept: bool) -> None:
     """Entries of the acting gravity below 4e-16 of it are none."""
