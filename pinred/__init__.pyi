@@ -77,6 +77,8 @@ from .integrators.methods import Gauss as Gauss
 from .integrators.methods import Radau as Radau
 from .integrators.methods import Tsit5 as Tsit5
 from .integrators.methods import Variational as Variational
+from .judge.compare import compare as compare
+from .judge.report import Report as Report
 from .kernels.casadi_functions import casadi_functions as casadi_functions
 from .planning.gait_files.gait_keys import gait_schema as gait_schema
 from .planning.gait_files.load_gait import GaitFile as GaitFile
@@ -112,8 +114,6 @@ from .system.system import Configuration as Configuration
 from .system.system import InitialState as InitialState
 from .system.system import System as System
 from .system.system import Velocity as Velocity
-from .verification.compare import compare as compare
-from .verification.report import Report as Report
 from .views.motions import play as play
 from .views.motions import plot as plot
 from .views.motions import save_film as save_film

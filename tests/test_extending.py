@@ -15,8 +15,8 @@ import pytest
 
 import pinred
 from pinred.forces import Torque
+from pinred.laboratory.bench.solvers import SOLVERS
 from pinred.lie import GROUPS
-from pinred.verification.bench.solvers import SOLVERS
 
 ROOT = Path(__file__).parents[1]
 BEFORE = """

@@ -9,7 +9,7 @@ from commands import python
 
 import pinred
 
-FACES = ("pinred", "pinred.forces", "pinred.verification.bench", "pinred.views.plots")
+FACES = ("pinred", "pinred.forces", "pinred.laboratory.bench", "pinred.views.plots")
 
 
 @pytest.mark.parametrize("face", FACES)
@@ -33,7 +33,7 @@ def test_type_checkers_know_the_names() -> None:
 def test_a_function_is_not_hidden_by_its_module() -> None:
     """Functions stay functions, in any order of imports."""
     code = (
-        "import pinred.verification.compare, pinred.simulation.simulate\n"
+        "import pinred.judge.compare, pinred.simulation.simulate\n"
         "import pinred.simulation.simulate_many, pinred.system.load, pinred\n"
         "names = ('compare', 'simulate', 'simulate_many', 'load', 'inspect', 'plot', 'play')\n"
         "print(all(callable(getattr(pinred, name)) for name in names))"

@@ -17,7 +17,7 @@ import pinred
 from pinred import DOP853, RKMK4, Gauss, Radau, plots
 from pinred.forces import Damper
 from pinred.integrators.methods import EqualSteps, ErrorControl
-from pinred.verification.bench import Point, WorkPrecision
+from pinred.laboratory.bench import Point, WorkPrecision
 
 drawing = find_spec("matplotlib") is not None  # figures need the extra `plots`
 cat = pinred.load("falling_cat")

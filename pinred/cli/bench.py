@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _kernels(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
-    from ..verification.bench.kernel_timing import KernelTiming, bench_kernels
+    from ..laboratory.bench.kernel_timing import KernelTiming, bench_kernels
 
     timings = bench_kernels(options.robots, progress=True)
     print(KernelTiming.header())
@@ -67,7 +67,7 @@ def _kernels(options: argparse.Namespace) -> int:
 
 def _forces(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
-    from ..verification.bench.forces_in_space import ForcesTiming, bench_forces
+    from ..laboratory.bench.forces_in_space import ForcesTiming, bench_forces
 
     timings = bench_forces(options.robots, progress=True)
     print(ForcesTiming.header())
@@ -84,7 +84,7 @@ def _accuracy(options: argparse.Namespace) -> int:
 
 def _evaluations(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
-    from ..verification.bench.evaluations import ERRORS, FEW_SCENES, bench_evaluations
+    from ..laboratory.bench.evaluations import ERRORS, FEW_SCENES, bench_evaluations
 
     found = bench_evaluations(options.scenes or FEW_SCENES, progress=True)
     print("\n\n".join(map(str, found)))
@@ -100,7 +100,7 @@ def _evaluations(options: argparse.Namespace) -> int:
 
 def _flow(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
-    from ..verification.bench.flow_timing import FlowTiming, bench_flow
+    from ..laboratory.bench.flow_timing import FlowTiming, bench_flow
 
     timings = bench_flow(options.robots, progress=True)
     print(FlowTiming.header())
@@ -112,7 +112,7 @@ def _flow(options: argparse.Namespace) -> int:
 
 def _scaling(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
-    from ..verification.bench.scaling import bench_scaling
+    from ..laboratory.bench.scaling import bench_scaling
 
     found = bench_scaling(progress=True)
     print("\n\n".join(map(str, found)))
@@ -128,7 +128,7 @@ def _scaling(options: argparse.Namespace) -> int:
 
 def _floquet(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
-    from ..verification.bench.floquet import ROUTES, bench_floquet
+    from ..laboratory.bench.floquet import ROUTES, bench_floquet
 
     found = bench_floquet(progress=True)
     print("\n\n".join(map(str, found)))
@@ -143,7 +143,7 @@ def _floquet(options: argparse.Namespace) -> int:
 
 def _many(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
-    from ..verification.bench.many import bench_many
+    from ..laboratory.bench.many import bench_many
 
     found = bench_many(options.scenes or None, members=options.members, progress=True)
     print("\n\n".join(map(str, found)))
@@ -158,8 +158,8 @@ def _many(options: argparse.Namespace) -> int:
 
 def _threads(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
+    from ..laboratory.bench.threads import bench_threads
     from ..system.load import load
-    from ..verification.bench.threads import bench_threads
 
     system = load(options.robot, gravity=(0.0, 0.0, 0.0))
     found = bench_threads(system, members=options.members, progress=True)

@@ -16,10 +16,10 @@ from ..common.progress import ProgressBar
 _LOOKED_AT = 1e-8  # error at which the fastest method of each tool is drawn
 
 if TYPE_CHECKING:
-    from ..verification.bench.accuracy import Effort
-    from ..verification.bench.problems import Problem
-    from ..verification.bench.solver import Solver
-    from ..verification.bench.work_precision import WorkPrecision
+    from ..laboratory.bench.accuracy import Effort
+    from ..laboratory.bench.problems import Problem
+    from ..laboratory.bench.solver import Solver
+    from ..laboratory.bench.work_precision import WorkPrecision
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -37,9 +37,9 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace, folder: Path | None) -> int:
     """Measure what is missing in the folder, print it, and write it."""
-    from ..verification.bench.accuracy import DEFAULT, FULL, QUICK
-    from ..verification.bench.scenes import SCENES, problems_named
-    from ..verification.bench.solvers import ALL_SOLVERS, SOLVERS, solvers_named
+    from ..laboratory.bench.accuracy import DEFAULT, FULL, QUICK
+    from ..laboratory.bench.scenes import SCENES, problems_named
+    from ..laboratory.bench.solvers import ALL_SOLVERS, SOLVERS, solvers_named
 
     if options.list:
         print("scenes:", ", ".join(SCENES))
@@ -66,10 +66,10 @@ def _measure(
     folder: Path | None,
 ) -> None:
     from ..common.files import write_atomic
-    from ..verification.bench.accuracy import YARDSTICK, bench_problem, run_name
-    from ..verification.bench.overview import overview
-    from ..verification.bench.record import NAME, read_record, write_record
-    from ..verification.bench.solvers import solvers_named
+    from ..laboratory.bench.accuracy import YARDSTICK, bench_problem, run_name
+    from ..laboratory.bench.overview import overview
+    from ..laboratory.bench.record import NAME, read_record, write_record
+    from ..laboratory.bench.solvers import solvers_named
 
     asked = effort.name
     if tolerances is not None:
@@ -124,8 +124,8 @@ def _draw(folder: Path, results: Sequence[WorkPrecision]) -> None:
 def _write_equal_error(folder: Path, results: Sequence[WorkPrecision]) -> None:
     """Write times and ratios at equal error, which follow from the points."""
     from ..common.files import write_table
-    from ..verification.bench.accuracy import YARDSTICK
-    from ..verification.bench.work_precision import ERRORS
+    from ..laboratory.bench.accuracy import YARDSTICK
+    from ..laboratory.bench.work_precision import ERRORS
 
     columns = ["run", "problem", "error", "method", "wall", "times_pinred", "reference_error"]
     rows: list[dict[str, object]] = [

@@ -26,8 +26,8 @@ def run(options: argparse.Namespace) -> int:
 
 def judged(traj: Trajectory) -> int:
     """Print the comparison of a motion with full ABA.  Returns 0, 1 or 3, as `run` does."""
-    from ..verification.compare import compare
-    from ..verification.report import EXIT_CODES
+    from ..judge.compare import compare
+    from ..judge.report import EXIT_CODES
 
     report = compare(traj, progress=True)
     print(report)

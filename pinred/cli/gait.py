@@ -53,8 +53,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print the best loop and its certificate.  Returns 0, or the verdict of --compare."""
     from ..common.files import DATA, FIGURES, check_path
+    from ..judge.report import EXIT_CODES
     from ..planning.optimisation.optimise import optimise_gait
-    from ..verification.report import EXIT_CODES
 
     path = None if options.out is None else check_path(options.out, (*DATA, *FIGURES))
     options.gait = options.circle = None

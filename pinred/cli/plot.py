@@ -132,7 +132,7 @@ def _source(options: argparse.Namespace, kinds: list[str]) -> Any:
         return _motion_of_robot(options)
     refuse_of_robots(options, source, "time", "seed", "group", "root", "parameter")
     if suffix == ".csv":
-        from ..verification.bench.record import read_record
+        from ..laboratory.bench.record import read_record
 
         return read_record(Path(source))
     return motion_in(source, options.robot)

@@ -36,8 +36,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print the plan.  Returns 0, or the verdict of --compare."""
     from ..common.files import DATA, FIGURES, check_path
+    from ..judge.report import EXIT_CODES
     from ..planning.reorientation.reorient import reorient
-    from ..verification.report import EXIT_CODES
 
     path = None if options.out is None else check_path(options.out, (*DATA, *FIGURES))
     system, asked = _asked(options)

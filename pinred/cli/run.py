@@ -108,7 +108,7 @@ def _title(scene: Scene) -> str:
 
 
 def _balances(traj: Trajectory) -> list[tuple[str, str]]:
-    from ..verification.full_state import FullState
+    from ..judge.full_state import FullState
 
     energy, momentum = traj.energy_balance, traj.momentum_balance
     audit = FullState(traj.scene).audit(traj.states, energy.work.sum(axis=1), momentum.impulse)

@@ -10,7 +10,7 @@ import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ..verification.stress.check import Check
+    from ..laboratory.stress.check import Check
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -23,8 +23,8 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command.  Returns 0, or 1 if a check fails."""
-    from ..verification.stress.check import Trial
-    from ..verification.stress.suite import chosen, run_checks, table
+    from ..laboratory.stress.check import Trial
+    from ..laboratory.stress.suite import chosen, run_checks, table
 
     checks = chosen(options.only.split(",") if options.only else ())
     trial = Trial(effort="full" if options.full else "usual")

@@ -1,4 +1,4 @@
 """Motions to look at: figures, playback in a browser, films.
 
-Imports `simulation`, `analysis`, `verification` and what lies below them.
+Imports `simulation`, `analysis`, `judge`, `planning` and the packages below them.
 """

@@ -16,7 +16,7 @@ from interruptions import BEGINS, SOON, interrupted
 
 from pinred.common.arrays import Array
 from pinred.common.interrupts import held_interrupt
-from pinred.verification.hairer import Hairer
+from pinred.judge.hairer import Hairer
 
 
 def check(at: float) -> None:

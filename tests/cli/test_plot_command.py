@@ -14,7 +14,7 @@ from pictures import measured
 
 import pinred
 from pinred import plots
-from pinred.verification.bench import write_record
+from pinred.laboratory.bench import write_record
 
 SCENE = """robot = "elroys_beanie"
 [start]

@@ -13,10 +13,10 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import Command, Controller, SeenState
+from pinred.judge.full_state import FullState
+from pinred.judge.measurements import measurement_error
 from pinred.scene.scene import ENGINES, Engine
 from pinred.simulation.trajectory import Trajectory
-from pinred.verification.full_state import FullState
-from pinred.verification.measurements import measurement_error
 
 BEANIE = pinred.load("elroys_beanie")
 WHEELS = ("wheel_x", "wheel_y", "wheel_z")

@@ -4,7 +4,7 @@ Every motion is right, so no verdict may be FAILED, unless the motion is less ac
 asked to be: where a light joint or a thin axis turns a small error of momenta into a large one of
 rates, steps miss the tolerance, and that is what the judge is for.  Such a motion gets better with
 the tolerance, and is counted apart.  The short form is part of the suite
-(tests/verification/test_false_alarms.py).
+(tests/judge/test_false_alarms.py).
 """
 
 from __future__ import annotations

@@ -45,12 +45,12 @@ from mutations import Mutant, mutants
 ROOT = Path(__file__).parents[2]
 # The tests that most likely kill a mutant.
 TESTS: dict[str, list[str]] = {
-    "verification": [
-        "verification/test_audit.py", "verification/test_compare.py",
-        "verification/test_bounds_of_compare.py", "verification/test_bounds_of_ends.py",
-        "verification/test_ties.py", "verification/test_defects.py",
-        "verification/test_distances.py", "verification/test_equations_of_motion.py",
-        "verification/test_weights.py", "simulation/test_balances.py",
+    "judge": [
+        "judge/test_audit.py", "judge/test_compare.py",
+        "judge/test_bounds_of_compare.py", "judge/test_bounds_of_ends.py",
+        "judge/test_ties.py", "judge/test_defects.py",
+        "judge/test_distances.py", "judge/test_equations_of_motion.py",
+        "judge/test_weights.py", "simulation/test_balances.py",
         "views/test_notebook_cards.py",
     ],
     "kernels/judge": [
@@ -106,8 +106,8 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_memory.py", "integrators/test_radau.py",
     ],
     "simulation": [
-        "simulation/test_balances.py", "verification/test_audit.py", "forces/test_forces.py",
-        "verification/test_bounds_of_compare.py", "verification/test_small_faults.py",
+        "simulation/test_balances.py", "judge/test_audit.py", "forces/test_forces.py",
+        "judge/test_bounds_of_compare.py", "judge/test_small_faults.py",
         "views/test_notebook_cards.py",
     ],
 }  # fmt: skip
@@ -266,7 +266,7 @@ class Row:
 def main(arguments: list[str]) -> int:
     """Run the mutants of modules; return how many survived, at most 1."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("modules", nargs="+", help="such as verification/compare.py")
+    parser.add_argument("modules", nargs="+", help="such as judge/compare.py")
     parser.add_argument("--table", type=Path)
     parser.add_argument("--sample", type=int)
     parser.add_argument("--seed", type=int, default=0)

@@ -8,8 +8,8 @@ import numpy as np
 
 import pinred
 from pinred.integrators.methods import Method
-from pinred.verification.distances import FullMotion
-from pinred.verification.full_state import FullState
+from pinred.judge.distances import FullMotion
+from pinred.judge.full_state import FullState
 
 # With the time over which a motion is smooth enough for its steps to be in the asymptotic range.
 ROBOTS = {

@@ -24,7 +24,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 import pinred
 from pinred import plots
 from pinred.common.arrays import Array
-from pinred.verification.bench import Point, WorkPrecision
+from pinred.laboratory.bench import Point, WorkPrecision
 
 FOLDER = Path(__file__).parent / "baselines"
 DPI = 50

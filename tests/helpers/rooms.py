@@ -13,7 +13,7 @@ PACKAGE = ROOT / "pinred"
 # From the ground up: a room imports from those before it, and from itself.
 ROOMS = (
     *("common", "lie", "system", "reduction", "forces", "integrators", "kernels", "scene"),
-    *("simulation", "analysis", "verification", "planning", "views", "cli"),
+    *("simulation", "analysis", "judge", "planning", "views", "laboratory", "cli"),
 )
 DOCUMENT = ROOT / "docs/architecture.md"
 START, END = "<!-- rooms: written by tests/helpers/rooms.py -->\n", "<!-- end of rooms -->\n"

@@ -27,7 +27,7 @@ import numpy as np
 import pinred
 from pinred.cli.main import main
 from pinred.integrators.methods import METHODS, options_of
-from pinred.verification.bench import SOLVERS
+from pinred.laboratory.bench import SOLVERS
 
 cat, BS3 = pinred.load("falling_cat"), METHODS["BS3"]
 errors = []

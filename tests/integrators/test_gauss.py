@@ -23,6 +23,8 @@ from pinred.integrators.gauss.tables import tables
 from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.stepping import run_record
+from pinred.judge.distances import FullMotion
+from pinred.judge.full_state import FullState
 from pinred.kernels import derived
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.machine.native import NativeCode, compile_object, load_object
@@ -30,8 +32,6 @@ from pinred.kernels.tangent import tangent_of
 from pinred.kernels.wide_rate import wide_rate
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
-from pinred.verification.distances import FullMotion
-from pinred.verification.full_state import FullState
 
 ORDERS = (2, 4, 6, 8)
 

@@ -34,14 +34,14 @@ from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.stepping import run_record
 from pinred.integrators.stepping.linear_systems import factor, factor_complex, solve, solve_complex
+from pinred.judge.distances import FullMotion
+from pinred.judge.full_state import FullState
 from pinred.kernels import tangent
 from pinred.kernels.machine import native
 from pinred.kernels.tangent import jacobian_of, tangent_of
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
-from pinred.verification.distances import FullMotion
-from pinred.verification.full_state import FullState
 
 
 def _pol(y: Any, p: Any, d: Any) -> None:

@@ -23,12 +23,12 @@ from pinred.integrators import integrate as drive
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.stepping import run_record
+from pinred.judge.distances import FullMotion
+from pinred.judge.full_state import FullState
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of
 from pinred.system.system import System
-from pinred.verification.distances import FullMotion
-from pinred.verification.full_state import FullState
 
 ROOT = Path(__file__).parents[2]
 STIFFNESS, REST = 3.0, 0.2

@@ -15,12 +15,12 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.forces import PD, Damper, PotentialEnergy, Spring, Torque, Wrench
 from pinred.forces.force import Force
+from pinred.judge.full_state import FullState
 from pinred.reduction.cyclic_joints import cyclic_of
 from pinred.signals import Expression, Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.pinocchio.readable_flow import ReducedFlow
 from pinred.simulation.plan import plan_of
-from pinred.verification.full_state import FullState
 
 
 def sizes(scene: pinred.Scene) -> tuple[int, int]:

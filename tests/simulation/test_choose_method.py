@@ -12,12 +12,12 @@ from trees import limbed_model
 import pinred
 from pinred import DOP853, AdaptiveGauss, Gauss, Radau
 from pinred.forces import PD, Controller, Damper, Limit, Spring, Torque
+from pinred.judge.distances import FullMotion
+from pinred.judge.full_state import FullState
 from pinred.signals import Hold
 from pinred.simulation.choose_method import Choice
 from pinred.simulation.plan import plan_of
 from pinred.simulation.stiffness import rates_near_rest
-from pinred.verification.distances import FullMotion
-from pinred.verification.full_state import FullState
 
 
 def scene(system: pinred.System, **options: Any) -> pinred.Scene:

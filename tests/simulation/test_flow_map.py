@@ -14,10 +14,10 @@ import pinred
 from pinred import InputError, Parameter
 from pinred.forces import Controller, Torque, Wrench
 from pinred.integrators.derivatives import run_along
+from pinred.laboratory.bench.flow_adjoints import beside_cvodes
 from pinred.signals import Fourier, Hold, Spline
 from pinred.simulation.flow_map import prepared
 from pinred.simulation.flow_map.flow import Flow
-from pinred.verification.bench.flow_adjoints import beside_cvodes
 
 ROWS = ["x", "xdot", "pose", "xi", "body_momentum", "spatial_momentum", "energy"]
 METHODS = ["DOP853", "Tsit5", "AdaptiveGauss", "Gauss(0.01)"]

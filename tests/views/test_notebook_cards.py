@@ -15,8 +15,8 @@ from trees import random_model
 import pinred
 from pinred.common import html as html_parts
 from pinred.forces import Damper, PotentialEnergy
+from pinred.laboratory.bench import Point, WorkPrecision
 from pinred.signals import Constant
-from pinred.verification.bench import Point, WorkPrecision
 
 NASTY = "<script>alert('x')</script>&amp;\"<b>"
 TAGS = {

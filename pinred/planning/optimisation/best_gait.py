@@ -10,12 +10,12 @@ import numpy as np
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.phase import Phase
 from ...common.errors import InputError
+from ...judge.compare import compare
+from ...judge.report import Report
 from ...lie.group import PoseError
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
-from ...verification.compare import compare
-from ...verification.report import Report
 from .aims import Along, Reach
 from .costs import ABOUT, DEGREES
 from .optimum import Optimum

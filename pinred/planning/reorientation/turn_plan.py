@@ -11,11 +11,11 @@ import numpy as np
 from ...analysis.gaits.coefficients import rest_to_rest
 from ...analysis.gaits.gait import Gait
 from ...common.arrays import Array, freeze
+from ...judge.compare import compare
+from ...judge.report import Report
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
-from ...verification.compare import compare
-from ...verification.report import Report
 from ..optimisation.aims import Reach
 
 TOLERANCES = (1e-12, 1e-14)  # of the simulation of a plan: relative, absolute

@@ -13,11 +13,11 @@ import pinocchio as pin
 
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
+from ...judge.full_state import FullState
 from ...simulation.recording import Recording
 from ...simulation.state import State
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
-from ...verification.full_state import FullState
 from ..motion_source import MotionSource
 from .momentum_arrow import Momentum, conserved_momentum
 from .view import View

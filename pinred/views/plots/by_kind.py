@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from ...analysis.connections.connection import Connection
     from ...analysis.gaits.gait import Gait
     from ...analysis.phases.phase import Phase
+    from ...judge.report import Report
     from ...planning.optimisation.best_gait import BestGait
     from ...planning.reorientation.turn_plan import TurnPlan
     from ...simulation.trajectory import Trajectory
-    from ...verification.bench.work_precision import WorkPrecision
-    from ...verification.report import Report
     from ..motion_source import MotionSource
     from .connection_field import Part
     from .curvature_field import Source
     from .shape_plane import Limits
+    from .work_against_error import MeasuredWork
 
 
 @overload
@@ -86,7 +86,7 @@ def plot(
 
 @overload
 def plot(
-    source: WorkPrecision | Sequence[WorkPrecision],
+    source: MeasuredWork | Sequence[MeasuredWork],
     kind: Literal["work_precision"],
     *,
     against: Literal["wall", "evaluations"] = "wall",

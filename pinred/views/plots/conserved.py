@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ...common.arrays import Array
+from ...judge.compare import DRIFT, audited
 from ...lie.groups import group_named
 from ...simulation.trajectory import Trajectory
-from ...verification.compare import DRIFT, audited
 from ..motion_source import MotionSource
 from .motion_labels import labels
 from .style import legend, line, on_log, over_time, steady, styled

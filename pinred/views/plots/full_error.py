@@ -7,10 +7,10 @@ from matplotlib.figure import Figure
 
 from ...common.arrays import Array
 from ...common.errors import InputError
+from ...judge.compare import compare
+from ...judge.report import Report
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
-from ...verification.compare import compare
-from ...verification.report import Report
 from .style import legend, line, on_log, over_time, styled
 
 

@@ -1,0 +1,71 @@
+"""Momentum swept through zero: the kernel without momentum and that with it have to join."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...common.arrays import Array
+from ...judge.distances import FullMotion
+from ...scene.scene import Scene
+from ...system.load import load
+from .check import Case, Cases, Check, Trial, tolerance
+from .full_truth import truth_of
+
+_RTOL = 1e-10
+_DIRECTION = {
+    "falling_cat": np.array([0.0, 0.0, 0.0, 0.6, -0.64, 0.48]),
+    "planar_chain5": np.array([0.0, 0.0, 1.0]),
+    "elroys_beanie": np.array([1.0]),
+    "double_spherical_pendulum": np.array([1.0]),
+}
+
+
+def _cases(trial: Trial) -> Cases:
+    for name in trial.pick(("falling_cat",), tuple(_DIRECTION)):
+        system, along = load(name), _DIRECTION[name]
+        assert system.initial is not None
+        options: dict[str, Any] = {
+            "x0": system.initial.x,
+            "xdot0": system.initial.xdot,
+            "times": np.array([1.0]),
+            **tolerance(_RTOL),
+        }
+        # Both signs of 1e-16 … 1e3, and zero, in one sweep.
+        most = trial.pick(2, 3)
+        sizes = 10.0 ** np.arange(-16, most + 1)
+        sweep = np.concatenate([-sizes[::-1], [0.0], sizes])
+        many = trial.simulate_many(system, momentum=sweep[:, None] * along, **options)
+        ends = [many[k] for k in range(len(sweep))]
+        still = ends[len(sizes)]
+        # What a momentum of 1e-3 does, by ABA, says what a smaller one may do.
+        kick = _apart_by_aba(Scene(system=system, momentum=1e-3 * along, **options), options)
+        for k in np.flatnonzero(np.abs(sweep) <= 1e-3):
+            jump = float(np.abs(ends[k].x - still.x).max())
+            bound = 2.0 * kick * abs(sweep[k]) / 1e-3 + _RTOL
+            yield Case(f"{name}, momentum {sweep[k]:.0e}, from that at zero", jump, bound)
+        for k in np.flatnonzero(
+            np.isin(sweep, trial.pick((0.0, 1.0), (0.0, 1e-16, 1e-8, 1e-2, 1.0)))
+        ):
+            size = sweep[k]
+            scene = Scene(system=system, momentum=size * along, **options)
+            truth = truth_of(scene, scene.report_times)
+            found = FullMotion(x=ends[k].x, q=ends[k].q)
+            error = truth.full.distance(truth.motion, found).worst(truth.size)
+            yield Case(f"{name}, momentum {size:.0e}, by ABA", error, 10 * _RTOL * truth.growth)
+
+
+def _apart_by_aba(scene: Scene, options: dict[str, Any]) -> float:
+    """Return how far a motion ends from the one without momentum, by ABA."""
+    still = Scene(system=scene.system, momentum=0, **options)
+    a, b = (_end_by_aba(each) for each in (still, scene))
+    return float(np.abs(a - b).max())
+
+
+def _end_by_aba(scene: Scene) -> Array:
+    truth = truth_of(scene, scene.report_times)
+    return np.asarray(truth.motion.x[-1])
+
+
+CHECK = Check("zero_momentum", "difference of the ends; error by ABA", _cases)

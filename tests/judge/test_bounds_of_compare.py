@@ -1,0 +1,312 @@
+"""Every bound of a comparison: what it is, and that the verdict hangs on it, on each alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from tampering import offset, tampered
+from trees import random_model
+
+import pinred
+from pinred.cli.compare import judged
+from pinred.judge.distances import FullMotion
+from pinred.judge.full_state import FullState
+from pinred.judge.report import EXIT_CODES, Verdict, _closest
+from pinred.system.joints import joint_units
+
+RTOL, ATOL = 1e-8, 5e-9
+TOLERANCE = RTOL + ATOL
+
+
+@cache
+def cat() -> pinred.Trajectory:
+    """A second of the falling cat."""
+    return pinred.simulate(pinred.load("falling_cat"), duration=1.0, rtol=RTOL, atol=ATOL)
+
+
+@cache
+def passed() -> pinred.Report:
+    """Its comparison."""
+    return pinred.compare(cat())
+
+
+def test_the_line_names_the_worst() -> None:
+    """Of all checks the one that is the largest part of its bound, of bounds of zero, too."""
+    report = passed()
+    for name, bound in (("energy_drift", "drift_bound"), ("field_error", "field_bound")):
+        near = replace(report, **{name: 0.9 * getattr(report, bound)})
+        (words,) = (each for each in near.checks if near.checks[each][0] == getattr(near, name))
+        assert words in repr(near)
+        assert words not in repr(report)
+    assert "defect" in repr(replace(report, defect=1e-20, defect_bound=0.0))
+
+
+def test_the_closest_to_its_bound() -> None:
+    """Where nothing passes, any error is beyond it; where there is no joint, there is none."""
+    none = np.empty((3, 0))
+    assert _closest(none, none) == (0.0, 0.0)
+    errors, bounds = np.array([0.05, 1e-9, 2.0]), np.array([0.0, 1e-8, 4.0])
+    assert _closest(errors, bounds) == (0.05, 0.0)
+    assert _closest(errors[1:], bounds[1:]) == (2.0, 4.0)
+    assert _closest(np.zeros(2), np.array([0.0, 1.0]))[0] == 0.0
+    assert np.isnan(_closest(np.array([0.1, np.nan]), np.ones(2))[0])
+
+
+def test_what_passes() -> None:
+    """The bounds are those that docs/comparison.md states."""
+    report = passed()
+    assert report.passed
+    assert report.equations_bound == 1e-12
+    assert report.defect_bound == pytest.approx(3.0 * TOLERANCE)
+    assert report.drift_bound == pytest.approx(100.0 * TOLERANCE)
+    assert report.field_bound == 1e-9
+    assert report.reference_bound == pytest.approx(100.0 * TOLERANCE * report.growth[-1])
+    assert report.told == len(report.t)
+
+
+NUMBERS = {
+    "equations": "equations_bound",
+    "defect": "defect_bound",
+    "energy_drift": "drift_bound",
+    "momentum_drift": "drift_bound",
+    "field_error": "field_bound",
+    "reference_error": "reference_bound",
+}
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("part", [1.01, np.inf, np.nan])
+def test_each_number_alone_fails(name: str, part: float) -> None:
+    """A little above its bound, and what is not a number; just below, it passes."""
+    bound = getattr(passed(), NUMBERS[name])
+    assert replace(passed(), **{name: 0.99 * bound}).passed
+    report = replace(passed(), **{name: part * bound})
+    assert report.verdict is Verdict.FAILED
+    assert sum(not value <= most for value, most in report.checks.values()) == 1
+
+
+@pytest.mark.parametrize("kind", ["shape", "rotation", "position"])
+@pytest.mark.parametrize("part", [1.01, np.inf, np.nan])
+@pytest.mark.parametrize("when", [1, 50, -1])
+def test_each_error_alone_fails(kind: str, part: float, when: int) -> None:
+    """One entry of one joint at one time; after what can be told, it does not count."""
+    errors = getattr(passed(), f"{kind}_errors").copy()
+    bounds = getattr(passed(), f"{kind}_bounds")
+    where = (when, 1) if errors.ndim == 2 else (when,)
+    errors[where] = 0.99 * bounds[where]
+    assert replace(passed(), **{f"{kind}_errors": errors}).passed
+    errors = errors.copy()
+    errors[where] = part * bounds[where]
+    report = replace(passed(), **{f"{kind}_errors": errors})
+    assert report.verdict is Verdict.FAILED
+    told = replace(report, told=when % len(report.t), reasons=("",))
+    assert told.verdict is Verdict.CANNOT_TELL
+
+
+def test_a_kick_is_a_millionth() -> None:
+    """Of each number, of a radian, of the radius of gyration, and of what covers these."""
+    system = cat().system
+    full = FullState(cat().scene)
+    y0 = full.state(
+        np.append(np.full(3, 50.0), [0.0, 0.0, 0.0, 1.0]),
+        np.full(3, 2.0),
+        np.full(6, 0.1),
+        np.full(3, 4.0),
+    )
+    kicked = np.abs(full.kick(y0, 5.0, 1e-6) - y0) / 1e-6
+    radius = full.radius(system.q(y0[:7], y0[7:10]))
+    expected = (
+        [max(5e-4, radius)] * 3
+        + [1.0] * 4
+        + [2.0] * 3
+        + [max(0.1, 0.2 * radius)] * 3
+        + [0.2] * 3
+        + [4.0] * 3
+    )
+    assert kicked == pytest.approx(expected, rel=1e-4)
+
+
+def test_growth_is_that_of_an_unstable_motion() -> None:
+    """A beanie on a spring that pushes: a kick grows as cosh does."""
+    system = pinred.load("elroys_beanie")
+    scene = pinred.Scene(system=system, springs={"beanie": (-6.0, 0.0)}, x0=[0.0], duration=2.0)
+    full = FullState(scene)
+    y0 = full.state(scene.start.pose, scene.start.x, scene.start.xi, scene.start.xdot)
+    times = np.linspace(0.0, 2.0, 11)
+    growth = full.growth(y0, full.run(y0, times, 1e-12, 1e-14), times, 1e-12, 1e-14)
+    # x grows as cosh 3t ± sinh(3t) / 3T, where the kick of the rate has either sign.
+    most, least = (np.cosh(3 * times) + s * np.sinh(3 * times) / 6 for s in (1, -1))
+    assert (growth >= 0.99 * np.maximum(1.0, least)).all()
+    assert (growth <= 1.3 * most + 1.0).all()
+
+
+@pytest.mark.parametrize("error", [1e-300, np.nan])
+def test_a_bound_of_nothing_passes_nothing(error: float) -> None:
+    """However small, and what is no number; no error at all passes."""
+    bounds, errors = passed().rotation_bounds.copy(), passed().rotation_errors.copy()
+    bounds[5] = errors[5] = 0.0
+    assert replace(passed(), rotation_errors=errors.copy(), rotation_bounds=bounds).passed
+    errors[5] = error
+    report = replace(passed(), rotation_errors=errors, rotation_bounds=bounds)
+    assert report.verdict is Verdict.FAILED
+
+
+def test_a_hinge_does_not_hide_behind_a_wheel() -> None:
+    """Each joint is judged in units of its own motion: wheels turn by 300 rad, the panel by 1."""
+    traj = pinred.simulate(pinred.load("reaction_wheel_satellite"))
+    report = pinred.compare(traj)
+    assert report.passed, str(report)
+    assert report.shape_bounds[-1, 3] > 100.0 * report.shape_bounds[-1, 0]
+    found = pinred.compare(tampered(traj, offset("x", 0, 1e-6)))
+    value, bound = found.checks["shape error [rad | m]"]
+    assert value > bound
+    assert found.verdict is Verdict.FAILED
+
+
+@pytest.mark.parametrize("away", [1e3, 1e5])
+def test_a_jump_far_away(away: float) -> None:
+    """A base 100 km from the origin that jumps by 1e-6 m: it travels a metre, and that counts."""
+    pose0 = [away, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    traj = pinred.simulate(pinred.load("falling_cat"), duration=1.0, pose0=pose0)
+    assert pinred.compare(traj).passed
+    report = pinred.compare(tampered(traj, offset("q", 0, 1e-6)))
+    value, bound = report.checks["position error [m]"]
+    assert value == pytest.approx(1e-6, rel=1e-3)
+    assert value > bound
+
+
+def test_round_off_of_places() -> None:
+    """At a thousand kilometres, 1e-14 of them passes besides what passes of ten metres."""
+    pose0 = [1e6, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    traj = pinred.simulate(pinred.load("falling_cat"), duration=1.0, pose0=pose0)
+    report = pinred.compare(traj)
+    assert report.position_bounds - 10.0 * report.rotation_bounds == pytest.approx(1e-8, rel=0.01)
+
+
+def test_sizes_of_a_motion() -> None:
+    """Travelled, the radius of gyration, or 1e-5 of what is away from the origin; 1 rad, or |x|."""
+    full = FullState(cat().scene)
+    q = np.array(cat().q[:2])
+    q[:, :3] = [[4e6, 0.0, 0.0], [4e6, 7.0, 0.0]]
+    x = np.array([[0.5, 3.0, -9.0]] * 2)
+    assert full.size(FullMotion(x=x, q=q)).position == pytest.approx(40.0)
+    q[:, 0] = 10.0
+    size = full.size(FullMotion(x=x, q=q))
+    assert size.position == pytest.approx(7.0)
+    assert size.joints == pytest.approx([1.0, 3.0, 9.0])
+    q[1] = q[0]
+    assert full.size(FullMotion(x=x, q=q)).position == pytest.approx(full.radius(q[0]))
+
+
+def test_slides_count_by_the_size_of_the_robot() -> None:
+    """Where they move by less than that; of hinges it is a radian."""
+    system = pinred.load(random_model("SE3", 6, 2))
+    full = FullState(pinred.Scene(system=system, seed=0))
+    q = system.sorted_q(system.q(system.group.identity(), np.zeros(6)))
+    radius = full.radius(q)
+    assert {"m", "rad"} == set(system.units)
+    found = full.size(FullMotion(x=np.zeros((1, 6)), q=q[None])).joints
+    sizes = {"m": radius, "rad": 1.0}
+    assert found == pytest.approx([sizes[unit] for unit in joint_units(system.model)])
+
+
+@pytest.mark.parametrize("away", [0.0, 3.0])
+def test_places_of_small_robots(away: float) -> None:
+    """At rest, the radius of gyration of millimetres, and 1e-5 of the distance from the origin."""
+    model = random_model("SE3", 2, 0, armature=False)
+    for i in range(1, model.njoints):
+        at, body = model.jointPlacements[i], model.inertias[i]
+        model.jointPlacements[i] = pin.SE3(at.rotation, 1e-6 * at.translation)
+        model.inertias[i] = pin.Inertia(body.mass, 1e-6 * body.lever, 1e-12 * body.inertia)
+    system = pinred.load(model)
+    full = FullState(pinred.Scene(system=system, seed=0))
+    q = system.sorted_q(system.q(system.group.identity(), np.zeros(2)))
+    q[0] = away
+    size = full.size(FullMotion(x=np.zeros((1, 2)), q=q[None]))
+    assert full.radius(q) < 1e-5
+    assert size.position == pytest.approx(max(full.radius(q), 1e-5 * away))
+    assert size.away == away
+
+
+@pytest.mark.parametrize("rate", [0.0, 3e-13])
+def test_rest_cannot_be_judged(rate: float) -> None:
+    """Nothing of the equations is seen where nothing moves."""
+    traj = pinred.simulate(pinred.load("coupled_planar"), x0=[0.3], xdot0=[rate], duration=1.0)
+    report = pinred.compare(traj)
+    assert report.verdict is Verdict.CANNOT_TELL
+    assert "nothing moves" in report.reasons[0]
+
+
+def test_little_motion_is_judged() -> None:
+    """Of 5e-12 rad."""
+    traj = pinred.simulate(pinred.load("coupled_planar"), x0=[0.3], xdot0=[5e-12], duration=1.0)
+    assert not pinred.compare(traj).reasons
+
+
+@pytest.mark.parametrize(
+    ("name", "speed"),
+    [("falling_cat", 1e-160), ("falling_cat", 1e-20), ("planar_chain5", 1e-20)],
+)
+def test_hardly_any_motion_does_not_fail(name: str, speed: float) -> None:
+    """Momenta and rates whose squares are no numbers."""
+    system = pinred.load(name)
+    rng = np.random.default_rng(0)
+    traj = pinred.simulate(
+        system, x0=rng.normal(size=system.m), xdot0=speed * rng.normal(size=system.m),
+        xi0=speed * rng.normal(size=system.r), duration=1.0,
+    )  # fmt: skip
+    report = pinred.compare(traj)
+    assert report.verdict is Verdict.CANNOT_TELL, str(report)
+
+
+@pytest.mark.parametrize("speed", [1.0, 1e-3])
+@pytest.mark.parametrize("name", ["falling_cat", "planar_chain5"])
+@pytest.mark.parametrize("away", [1e6, 1e9])
+def test_far_away_does_not_fail(name: str, speed: float, away: float) -> None:
+    """A base at 1e9 m."""
+    system = pinred.load(name)
+    pose0 = np.array(system.group.identity())
+    pose0[:2] = away, -0.7 * away
+    traj = pinred.simulate(system, xdot0=speed * np.ones(system.m), xi0=speed * np.ones(system.r),
+                           x0=0.3 * np.ones(system.m), pose0=pose0, duration=1.0)  # fmt: skip
+    assert pinred.compare(traj).verdict is not Verdict.FAILED, str(pinred.compare(traj))
+
+
+@pytest.mark.slow
+def test_chaos_and_a_loose_tolerance_cannot_tell() -> None:
+    """At 1e-3, 60 s of chaos."""
+    traj = pinred.simulate(
+        pinred.load("double_spherical_pendulum"), x0=[2.0, 1.0, 2.5], xdot0=[4.0, -5.0, 6.0],
+        xi0=[3.0], duration=60.0, rtol=1e-3, atol=1e-5,
+    )  # fmt: skip
+    report = pinred.compare(traj)
+    assert report.verdict is Verdict.CANNOT_TELL, str(report)
+
+
+def test_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
+    """0 for what passes, 1 for what fails, 3 for what cannot be told."""
+    assert judged(cat()) == 0
+    assert judged(tampered(cat(), offset("x", 0, 1e-3))) == 1
+    still = pinred.simulate(pinred.load("coupled_planar"), x0=[0.3], duration=1.0)
+    assert judged(still) == 3
+    said = capsys.readouterr().out
+    assert [word for word in Verdict if f"verdict: {word}" in said] == list(Verdict)
+    assert EXIT_CODES == {"PASSED": 0, "FAILED": 1, "CANNOT TELL": 3}
+
+
+def test_a_report_is_true_and_one_line() -> None:
+    """If it passed, and only then; what comes closest to its bound is named."""
+    assert bool(passed()) is True
+    assert bool(replace(passed(), reasons=("no",))) is False
+    failed = replace(passed(), equations=1.0)
+    assert bool(failed) is False
+    assert [str(report).count("FAILED") for report in (passed(), failed)] == [0, 2]
+    for report in (passed(), failed, replace(passed(), reasons=("no reason",))):
+        assert "\n" not in repr(report)
+        assert str(report.verdict) in repr(report)
+    assert "equations of motion [relative] 1.0e+00 of 1.0e-12" in repr(failed)
+    assert "no reason" in repr(replace(passed(), reasons=("no reason",)))

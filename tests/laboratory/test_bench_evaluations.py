@@ -1,0 +1,60 @@
+"""How many evaluations an error costs: counted here again, on the full state."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from pinred.common.errors import InputError
+from pinred.judge.distances import FullMotion
+from pinred.laboratory.bench.evaluations import ERRORS, bench_evaluations
+from pinred.laboratory.bench.scenes import problems_named
+
+
+@pytest.fixture(scope="module")
+def counts() -> dict[str, tuple[float, ...]]:
+    """What errors cost on a short planar chain."""
+    parts: list[float] = []
+    (found,) = bench_evaluations(["planar-2"], progress=parts.append)
+    assert parts == [1.0]
+    lines = str(found).splitlines()
+    assert lines[0] == found.problem
+    assert lines[2].split()[1:] == [f"{n:.0f}" for n in found.counts["DOP853"]]
+    return dict(found.counts)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "kind"), [("DOP853", "DOP853"), ("Dormand–Prince 5(4)", "RK45")])
+def test_counts_are_those_on_the_full_state(
+    counts: dict[str, tuple[float, ...]], name: str, kind: str
+) -> None:
+    """The same method over Pinocchio's ABA needs about as many for the same error."""
+    (problem,), _ = problems_named(["planar-2"])
+    full, start, m, r = problem.full, problem.full_start(), problem.system.m, problem.system.r
+    truth = full.run(start, problem.times, 2e-14, 1e-16)
+    points = []
+    for tol in 10.0 ** -np.arange(2.0, 13.1, 0.5):
+        run = solve_ivp(
+            full.rate, (0.0, problem.start.duration), start, kind, rtol=max(tol, 1e-13), atol=tol
+        )
+        end = FullMotion(x=run.y[None, -2 * m - r : -m - r, -1], q=full.q(run.y[:, -1])[None])
+        points.append((problem.apart(truth, end), run.nfev))
+    for error, count in zip(ERRORS, counts[name], strict=True):
+        there = min(nfev for reached, nfev in points if reached <= error)
+        assert 1 / 1.6 < count / there < 1.6, (error, count, there)
+
+
+def test_order_decides(counts: dict[str, tuple[float, ...]]) -> None:
+    """Four digits more cost a method of order p about 10^(4/p) times as many."""
+    for name, order in (("Dormand–Prince 5(4)", 5), ("DOP853", 8), ("DOP853, a scale a kind", 8)):
+        grown = np.log10(counts[name][3] / counts[name][1])
+        assert 4 / order - 0.3 < grown < 4 / order + 0.3, name
+    best = min(row[3] for name, row in counts.items() if "sweeps" not in name)
+    assert counts["AdaptiveGauss, sweeps"][3] < best / 2
+
+
+def test_unknown_scenes_are_refused() -> None:
+    """By name."""
+    with pytest.raises(InputError, match="no_such"):
+        bench_evaluations(["no_such"])

@@ -1,0 +1,260 @@
+"""Other tools: that they are on the same physics, and that each comes to the same end."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from functools import cache
+from importlib.util import find_spec
+
+import casadi as ca
+import numpy as np
+import pytest
+from trees import random_model
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.common.errors import IntegrationError, UnsupportedOperationError
+from pinred.judge.distances import FullMotion
+from pinred.judge.full_state import FullState
+from pinred.kernels.layout import Structure
+from pinred.kernels.reduced_graph import ReducedGraph
+from pinred.laboratory.bench import SOLVERS, Problem, reference_of
+from pinred.laboratory.bench.full_field import full_field
+from pinred.laboratory.bench.peers.aba import ABA
+from pinred.laboratory.bench.peers.drake import DrakeModel
+from pinred.laboratory.bench.peers.equality import EQUAL, equality, missing_unless_equal
+from pinred.laboratory.bench.peers.euler_angles import (
+    ORDERS,
+    angles_of,
+    rotation_of,
+    spin_matrix,
+    spin_rate,
+)
+from pinred.laboratory.bench.peers.exudyn import ExudynModel
+from pinred.laboratory.bench.peers.first_principles import full_graph
+from pinred.laboratory.bench.peers.mujoco import MujocoModel
+from pinred.laboratory.bench.peers.survived import survived
+from pinred.laboratory.bench.solver import Solver
+from pinred.lie import GROUPS
+from pinred.scene.random_state import random_state
+from pinred.system.system import System
+
+needs_heyoka = pytest.mark.skipif(find_spec("heyoka") is None, reason="heyoka is not installed")
+MODELS = {"mujoco": MujocoModel, "exudyn": ExudynModel, "pydrake": DrakeModel}
+# What builds a peer is warned about by the peer itself.
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+def needs(package: str) -> None:
+    """Skip the test where a package is not installed."""
+    if find_spec(package) is None:
+        pytest.skip(f"{package} is not installed")
+
+
+@pytest.mark.parametrize("group", sorted(GROUPS))
+@pytest.mark.parametrize("package", sorted(MODELS))
+def test_models_are_pinocchio_s(package: str, group: str) -> None:
+    """Mass matrix and accelerations of random trees, with slanted axes, branches and armature."""
+    needs(package)
+    for seed in (1, 2):
+        model = random_model(group, 5, seed)
+        armature = np.zeros(model.nv)
+        armature[-3:] = 0.1, 0.2, 0.3
+        model.armature = armature
+        if group == "SE3":  # MuJoCo has free joints at the world's origin alone
+            model.jointPlacements[1].setIdentity()
+        found = equality(*pair(package, pinred.load(model)))
+        assert found.mass < 1e-12
+        assert found.acceleration < 1e-10
+
+
+def pair(package: str, system: System) -> tuple[System, MujocoModel | ExudynModel | DrakeModel]:
+    """A system and a peer's model of it."""
+    return system, MODELS[package](system)
+
+
+@pytest.mark.parametrize("group", sorted(GROUPS))
+def test_full_graph_is_pinocchio_s(group: str) -> None:
+    """The textbook's graph has the accelerations, and the judge's kinematics of the root."""
+    for seed in (1, 2):
+        model = random_model(group, 5, seed)
+        armature = np.zeros(model.nv)
+        armature[-3:] = 0.1, 0.2, 0.3
+        model.armature = armature
+        system = pinred.load(model)
+        rng = np.random.default_rng(seed)
+        pose = system.group.exp(rng.normal(size=system.r))
+        judge = FullState(pinred.Scene(system=system, seed=0))
+        y = judge.state(pose, *(rng.normal(size=k) for k in (system.m, system.r, system.m)))
+        expected = judge.rate(0.0, y)
+        found = np.array(full_graph(system)(y)).ravel()
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-10 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("package", sorted(MODELS))
+def test_a_model_that_differs_is_not_timed(package: str) -> None:
+    """A peer that has left out the armature, as one easily does, is reported."""
+    needs(package)
+    system = pinred.load("planar_chain5")
+    heavy = system.model.copy()
+    heavy.armature = np.array([0.0] * 3 + [1e-6] * 5)
+    other = pinred.load(heavy)
+    found = equality(other, MODELS[package](system))
+    assert found.mass > EQUAL
+    assert not found.holds
+    missing = missing_unless_equal(package, "It", lambda _: MODELS[package](system))
+    line = missing(Problem("p", "", other, random_state(other, 0)))
+    assert line.startswith("It is not timed: its model is not Pinocchio's; mass matrix and")
+    assert missing(Problem("p", "", system, random_state(system, 0))) == ""
+
+
+def test_what_is_not_installed_is_left_out() -> None:
+    """With a line that says how to install it."""
+    missing = missing_unless_equal("no_such_package", "It", MujocoModel)
+    system = pinred.load("cartpole")
+    line = missing(Problem("p", "", system, random_state(system, 0)))
+    assert line == 'It is left out: pip install "pinred[bench]"'
+
+
+def test_what_aborts_is_a_failure() -> None:
+    """A library that kills its process does not kill the benchmark; what raises is no matter."""
+
+    def raises() -> None:
+        raise ValueError("somebody else's")
+
+    survived(lambda: None, "It")
+    survived(raises, "It")
+    with pytest.raises(IntegrationError, match=r"It aborts \(signal 6\)"):
+        survived(os.abort, "It")
+
+
+ROBOTS = ("cartpole", "elroys_beanie", "planar_chain5", "rigid_body", "satellite_two_arms")
+
+
+@cache
+def solved(robot: str) -> tuple[Problem, FullMotion]:
+    """A robot's own problem over a short time, and where it ends."""
+    system = pinred.load(robot)
+    assert system.initial is not None
+    problem = Problem(robot, "", system, replace(system.initial, duration=0.3))
+    return problem, reference_of(problem).end
+
+
+@pytest.mark.parametrize("method", SOLVERS, ids=lambda method: method.name)
+def test_methods_come_to_the_reference(method: Solver) -> None:
+    """In every group, errors fall as claimed: by the order, or with the tolerance."""
+    expected = {"euler": 1.0, "implicitfast": 1.0, "rk4": 4.0, "rkmk4": 4.0, "rk67": 6.0}
+    expected |= {"gauss6": 6.0}
+    for robot in ROBOTS:
+        problem, truth = solved(robot)
+        if line := method.missing(problem):
+            pytest.skip(line)
+        errors = []
+        for setting in (1 / 8, 1 / 16) if method.fixed else (1e-4, 1e-10):
+            prepared = method.prepare(problem, setting)
+            end = prepared.end(prepared.run())
+            errors.append(problem.apart(truth, FullMotion(end.x[None], end.q[None])))
+            energies = [
+                problem.full.kinetic_energy(q, v) + problem.full.potential_energy(q)
+                for q, v in ((problem.q0, problem.v0), (end.q, end.v))
+            ]
+        if not method.fixed:
+            assert errors[1] < 1e-8, robot
+            assert energies[1] == pytest.approx(energies[0], rel=1e-8), robot
+            continue
+        order = expected[method.name.partition("-")[2]]
+        if method.name == "aba-rk4":  # body velocities are added as they are
+            order = 4.0 if problem.system.r == 1 else 2.0
+        assert errors[1] < max(errors[0] / 2.0 ** (order - 0.5), 1e-12), robot
+        assert energies[1] == pytest.approx(energies[0], rel=0.1), robot
+
+
+def test_weighted_body_velocities_have_order_two() -> None:
+    """Plain RK4 with pin.integrate loses its order in the base's place, though not in energy."""
+    system = pinred.load("satellite_two_arms")
+    assert system.initial is not None
+    problem = Problem("p", "", system, replace(system.initial, duration=1.0))
+    truth = reference_of(problem).end
+    orders = {}
+    for method in ABA[1:3]:
+        errors = []
+        for part in (1 / 40, 1 / 80):
+            prepared = method.prepare(problem, part)
+            end = prepared.end(prepared.run())
+            motion = FullMotion(end.x[None], end.q[None])
+            errors.append(float(problem.full.distance(truth, motion).position[0]))
+        orders[method.name] = np.log2(errors[0] / errors[1])
+    assert orders["aba-rk4"] == pytest.approx(2.0, abs=0.2)
+    assert orders["aba-rkmk4"] == pytest.approx(4.0, abs=0.4)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_euler_angles(order: tuple[int, int, int]) -> None:
+    """Angles, their rates and accelerations against small differences of rotations."""
+    rng = np.random.default_rng(sum(order))
+    angles, rates = rng.uniform(-1.4, 1.4, 3), rng.normal(size=3)
+    R = rotation_of(angles, order)
+    np.testing.assert_allclose(angles_of(R, order), angles, atol=1e-14)
+    h = 1e-5
+
+    def spin(t: float) -> Array:
+        here = angles + t * rates
+        step = rotation_of(here - h * rates, order).T @ rotation_of(here + h * rates, order)
+        return np.array([step[2, 1] - step[1, 2], step[0, 2] - step[2, 0], step[1, 0] - step[0, 1]])
+
+    np.testing.assert_allclose(spin(0.0) / (4.0 * h), spin_matrix(angles, order) @ rates, atol=1e-8)
+    change = (
+        spin_matrix(angles + h * rates, order) - spin_matrix(angles - h * rates, order)
+    ) @ rates
+    np.testing.assert_allclose(change / (2.0 * h), spin_rate(angles, rates, order), atol=1e-8)
+
+
+@pytest.mark.parametrize("group", sorted(GROUPS))
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_full_field_is_the_judge_s(group: str, seed: int) -> None:
+    """The lean vector field for SciPy is that of the judge, which is written otherwise."""
+    system = pinred.load(random_model(group, 4, seed))
+    rng = np.random.default_rng(seed)
+    pose = system.group.exp(rng.normal(size=system.r))
+    judge = FullState(pinred.Scene(system=system, seed=0))
+    y = judge.state(pose, *(rng.normal(size=k) for k in (system.m, system.r, system.m)))
+    expected = judge.rate(0.0, y)
+    np.testing.assert_allclose(
+        full_field(system)(0.0, y), expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max()
+    )
+
+
+@needs_heyoka
+@pytest.mark.parametrize("robot", ["planar_chain5", "coupled_spatial", "cartpole"])
+def test_taylor_expressions_are_the_graph(robot: str) -> None:
+    """Heyoka evaluates what CasADi does, for a plane, free space and gravity."""
+    import heyoka as hy
+
+    from pinred.laboratory.bench.taylor import taylor_expressions
+
+    system = pinred.load(robot)
+    gravity = (2,) if robot == "cartpole" else ()
+    rate = ReducedGraph(system, Structure(zero_momentum=False, gravity=gravity)).rate()
+    rng = np.random.default_rng(0)
+    y, parameters = (rng.normal(size=rate.numel_in(k)) for k in range(2))
+    pairs = taylor_expressions(rate, parameters.tolist())
+    evaluate = hy.cfunc([f for _, f in pairs], [v for v, _ in pairs])
+    expected = np.array(rate(y, parameters)).ravel()
+    np.testing.assert_allclose(evaluate(y), expected, rtol=1e-12, atol=1e-12)
+
+
+@needs_heyoka
+def test_taylor_folds_constants_and_refuses() -> None:
+    """What hangs on parameters only is a number; an unknown operation is named as such."""
+    import heyoka as hy
+
+    from pinred.laboratory.bench.taylor import taylor_expressions
+
+    y, p = ca.SX.sym("y", 2), ca.SX.sym("p", 1)
+    rate = ca.Function("f", [y, p], [ca.vertcat(ca.sin(p) / 2.0 + 1.0, y[0] * (p * p))])
+    (_, first), (_, second) = taylor_expressions(rate, [0.5])
+    assert str(first) == str(hy.expression(np.sin(0.5) / 2.0 + 1.0))
+    assert str(second) == str(0.25 * hy.expression("y0"))
+    with pytest.raises(UnsupportedOperationError, match="instruction 1 of 'g'"):
+        taylor_expressions(ca.Function("g", [y, p], [ca.fabs(y)]), [0.5])

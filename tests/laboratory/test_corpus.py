@@ -1,0 +1,236 @@
+"""The table over a corpus: what files are, what comes of them, and that its judges can fail."""
+
+from __future__ import annotations
+
+import csv
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pinocchio as pin
+import pytest
+from commands import refused, run
+from robot_texts import FLOATING, HINGE, MASS, body, joint, link, mjcf, robot
+
+import pinred
+from pinred import InputError, LoadError
+from pinred.laboratory.corpus import trial as trials
+from pinred.laboratory.corpus import worker as workers
+from pinred.laboratory.corpus.entry import Entry
+from pinred.laboratory.corpus.files import Description, find_descriptions
+from pinred.laboratory.corpus.scope import why_not_due
+from pinred.laboratory.corpus.second_reader import differences
+from pinred.laboratory.corpus.suite import Corpus, corpus
+from pinred.laboratory.corpus.trial import Wanted, tried
+from pinred.laboratory.corpus.worker import Worker
+
+QUICK = Wanted(duration=0.05)
+ARM = f'<body name="arm">{HINGE}{MASS}</body>'
+FIXED = mjcf(body(ARM))
+SWINGING = mjcf(f'<body name="arm">{HINGE}{MASS}</body>')
+LOOP = mjcf(body(ARM), "") .replace(
+    "</mujoco>", '<equality><connect body1="arm" anchor="1 0 0"/></equality></mujoco>'
+)  # fmt: skip
+TWO = mjcf(body("<freejoint/>") + body(f"<freejoint/>{ARM}", "other"))
+ROTORS = mjcf(body(f'<joint type="free" armature="1"/>{ARM}'))
+MIMIC = robot(
+    *(link(name) for name in "abc"), joint("a", "b"),
+    joint("b", "c").replace("<axis", '<mimic joint="a-b"/><axis'),
+)  # fmt: skip
+MASSLESS = robot(link("a"), link("b", 0), joint("a", "b"))
+
+# text: outcome, kind of the reason, whether it should work, what had to be chosen
+CASES = {
+    "floats": (FLOATING, "passed", "", True, ""),
+    "fixed": (FIXED, "passed", "", True, ""),
+    "swings": (SWINGING, "without gravity", "", True, ""),
+    "rotors": (ROTORS, "without gravity", "", True, ""),
+    "two": (TWO, "passed", "", True, "root=other"),
+    "loop": (LOOP, "refused", "closed loop", False, ""),
+    "mimic": (MIMIC, "passed", "", True, ""),
+    "massless": (MASSLESS, "refused", "singular everywhere", False, ""),
+    "broken": ("<robot><link", "refused", "not read", False, ""),
+}
+
+
+def written(folder: Path, text: str, name: str = "robot") -> str:
+    """Write a file and return its path."""
+    suffix = "urdf" if text.startswith("<robot") else "xml"
+    path = folder / f"{name}.{suffix}"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def described(file: str) -> Description:
+    """The description in a file."""
+    return Description(file, "urdf" if file.endswith("urdf") else "mjcf")
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_outcomes(case: str, tmp_path: Path) -> None:
+    """Each file ends as it should, and what should work is found without pinred's readers."""
+    text, outcome, about, due, choice = CASES[case]
+    entry = tried(described(written(tmp_path, text)), QUICK)
+    assert (entry.outcome, entry.about, entry.due, entry.choice) == (outcome, about, due, choice)
+    if entry.good:
+        assert entry.aba <= entry.allowed
+        assert max(entry.mass, entry.forces) < 1e-12
+        assert entry.wall > entry.simulate > 0.0
+    else:
+        assert entry.reason
+
+
+def test_a_misread_file_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mass that is off by 1e-9 passes compare, which shares the model, but not MuJoCo."""
+
+    def wrong(*arguments: Any, **options: Any) -> pinred.System:
+        model = pinred.load(*arguments, **options).model.copy()
+        last = model.inertias[model.njoints - 1]
+        heavier = pin.Inertia(last.mass * (1.0 + 1e-9), last.lever, last.inertia)
+        model.inertias[model.njoints - 1] = heavier
+        return pinred.System(model)
+
+    file = described(written(tmp_path, FLOATING))
+    monkeypatch.setattr(trials, "load", wrong)
+    entry = tried(file, QUICK)
+    assert (entry.outcome, entry.about) == ("FAILED", "MuJoCo reads it otherwise")
+    assert "mass" in entry.reason
+
+
+@pytest.mark.parametrize("what", ["gravity", "axis", "place"])
+def test_the_second_reader_sees(what: str, tmp_path: Path) -> None:
+    """Another gravity, axis or place of a joint than MuJoCo's."""
+    file = written(tmp_path, mjcf(body(f"<freejoint/>{ARM}")))
+    model = pinred.load(file).model.copy()
+    if what == "gravity":
+        model.gravity.linear *= 1.0 + 1e-6
+    elif what == "place":
+        model.jointPlacements[2].translation[0] += 1e-6
+    else:
+        model.jointPlacements[2].rotation = pin.exp3(1e-6 * model.gravity.linear)
+    found = differences(pinred.System(model), file, "mjcf", None)
+    assert max(found.places, found.mass, found.forces) > 1e-8
+    right = differences(pinred.load(file), file, "mjcf", None)
+    assert max(right.places, right.mass, right.forces) < 1e-13
+
+
+def test_a_defect_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An exception that is not pinred's is told as such, and is no refusal."""
+
+    def fails(*_: Any, **__: Any) -> None:
+        raise IndexError("oops")
+
+    monkeypatch.setattr(trials, "load", fails)
+    entry = tried(described(written(tmp_path, FLOATING)), QUICK)
+    assert (entry.outcome, entry.reason) == ("error", "IndexError: oops")
+    assert not Corpus((entry,)).passed
+
+
+def test_files_are_told_by_their_content(tmp_path: Path) -> None:
+    """URDF, MJCF, parts of them, templates, copies, and what is neither."""
+    (tmp_path / "deep").mkdir()
+    texts = {
+        "a.urdf": " \n" + FLOATING, "deep/b.xml": FLOATING.replace('name="r"', 'name="q"'),
+        "copy.urdf": " \n" + FLOATING, "c.xml": FIXED, "d.xml": "<mujocoinclude/>",
+        "e.xml": "<mujoco><include file='c.xml'/></mujoco>", "f.xml": "<launch/>",
+        "g.xacro": '<robot xmlns:xacro="x"><xacro:macro/><link name="a"/></robot>',
+        "h.xml": "<mujoco><option/></mujoco>", "i.xml": "no xml", "j.txt": FLOATING,
+    }  # fmt: skip
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    found = find_descriptions([tmp_path])
+    kinds = {Path(each.file).name: (each.kind, each.included) for each in found.descriptions}
+    assert kinds == {
+        "a.urdf": ("urdf", False), "b.xml": ("urdf", False), "c.xml": ("mjcf", True),
+        "e.xml": ("mjcf", False),
+    }  # fmt: skip
+    assert (found.fragments, found.macros, found.copies) == (2, 1, 1)
+    with pytest.raises(LoadError, match="no such folder"):
+        find_descriptions([tmp_path / "nowhere"])
+
+
+def test_included_parts_that_do_not_stand_alone(tmp_path: Path) -> None:
+    """A file for others to include that is refused by itself is counted as a part."""
+    part = written(tmp_path, "<mujoco><worldbody><body/></worldbody></mujoco>", "part")
+    entry = tried(replace(described(part), included=True), QUICK)
+    assert entry.outcome == "fragment"
+    assert "1 parts" in Corpus((entry,)).summary()
+
+
+@pytest.mark.slow
+def test_a_file_that_never_ends_stops_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its process is ended when the time is up, or has ended by itself, and a new one goes on."""
+    monkeypatch.setattr(workers, "_serve", _slow_or_dead)
+    monkeypatch.setattr(workers, "_WARM", 20.0)
+    with Worker(QUICK, 0.5) as worker:
+        assert worker.try_out(Description("dies", "urdf")).about == "crash"
+        assert worker.try_out(Description("good", "urdf")).outcome == "passed"
+        late = worker.try_out(Description("sleeps", "urdf"))
+        assert (late.outcome, late.about) == ("stopped", "time is up")
+        assert worker.try_out(Description("good", "urdf")).outcome == "passed"
+
+
+def _slow_or_dead(pipe: Any, *_: Any) -> None:
+    while True:
+        what = pipe.recv()
+        if what.file == "dies":
+            os._exit(11)
+        time.sleep(1000.0 if what.file == "sleeps" else 0.0)
+        pipe.send(Entry(what.file, what.kind, "passed"))
+
+
+@pytest.mark.slow
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It prints the table, writes a line for each as csv, and exits with 0 if nothing is wrong."""
+    for name, case in (("a", "floats"), ("b", "swings"), ("c", "loop")):
+        written(tmp_path, CASES[case][0], name)
+    out = tmp_path / "table.csv"
+    code, text, _ = run(capsys, "corpus", str(tmp_path), "--time", "0.05", "--out", str(out))
+    assert code == 0
+    assert "of these, good" in text
+    assert "100.0 %" in text
+    assert "closed loop" in text
+    with out.open(encoding="utf-8") as file:
+        rows = {Path(row["file"]).name: row for row in csv.DictReader(file)}
+    outcomes = {name: row["outcome"] for name, row in rows.items()}
+    assert outcomes == {"a.urdf": "passed", "b.xml": "without gravity", "c.xml": "refused"}
+    assert float(rows["a.urdf"]["load"]) > 0.0
+
+
+def test_nothing_to_try(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither folders nor names, a folder without robots, and numbers that are none."""
+    assert "nothing to try" not in refused(capsys, "corpus")
+    assert "no URDF or MJCF" in refused(capsys, "corpus", str(tmp_path))
+    assert "no such folder" in refused(capsys, "corpus", str(tmp_path / "x"))
+    with pytest.raises(InputError, match="positive"):
+        corpus([tmp_path], duration=0.0)
+
+
+def test_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was tried before an interruption is on disk."""
+    for name in "ab":
+        written(tmp_path, FLOATING.replace('name="r"', f'name="{name}"'), name)
+    answers = iter([Entry("a", "urdf", "passed")])
+
+    def try_out(*_: Any) -> Entry:
+        try:
+            return next(answers)
+        except StopIteration:
+            raise KeyboardInterrupt from None
+
+    monkeypatch.setattr(Worker, "try_out", try_out)
+    out = tmp_path / "out.csv"
+    with pytest.raises(KeyboardInterrupt):
+        corpus([tmp_path], out=out)
+    assert out.read_text(encoding="utf-8").count("\n") == 2
+
+
+def test_prefixes_and_singular_files(tmp_path: Path) -> None:
+    """What should work is said of files with undeclared prefixes too, and why others need not."""
+    prefixed = FLOATING.replace("</robot>", "<a:b/></robot>")
+    assert why_not_due(written(tmp_path, prefixed), "urdf") == ""
+    assert why_not_due(written(tmp_path, MASSLESS), "urdf") == "mass matrix singular"
+    ball = mjcf(body('<body name="b"><joint type="ball"/>' + MASS + "</body>"))
+    assert why_not_due(written(tmp_path, ball), "mjcf") == "ball joints inside the tree"

@@ -1,0 +1,210 @@
+"""The stress suite in short, and that each of its checks can fail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinred
+from pinred import RKMK4
+from pinred.cli.main import main
+from pinred.forces import Damper, Wrench
+from pinred.laboratory.stress.check import Case, Check, Outcome, Trial
+from pinred.laboratory.stress.suite import CHECKS, chosen, run_check, table
+
+pytestmark = pytest.mark.slow
+
+SHORT = Trial(effort="short")
+
+
+def broken(function: Callable[..., Any], by: float) -> Callable[..., Any]:
+    """Return simulate or simulate_many with the constants of all bodies off by that part.
+
+    The state that a robot comes with, and its time, are those of the right one.
+    """
+
+    def run(system: pinred.System, **options: Any) -> Any:
+        own, wrong = system.initial, off(system, by)
+        if own is not None and "x0" not in options:
+            options = {"x0": own.x, "xdot0": own.xdot, "xi0": own.xi, **options}
+            options.setdefault("times", np.linspace(0.0, own.duration, 201))
+        return function(wrong, **options)
+
+    return run
+
+
+def off(system: pinred.System, by: float) -> pinred.System:
+    """The robot with each body of another mass, and stretched: by another part along each axis.
+
+    So it stays a real body, flat if it was flat.  The armature stays as it is.
+    """
+    model = system.model.copy()
+    for i in range(1, model.njoints):
+        body = model.inertias[i]
+        stretch = np.diag(1.0 + by * np.array([1.0, 0.3, -0.5]))
+        spread = 0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia
+        spread = (1.0 + by / i) * stretch @ spread @ stretch
+        inertia = np.trace(spread) * np.eye(3) - spread
+        model.inertias[i] = pin.Inertia(body.mass * (1.0 + by / i), body.lever, inertia)
+    return pinred.load(model)
+
+
+@pytest.mark.parametrize("name", CHECKS)
+def test_passes(name: str) -> None:
+    """The short form of the check passes."""
+    outcome = run_check(CHECKS[name], SHORT)
+    assert outcome.passed, table([outcome])
+
+
+def test_not_a_number_fails() -> None:
+    """What is not a number is within no bound, and is the worst case."""
+    case = Case("a", float("nan"), 1.0)
+    assert not case.passed
+    outcome = run_check(Check("c", "w", lambda _: iter([Case("b", 0.0, 1.0), case])), SHORT)
+    assert not outcome.passed
+    assert outcome.worst is case
+
+
+def test_nothing_measured_fails() -> None:
+    """A check without cases proves nothing."""
+    assert not run_check(Check("c", "w", lambda _: iter([])), SHORT).passed
+
+
+def test_what_stops_fails() -> None:
+    """A motion that cannot be followed is a failure that says why."""
+
+    def cases(trial: Trial) -> Any:
+        yield Case("a", 0.0, 1.0)
+        trial.simulate(pinred.load("falling_cat"), method=pinred.DOP853(max_steps=1))
+
+    outcome = run_check(Check("c", "w", cases), SHORT)
+    assert not outcome.passed
+    assert "TooManySteps" in table([outcome])
+
+
+def test_unknown_names() -> None:
+    """The error lists the checks."""
+    with pytest.raises(pinred.InputError, match="no check 'x'; the checks are tolerances, "):
+        chosen(["reversal", "x"])
+    assert main(["stress", "--only", "x"]) == 2
+
+
+def test_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """It prints a table, and returns 1 if a check fails."""
+    quick = Check("quick", "nothing", lambda _: iter([Case("a case", 0.5, 1.0)]))
+    monkeypatch.setitem(CHECKS, "quick", quick)
+    assert main(["stress", "--only", "quick"]) == 0
+    assert "1 of 1 checks passed" in capsys.readouterr().out
+    failing = replace(quick, cases=lambda _: iter([Case("a case", 2.0, 1.0)]))
+    monkeypatch.setitem(CHECKS, "quick", failing)
+    assert main(["stress", "--only", "quick"]) == 1
+    out = capsys.readouterr().out
+    assert "FAILED" in out
+    assert "0 of 1 checks passed" in out
+
+
+# Where an invariance is the statement, a wrong robot keeps it; such checks are broken below.
+INVARIANT = ("reversal", "energy", "casimirs", "frames", "units")
+
+
+# The smallest fault, in decades, that the short form of a check notices (docs/stress.md).
+NOTICED = {
+    "tolerances": 1e-8,
+    "between": 1e-7,
+    "periods": 1e-8,
+    "mass_ratios": 1e-7,
+    "spins": 1e-9,
+    "flat_bodies": 1e-8,
+    "straight_chains": 1e-8,
+    "singular_shapes": 1e-8,
+    "stiff_springs": 1e-8,
+    "long_chains": 1e-8,
+    "zero_momentum": 1e-8,
+    "time_scales": 1e-9,
+    "chaos": 1e-8,
+}
+
+
+@pytest.mark.filterwarnings("ignore::pinred.ModelWarning")  # flat bodies are doubtful ones
+@pytest.mark.parametrize("name", [name for name in CHECKS if name not in INVARIANT])
+def test_a_wrong_constant_fails(name: str) -> None:
+    """The check fails for a simulation of a robot whose constants are off, and says by which case.
+
+    A fault with which nothing could be simulated would be an error of this test.
+    """
+    outcome = with_fault(name, NOTICED[name])
+    assert not outcome.stopped, outcome.stopped
+    assert any(not case.passed for case in outcome.cases), table([outcome])
+
+
+def with_fault(name: str, by: float) -> Outcome:
+    """The outcome of the short form of a check, of robots whose constants are off by that part."""
+    wrong = replace(
+        SHORT,
+        simulate=broken(pinred.simulate, by),
+        simulate_many=broken(pinred.simulate_many, by),
+    )
+    return run_check(CHECKS[name], wrong)
+
+
+def test_a_jump_at_zero_is_noticed_by_all() -> None:
+    """Where the kernel without momentum gives another motion, every case that compares says so."""
+
+    def run(system: pinred.System, *, momentum: Any, **options: Any) -> Any:
+        still = np.all(momentum == 0.0, axis=1)
+        pushed = np.where(still[:, None], 1e-5 * np.abs(momentum).max(axis=0), momentum)
+        return pinred.simulate_many(system, momentum=pushed, **options)
+
+    outcome = run_check(CHECKS["zero_momentum"], replace(SHORT, simulate_many=run))
+    compared = [case for case in outcome.cases if "from that at zero" in case.name]
+    small = [case for case in compared if "e-03" not in case.name and "0e+00" not in case.name]
+    assert len(small) >= 26
+    assert not any(case.passed for case in small), "\n".join(map(str, small))
+
+
+def rubbed(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return simulate or simulate_many with a little that pushes on the base all the time."""
+
+    def run(system: pinred.System, **options: Any) -> Any:
+        return function(system, forces=[Wrench([1e-6] * system.r)], **options)
+
+    return run
+
+
+@pytest.mark.parametrize("name", ["energy", "casimirs", "frames"])
+def test_a_push_fails(name: str) -> None:
+    """The check fails where something pushes on the base, in its own frame, that should not."""
+    wrong = replace(
+        SHORT, simulate=rubbed(pinred.simulate), simulate_many=rubbed(pinred.simulate_many)
+    )
+    assert not run_check(CHECKS[name], wrong).passed
+
+
+def test_units_that_matter_fail() -> None:
+    """The check of units fails for a method that knows the second."""
+
+    def run(system: pinred.System, **options: Any) -> Any:
+        return pinred.simulate(system, **{**options, "method": RKMK4(0.5)})
+
+    assert not run_check(CHECKS["units"], replace(SHORT, simulate=run)).passed
+
+
+def test_a_method_that_loses_energy_is_not_symplectic(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The check of energy fails for a method that says it is symplectic, and is not."""
+    monkeypatch.setattr(RKMK4, "symplectic", True)
+    assert not run_check(CHECKS["energy"], replace(SHORT, fixed=(RKMK4,))).passed
+
+
+def test_friction_cannot_be_reversed() -> None:
+    """The check of reversal fails with a little friction."""
+
+    def run(system: pinred.System, **options: Any) -> Any:
+        friction = [Damper(name, 1e-4) for name in system.shape_names]
+        return pinred.simulate(system, forces=friction, **options)
+
+    assert not run_check(CHECKS["reversal"], replace(SHORT, simulate=run)).passed
