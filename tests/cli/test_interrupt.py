@@ -125,3 +125,15 @@ def test_ignored_stays_ignored(tmp_path: Path) -> None:
         "sys.exit(main())\n"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
+
+
+@pytest.mark.slow
+def test_interrupts_work_where_the_shell_ignores_them() -> None:
+    """The tests of this file also pass below `nohup … &`, where SIGINT is ignored at first."""
+    test = f"{__file__}::test_python_gets_it_too"
+    code = (
+        "import signal, subprocess, sys\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+        f"run = [sys.executable, '-m', 'pytest', '-q', '-p', 'no:xdist', {test!r}]\n"
+        "sys.exit(subprocess.run(run, capture_output=True).returncode)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0

@@ -13,7 +13,7 @@ from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, ShapeError
 from ...common.plain_names import brief
 from ...common.signatures import shows_fields
-from ...kernels.begin_and_end import Outcome, sizes_of
+from ...kernels.flow_functions import Outcome, sizes_of
 from ...scene.options import SceneOptions
 from ...scene.scene import Scene
 from ...system.state_fields import ShapeState, State

@@ -10,7 +10,7 @@ import numpy as np
 from ...common.arrays import Array, freeze, positive
 from ...common.errors import InputError
 from ...common.plain_names import brief
-from ...kernels.begin_and_end import Outcome
+from ...kernels.flow_functions import Outcome
 from ...scene.scene import Scene
 from ...system.state_fields import State
 
