@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 import numpy as np
 
@@ -75,12 +75,12 @@ FIELDS: Mapping[str, StateField] = MappingProxyType({
         StateField("q", "Pinocchio's configuration", "m | rad | 1", "nq"),
         StateField("v", "Pinocchio's velocity", "m/s | rad/s", "nv"),
         StateField(
-            "body_momentum", "Body momentum μ, in the body frame and about its origin",
+            "body_momentum", "Body momentum μ, in the body frame, about its origin",
             "N·s | N·m·s", "twist", derivative="entries",
         ),
         StateField(
             "spatial_momentum",
-            "Spatial momentum J = Ad*_{g⁻¹} μ, in the root joint's fixed frame and about its origin",
+            "Spatial momentum J = Ad*_{g⁻¹} μ, in the root joint's fixed frame, about its origin",
             "N·s | N·m·s", "twist", derivative="entries",
         ),
         StateField(
@@ -148,7 +148,10 @@ class _Column(property):
 
     if TYPE_CHECKING:
 
-        def __get__(self, motion: Any, owner: type | None = None) -> Array: ...
+        @overload
+        def __get__(self, motion: None, owner: type, /) -> _Column: ...
+        @overload
+        def __get__(self, motion: Any, owner: type | None = None, /) -> Array: ...
 
 
 class StateArrays(ABC):
