@@ -26,8 +26,8 @@ from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.progress import Progress, shown
 from ..simulation.balances import energy_balance, momentum_balance
-from ..simulation.state import State
 from ..simulation.trajectory import Trajectory
+from ..system.state_fields import State
 from .audit import Audit
 from .defect import Defects, defects
 from .distances import Distance, FullMotion, Size

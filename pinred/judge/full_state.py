@@ -18,9 +18,10 @@ from ..forces.acting import BaseInSpace
 from ..kernels.loads_by_pinocchio import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.control import Control, Replay
-from ..simulation.state import Sample, State
+from ..simulation.sample import Sample
 from ..simulation.stops import stops_of
 from ..system.joints import joint_units
+from ..system.state_fields import State
 from ..system.system import System
 from .audit import Audit, difference
 from .configuration import Configuration

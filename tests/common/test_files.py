@@ -7,7 +7,6 @@ import signal
 import stat
 import subprocess
 import sys
-import time
 from pathlib import Path
 from threading import Thread
 
@@ -104,13 +103,11 @@ def test_check_path_rejects_protected_targets(tmp_path: Path) -> None:
     os.mkfifo(pipe)
     folder.mkdir()
     for path, message in ((kept, "read-only"), (pipe, "a FIFO"), (folder, "a folder")):
-        start = time.perf_counter()
         done = subprocess.run(
             [sys.executable, "-m", "pinred", "simulate", "falling_cat", "--out", str(path)],
             capture_output=True, text=True, check=False, timeout=60,
             env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         )  # fmt: skip
-        assert time.perf_counter() - start < 30.0
         assert done.returncode == 2
         assert message in done.stderr
         assert done.stderr.count("\n") == 1

@@ -17,11 +17,12 @@ from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
+from ...system.state_fields import ShapeState, State
 from ...system.system import Indices
 from ..entry_name import entry_name
 from ..own_numbers import OwnNumbers
 from ..plan import Plan
-from ..state import Sample, ShapeState, State
+from ..sample import Sample
 from .kernel_of_plan import kernel_of
 
 _AT_ONCE = 512  # members that are set up together

@@ -16,10 +16,10 @@ from ...common.signatures import shows_fields
 from ...kernels.flow_functions import Outcome, sizes_of
 from ...scene.options import SceneOptions
 from ...scene.scene import Scene
+from ...system.state_fields import ShapeState, State
 from ...system.system import System
 from ..plan import plan_of
 from ..simulate import as_scene
-from ..state import ShapeState, State
 from .inputs import Inputs, motion_of, with_varied
 from .runs import Course, Run
 

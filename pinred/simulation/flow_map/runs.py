@@ -16,12 +16,12 @@ from ...kernels.evaluate import evaluate
 from ...kernels.flow_functions import Row, initial_conditions_of, outcome_of, rate_of, sizes_of
 from ...kernels.initial_conditions import TwistOrMomentum
 from ...kernels.tangent import tangent_of
+from ...system.state_fields import ShapeState, State
 from ..compiled.compiled_flow import CompiledFlow, rate_address
 from ..compiled.integrator import explained, wild_steps
 from ..compiled.kernel_of_plan import kernel_of
 from ..pieces import joined
 from ..plan import Plan
-from ..state import ShapeState, State
 from .inputs import Given, motion_of
 from .later import made_later
 from .outcomes_back import OutcomesBack
