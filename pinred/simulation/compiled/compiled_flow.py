@@ -70,7 +70,7 @@ class CompiledFlow:
         out = self.kernel.evaluate_outputs(t, y, parameters, self._line)
         weight = out[where.weight] if where.weight.stop > where.weight.start else np.zeros(3)
         base = None
-        if self.kernel.layout.wanted:
+        if self.kernel.layout.base_requested:
             twist = out[where.v][: self._system.r]
             momenta = out[where.body_momentum], out[where.spatial_momentum]
             base = BaseInSpace(out[where.pose], twist, *momenta)
@@ -88,7 +88,7 @@ class CompiledFlow:
             rows = np.concatenate([rows, t[:, None]], axis=1)
         out = evaluate(kernel.outputs.address, parameters, rows, where.size)
         x, xdot, energy = out[:, where.x], out[:, where.xdot], out[:, -1]
-        if not kernel.layout.wanted:
+        if not kernel.layout.base_requested:
             return ShapeState(t=t.copy(), x=x, xdot=xdot, energy=energy)
         v = out[:, where.v]
         return State(
@@ -233,8 +233,8 @@ class CompiledFlows:
                 self.line[:, 2 * k :] = own.fall
             if own.numbers is not None:
                 numbers = own.numbers
-        self.parameters[:, after : after + layout.line] = self.line[:, : layout.line]
-        self.parameters[:, after + layout.line :] = numbers
+        self.parameters[:, after : after + layout.com_path] = self.line[:, : layout.com_path]
+        self.parameters[:, after + layout.com_path :] = numbers
         finite_start(self.y0, self.parameters, self.line)
 
 
