@@ -17,8 +17,7 @@ from ..common.plain_names import listed, quoted
 from .coupling import Coupled
 from .joints import axes_of, is_prismatic
 from .massless_motions import largest_step, no_moment
-from .singular_coupled import coupled_singular_shapes
-from .singular_shapes import SingularShape, SingularShapes, singular_shapes
+from .singular_mass_matrix import SingularShape, singular_shapes
 
 TRIANGLE_SLACK = 1e-9  # a flat body meets the triangle inequality with equality, up to round-off
 
@@ -36,10 +35,7 @@ def check_inertias(model: pin.Model, coupled: Coupled | None = None) -> tuple[st
         _check_body(model, i, unit)
     if not sum(model.inertias[i].mass for i in range(1, model.njoints)) > 0.0:
         raise ModelError(f"{body_of(model, 1)} has no mass, nor has anything that hangs on it")
-    singular = singular_shapes(model)
-    if coupled is not None and singular != SingularShapes():
-        # What is regular with all joints free is regular with coupled ones, not the reverse.
-        singular = coupled_singular_shapes(model, coupled)
+    singular = singular_shapes(model, coupled)
     if singular.everywhere:
         raise ModelError(_refusal(model, singular.everywhere))
     doubts = (

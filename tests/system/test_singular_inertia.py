@@ -27,7 +27,7 @@ from pinred.reduction.lost_inertia import lost_inertia
 from pinred.reduction.potential import Potential
 from pinred.scene.scene import Engine
 from pinred.system.massless_motions import hulls, lost, tree_of
-from pinred.system.singular_shapes import SingularShapes, singular_shapes
+from pinred.system.singular_mass_matrix import SingularShapes, singular_shapes
 
 ZERO = 1e-11  # of the usual inertia
 POINT = np.zeros((3, 3))
