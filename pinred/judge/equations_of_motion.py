@@ -20,7 +20,7 @@ from ..common.arrays import Array
 from ..reduction.inertia_split import symmetric
 from ..simulation.accelerations import accelerations
 from ..simulation.trajectory import Trajectory
-from ..system.inertias import moved_masses
+from ..system.scale import moved_masses
 from ..system.system import System
 from .full_state import APART, FullState
 from .weights import weights

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from ..common.arrays import Array
-from ..system.system import Indices
+from ..system.coordinates import Indices
 from .control import Control, ControlAction, Replay
 from .events import Found, Watch, ended
 from .piece import Flow, Integrate, Piece

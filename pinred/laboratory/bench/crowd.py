@@ -18,7 +18,7 @@ from ...simulation.compiled.compiled_flow import CompiledFlow, CompiledFlows, fl
 from ...simulation.compiled.integrate_members import lanes_of
 from ...simulation.members.groups import of_scenes
 from ...simulation.state import with_base
-from ...system.system import InitialState
+from ...system.coordinates import InitialState
 from .problems import Problem
 from .solver import End
 

@@ -17,7 +17,7 @@ from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
-from ...system.system import Indices
+from ...system.coordinates import Indices
 from ..entry_name import entry_name
 from ..own_numbers import OwnNumbers
 from ..plan import Plan

@@ -10,7 +10,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError, IntegrationError
 from ...kernels.begin_and_end import Outcome
 from ...kernels.evaluate import evaluate_each
-from ...system.system import Indices
+from ...system.coordinates import Indices
 from ..compiled.compiled_flow import CompiledFlows
 from ..compiled.integrate_members import integrate_members
 from .runs import OVERFLOWS, Course

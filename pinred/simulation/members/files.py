@@ -11,7 +11,7 @@ import numpy as np
 
 from ...common.files import check_path, write_atomic
 from ...scene.scene import Scene
-from ...system.other_inertias import nominal
+from ...system.variants import nominal
 from ..state import OverTime
 from ..trajectory_files import about_robot
 from ..zarr_files import write_zarr

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...scene.scene import Scene
-from ...system.system import Indices, System
+from ...system.coordinates import Indices
+from ...system.system import System
 from ..simulate import trajectory_of
 from ..state import OverTime, ShapeState, State
 from ..trajectory import Run, Trajectory, known_trajectory
