@@ -8,8 +8,8 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..simulation.balances import energy_balance, momentum_balance
-from ..simulation.state import State
 from ..simulation.trajectory import Trajectory
+from ..system.state_fields import State
 from .reference_solution import FullState
 
 _ENERGY_ROUND_OFF = 1e-14  # relative to the kinetic and potential energies, which may cancel

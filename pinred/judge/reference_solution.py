@@ -17,7 +17,7 @@ from ..forces.acting import BaseInSpace
 from ..kernels.loads_by_pinocchio import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.control import Control, Replay
-from ..simulation.state import Sample
+from ..simulation.sample import Sample
 from ..simulation.stops import stops_of
 from ..system.joints import joint_units
 from ..system.system import System

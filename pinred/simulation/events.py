@@ -18,8 +18,8 @@ from ..common.arrays import Array, freeze
 from ..common.errors import IntegrationError
 from ..forces.watched import Watched
 from ..scene.scene import Scene
+from ..system.state_fields import ShapeState, State
 from .piece import Flow, Piece
-from .state import ShapeState, State
 
 _PARTS = 4  # of a step, at whose ends the expressions are looked at
 _SHOWN = 5  # times in a repr

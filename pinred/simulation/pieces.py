@@ -9,12 +9,13 @@ from functools import partial
 import numpy as np
 
 from ..common.arrays import Array
+from ..system.state_fields import ShapeState, State
 from ..system.system import Indices
 from .control import Control, ControlAction, Replay
 from .events import Found, Watch, ended
 from .piece import Flow, Integrate, Piece
 from .plan import Plan
-from .state import Sample, ShapeState, State
+from .sample import Sample
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,14 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import InputError, LoadError, PinredError
-from ..common.places import is_file
+from ..common.paths import is_file
 from ..common.plain_names import plain_path, quoted_path
 from ..lie.groups import GROUPS
 from ..system.catalogue import bundled_robots
 from ..system.load import is_path
+from ..system.state_fields import ShapeState, State
 from .archive import read_arrays
-from .state import OverTime, ShapeState, State
+from .over_time import OverTime
 from .trajectory_files import parameters_in, save
 
 if TYPE_CHECKING:

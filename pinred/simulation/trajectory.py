@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, NotCopyable, ShapeError
+from ..system.state_fields import ShapeState, State, with_base
+from .over_time import OverTime
 from .plan import Plan, plan_of
-from .state import OverTime, ShapeState, State, with_base
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,7 +12,7 @@ import numpy as np
 from ..common.files import check_path, write_atomic
 from ..system.model_parameters import GRAVITY
 from ..system.system import System
-from .state import OverTime
+from .over_time import OverTime
 from .zarr_files import write_zarr
 
 _GREEK = str.maketrans({"θ": "theta"})

@@ -53,14 +53,19 @@ TESTS: dict[str, list[str]] = {
         "judge/test_gravity_loads.py", "simulation/test_balances.py",
         "views/test_notebook_cards.py",
     ],
-    "kernels/judge": [
-        "kernels/test_judged_state.py", "kernels/test_judged_velocities.py",
-        "kernels/test_judge.py", "kernels/test_allowances.py", "kernels/test_judged_forces.py",
-        "kernels/test_sizes_of_terms.py", "kernels/test_other_numbers.py",
-        "forces/test_refused_forces.py",
+    "kernels/validation": [
+        "kernels/test_velocity_validation.py", "kernels/test_kernel_validation.py",
+        "kernels/test_validation_tolerances.py", "kernels/test_force_validation.py",
+        "kernels/test_term_magnitudes.py", "forces/test_refused_forces.py",
+    ],
+    "kernels/reference_state": [
+        "kernels/test_reference_state.py", "kernels/test_velocity_validation.py",
+        "kernels/test_kernel_validation.py", "kernels/test_validation_tolerances.py",
+        "kernels/test_force_validation.py", "kernels/test_term_magnitudes.py",
+        "kernels/test_perturbed_parameters.py", "forces/test_refused_forces.py",
     ],
     "reduction": [
-        "reduction", "kernels/test_limbs.py", "simulation/test_varied_inertias.py",
+        "reduction", "kernels/test_identical_branches.py", "simulation/test_varied_inertias.py",
         "system/test_refusals.py", "views/test_notebook_cards.py", "simulation/test_skipping.py",
     ],
     "lie": ["lie", "system/test_root_chain.py"],

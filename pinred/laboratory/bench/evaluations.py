@@ -28,7 +28,7 @@ from ...judge.distances import FullMotion
 from ...judge.reference_solution import FINEST
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
-from ...simulation.state import with_base
+from ...system.state_fields import with_base
 from .problems import Problem
 from .scenes import problems_named
 from .solver import ATOL

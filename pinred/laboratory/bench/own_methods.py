@@ -19,7 +19,7 @@ from ...integrators.methods import (
     Gauss,
 )
 from ...integrators.methods import Method as Integrator
-from ...simulation.state import State, with_base
+from ...system.state_fields import State, with_base
 from .problems import Problem
 from .solver import ATOL, End, Prepared, Solver, decades, halvings
 

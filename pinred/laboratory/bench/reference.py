@@ -18,7 +18,7 @@ from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...judge.distances import FullMotion
 from ...judge.reference_solution import FINEST
-from ...simulation.state import with_base
+from ...system.state_fields import with_base
 from .problems import Problem
 from .taylor import has_heyoka, reduced_graph, taylor_expressions
 

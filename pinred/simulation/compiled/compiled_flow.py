@@ -10,18 +10,19 @@ from ...common.errors import InputError
 from ...forces.acting import BaseInSpace
 from ...integrators.methods import Method
 from ...kernels.evaluate import evaluate
+from ...kernels.initial_conditions import InitialConditions, initial_conditions_kernel
 from ...kernels.kernel import Kernel
-from ...kernels.start_kernel import Starts, start_kernel
 from ...kernels.tangent import tangent_of
 from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
+from ...system.state_fields import ShapeState, State
 from ...system.system import Indices
 from ..entry_name import entry_name
 from ..own_numbers import OwnNumbers
 from ..plan import Plan
-from ..state import Sample, ShapeState, State
+from ..sample import Sample
 from .kernel_of_plan import kernel_of
 
 _AT_ONCE = 512  # members that are set up together
@@ -186,7 +187,7 @@ class CompiledFlows:
         self,
         plan: Plan,
         given: GivenStates,
-        start: Starts,
+        start: InitialConditions,
         own: OwnNumbers | None = None,
         *,
         zero: bool,
@@ -282,8 +283,8 @@ def without_momentum(
     return still
 
 
-def _started(plan: Plan, given: GivenStates, own: OwnNumbers | None) -> Starts:
+def _started(plan: Plan, given: GivenStates, own: OwnNumbers | None) -> InitialConditions:
     robot = None if own is None else own.robot
     freed = plan.freed(generic=robot is not None)
-    kernel = start_kernel(plan.system, "xi" if given.mu is None else "mu", freed)
+    kernel = initial_conditions_kernel(plan.system, "xi" if given.mu is None else "mu", freed)
     return kernel(given.pose, given.x, given.xdot, given.motion, robot)

@@ -15,7 +15,7 @@ from ...common.arrays import Array, as_floats, vectors
 from ...common.errors import InputError, ShapeError
 from ...common.names import nearest
 from ...common.plain_names import brief, listed
-from ...kernels.begin_and_end import Row, sizes_of
+from ...kernels.flow_functions import Row, sizes_of
 from .many_runs import entries, outputs_of_many
 from .runs import Run
 

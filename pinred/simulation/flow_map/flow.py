@@ -13,13 +13,13 @@ from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, ShapeError
 from ...common.plain_names import brief
 from ...common.signatures import shows_fields
-from ...kernels.begin_and_end import Outcome, sizes_of
+from ...kernels.flow_functions import Outcome, sizes_of
 from ...scene.options import SceneOptions
 from ...scene.scene import Scene
+from ...system.state_fields import ShapeState, State
 from ...system.system import System
 from ..plan import plan_of
 from ..simulate import as_scene
-from ..state import ShapeState, State
 from .inputs import Inputs, motion_of, with_varied
 from .runs import Course, Run
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from ...common.arrays import Array, read_only
 from ...kernels.layout import Outputs
+from ...system.state_fields import ShapeState, State
 from ...system.system import System
-from ..state import ShapeState, State
 
 
 class LaterState(State):

@@ -8,8 +8,8 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import InputError, IntegrationError
-from ...kernels.begin_and_end import Outcome
 from ...kernels.evaluate import evaluate_each
+from ...kernels.flow_functions import Outcome
 from ...system.system import Indices
 from ..compiled.compiled_flow import CompiledFlows
 from ..compiled.integrate_members import integrate_members

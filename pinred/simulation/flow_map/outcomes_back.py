@@ -7,7 +7,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...integrators.stepping.compiling import compiled
 from ...integrators.stepping.kernel_call import call, call_adjoint
-from ...kernels.begin_and_end import Row, outcome_of
+from ...kernels.flow_functions import Row, outcome_of
 from ...kernels.kernel import Kernel
 
 

@@ -11,17 +11,17 @@ from ...common.errors import InputError, IntegrationError
 from ...integrators.derivatives import Slopes, refuse_without_derivatives, run_along, run_back
 from ...integrators.integrate import Solution, integrate_checked
 from ...integrators.methods import AdaptiveGauss, Explicit
-from ...kernels.begin_and_end import Row, begin_of, outcome_of, rate_of, sizes_of
 from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate
-from ...kernels.start_kernel import TwistOrMomentum
+from ...kernels.flow_functions import Row, initial_conditions_of, outcome_of, rate_of, sizes_of
+from ...kernels.initial_conditions import TwistOrMomentum
 from ...kernels.tangent import tangent_of
+from ...system.state_fields import ShapeState, State
 from ..compiled.compiled_flow import CompiledFlow, rate_address
 from ..compiled.integrator import explained, wild_steps
 from ..compiled.kernel_of_plan import kernel_of
 from ..pieces import joined
 from ..plan import Plan
-from ..state import ShapeState, State
 from .inputs import Given, motion_of
 from .later import made_later
 from .outcomes_back import OutcomesBack
@@ -74,7 +74,7 @@ class Course:
         refuse_without_derivatives(self.method)
         self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum, generic=True)
         motion: TwistOrMomentum = "mu" if motion_of(plan.scene) == "mu" else "xi"
-        self._begin = begin_of(kernel, motion)
+        self._begin = initial_conditions_of(kernel, motion)
         self._rate = rate_of(kernel)
         self._address = rate_address(kernel, self.method)
         rate = self._rate

@@ -12,7 +12,7 @@ import numpy as np
 from ...common.files import check_path, write_atomic
 from ...scene.scene import Scene
 from ...system.other_inertias import nominal
-from ..state import OverTime
+from ..over_time import OverTime
 from ..trajectory_files import about_robot
 from ..zarr_files import write_zarr
 

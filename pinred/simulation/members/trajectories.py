@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...scene.scene import Scene
+from ...system.state_fields import ShapeState, State
 from ...system.system import Indices, System
+from ..over_time import OverTime
 from ..simulate import trajectory_of
-from ..state import OverTime, ShapeState, State
 from ..trajectory import Run, Trajectory, known_trajectory
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ...judge.reference_solution import FullState
 from ...simulation.recording import Recording
-from ...simulation.state import State
 from ...simulation.trajectory import Trajectory
+from ...system.state_fields import State
 from ...system.system import System
 from ..motion_source import MotionSource
 from .momentum_arrow import Momentum, conserved_momentum

@@ -11,8 +11,8 @@ from scipy.interpolate import CubicHermiteSpline
 
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ...simulation.state import ShapeState, State
 from ...simulation.trajectory import Trajectory
+from ...system.state_fields import ShapeState, State
 from ..motion_source import MotionSource
 
 Path: TypeAlias = State | ShapeState

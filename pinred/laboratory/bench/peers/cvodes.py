@@ -16,7 +16,7 @@ import numpy as np
 
 from ....common.arrays import Array
 from ....common.errors import IntegrationError, UnsupportedOperationError
-from ....simulation.state import with_base
+from ....system.state_fields import with_base
 from ....system.system import System
 from ..problems import Problem
 from ..solver import ATOL, End, Prepared, Solver, decades

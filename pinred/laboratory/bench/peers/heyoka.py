@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ....common.errors import IntegrationError
-from ....simulation.state import with_base
+from ....system.state_fields import with_base
 from ..problems import Problem
 from ..solver import End, Prepared, Solver, decades
 from ..taylor import has_heyoka, reduced_graph, taylor_integrator

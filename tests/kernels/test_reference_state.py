@@ -12,7 +12,7 @@ from trees import random_model
 
 import pinred
 from pinred import forces
-from pinred.kernels.judged_state import JudgedState, random_state
+from pinred.kernels.reference_state import ReferenceState, random_state
 from pinred.simulation.compiled.kernel_of_plan import kernel_of
 from pinred.simulation.plan import plan_of
 
@@ -20,7 +20,7 @@ CART, POLE, LEVER, MOMENT, G = 2.0, 1.0, 0.5, 0.09, 9.81  # of robots/cartpole.u
 REACH = LEVER + np.sqrt(0.19 / POLE)  # of the pole: its centre of mass and radius of gyration
 
 
-def state() -> JudgedState:
+def state() -> ReferenceState:
     """A random one, with a velocity of its own: that of the judge has no momentum along R."""
     system = pinred.load("cartpole")
     kernel = kernel_of(plan_of(pinred.Scene(system=system, seed=0)), zero_momentum=False)
@@ -110,7 +110,7 @@ def test_states_lie_on_all_sides() -> None:
     system = pinred.load("planar_chain5")
     name = system.shape_names[0]
 
-    def drawn(**options: Any) -> list[JudgedState]:
+    def drawn(**options: Any) -> list[ReferenceState]:
         scene = pinred.Scene(system=system, seed=0, duration=0.5, **options)
         kernel, rng = kernel_of(plan_of(scene), zero_momentum=False), np.random.default_rng(0)
         return [at for _ in range(60) if (at := random_state(kernel, rng, 1.0)) is not None]

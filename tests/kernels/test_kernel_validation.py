@@ -15,9 +15,9 @@ import pinred
 from pinred import forces
 from pinred.common.arrays import Array
 from pinred.kernels.build import build_kernel
-from pinred.kernels.judge import judge
-from pinred.kernels.judged_state import JudgedState
 from pinred.kernels.kernel import Kernel
+from pinred.kernels.reference_state import ReferenceState
+from pinred.kernels.validation import validate_kernel
 from pinred.simulation.compiled.kernel_of_plan import kernel_of
 from pinred.simulation.plan import plan_of
 
@@ -79,28 +79,28 @@ LEAST = 3e-10  # three times what passes
 def test_a_wrong_output_is_found(name: str, words: str) -> None:
     """Everything that is reported, off by three times what may be."""
     kernel = free_tree()
-    judge(kernel)
+    validate_kernel(kernel)
     where = getattr(kernel.where, name)
     with pytest.raises(pinred.KernelMismatch, match=f"disagrees with Pinocchio: .*({words}) is"):
-        judge(Faulty(kernel, "out", where.start, where.stop, LEAST))  # type: ignore[arg-type]
+        validate_kernel(Faulty(kernel, "out", where.start, where.stop, LEAST))  # type: ignore[arg-type]
 
 
 def test_the_rate_of_a_light_joint_is_found() -> None:
     """It hardly shows in the momenta, and is judged for itself."""
     kernel = light_tree(1e-3)
-    judge(kernel)
+    validate_kernel(kernel)
     where = kernel.where.xdot
     with pytest.raises(pinred.KernelMismatch, match="Pinocchio: velocity is"):
-        judge(Faulty(kernel, "out", where.start, where.stop, 1e-9))  # type: ignore[arg-type]
+        validate_kernel(Faulty(kernel, "out", where.start, where.stop, 1e-9))  # type: ignore[arg-type]
 
 
 def test_the_momentum_of_a_velocity_is_found() -> None:
     """Where a joint is so light that velocities have little to say, momenta have more."""
     kernel = light_tree(1e-6)
-    judge(kernel)
+    validate_kernel(kernel)
     where = kernel.where.xi
     with pytest.raises(pinred.KernelMismatch, match="Pinocchio: momentum of the velocity is"):
-        judge(Faulty(kernel, "out", where.start, where.stop, 1e-9))  # type: ignore[arg-type]
+        validate_kernel(Faulty(kernel, "out", where.start, where.stop, 1e-9))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("ratio", [1e-9, 1e-12, 1e-15])
@@ -114,7 +114,7 @@ def test_the_momentum_of_a_velocity_is_found() -> None:
 def test_a_fault_in_a_feather_is_found(where: str, name: str, words: str, ratio: float) -> None:
     """However light the last body is: its rate and its force are judged by its own size."""
     kernel = light_tree(ratio)
-    judge(kernel)
+    validate_kernel(kernel)
     joint = kernel.system.m - 1
     if where == "out":
         first, last = kernel.where.xdot.start + joint, kernel.where.xdot.stop
@@ -130,7 +130,7 @@ def test_a_fault_in_a_feather_is_found(where: str, name: str, words: str, ratio:
             return values
 
     with pytest.raises(pinred.KernelMismatch, match=words):
-        judge(Feather(kernel, where, first, last, 0.0))  # type: ignore[arg-type]
+        validate_kernel(Feather(kernel, where, first, last, 0.0))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_a_wrong_path_is_found(c0: float, v0: float, words: str) -> None:
             return kernel.evaluate_outputs(t, y, parameters, line + beside)
 
     with pytest.raises(pinred.KernelMismatch, match=words):
-        judge(Beside(kernel, "", 0, 0, 0.0))  # type: ignore[arg-type]
+        validate_kernel(Beside(kernel, "", 0, 0, 0.0))  # type: ignore[arg-type]
 
 
 def test_a_wrong_energy_is_found() -> None:
@@ -156,7 +156,7 @@ def test_a_wrong_energy_is_found() -> None:
     kernel = free_tree()
     size = kernel.where.size
     with pytest.raises(pinred.KernelMismatch, match="energy is off"):
-        judge(Faulty(kernel, "out", size - 1, size, LEAST))  # type: ignore[arg-type]
+        validate_kernel(Faulty(kernel, "out", size - 1, size, LEAST))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -166,10 +166,10 @@ def test_a_wrong_energy_is_found() -> None:
 def test_a_wrong_prescribed_joint_is_found(name: str, words: str) -> None:
     """Where it is, and its momentum."""
     kernel = driven_tree()
-    judge(kernel)
+    validate_kernel(kernel)
     where = getattr(kernel.where, name)
     with pytest.raises(pinred.KernelMismatch, match=words):
-        judge(Faulty(kernel, "out", where.start, where.stop, LEAST))  # type: ignore[arg-type]
+        validate_kernel(Faulty(kernel, "out", where.start, where.stop, LEAST))  # type: ignore[arg-type]
 
 
 def places(kernel: Kernel) -> dict[str, tuple[int, int]]:
@@ -197,10 +197,10 @@ def places(kernel: Kernel) -> dict[str, tuple[int, int]]:
 def test_a_wrong_rate_is_found(make: Any, name: str, words: str) -> None:
     """Each kind of rate, off by three times what may be."""
     kernel = make()
-    judge(kernel)
+    validate_kernel(kernel)
     first, last = places(kernel)[name]
     with pytest.raises(pinred.KernelMismatch, match=words):
-        judge(Faulty(kernel, "rate", first, last, LEAST))  # type: ignore[arg-type]
+        validate_kernel(Faulty(kernel, "rate", first, last, LEAST))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("make", [free_tree, pushed_tree, heavy_tree, driven_tree, wheels])
@@ -209,7 +209,7 @@ def test_a_wrong_force_is_found(make: Any) -> None:
     kernel = make()
     first, last = places(kernel)["pi"]
     with pytest.raises(pinred.KernelMismatch, match="acceleration"):
-        judge(Faulty(kernel, "rate", first, last, 3.0 * LEAST))  # type: ignore[arg-type]
+        validate_kernel(Faulty(kernel, "rate", first, last, 3.0 * LEAST))  # type: ignore[arg-type]
 
 
 def test_a_slide_that_is_no_wheel_is_found() -> None:
@@ -221,7 +221,7 @@ def test_a_slide_that_is_no_wheel_is_found() -> None:
     pushed.gravity.setZero()
     system = pinred.load(pushed)
     plan = plan_of(pinred.Scene(system=system, seed=0, forces=forces.Wrench([0.8])))
-    judge(kernel_of(plan, zero_momentum=False))
+    validate_kernel(kernel_of(plan, zero_momentum=False))
     kind = plan.kind(zero_momentum=False)
     wrong = replace(kind.structure, cyclic=(0,))
     with pytest.raises(pinred.KernelMismatch, match="acceleration"):
@@ -250,15 +250,15 @@ NEARLY = [[1.0] * 3, [0.4, 0.4, 0.4 + 1e-9], [1.0, 1.0, 1.0001], [1e-6] * 3, [1e
 def test_bodies_with_nearly_equal_moments(group: str, moments: list[float], lever: float) -> None:
     """Their rates are what is left of terms that cancel; faults in what is left are found."""
     kernel = single(group, moments, lever)
-    judge(kernel)
+    validate_kernel(kernel)
     # A small moment beside a long lever is what is left of a large one.
     fault = 1e-9 if lever == 0.0 or moments[0] > 0.1 else 1e-6
     first, last = places(kernel)["attitude"]
     with pytest.raises(pinred.KernelMismatch, match="attitude rate"):
-        judge(Faulty(kernel, "rate", first, last, fault))  # type: ignore[arg-type]
+        validate_kernel(Faulty(kernel, "rate", first, last, fault))  # type: ignore[arg-type]
     where = kernel.where.xi
     with pytest.raises(pinred.KernelMismatch, match="velocity"):
-        judge(Faulty(kernel, "out", where.start, where.stop, fault))  # type: ignore[arg-type]
+        validate_kernel(Faulty(kernel, "out", where.start, where.stop, fault))  # type: ignore[arg-type]
 
 
 def spheres(seed: int) -> pin.Model:
@@ -297,7 +297,7 @@ def small_tree(length: float, mass: float) -> Kernel:
 def test_a_small_robot_is_judged_by_its_own_size(name: str) -> None:
     """Momenta of 1e-12 N·m·s are not taken for none."""
     kernel = small_tree(1e-3, 1e-6)
-    judge(kernel)
+    validate_kernel(kernel)
     where = getattr(kernel.where, name)
 
     class Wrong(Faulty):
@@ -309,7 +309,7 @@ def test_a_small_robot_is_judged_by_its_own_size(name: str) -> None:
             return values
 
     with pytest.raises(pinred.KernelMismatch):
-        judge(Wrong(kernel, "out", where.start, where.stop, 1e-9))  # type: ignore[arg-type]
+        validate_kernel(Wrong(kernel, "out", where.start, where.stop, 1e-9))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -324,10 +324,10 @@ def test_a_light_tip_is_neither_refused_nor_passed_over(ratio: float, seed: int)
     system = pinred.load(model)
     kernel = kernel_of(plan_of(pinred.Scene(system=system, seed=0)), zero_momentum=False)
     assert kernel.layout.cyclic == ()
-    judge(kernel)
+    validate_kernel(kernel)
     first, last = places(kernel)["shape"]
     with pytest.raises(pinred.KernelMismatch, match="shape rate"):
-        judge(Faulty(kernel, "rate", first, last, 1e-9))  # type: ignore[arg-type]
+        validate_kernel(Faulty(kernel, "rate", first, last, 1e-9))  # type: ignore[arg-type]
     assert pinred.compare(pinred.simulate(system, seed=seed, duration=0.5)).passed
 
 
@@ -347,8 +347,8 @@ def test_a_slide_that_is_not_along_gravity(monkeypatch: pytest.MonkeyPatch) -> N
     axes = np.random.default_rng(0).normal(size=(12, 3))
     kernels = [slide(axis, 9.81) for axis in [np.ones(3), *axes]]
     for kernel in kernels:
-        judge(kernel)
+        validate_kernel(kernel)
     # Scaled by what is left, that would be refused.
-    monkeypatch.setattr(JudgedState, "weight_terms", np.zeros(1))
+    monkeypatch.setattr(ReferenceState, "weight_terms", np.zeros(1))
     with pytest.raises(pinred.KernelMismatch, match="acceleration"):
-        list(map(judge, kernels))
+        list(map(validate_kernel, kernels))

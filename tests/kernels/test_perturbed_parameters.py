@@ -13,7 +13,7 @@ from trees import placement, random_model
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.kernels.judged_state import with_other_numbers
+from pinred.kernels.reference_state import perturb_parameters
 from pinred.reduction.tree.free_bodies import Freed, pattern_of
 
 
@@ -42,7 +42,7 @@ def test_inertias(arm: float) -> None:
         own = model.inertias[i]
         model.inertias[i] = pin.Inertia(own.mass, arm * np.array([1.0, -0.5, 0.7]), own.inertia)
     system, freed = pinred.load(model), (0, 2, 3)
-    other = with_other_numbers(system, Freed(inertias=freed))
+    other = perturb_parameters(system, Freed(inertias=freed))
     for i in range(system.m + 1):
         own, found = system.model.inertias[i + 1], other.model.inertias[i + 1]
         if i not in freed:
@@ -70,7 +70,7 @@ def test_small_bodies_far_out(radius: float) -> None:
     model, lever = tree().model.copy(), np.array([0.3, 0.0, 0.4])
     model.inertias[5] = pin.Inertia(1.0, lever, radius**2 / 3.0 * np.eye(3))
     model.armature = np.append(np.zeros(6), np.ones(model.nv - 6))
-    found = with_other_numbers(pinred.load(model), Freed(inertias=(4,))).model.inertias[5]
+    found = perturb_parameters(pinred.load(model), Freed(inertias=(4,))).model.inertias[5]
     reach = radius + 0.5e-3
     assert 1.5 * reach < moments(found)[0] < 6.0 * reach
     assert 0.2 * reach < np.linalg.norm(found.lever - lever) < 4.0 * reach
@@ -81,7 +81,7 @@ def test_what_hangs_on_a_cyclic_joint() -> None:
     system = pinred.load("reaction_wheel_satellite")
     wheels = range(system.m)
     freed = Freed(inertias=tuple(range(system.m + 1)))
-    other = with_other_numbers(system, freed, tuple(wheels))
+    other = perturb_parameters(system, freed, tuple(wheels))
     for k in wheels:
         joint = system.joints[k]
         own, found = system.model.inertias[joint], other.model.inertias[joint]
@@ -99,7 +99,7 @@ def test_what_hangs_on_a_cyclic_joint() -> None:
     for i in range(first + 1, chain.model.njoints):
         carried |= {i} & {i for p in carried if parents[i] == p}
     assert 1 < len(carried) < chain.m + 1
-    other = with_other_numbers(chain, Freed(inertias=tuple(range(chain.m + 1))), (carrying,))
+    other = perturb_parameters(chain, Freed(inertias=tuple(range(chain.m + 1))), (carrying,))
     for i in range(1, chain.model.njoints):
         same = other.model.inertias[i].lever.tolist() == chain.model.inertias[i].lever.tolist()
         assert same is (i in carried)
@@ -110,7 +110,7 @@ def test_steps_and_links() -> None:
     system = tree()
     moved, links = 2, (1, 2, 4, 5)
     freed = Freed(steps=((moved, pattern_of(system, moved)),), links=links)
-    other = with_other_numbers(system, freed)
+    other = perturb_parameters(system, freed)
     own, found = system.model, other.model
     for i in range(1, own.njoints):
         apart = own.jointPlacements[i].actInv(found.jointPlacements[i])
@@ -134,6 +134,6 @@ def test_steps_and_links() -> None:
 def test_gravity(gravity: float) -> None:
     """Stronger by a good part, in its direction; none stays none."""
     system = tree(gravity=gravity)
-    other = with_other_numbers(system, Freed(inertias=(1,)))
+    other = perturb_parameters(system, Freed(inertias=(1,)))
     np.testing.assert_allclose(other.gravity, 1.3 * system.gravity)
     np.testing.assert_allclose(other.model.gravity.linear, other.gravity)

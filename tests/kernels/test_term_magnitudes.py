@@ -18,9 +18,9 @@ from trees import random_model
 import pinred
 from pinred import forces
 from pinred.common.arrays import Array
-from pinred.kernels import judge as judging
-from pinred.kernels.judged_state import JudgedState, random_state
+from pinred.kernels import validation as judging
 from pinred.kernels.kernel import Kernel
+from pinred.kernels.reference_state import ReferenceState, random_state
 from pinred.simulation.compiled.kernel_of_plan import kernel_of
 from pinred.simulation.plan import plan_of
 
@@ -59,7 +59,7 @@ def pushed() -> Kernel:
     return kernel(body(pin.JointModelFreeFlyer()), forces=wrench)
 
 
-def drawn(judged: Kernel) -> JudgedState:
+def drawn(judged: Kernel) -> ReferenceState:
     """Return a random state."""
     at = random_state(judged, np.random.default_rng(0), 1.0)
     assert at is not None
@@ -74,12 +74,12 @@ def sizes(monkeypatch: pytest.MonkeyPatch, work: Callable[[], object]) -> dict[s
         found[what] = np.broadcast_to(np.asarray(terms, dtype=float), expected.shape)
         found[f"expected {what}"] = expected
 
-    monkeypatch.setattr(judging, "agree", noted)
+    monkeypatch.setattr(judging, "require_agreement", noted)
     work()
     return found
 
 
-def spinning() -> JudgedState:
+def spinning() -> ReferenceState:
     """Return the free body's state where it turns about z, without momentum of translation."""
     line = np.array([1.0, 0.0, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0, -G])
     return replace(
@@ -188,7 +188,7 @@ CART, POLE, HALF = 2.0, 1.0, 0.5  # of robots/cartpole.urdf, SI
 
 def accelerated(
     monkeypatch: pytest.MonkeyPatch, **options: Any
-) -> tuple[Kernel, JudgedState, dict[str, Array]]:
+) -> tuple[Kernel, ReferenceState, dict[str, Array]]:
     """Return a state of the cart and pole, and what accelerations and torques are sums of."""
     scene = pinred.Scene(system=pinred.load("cartpole"), seed=0, **options)
     judged = kernel_of(plan_of(scene), zero_momentum=False)
@@ -256,26 +256,26 @@ def test_what_is_allowed(part: float, passes: bool) -> None:
                 found = expected.copy()
                 found[k] += error
                 if passes:
-                    judging.agree("it", "this", found, expected, terms)
+                    judging.require_agreement("it", "this", found, expected, terms)
                     continue
                 off = abs(found[k] - expected[k])
                 words = f"it disagrees with Pinocchio: this is off by {off:.3g} of 20\n"
                 with pytest.raises(pinred.KernelMismatch, match=words):
-                    judging.agree("it", "this", found, expected, terms)
-    judging.agree("it", "this", np.zeros(0), np.zeros(0), 0.0)
+                    judging.require_agreement("it", "this", found, expected, terms)
+    judging.require_agreement("it", "this", np.zeros(0), np.zeros(0), 0.0)
 
 
 def test_where_forces_are_not_defined(monkeypatch: pytest.MonkeyPatch) -> None:
     """Smaller states are tried, down to a thousandth; the first three defined are judged."""
     tried: list[float] = []
     judged, judge_at = pushed(), judging._judge_at
-    seen: list[JudgedState] = []
+    seen: list[ReferenceState] = []
 
-    def smaller(_kernel: Kernel, rng: np.random.Generator, reach: float) -> JudgedState | None:
+    def smaller(_kernel: Kernel, rng: np.random.Generator, reach: float) -> ReferenceState | None:
         tried.append(reach)
         return random_state(judged, rng, 1.0) if reach < most else None
 
-    def noted(found: Kernel, at: JudgedState) -> None:
+    def noted(found: Kernel, at: ReferenceState) -> None:
         judge_at(found, at)
         seen.append(at)
 
@@ -283,16 +283,16 @@ def test_where_forces_are_not_defined(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(judging, "_judge_at", noted)
     most = 0.0
     with pytest.raises(pinred.InputError, match="not finite at 80 of 80 random states"):
-        judging.judge(judged)
+        judging.validate_kernel(judged)
     assert tried[:4] == [1.0] * 4
     ratios = np.array(tried[4:]) / tried[3:-1]
     assert ratios == pytest.approx(0.9)
     assert tried[-1] < 1e-3
     tried, most = [], 0.5
-    judging.judge(judged)
+    judging.validate_kernel(judged)
     assert len(seen) == 3
     assert sum(reach < most for reach in tried) == 3
     most, seen = 1.001 * 0.9**76, []
     with pytest.raises(pinred.InputError, match="not finite at 79 of 80 random states"):
-        judging.judge(judged)
+        judging.validate_kernel(judged)
     assert len(seen) == 1

@@ -20,12 +20,12 @@ from ..reduction.base_parts import into_body
 from ..system.system import System
 from .base_graph import rotated
 from .differentiable import Differentiable, call_value
-from .judge import agree
+from .initial_conditions import TwistOrMomentum, initial_conditions_graph, initial_conditions_kernel
 from .kernel import Kernel
 from .layout import outputs_of
 from .machine.native import NativeCode
 from .reduced_graph import ReducedGraph
-from .start_kernel import TwistOrMomentum, start_graph, start_kernel
+from .validation import require_agreement
 
 Outcome = Literal["x", "xdot", "pose", "xi", "body_momentum", "spatial_momentum", "energy"]
 # The numbers of a pose are as good as its tangent where a function's values are such numbers, too.
@@ -42,7 +42,7 @@ def rate_of(kernel: Kernel) -> Differentiable:
     return once(kernel, rate_of, make)
 
 
-def begin_of(kernel: Kernel, given: TwistOrMomentum) -> Differentiable:
+def initial_conditions_of(kernel: Kernel, given: TwistOrMomentum) -> Differentiable:
     """Return the begin ((pose, x, ẋ, ξ or μ), constants) → (y₀, spin and momenta, c₀, v₀).
 
     constants: the parameters from gravity on.  x and ẋ of prescribed joints are those of their
@@ -59,7 +59,7 @@ def begin_of(kernel: Kernel, given: TwistOrMomentum) -> Differentiable:
             partial(_judge_begin, kernel, given),
         )
 
-    return once(kernel, (begin_of, given), make)
+    return once(kernel, (initial_conditions_of, given), make)
 
 
 def outcome_of(kernel: Kernel, rows: tuple[Row, ...]) -> Differentiable:
@@ -103,7 +103,7 @@ def _begin_graph(graph: ReducedGraph, given: TwistOrMomentum) -> ca.Function:
     first = len(layout.gravity)
     inertias = _entries(constants)[first : first + layout.freed.size]
     state, rest = ca.vertcat(pose, x, xdot, motion), ca.vertcat(ca.SX(0, 1), *inertias)
-    found = start_graph(system, given, layout.freed)(state, rest if inertias else 0.0)
+    found = initial_conditions_graph(system, given, layout.freed)(state, rest if inertias else 0.0)
     turns = r - k
     pi, about, fixed, c0, v0 = ca.vertsplit(
         found, [0, m, m + turns, m + 2 * turns, m + 2 * turns + k, m + 2 * turns + 2 * k]
@@ -204,7 +204,9 @@ def _judge_begin(kernel: Kernel, given: TwistOrMomentum, native: NativeCode) -> 
             return
         x, xdot, driven = x.copy(), xdot.copy(), list(layout.prescribed)
         x[driven], xdot[driven] = planned.x, planned.xdot
-    start = start_kernel(system, given, layout.freed)(pose[None], x[None], xdot[None], motion[None])
+    start = initial_conditions_kernel(system, given, layout.freed)(
+        pose[None], x[None], xdot[None], motion[None]
+    )
     active, cyclic, parts = list(layout.active), list(layout.cyclic), layout.base
     gravity = np.zeros(3)
     gravity[list(layout.gravity)] = constants[: len(layout.gravity)]
@@ -219,7 +221,7 @@ def _judge_begin(kernel: Kernel, given: TwistOrMomentum, native: NativeCode) -> 
     found = np.empty(len(expected))
     call_value(native.address, whole, constants, found)
     terms = np.abs(expected).max(initial=1.0) * np.ones(len(expected))
-    agree(f"the begin of '{system.name}'", "what it gives", found, expected, terms)
+    require_agreement(f"the begin of '{system.name}'", "what it gives", found, expected, terms)
 
 
 def _unjudged(_: NativeCode) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 import pinred
 from pinred.common.errors import CacheWarning
-from pinred.kernels import secret as secrets_of
+from pinred.kernels import signing_key as signing_keys
 from pinred.kernels.build import build_kernel
 from pinred.kernels.object_cache import (
     _HEADER,
@@ -33,9 +33,9 @@ KEY = cache_key("one")
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A home of its own, where the key is `pinred/cache_key`."""
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
-    secrets_of._secret.cache_clear()
+    signing_keys._secret.cache_clear()
     yield tmp_path / "data"
-    secrets_of._secret.cache_clear()
+    signing_keys._secret.cache_clear()
 
 
 def entry(payload: bytes, signature: bytes) -> bytes:
@@ -71,7 +71,7 @@ def test_a_forged_kernel_is_rebuilt(tmp_path: Path) -> None:
     build_kernel(cat, structure, cache=cache)
     (kept,) = cache.entries()
     (tmp_path / "data/pinred/cache_key").unlink()
-    secrets_of._secret.cache_clear()
+    signing_keys._secret.cache_clear()
     with pytest.warns(CacheWarning, match="signature is not this user's"):
         build_kernel(cat, structure, cache=cache)
     assert [found.key for found in cache.entries()] == [kept.key]
@@ -82,21 +82,21 @@ def test_a_forged_kernel_is_rebuilt(tmp_path: Path) -> None:
 
 def test_the_key_is_private_and_stays(home: Path) -> None:
     """Mode 0600 in a folder of mode 0700; another process finds the same."""
-    key = secrets_of.secret()
+    key = signing_keys.signing_key()
     file = home / "pinred/cache_key"
     assert file.read_bytes() == key
     assert len(key) == 32
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
     assert stat.S_IMODE(file.parent.stat().st_mode) == 0o700
     assert os.listdir(file.parent) == ["cache_key"]
-    secrets_of._secret.cache_clear()
-    assert secrets_of.secret() == key
+    signing_keys._secret.cache_clear()
+    assert signing_keys.signing_key() == key
 
 
 @pytest.mark.parametrize("fault", ["readable", "short", "link"])
 def test_a_key_that_is_no_secret_is_replaced(home: Path, fault: str) -> None:
     """With a word."""
-    key = secrets_of.secret()
+    key = signing_keys.signing_key()
     file = home / "pinred/cache_key"
     if fault == "readable":
         file.chmod(0o644)
@@ -105,9 +105,9 @@ def test_a_key_that_is_no_secret_is_replaced(home: Path, fault: str) -> None:
     else:
         file.rename(home / "other")
         file.symlink_to(home / "other")
-    secrets_of._secret.cache_clear()
+    signing_keys._secret.cache_clear()
     with pytest.warns(CacheWarning, match="was no secret"):
-        new = secrets_of.secret()
+        new = signing_keys.signing_key()
     assert new != key
     assert not file.is_symlink()
     assert stat.S_IMODE(file.stat().st_mode) == 0o600

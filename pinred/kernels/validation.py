@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -9,13 +11,15 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..common.errors import InputError, KernelMismatch
+from ..common.errors import InputError, KernelMismatch, ModelError
 from ..reduction.potential import translations
 from ..system.joints import axes_of
-from .judged_state import JudgedState, random_state
+from ..system.scale import ill_scaled
 from .loads_by_pinocchio import LoadsByPinocchio
+from .reference_state import ReferenceState, random_state
 
 if TYPE_CHECKING:
+    from ..system.system import System
     from .kernel import Kernel
 
 _STATES = 3
@@ -24,7 +28,7 @@ _TOLERANCE = 1e-10
 ROUND_OFF = 1e-13  # of the terms, through all of a sweep
 
 
-def judge(kernel: Kernel) -> None:
+def validate_kernel(kernel: Kernel) -> None:
     """Compare a kernel with Pinocchio: velocities by H v = (μ, π), accelerations by RNEA.
 
     Raises KernelMismatch with the numbers if they differ by more than 1e-10 relative, and
@@ -46,7 +50,7 @@ def judge(kernel: Kernel) -> None:
     )
 
 
-def _judge_at(kernel: Kernel, at: JudgedState) -> None:
+def _judge_at(kernel: Kernel, at: ReferenceState) -> None:
     """Judge all values of a kernel at a state."""
     out = kernel.evaluate_outputs(at.time, at.y, at.parameters, at.line)
     rate = kernel.evaluate_rate(at.y, at.parameters)
@@ -61,7 +65,7 @@ def _judge_at(kernel: Kernel, at: JudgedState) -> None:
     _judge_acceleration(kernel, at, rate, v, torque, wrench)
 
 
-def _judge_momentum(kernel: Kernel, at: JudgedState, out: Array) -> None:
+def _judge_momentum(kernel: Kernel, at: ReferenceState, out: Array) -> None:
     """Compare velocity, momenta, shape and centre of mass, as seen from the centre of mass."""
     check, where, r = _checker(kernel), kernel.where, kernel.system.r
     driven, v, terms = list(at.driven), out[: kernel.system.n], at.momentum_terms
@@ -75,7 +79,7 @@ def _judge_momentum(kernel: Kernel, at: JudgedState, out: Array) -> None:
     check("shape", out[where.x], at.x, abs(at.x))
 
 
-def _judge_full_state(kernel: Kernel, at: JudgedState, out: Array) -> None:
+def _judge_full_state(kernel: Kernel, at: ReferenceState, out: Array) -> None:
     """Compare the full state: configuration, path of the centre of mass, momenta, energy."""
     system, where, check = kernel.system, kernel.where, _checker(kernel)
     model, r, k = system.model, system.r, system.group.linear
@@ -117,7 +121,7 @@ def _judge_full_state(kernel: Kernel, at: JudgedState, out: Array) -> None:
     check("energy", out[-1:], np.array([energy]), terms)
 
 
-def _judge_velocity(kernel: Kernel, at: JudgedState, rate: Array) -> None:
+def _judge_velocity(kernel: Kernel, at: ReferenceState, rate: Array) -> None:
     """Compare the rates of the joints and of the attitude."""
     layout, r, check = kernel.layout, kernel.system.r, _checker(kernel)
     active, cyclic, a = list(layout.active), list(layout.cyclic), len(layout.active)
@@ -131,7 +135,7 @@ def _judge_velocity(kernel: Kernel, at: JudgedState, rate: Array) -> None:
     check("attitude rate", attitude, of_twist @ at.v[:r], turning)
 
 
-def _judge_base(kernel: Kernel, at: JudgedState, rate: Array, v: Array, wrench: Array) -> None:
+def _judge_base(kernel: Kernel, at: ReferenceState, rate: Array, v: Array, wrench: Array) -> None:
     """Compare the rates of angular momentum, of gravity's direction and of the centre of mass."""
     system, parts, check = kernel.system, kernel.layout.base, _checker(kernel)
     r, k, H = system.r, system.group.linear, at.H
@@ -159,7 +163,7 @@ def _judge_base(kernel: Kernel, at: JudgedState, rate: Array, v: Array, wrench: 
 
 
 def _judge_acceleration(
-    kernel: Kernel, at: JudgedState, rate: Array, v: Array, torque: Array, wrench: Array
+    kernel: Kernel, at: ReferenceState, rate: Array, v: Array, torque: Array, wrench: Array
 ) -> None:
     """Compare the accelerations that follow from π̇ with those that follow from RNEA's forces.
 
@@ -196,7 +200,7 @@ def _judge_acceleration(
     _checker(kernel)("acceleration", found, true, at.solved_terms(terms)[free])
 
 
-def _velocity_in(kernel: Kernel, at: JudgedState, rate: Array) -> Array:
+def _velocity_in(kernel: Kernel, at: ReferenceState, rate: Array) -> Array:
     """Return the velocity (n,) that a rate has.
 
     π̇ is judged at the velocity of the same evaluation: round-off in that is not its error.
@@ -213,7 +217,7 @@ def _velocity_in(kernel: Kernel, at: JudgedState, rate: Array) -> Array:
     return v
 
 
-def _judge_inverse_dynamics(kernel: Kernel, at: JudgedState, v: Array) -> None:
+def _judge_inverse_dynamics(kernel: Kernel, at: ReferenceState, v: Array) -> None:
     """Compare torques of inverse dynamics with those of Pinocchio's mass matrix and RNEA.
 
     The base goes as its own rows of H a + bias = (0, τ) have it, with nothing acting on it.
@@ -232,7 +236,7 @@ def _judge_inverse_dynamics(kernel: Kernel, at: JudgedState, v: Array) -> None:
         _checker(kernel)("inverse dynamics", torque, true, terms[r:] + carried)
 
 
-def _acting(kernel: Kernel, at: JudgedState, v: Array) -> tuple[Array, Array]:
+def _acting(kernel: Kernel, at: ReferenceState, v: Array) -> tuple[Array, Array]:
     """Return torques (m,) and the wrench on the base (r,); those on links by Pinocchio."""
     system, forces = kernel.system, kernel.forces
     if forces is None:
@@ -246,19 +250,19 @@ def _acting(kernel: Kernel, at: JudgedState, v: Array) -> tuple[Array, Array]:
     return acting.torque + on_links[system.r :], acting.wrench + on_links[: system.r]
 
 
-def _seen(at: JudgedState, v: Array) -> tuple[Any, ...]:
+def _seen(at: ReferenceState, v: Array) -> tuple[Any, ...]:
     """Return what forces see of a state, in the order in which a ForceModel takes it."""
     xi, xdot = v[: len(at.mu)], v[len(at.mu) :]
     return at.time, at.x, xdot, xi, at.mu, at.numbers, at.in_space(v)
 
 
-def _moment_of_gravity(kernel: Kernel, at: JudgedState) -> Array:
+def _moment_of_gravity(kernel: Kernel, at: ReferenceState) -> Array:
     """Return the moment of the weight about the pivot, (r,), by Pinocchio."""
     weight = pin.computeGeneralizedGravity(at.model, kernel.system.data, at.q)
     return -np.asarray(weight[: kernel.system.r])
 
 
-def _attitude_of_twist(kernel: Kernel, at: JudgedState) -> Array:
+def _attitude_of_twist(kernel: Kernel, at: ReferenceState) -> Array:
     """Return the map from body twists to rates of the attitude, (attitude, r)."""
     group, first = kernel.system.group, len(at.pose) - kernel.layout.base.attitude
     return np.transpose([group.rate(at.pose, twist)[first:] for twist in np.eye(group.dim)])
@@ -270,12 +274,23 @@ def _base_rates(kernel: Kernel, rate: Array) -> tuple[Array, Array, Array, Array
     return parts.split(rate[first : first + parts.size])
 
 
+@contextmanager
+def explain_ill_scaling(system: System) -> Iterator[None]:
+    """Raise ModelError in the place of a KernelMismatch, if the system is ill-scaled."""
+    try:
+        yield
+    except KernelMismatch as error:
+        if words := ill_scaled(system):
+            raise ModelError(words) from error
+        raise
+
+
 def _checker(kernel: Kernel) -> partial[None]:
-    """Return `agree` for a kernel."""
-    return partial(agree, f"the kernel of '{kernel.system.name}'")
+    """Return `require_agreement` for a kernel."""
+    return partial(require_agreement, f"the kernel of '{kernel.system.name}'")
 
 
-def agree(
+def require_agreement(
     who: str,
     what: str,
     found: Array,

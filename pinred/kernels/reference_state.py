@@ -29,7 +29,7 @@ _HEAVIER = 1.3  # is the gravity in which kernels are judged again
 
 
 @dataclass(frozen=True)
-class JudgedState:
+class ReferenceState:
     """A state, the kernel's arguments there, and Pinocchio's numbers.
 
     system: the kernel's.  model: in the gravity that the kernel knows, which is without what
@@ -150,7 +150,7 @@ def _size(body: pin.Inertia) -> float:
     return float(np.linalg.norm(body.lever)) + radius_of_gyration(body)
 
 
-def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> JudgedState | None:
+def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> ReferenceState | None:
     """Return a random state of a size; None where the forces are not defined."""
     system, layout, forces = kernel.system, kernel.layout, kernel.forces
     r, m, k = system.r, system.m, system.group.linear
@@ -194,7 +194,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
         if not np.isfinite(np.concatenate([acting.torque, acting.wrench, potential])).all():
             return None
     acts, bodies = gravity[list(layout.gravity)], free_numbers(system, layout.freed)
-    return JudgedState(
+    return ReferenceState(
         system=system,
         model=model,
         data=data,
@@ -220,7 +220,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Judg
     )
 
 
-def with_other_numbers(system: System, freed: Freed, cyclic: tuple[int, ...] = ()) -> System:
+def perturb_parameters(system: System, freed: Freed, cyclic: tuple[int, ...] = ()) -> System:
     """Return the system with other numbers, inertias physical, of what is freed, in more gravity.
 
     Inertias that a cyclic joint carries are made heavier and no more: it has to stay cyclic.

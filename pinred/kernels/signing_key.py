@@ -26,7 +26,7 @@ _SIZE = 32  # bytes
 _NOT_OWNERS = stat.S_IRWXG | stat.S_IRWXO
 
 
-def secret() -> bytes:
+def signing_key() -> bytes:
     """Return the user's key, made when it is first needed.
 
     A file that others can read or write is no secret: it is replaced, with a CacheWarning.

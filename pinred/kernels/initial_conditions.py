@@ -30,18 +30,17 @@ from ..system.system import System
 from .base_graph import BaseGraph
 from .evaluate import evaluate
 from .fingerprint import model_bytes
-from .judge import agree
-from .judged_state import with_other_numbers
 from .machine.native import NativeCode, compile_object, load_object
 from .object_cache import ObjectCache, cache_key
-from .scale import telling_scale
+from .reference_state import perturb_parameters
+from .validation import explain_ill_scaling, require_agreement
 
 TwistOrMomentum = Literal["xi", "mu"]
 _NAME = "start"
 
 
 @dataclass(frozen=True)
-class Starts:
+class InitialConditions:
     """The starts of flows from N initial states.
 
     pi: (N, m) canonical momenta.  about: (N, a) angular momenta about the centre of mass, in
@@ -57,7 +56,7 @@ class Starts:
 
 
 @dataclass(frozen=True)
-class StartKernel:
+class InitialConditionsKernel:
     """Machine code from initial states to the starts of flows.
 
     system: whose numbers it takes where none are given.  freed: which of them are inputs.
@@ -69,7 +68,7 @@ class StartKernel:
 
     def __call__(
         self, pose: Array, x: Array, xdot: Array, motion: Array, numbers: Array | None = None
-    ) -> Starts:
+    ) -> InitialConditions:
         """Return the starts for poses (N, size), x and ẋ (N, m), body twists or momenta (N, r).
 
         numbers: of freed bodies, (freed.size,) of all, or (N, freed.size).
@@ -85,7 +84,7 @@ class StartKernel:
             each = zip(numbers, rows[:, None], strict=True)
             out = np.concatenate([evaluate(address, own, row, size) for own, row in each])
         about, fixed, c0, v0 = m, m + r - k, m + 2 * (r - k), m + 2 * (r - k) + k
-        return Starts(
+        return InitialConditions(
             pi=out[:, :about],
             about=out[:, about:fixed],
             fixed=out[:, fixed:c0],
@@ -94,7 +93,9 @@ class StartKernel:
         )
 
 
-def start_kernel(system: System, given: TwistOrMomentum, freed: Freed = NOTHING) -> StartKernel:
+def initial_conditions_kernel(
+    system: System, given: TwistOrMomentum, freed: Freed = NOTHING
+) -> InitialConditionsKernel:
     """Return the kernel for initial states with a body twist ("xi") or a body momentum ("mu").
 
     freed: the numbers of bodies that are inputs.
@@ -102,25 +103,29 @@ def start_kernel(system: System, given: TwistOrMomentum, freed: Freed = NOTHING)
     Raises KernelMismatch if it disagrees with Pinocchio, ModelError if the system is ill-scaled.
     """
 
-    def make() -> StartKernel:
+    def make() -> InitialConditionsKernel:
         cache = ObjectCache()
         key = cache_key(model_bytes(system, freed), f"start from {given}{freed.steps or ''}")
         code = cache.get(key)
         if code is None:
-            code = compile_object(start_graph(system, given, freed), _NAME)
+            code = compile_object(initial_conditions_graph(system, given, freed), _NAME)
             cache.put(key, code)
-        kernel = StartKernel(system, freed, load_object(code, _NAME))
-        with telling_scale(system):
+        kernel = InitialConditionsKernel(system, freed, load_object(code, _NAME))
+        with explain_ill_scaling(system):
             _judge(kernel, given)
             if freed:  # with other numbers, too
-                _judge(replace(kernel, system=with_other_numbers(system, freed)), given)
+                _judge(replace(kernel, system=perturb_parameters(system, freed)), given)
         return kernel
 
-    found = once(nominal(system) if freed else system, (StartKernel, given, freed), make)
+    found = once(
+        nominal(system) if freed else system, (InitialConditionsKernel, given, freed), make
+    )
     return replace(found, system=system) if freed else found
 
 
-def start_graph(system: System, given: TwistOrMomentum, freed: Freed = NOTHING) -> ca.Function:
+def initial_conditions_graph(
+    system: System, given: TwistOrMomentum, freed: Freed = NOTHING
+) -> ca.Function:
     """Return the start as a Function of (pose, x, ẋ, ξ or μ) and of the numbers of freed bodies."""
     numbers = ca.SX.sym("numbers", freed.size)
     bodies = with_free(bodies_of(system), freed, ca.vertsplit(numbers) if freed else [])
@@ -164,7 +169,7 @@ def start_graph(system: System, given: TwistOrMomentum, freed: Freed = NOTHING) 
     )
 
 
-def _judge(kernel: StartKernel, given: TwistOrMomentum) -> None:
+def _judge(kernel: InitialConditionsKernel, given: TwistOrMomentum) -> None:
     """Compare a kernel with Pinocchio's mass matrix at a random state."""
     system, rng = kernel.system, np.random.default_rng(0)
     group, r = system.group, system.r
@@ -201,4 +206,4 @@ def _judge(kernel: StartKernel, given: TwistOrMomentum) -> None:
         ),
     }  # fmt: skip
     for what, (value, true, size) in expected.items():
-        agree(f"the start kernel of '{system.name}'", what, value, true, size)
+        require_agreement(f"the start kernel of '{system.name}'", what, value, true, size)

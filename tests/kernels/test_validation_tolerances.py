@@ -16,9 +16,9 @@ from trees import random_model
 import pinred
 from pinred import forces
 from pinred.common.arrays import Array
-from pinred.kernels import judge as judging
-from pinred.kernels.judged_state import JudgedState, random_state
+from pinred.kernels import validation as judging
 from pinred.kernels.kernel import Kernel
+from pinred.kernels.reference_state import ReferenceState, random_state
 from pinred.simulation.compiled.kernel_of_plan import kernel_of
 from pinred.simulation.plan import plan_of
 
@@ -60,7 +60,7 @@ def driven(size: float) -> Kernel:
     return kernel_of(plan_of(scene), zero_momentum=False)
 
 
-def forces_before_they_cancel(judged: Kernel, at: JudgedState, a: Array) -> Array:
+def forces_before_they_cancel(judged: Kernel, at: ReferenceState, a: Array) -> Array:
     """Return |H⁻¹| (|inertial| + |weight| + |given| + |H| |a|), by Pinocchio."""
     system, still = judged.system, at.model.copy()
     still.gravity.setZero()
@@ -96,17 +96,17 @@ def test_sums_are_no_larger_than_their_terms(
     make: Callable[[], Kernel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Everything that is compared, at all states; and accelerations as H a = b gives them."""
-    states: list[JudgedState] = []
+    states: list[ReferenceState] = []
     seen: list[tuple[str, Array, Array]] = []
-    agree = judging.agree
+    require_agreement = judging.require_agreement
 
-    def drawn(*arguments: Any) -> JudgedState | None:
+    def drawn(*arguments: Any) -> ReferenceState | None:
         at = random_state(*arguments)
         states.extend([at] if at is not None else [])
         return at
 
     def noted(_: str, what: str, found: Array, expected: Array, terms: Array | float) -> None:
-        agree("it", what, found, expected, terms)
+        require_agreement("it", what, found, expected, terms)
         seen.append((what, expected, np.broadcast_to(terms, expected.shape)))
         if what == "acceleration":
             needed = forces_before_they_cancel(judged, states[-1], expected)
@@ -114,8 +114,8 @@ def test_sums_are_no_larger_than_their_terms(
 
     judged = make()
     monkeypatch.setattr(judging, "random_state", drawn)
-    monkeypatch.setattr(judging, "agree", noted)
-    judging.judge(judged)
+    monkeypatch.setattr(judging, "require_agreement", noted)
+    judging.validate_kernel(judged)
     assert len(states) == 3
     for what, expected, terms in seen:
         assert (np.abs(expected) <= (1.0 + 1e-9) * terms).all(), what
@@ -123,16 +123,16 @@ def test_sums_are_no_larger_than_their_terms(
 
 def test_moments_before_they_cancel(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a force that turns nothing, a moment of its lever and one that takes it back."""
-    judged, sizes, agree = pushed(1e9), [], judging.agree
+    judged, sizes, require_agreement = pushed(1e9), [], judging.require_agreement
 
     def noted(_: str, what: str, found: Array, expected: Array, terms: Array | float) -> None:
         if what == "rate of the angular momentum":
             sizes.append(np.array(terms))
             assert np.abs(expected).max() < 1e3
-        agree("it", what, found, expected, terms)
+        require_agreement("it", what, found, expected, terms)
 
-    monkeypatch.setattr(judging, "agree", noted)
-    judging.judge(judged)
+    monkeypatch.setattr(judging, "require_agreement", noted)
+    judging.validate_kernel(judged)
     c, F = np.array([0.3, 0.2, 0.1]), 1e9 * np.array([1.0, 2.0, 1.0])
     lever = np.abs(pin.skew(c)) @ F
     N = 1e9 * np.abs(np.cross([0.3, -0.2, 0.1], [1.0, 2.0, -1.0]))
