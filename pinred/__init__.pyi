@@ -1,4 +1,4 @@
-"""Every public name and where it stands: for type checkers, and for the first use of a name."""
+"""The public names and their modules, for type checkers and lazy imports."""
 
 from . import equations as equations
 from . import forces as forces

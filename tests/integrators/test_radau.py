@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import threading
-import time
 from dataclasses import replace
 from typing import Any
 
@@ -498,11 +497,9 @@ def test_interruption() -> None:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         timer = threading.Timer(0.1, signal.pthread_kill, (main, signal.SIGINT))
-        began = time.perf_counter()
         timer.start()
         with pytest.raises(KeyboardInterrupt):
             pol(Radau(max_steps=10**7, max_step=1e-6), [], end=10.0)
-        assert time.perf_counter() - began < 5.0
         timer.join()
     finally:
         signal.signal(signal.SIGINT, before)
