@@ -17,6 +17,7 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.memo import once
 from ..reduction.base_parts import into_body
+from ..system.state_fields import Outcome, derivative_rows
 from ..system.system import System
 from .base_graph import rotated
 from .differentiable import Differentiable, call_value
@@ -27,7 +28,6 @@ from .machine.native import NativeCode
 from .reduced_graph import ReducedGraph
 from .validation import require_agreement
 
-Outcome = Literal["x", "xdot", "pose", "xi", "body_momentum", "spatial_momentum", "energy"]
 # The numbers of a pose are as good as its tangent where a function's values are such numbers, too.
 Row = Outcome | Literal["pose_numbers"]
 
@@ -79,9 +79,7 @@ def outcome_of(kernel: Kernel, rows: tuple[Row, ...]) -> Differentiable:
 
 def sizes_of(system: System) -> dict[str, int]:
     """Return how many rows each part of an outcome has."""
-    m, r = system.m, system.r
-    twists = dict.fromkeys(("pose", "xi", "body_momentum", "spatial_momentum"), r)
-    return {"x": m, "xdot": m, **twists, "energy": 1, "pose_numbers": system.group.size}
+    return derivative_rows(system) | {"pose_numbers": system.group.size}
 
 
 def _begin_graph(graph: ReducedGraph, given: TwistOrMomentum) -> ca.Function:
@@ -139,13 +137,10 @@ def _outcome_graph(graph: ReducedGraph, rows: tuple[Row, ...]) -> ca.Function:
     reference = ca.SX.sym("pose", group.size)
     constants = ca.SX.sym("constants", layout.parameters + 3 * k)
     out = graph.outputs()(y if layout.clock else ca.vertcat(y, t), constants)
-    parts = {"x": out[where.x], "xdot": out[where.xdot], "energy": out[where.size - 1]}
+    parts = {name: out[place] for name, place in where.fields.items()}
     if layout.wanted:
-        parts["pose"] = _tangent_coordinates(graph, reference, out[where.pose])
-        parts["pose_numbers"] = out[where.pose]
-        parts["xi"] = out[where.v][: system.r]
-        parts["body_momentum"] = out[where.body_momentum]
-        parts["spatial_momentum"] = out[where.spatial_momentum]
+        parts["pose_numbers"] = parts["pose"]
+        parts["pose"] = _tangent_coordinates(graph, reference, parts["pose"])
     column = ca.vertcat(ca.SX(0, 1), *(parts[row] for row in rows))
     return ca.Function("outcome", [ca.vertcat(y, t, reference), constants], [ca.densify(column)])
 

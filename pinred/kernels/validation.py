@@ -76,7 +76,7 @@ def _judge_momentum(kernel: Kernel, at: ReferenceState, out: Array) -> None:
     check("prescribed positions", out[where.driven_x], at.x[driven], abs(at.x[driven]))
     momenta = terms[r:][driven]
     check("momenta of prescribed joints", out[where.driven_pi], at.pi[driven], momenta)
-    check("shape", out[where.x], at.x, abs(at.x))
+    check("shape", out[where.fields["x"]], at.x, abs(at.x))
 
 
 def _judge_full_state(kernel: Kernel, at: ReferenceState, out: Array) -> None:
@@ -84,7 +84,7 @@ def _judge_full_state(kernel: Kernel, at: ReferenceState, out: Array) -> None:
     system, where, check = kernel.system, kernel.where, _checker(kernel)
     model, r, k = system.model, system.r, system.group.linear
     data = system.data
-    pose, q, v = out[where.pose], out[where.q], out[where.v]
+    pose, q, v = out[where.fields["pose"]], out[where.fields["q"]], out[where.fields["v"]]
     check("configuration", q, system.model_q(pose, at.x), abs(q))
     found = system.velocity(system.given_v(v))
     full, v = v, np.concatenate([found.xi, found.xdot])
@@ -107,10 +107,10 @@ def _judge_full_state(kernel: Kernel, at: ReferenceState, out: Array) -> None:
     whole = at.velocity_terms.copy()
     whole[:k] += fast
     body = np.abs(at.H[:r]) @ whole
-    check("body momentum", out[where.body_momentum], mu, body)
+    check("body momentum", out[where.fields["body_momentum"]], mu, body)
     J = system.group.spatial_momentum(pose, mu)
     carried = np.abs(system.group.Ad(system.group.inverse(pose))).T @ body
-    check("spatial momentum", out[where.spatial_momentum], J, carried)
+    check("spatial momentum", out[where.fields["spatial_momentum"]], J, carried)
     height = pin.computePotentialEnergy(model, data, q)
     energy = 0.5 * v @ at.H @ v + height
     weight = system.mass * float(np.abs(system.gravity).sum())

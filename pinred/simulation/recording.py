@@ -7,7 +7,7 @@ something needs it, from where the file says, or from where one says.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,7 @@ from ..common.plain_names import plain_path, quoted_path
 from ..lie.groups import GROUPS
 from ..system.catalogue import bundled_robots
 from ..system.load import is_path
-from ..system.state_fields import ShapeState, State
+from ..system.state_fields import FIELDS, Axis, ShapeState, State
 from .archive import read_arrays
 from .over_time import OverTime
 from .trajectory_files import parameters_in, save
@@ -105,7 +105,7 @@ def read_recording(path: str | Path, robot: str | None = None) -> Recording:
     """
     path = Path(path)
     content = read_arrays(path)
-    missing = {"robot", "group", "joints", "t", "x", "xdot", "energy"} - content.keys()
+    missing = {"robot", "group", "joints", *ShapeState.__dataclass_fields__} - content.keys()
     if missing:
         raise LoadError(
             f"{quoted_path(path)} is not a motion that pinred wrote: it has no array "
@@ -127,15 +127,14 @@ def _outputs(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
     if str(content["group"]) not in GROUPS:
         raise LoadError(f"{quoted_path(path)}: unknown group '{content['group']}'")
     group, m = GROUPS[str(content["group"])], np.size(content["joints"])
-    widths = {"x": m, "xdot": m, "pose": group.size}
-    widths |= dict.fromkeys(("xi", "body_momentum", "spatial_momentum"), group.dim)
-    kind = State if {field.name for field in fields(State)} <= content.keys() else ShapeState
+    lengths: dict[Axis, int] = {"joint": m, "twist": group.dim, "coordinate": group.size}
+    kind = State if State.__dataclass_fields__.keys() <= content.keys() else ShapeState
     count, arrays = np.size(content["t"]), {}
-    for name in (field.name for field in fields(kind)):
-        array = content[name]
-        # Joints that follow others are in q and v besides.
-        is_full = name in ("q", "v")
-        width = np.shape(array)[1:] if is_full else (widths[name],) if name in widths else ()
+    for name in kind.__dataclass_fields__:
+        array, axis = content[name], FIELDS[name].axis
+        # The file does not say how many of Pinocchio's joints follow others.
+        is_full = axis in ("nq", "nv")
+        width = np.shape(array)[1:] if is_full else () if axis is None else (lengths[axis],)
         shape = (count, *width)
         if array.shape != shape or (is_full and array.ndim != 2):
             raise LoadError(

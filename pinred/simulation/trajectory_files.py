@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from ..common.files import check_path, write_atomic
 from ..system.model_parameters import GRAVITY
+from ..system.state_fields import FIELDS, arrays_of, axis_labels
 from ..system.system import System
 from .over_time import OverTime
 from .zarr_files import write_zarr
@@ -43,8 +43,7 @@ def _write_npz(traj: OverTime, file: BinaryIO) -> None:
 
 
 def _arrays(traj: OverTime) -> dict[str, Any]:
-    arrays = {field.name: getattr(traj.outputs, field.name) for field in fields(traj.outputs)}
-    return {**about_robot(traj.system), **arrays}
+    return {**about_robot(traj.system), **arrays_of(traj.outputs)}
 
 
 def about_robot(system: System) -> dict[str, Any]:
@@ -101,27 +100,15 @@ def parameters_in(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _write_csv(traj: OverTime, file: BinaryIO) -> None:
-    system = traj.system
-    twist = ("s",) if system.r == 1 else tuple(str(k + 1) for k in range(system.r))
-    labels = {
-        "x": system.shape_names,
-        "xdot": system.shape_names,
-        "pose": [name.translate(_GREEK) for name in system.group.pose_names],
-        "xi": twist,
-        "body_momentum": twist,
-        "spatial_momentum": twist,
-    }
+    labels = axis_labels(traj.system)
+    labels["coordinate"] = [name.translate(_GREEK) for name in labels["coordinate"]]
+    r = traj.system.r
+    labels["twist"] = ["s"] if r == 1 else range(1, r + 1)
     names, columns = [], []
-    for field in fields(traj.outputs):
-        values = getattr(traj.outputs, field.name)
-        if values.ndim == 1:
-            names.append(field.name)
-            columns.append(values)
-            continue
-        for k in range(values.shape[1]):
-            label = labels[field.name][k] if field.name in labels else str(k)
-            names.append(f"{field.name}.{label}")
-            columns.append(values[:, k])
+    for name, values in arrays_of(traj.outputs).items():
+        axis = FIELDS[name].axis
+        names += [name] if axis is None else [f"{name}.{label}" for label in labels[axis]]
+        columns.append(values)
     table = np.column_stack(columns)
     header = ",".join(map(_quoted, names))
     np.savetxt(file, table, fmt="%.17g", delimiter=",", header=header, comments="")

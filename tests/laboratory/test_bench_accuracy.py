@@ -387,7 +387,7 @@ def test_satellite_is_chaotic() -> None:
     def grown(problem: Problem) -> Array:
         full, y0 = problem.full, problem.full_start()
         there = full.run(y0, times, 1e-13, 1e-15)
-        beside = full.run(full.kick(y0, 40.0, 1e-11), times, 1e-13, 1e-15)
+        beside = full.run(full.perturb(y0, 40.0, 1e-11), times, 1e-13, 1e-15)
         return np.asarray(np.abs(beside.x - there.x).max(axis=1) / 1e-11)
 
     wild = grown(satellite)

@@ -16,7 +16,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError, UnsupportedOperationError
 from pinred.judge.distances import FullMotion
-from pinred.judge.full_state import FullState
+from pinred.judge.reference_solution import FullState
 from pinred.kernels.layout import Structure
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.laboratory.bench import SOLVERS, Problem, reference_of
@@ -156,7 +156,7 @@ def test_methods_come_to_the_reference(method: Solver) -> None:
             end = prepared.end(prepared.run())
             errors.append(problem.apart(truth, FullMotion(end.x[None], end.q[None])))
             energies = [
-                problem.full.kinetic_energy(q, v) + problem.full.potential_energy(q)
+                problem.full.totals.kinetic_energy(q, v) + problem.full.totals.potential_energy(q)
                 for q, v in ((problem.q0, problem.v0), (end.q, end.v))
             ]
         if not method.fixed:

@@ -29,16 +29,16 @@ def drift(problem: Problem, q: Array, v: Array) -> Drift:
     full, system, start = problem.full, problem.system, problem.start
     k = system.group.linear
     q0, v0 = problem.q0, problem.v0
-    total = full.kinetic_energy(q0, v0)
-    internal = total - full.carried_energy(q0, v0)
+    total = full.totals.kinetic_energy(q0, v0)
+    internal = total - full.totals.com_kinetic_energy(q0, v0)
     scale = internal if internal > 1e-9 * total else total
     fall = system.mass * system.gravity * start.duration
-    before = full.momentum(q0, v0, np.zeros(3), about_pivot=not system.group.turns_about_com)
-    after = full.momentum(q, v, fall, about_pivot=not system.group.turns_about_com)
+    before = full.totals.momentum(q0, v0, np.zeros(3), about_pivot=not system.group.turns_about_com)
+    after = full.totals.momentum(q, v, fall, about_pivot=not system.group.turns_about_com)
     unit = np.full(system.r, np.sqrt(2.0 * system.mass * scale))
-    unit[k:] *= full.radius(q0)
-    energy = total + full.potential_energy(q0)
-    gained = full.kinetic_energy(q, v) + full.potential_energy(q) - energy
+    unit[k:] *= full.totals.radius_of_gyration(q0)
+    energy = total + full.totals.potential_energy(q0)
+    gained = full.totals.kinetic_energy(q, v) + full.totals.potential_energy(q) - energy
     return Drift(
         energy=abs(gained) / scale if scale > 0.0 else abs(gained),
         momentum=float(np.max(np.abs(after - before) / np.where(unit > 0.0, unit, 1.0))),

@@ -16,7 +16,7 @@ import numpy as np
 from ...common.errors import InputError, PinredError
 from ...common.progress import Progress, one_by_one
 from ...judge.distances import FullMotion
-from ...judge.full_state import FINEST
+from ...judge.reference_solution import FINEST
 from .crowd import OWN, CrowdPrepared, CrowdSolver, crowd
 from .peers.heyoka_batch import HEYOKA_BATCH
 from .peers.mujoco_rollout import ROLLOUT

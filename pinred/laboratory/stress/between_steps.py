@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...judge.defect import defect
+from ...judge.step_defects import largest_defect
 from ...system.catalogue import bundled_robots
 from ...system.load import load
 from .check import Case, Cases, Check, Trial, tolerance
@@ -16,7 +16,7 @@ def _cases(trial: Trial) -> Cases:
         for rtol in trial.pick((1e-10,), (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)):
             for method in trial.methods(rtol):
                 traj = trial.simulate(system, method=method, **tolerance(rtol))
-                found = defect(traj, system, inside=True) / rtol
+                found = largest_defect(traj, system, subintervals=True) / rtol
                 yield Case(f"{name}, {traj.run.method}, {rtol:.0e}", found, _BOUND)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...judge.distances import FullMotion, Size
-from ...judge.full_state import FINEST, FullState
+from ...judge.reference_solution import FINEST, FullState
 from ...scene.scene import Scene
 from ...simulation.trajectory import Trajectory
 

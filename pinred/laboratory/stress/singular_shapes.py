@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from ...judge.defect import defect
+from ...judge.step_defects import largest_defect
 from ...system.system import System
 from ..bench.chains import chain
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
@@ -28,13 +28,15 @@ def _cases(trial: Trial) -> Cases:
                 **tolerance(_RTOL),
             )
             bound = DEFECT + _ROUNDING * EPS / light / _RTOL
-            found = defect(traj, system) / _RTOL
+            found = largest_defect(traj, system) / _RTOL
             yield Case(f"gimbal with rings of {light:.0e}, missed by {miss:.0e}", found, bound)
     for joints in trial.pick((2,), (2, 3, 6)):
         bends = 0.3 * (-1.0) ** np.arange(joints)
         system = chain("spatial", joints)
         traj = trial.simulate(system, x0=bends, xdot0=-bends, duration=2.0, **tolerance(_RTOL))
-        yield Case(f"arm of {joints} joints stretching out", defect(traj, system) / _RTOL, DEFECT)
+        yield Case(
+            f"arm of {joints} joints stretching out", largest_defect(traj, system) / _RTOL, DEFECT
+        )
 
 
 def _gimbal(light: float) -> System:

@@ -7,7 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ...common.arrays import Array
-from ...judge.compare import DRIFT, audited
+from ...judge.audit import audit_trajectory
+from ...judge.error_bounds import DRIFT_BOUND
 from ...lie.groups import group_named
 from ...simulation.trajectory import Trajectory
 from ..motion_source import MotionSource
@@ -43,7 +44,7 @@ def momentum(motion: MotionSource) -> Figure:
         axes.set_ylabel(f"{entries[part[0]]}: {quantity}" if len(part) == 1 else quantity)
         legend(axes)
     if isinstance(motion, Trajectory):
-        lost = _largest(audited(motion, motion.states).momenta, linear)
+        lost = _largest(audit_trajectory(motion, motion.states).momenta, linear)
         _drift_panel(every[-1], motion, lost)
     else:
         _change_panel(every[-1], motion.t, _largest(values - values[0], linear), "N·s | N·m·s")
@@ -69,7 +70,7 @@ def energy(motion: MotionSource) -> Figure:
         for k, label in enumerate(balance.labels, start=1):
             top.plot(motion.t, balance.work[:, k - 1], label=f"work of {label}", **line(k))
             drawn.append(balance.work[:, k - 1])
-        _drift_panel(bottom, motion, {"energy": audited(motion, motion.states).energies})
+        _drift_panel(bottom, motion, {"energy": audit_trajectory(motion, motion.states).energies})
     else:
         _change_panel(bottom, motion.t, {"energy": motion.energy - motion.energy[0]}, "J")
     steady(top, np.concatenate(drawn))
@@ -86,7 +87,7 @@ def _largest(values: Array, linear: int) -> dict[str, Array]:
 
 def _drift_panel(axes: Axes, traj: Trajectory, drift: dict[str, Array]) -> None:
     _log_lines(axes, traj.t, drift)
-    allowed = DRIFT * (traj.scene.rtol + traj.scene.atol)
+    allowed = DRIFT_BOUND * (traj.scene.rtol + traj.scene.atol)
     axes.axhline(allowed, color="#888888", linewidth=1.0, label="allowed")
     axes.set_ylabel("drift [relative]")
     legend(axes)

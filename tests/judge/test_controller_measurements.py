@@ -12,8 +12,8 @@ import pytest
 
 import pinred
 from pinred.forces import Command, Controller
-from pinred.judge.full_state import FullState
-from pinred.judge.measurements import measurement_error
+from pinred.judge.controller_measurements import measurement_error
+from pinred.judge.reference_solution import FullState
 
 CAT = pinred.load("falling_cat")
 WRONG = 1e-3

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from ...common.files import check_path, write_atomic
 from ...scene.scene import Scene
 from ...system.other_inertias import nominal
+from ...system.state_fields import arrays_of
 from ..over_time import OverTime
 from ..trajectory_files import about_robot
 from ..zarr_files import write_zarr
@@ -44,14 +44,13 @@ def save(
 
 def _arrays(members: OverTime, failures: Mapping[int, tuple[float, str]]) -> dict[str, Any]:
     outputs = members.outputs
-    arrays = {field.name: getattr(outputs, field.name) for field in fields(outputs)}
     count, end = len(outputs.x), float(outputs.t[-1])
     reasons, reached = [""] * count, np.full(count, end)
     for member, (time, reason) in failures.items():
         reasons[member], reached[member] = reason, time
     return {
         **about_robot(nominal(members.system)),
-        **arrays,
+        **arrays_of(outputs),
         "failure": np.array(reasons, dtype=str),
         "reached": reached,
     }

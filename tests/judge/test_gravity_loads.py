@@ -9,10 +9,10 @@ import pinocchio as pin
 import pytest
 
 import pinred
-from pinred.judge.compare import audited
-from pinred.judge.equations_of_motion import equation_errors
-from pinred.judge.full_state import FullState
-from pinred.judge.weights import weights
+from pinred.judge.audit import audit_states, audit_trajectory
+from pinred.judge.equation_errors import equation_errors
+from pinred.judge.gravity_loads import gravity_load_sizes
+from pinred.judge.reference_solution import FullState
 
 MASS, LEVER, MOMENTS, G = 2.0, 0.3, (0.02, 0.03, 0.01), 9.81
 
@@ -74,16 +74,16 @@ def test_weights_do_not_cancel() -> None:
         model.appendBodyToJoint(joint, body, pin.SE3.Identity())
     data, q = model.createData(), pin.neutral(model)
     assert pin.computeGeneralizedGravity(model, data, q)[1] == pytest.approx(0.0, abs=1e-15)
-    found = weights(model, data, q)
+    found = gravity_load_sizes(model, data, q)
     assert found == pytest.approx([10.0 * 5.0, 5.0 * (2.0 * 0.2 + 1.0 * 0.4), 0.0])
     model.gravity.linear = np.zeros(3)
-    assert not weights(model, data, q).any()
+    assert not gravity_load_sizes(model, data, q).any()
 
 
 def shifted(traj: pinred.Trajectory, work: float) -> float:
     """The drift of energy, if so much work had been done at the end."""
     done = np.append(np.zeros(len(traj.t) - 1), work)
-    return float(FullState(traj.scene).audit(traj.states, done, None).energies[-1])
+    return float(audit_states(FullState(traj.scene), traj.states, done, None).energies[-1])
 
 
 def test_energy_in_parts_of_what_a_turn_takes() -> None:
@@ -151,6 +151,6 @@ def test_momentum_in_parts_of_what_its_weight_gives() -> None:
         impulse = np.zeros((5, 3))
         impulse[-1, 0] = 1e-4 * expected
         given = states.spatial_momentum - states.spatial_momentum[0]
-        found = FullState(traj.scene).audit(states, np.zeros(5), given + impulse).momenta
+        found = audit_states(FullState(traj.scene), states, np.zeros(5), given + impulse).momenta
         assert found[-1, 0] == pytest.approx(-1e-4, rel=1e-6)
-    assert audited(swing(1e-5), swing(1e-5).states).momentum < 1e-7
+    assert audit_trajectory(swing(1e-5), swing(1e-5).states).momentum < 1e-7

@@ -13,9 +13,9 @@ from tampering import tampered
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.judge import defect as module
-from pinred.judge.defect import Defects, defect, defects
-from pinred.judge.full_state import FullState
+from pinred.judge import step_defects as module
+from pinred.judge.reference_solution import FullState
+from pinred.judge.step_defects import Defects, compute_defects, largest_defect
 from pinred.laboratory.stress.made_robots import single
 
 RTOL, ATOL, END = 1e-9, 1e-11, 0.5
@@ -53,7 +53,7 @@ def test_a_jump_shows_in_its_unit(name: str, column: int, atol: float, away: flo
     traj = jumped(cat(atol, away), name, column, END)
     slow, states = atol / RTOL, traj(traj.motion.knots)
     full = FullState(traj.scene)
-    radius = full.radius(traj.system.q(states.pose[0], states.x[0]))
+    radius = full.totals.radius_of_gyration(traj.system.q(states.pose[0], states.x[0]))
     assert radius < 1.0
     place = states.pose[:, :3]
     sizes = {
@@ -66,18 +66,18 @@ def test_a_jump_shows_in_its_unit(name: str, column: int, atol: float, away: flo
         sizes["pose"] = max(radius, np.abs(place - place[0]).max(), 1e-5 * np.abs(place).max())
     if (name, column) == ("xi", 2):
         sizes["xi"] = max(slow * radius, np.abs(states.xi[:, :3]).max())
-    assert defect(traj, traj.system) == pytest.approx(JUMP / sizes[name], rel=1e-3)
+    assert largest_defect(traj, traj.system) == pytest.approx(JUMP / sizes[name], rel=1e-3)
 
 
 def test_right_motions_have_small_defects() -> None:
     """Of the tolerance; where a step turns the base six times round, of round-off all the same."""
-    assert defect(cat(RTOL), cat(RTOL).system) < RTOL
+    assert largest_defect(cat(RTOL), cat(RTOL).system) < RTOL
     exact = pinred.RKMK4(step=2.0)
     spinning = pinred.simulate(
         single([1.0, 1.0, 1.0]), xi0=[0.0, 0.0, 20.0], duration=4.0, method=exact
     )
     assert len(spinning.motion.knots) == 3
-    assert defect(spinning, spinning.system) < 1e-14
+    assert largest_defect(spinning, spinning.system) < 1e-14
 
 
 def test_parts_of_steps_end_where_steps_do() -> None:
@@ -85,7 +85,7 @@ def test_parts_of_steps_end_where_steps_do() -> None:
     traj = cat(RTOL)
     knots = traj.motion.knots
     count = len(knots) - 1
-    a, b, first = module._stretches(traj, np.arange(count))
+    a, b, first = module._subintervals(traj, np.arange(count))
     assert len(a) == 2 * count
     assert (a[first] == knots[:-1]).all()
     assert (b[first + 1] == knots[1:]).all()
@@ -99,8 +99,8 @@ def test_no_part_ends_after_the_motion(monkeypatch: pytest.MonkeyPatch) -> None:
     assert start + (end - start) > end
     traj = pinred.simulate(pinred.load("rigid_body"), duration=end, xi0=[0.1, 0.2, 0.3])
     monkeypatch.setattr(type(traj.motion), "knots", np.array([0.0, start, end]))
-    assert module._stretches(traj, np.arange(2))[1][-1] == end
-    assert np.isfinite(defects(traj, FullState(traj.scene)).worst)
+    assert module._subintervals(traj, np.arange(2))[1][-1] == end
+    assert np.isfinite(compute_defects(traj, FullState(traj.scene)).worst)
 
 
 def test_halves_are_enough_where_nothing_turns() -> None:
@@ -109,7 +109,7 @@ def test_halves_are_enough_where_nothing_turns() -> None:
     traj = pinred.simulate(
         cart, x0=[0.0], xdot0=[0.0], xi0=[0.3], duration=100.0, method=pinred.RKMK4(step=50.0)
     )
-    a, b, first = module._stretches(traj, np.arange(2))
+    a, b, first = module._subintervals(traj, np.arange(2))
     assert a.tolist() == [0.0, 25.0, 50.0, 75.0]
     assert b.tolist() == [25.0, 50.0, 75.0, 100.0]
     assert first.tolist() == [0, 2]
@@ -122,8 +122,10 @@ def test_angles_count_by_a_radian() -> None:
         system, pose0=[8.0], x0=[0.1], xi0=[0.2], xdot0=[0.2], duration=END, rtol=RTOL, atol=ATOL
     )
     unit = 8.0 + 0.2 * END  # without springs both spin steadily
-    assert defect(jumped(traj, "pose", 0, END), system) == pytest.approx(JUMP / unit, rel=1e-3)
-    assert defect(jumped(traj, "x", 0, END), system) == pytest.approx(JUMP, rel=1e-3)
+    assert largest_defect(jumped(traj, "pose", 0, END), system) == pytest.approx(
+        JUMP / unit, rel=1e-3
+    )
+    assert largest_defect(jumped(traj, "x", 0, END), system) == pytest.approx(JUMP, rel=1e-3)
 
 
 def test_what_jumps_between_the_ends_of_a_step() -> None:
@@ -137,8 +139,8 @@ def test_what_jumps_between_the_ends_of_a_step() -> None:
         return replace(state, x=x)
 
     traj = tampered(cat(RTOL), change)
-    assert defect(traj, traj.system) < RTOL
-    assert defect(traj, traj.system, inside=True) == pytest.approx(
+    assert largest_defect(traj, traj.system) < RTOL
+    assert largest_defect(traj, traj.system, subintervals=True) == pytest.approx(
         JUMP / np.abs(traj(knots).x).max(), rel=1e-6
     )
 
@@ -159,19 +161,19 @@ def test_round_off_of_aba_is_no_defect(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten times what two ways through it are apart, for as long as the step lasts."""
     traj = jumped(cat(RTOL), "xdot", 2, END)
     full = Rounded(traj.scene)
-    clean = defects(traj, full)
+    clean = compute_defects(traj, full)
     whole = clean.worst
     length = float(np.diff(traj.motion.knots)[-1])
     size = JUMP / whole
     monkeypatch.setattr(Rounded, "left", 0.03 * JUMP / length)
-    found = defects(traj, full)
+    found = compute_defects(traj, full)
     assert found.worst == pytest.approx(whole - 0.3 * JUMP / size, rel=1e-3)
     # Half as long, so half of that is taken off.
-    assert found.inside.max() == pytest.approx(whole - 0.15 * JUMP / size, rel=1e-3)
-    own = JUMP / clean.carried.max()
-    assert found.blurred == pytest.approx(0.03 * JUMP / length / own, rel=1e-3)
+    assert found.subintervals.max() == pytest.approx(whole - 0.15 * JUMP / size, rel=1e-3)
+    own = JUMP / clean.motion_steps.max()
+    assert found.round_off_rate == pytest.approx(0.03 * JUMP / length / own, rel=1e-3)
     monkeypatch.setattr(Rounded, "left", 0.3 * JUMP / length)
-    assert defects(traj, full).worst < 1e-6
+    assert compute_defects(traj, full).worst < 1e-6
 
 
 def test_round_off_is_told_by_one_evaluation_in_eight(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -188,7 +190,7 @@ def test_round_off_is_told_by_one_evaluation_in_eight(monkeypatch: pytest.Monkey
     monkeypatch.setattr(FullState, "rate", counted)
     traj = cat(RTOL)
     stretches = 2 * (len(traj.motion.knots) - 1)
-    defects(traj, FullState(traj.scene), led=False)
+    compute_defects(traj, FullState(traj.scene), propagate=False)
     of_bodies = [t for t, world in times if not world]
     assert len(of_bodies) == 8 * stretches
     assert [t for t, world in times if world] == of_bodies[::8]
@@ -197,7 +199,7 @@ def test_round_off_is_told_by_one_evaluation_in_eight(monkeypatch: pytest.Monkey
 def test_round_off_far_away_is_none() -> None:
     """Both ways begin where the base is."""
     traj = jumped(cat(RTOL, 1e7), "xdot", 2, END)
-    assert defect(traj, traj.system) > 0.99 * JUMP / np.abs(traj.states.xdot).max()
+    assert largest_defect(traj, traj.system) > 0.99 * JUMP / np.abs(traj.states.xdot).max()
 
 
 @pytest.mark.parametrize(("slow", "duration", "unit"), [(1e-3, 1.0, 1.0), (1e-3, 50.0, 0.02)])
@@ -211,11 +213,11 @@ def test_what_slow_rates_carry(slow: float, duration: float, unit: float) -> Non
         pinred.load("falling_cat"), duration=duration, rtol=1e-8, atol=1e-8, x0=x0, xdot0=xdot0
     )
     traj = jumped(resting, "xdot", 1, duration)
-    found = defects(traj, FullState(resting.scene))
+    found = compute_defects(traj, FullState(resting.scene))
     own = max(unit, float(np.abs(traj(traj.motion.knots).xdot[:, 1]).max()))
     assert found.worst == pytest.approx(JUMP, rel=1e-2)
-    assert found.carried.max() == pytest.approx(JUMP / own, rel=1e-2)
-    assert found.carried_inside.max() == pytest.approx(JUMP / own, rel=1e-2)
+    assert found.motion_steps.max() == pytest.approx(JUMP / own, rel=1e-2)
+    assert found.motion_subintervals.max() == pytest.approx(JUMP / own, rel=1e-2)
 
 
 @cache
@@ -232,9 +234,9 @@ def satellite() -> pinred.Trajectory:
 def test_what_else_is_carried_as_it_is(name: str, column: int) -> None:
     """Places, angles and velocities: in parts of the largest of their kind, as the tolerance is."""
     traj = jumped(satellite(), name, column, END)
-    found = defects(traj, FullState(traj.scene))
-    assert found.carried.max() == pytest.approx(found.worst, rel=1e-6)
-    assert found.carried_inside.max() == pytest.approx(found.inside.max(), rel=1e-6)
+    found = compute_defects(traj, FullState(traj.scene))
+    assert found.motion_steps.max() == pytest.approx(found.worst, rel=1e-6)
+    assert found.motion_subintervals.max() == pytest.approx(found.subintervals.max(), rel=1e-6)
 
 
 @pytest.mark.parametrize(("name", "column"), [("xdot", 0), ("xi", 4)])
@@ -243,13 +245,13 @@ def test_what_rates_carry_behind_faster_ones(name: str, column: int) -> None:
     moved = satellite()
     assert moved.system.shape_names[0] == "panel_hinge"
     traj = jumped(moved, name, column, END)
-    found, states = defects(traj, FullState(moved.scene)), traj(traj.motion.knots)
+    found, states = compute_defects(traj, FullState(moved.scene)), traj(traj.motion.knots)
     kind = np.abs(states.xdot if name == "xdot" else states.xi[:, 3:]).max()
     own = np.abs(states.xdot[:, column]).max() if name == "xdot" else 0.2
     own = max(min(1.0 / END, 1.0), float(own))  # what leads through a radian, or atol over rtol
     assert kind > 3.0 * own
     assert found.worst == pytest.approx(JUMP / kind, rel=1e-2)
-    assert found.carried.max() == pytest.approx(JUMP / own, rel=1e-2)
+    assert found.motion_steps.max() == pytest.approx(JUMP / own, rel=1e-2)
 
 
 def test_what_a_spin_from_rest_carries() -> None:
@@ -261,8 +263,8 @@ def test_what_a_spin_from_rest_carries() -> None:
     )
     traj = jumped(pushed, "xi", 0, 50.0)
     assert np.abs(pushed.xi).max() > 0.3
-    found = defects(traj, FullState(pushed.scene))
-    assert found.carried.max() == pytest.approx(JUMP / 0.02, rel=1e-3)
+    found = compute_defects(traj, FullState(pushed.scene))
+    assert found.motion_steps.max() == pytest.approx(JUMP / 0.02, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -280,7 +282,7 @@ def test_what_parts_of_a_step_hide_from_each_other(method: str, far: float) -> N
         method=method,
     )  # fmt: skip
     knots, full = traj.motion.knots, FullState(traj.scene)
-    y, found = module.full_states(traj, full, knots), defects(traj, full)
+    y, found = module.full_states(traj, full, knots), compute_defects(traj, full)
     inertia = pin.crba(system.model, pin.Data(system.model), system.q(y[0, :1], y[0, 1:2]))
     inertia = np.triu(inertia) + np.triu(inertia, 1).T
     share = inertia[0, 1] / inertia[0, 0]
@@ -290,10 +292,10 @@ def test_what_parts_of_a_step_hide_from_each_other(method: str, far: float) -> N
     off = np.column_stack([y[1:, 1] - (c * x + s / omega * v), y[1:, 3] - (c * v - omega * s * x)])
     own = module._sizes(traj, full)[1]
     expected = np.abs(np.column_stack([off, share * off]) / own[[1, 3, 0, 2]])
-    assert found.carried == pytest.approx(expected.max(axis=1), rel=far, abs=1e-12)
+    assert found.motion_steps == pytest.approx(expected.max(axis=1), rel=far, abs=1e-12)
     if method == "Tsit5":
         assert found.worst < 1e-12 < 1e-9 < expected.max()
-        assert defects(traj, full, led=False).carried.max() < 1e-12
+        assert compute_defects(traj, full, propagate=False).motion_steps.max() < 1e-12
 
 
 def test_what_a_state_that_is_off_leads_to() -> None:
@@ -311,16 +313,18 @@ def test_what_a_state_that_is_off_leads_to() -> None:
     nodes = np.concatenate([np.linspace(s, s + 0.1, 8) for s in t])
     y, none = module.full_states(moved, full, nodes), np.zeros((2, 21))
     rates = np.array([full.rate(0.0, row) for row in y])
-    course = module._Course(nodes, [np.empty(0)] * 16, y, rates, none, none, np.array([0.3, 0.1]))
+    course = module._Quadrature(
+        nodes, [np.empty(0)] * 16, y, rates, none, none, np.array([0.3, 0.1])
+    )
     sizes = module._sizes(moved, full)[0]
     off = 1e-9 * sizes * rng.normal(size=21)
     up, down = (full.rate(0.0, y[12] + s * 1e4 * off) for s in (1.0, -1.0))
     expected = 0.1 * (up - down) / 2e4
-    found = module._slope(full, course, 1, off, sizes)
+    found = module._growth_over(full, course, 1, off, sizes)
     scale = np.abs(expected).max()
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-4 * scale)
     for odd in (0.0, np.nan, np.inf):
-        assert (module._slope(full, course, 1, odd * sizes, sizes) == 0.0).all()
+        assert (module._growth_over(full, course, 1, odd * sizes, sizes) == 0.0).all()
 
 
 def test_steps_that_are_judged() -> None:
@@ -329,11 +333,11 @@ def test_steps_that_are_judged() -> None:
     traj = pinred.simulate(cat(RTOL).system, duration=END, method=fine)
     full = FullState(traj.scene)
     assert len(traj.motion.knots) > 230
-    assert defects(traj, full).steps.shape == (200,)
-    few = defects(traj, full, steps=7)
+    assert compute_defects(traj, full).steps.shape == (200,)
+    few = compute_defects(traj, full, max_steps=7)
     assert few.steps.shape == few.smooth.shape == (7,)
     count = len(cat(RTOL).motion.knots) - 1
-    assert defects(cat(RTOL), full).steps.shape == (count,)
+    assert compute_defects(cat(RTOL), full).steps.shape == (count,)
 
 
 @pytest.mark.parametrize("kinks", [True, False])
@@ -346,14 +350,14 @@ def test_kinks_of_forces_stand_out(monkeypatch: pytest.MonkeyPatch, kinks: bool)
     def made(*_: object, **__: object) -> Defects:
         return Defects(steps, steps, np.ones(5, dtype=bool), steps, steps, 0.0)
 
-    monkeypatch.setattr(module, "_defects", made)
+    monkeypatch.setattr(module, "_defects_of_steps", made)
     scene = pinred.Scene(system=system, duration=0.1, xdot0=[1.0], forces=acting)
     traj = pinred.simulate(scene)
-    found = defects(traj, FullState(scene))
+    found = compute_defects(traj, FullState(scene))
     assert found.smooth.tolist() == [True] * 4 + [not kinks]
     assert found.worst == (19.8 if kinks else 20.2)
     steps[0] = np.nan
-    assert np.isnan(defects(traj, FullState(scene)).worst)
+    assert np.isnan(compute_defects(traj, FullState(scene)).worst)
 
 
 def test_what_controllers_hold_is_what_acts() -> None:

@@ -14,11 +14,17 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 from pinred.judge import compare as judge
-from pinred.judge.defect import Defects
+from pinred.judge.cannot_tell import (
+    count_informative_times,
+    explain_rest,
+    explain_uninformative_times,
+)
 from pinred.judge.distances import FullMotion, Size
-from pinred.judge.equations_of_motion import equation_errors
-from pinred.judge.full_state import FullState
+from pinred.judge.equation_errors import equation_errors
+from pinred.judge.error_bounds import compute_error_bounds
+from pinred.judge.reference_solution import FullState
 from pinred.judge.report import Verdict
+from pinred.judge.step_defects import Defects
 
 RTOL, ATOL = 1e-8, 5e-9
 TOLERANCE = RTOL + ATOL
@@ -102,7 +108,7 @@ def with_defects(
     """
     both = np.full(9, steps), np.full(9, inside)
     made = Defects(*both, np.ones(9, dtype=bool), own * both[0], own * both[1], blurred)
-    monkeypatch.setattr(judge, "defects", lambda *_: made)
+    monkeypatch.setattr(judge, "compute_defects", lambda *_: made)
     monkeypatch.setattr(
         FullState, "growth", lambda _full, _y0, _motion, times, *_: growth + np.zeros(len(times))
     )
@@ -142,7 +148,7 @@ def test_nothing_is_judged_after_what_can_be_told(monkeypatch: pytest.MonkeyPatc
     assert report.reference_bound == pytest.approx(700.0 * TOLERANCE)
     assert report.reference_error < 1e-9
     assert report.verdict is Verdict.CANNOT_TELL
-    assert f"say something until t = {report.t[50]:g} s only" in report.reasons[0]
+    assert f"can be judged until t = {report.t[50]:g} s only" in report.reasons[0]
 
 
 @pytest.mark.parametrize(("steps", "most"), [(1e-9, 1e-9), (1e-4, 3.0 * TOLERANCE)])
@@ -221,7 +227,7 @@ def test_a_bound_above_a_tenth_tells_nothing(
 
 
 @pytest.mark.parametrize(("growth", "told", "why"), [
-    (2e5, 0, "a small change of the start has grown 2.0e+05 times by the end"),
+    (2e5, 0, "a small change of the initial state has grown 2.0e+05 times by the end"),
     (0.15 / (500.0 * TOLERANCE), 2, "errors up to 1.5e-01 would pass by the end"),
 ])  # fmt: skip
 def test_why_nothing_is_told(
@@ -246,13 +252,18 @@ def test_ends_of_a_motion_without_defects() -> None:
     none = np.zeros(3)
     made = Defects(none, none, np.ones(3, dtype=bool), none, none, 3e-13)
     size = Size(joints=np.array([2.0, 5.0]), position=3.0, away=7e3)
-    ends = judge._ends(traj, times, growth, made, between, size, TOLERANCE)
+    bounds = compute_error_bounds(traj, times, growth, made, between, size, TOLERANCE)
     apart = np.array([0.0, 4e-13, 4e-13, 4e-13])
     expected = 10.0 * (growth * (1e-15 * (steps + 1) + 3e-13 * times) + 1e-13 + apart)
-    assert ends.bound.rotation == pytest.approx(expected, rel=1e-9, abs=0.0)
-    assert ends.bound.joints == pytest.approx(np.outer(expected, [2.0, 5.0]), rel=1e-9, abs=0.0)
-    assert ends.bound.position == pytest.approx(3.0 * expected + 7e-11, rel=1e-9, abs=0.0)
-    assert (ends.mean, ends.told, ends.reasons) == (0.0, 4, ())
+    assert bounds.distance.rotation == pytest.approx(expected, rel=1e-9, abs=0.0)
+    assert bounds.distance.joints == pytest.approx(
+        np.outer(expected, [2.0, 5.0]), rel=1e-9, abs=0.0
+    )
+    assert bounds.distance.position == pytest.approx(3.0 * expected + 7e-11, rel=1e-9, abs=0.0)
+    assert bounds.relative == pytest.approx(expected, rel=1e-9, abs=0.0)
+    assert bounds.mean_defect == 0.0
+    assert count_informative_times(bounds.relative, growth) == 4
+    assert explain_uninformative_times(times, 4, bounds.relative, growth) == ()
 
 
 def test_equations_are_judged_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -279,4 +290,4 @@ def test_what_counts_as_rest(kind: str, part: float, rests: bool) -> None:
     x[1] = part * 1e-12 * np.array([kind == "joint", 7.0 * (kind == "slide")])
     q[1, 0] = part * 1e-12 * {"place": 1.0, "far place": 50.0}.get(kind, 0.0)
     size = Size(np.array([1.0, 7.0]), position=50.0 if kind == "far place" else 0.2, away=0.0)
-    assert bool(judge._at_rest(FullMotion(x=x, q=q), size)) is rests
+    assert bool(explain_rest(FullMotion(x=x, q=q), size)) is rests

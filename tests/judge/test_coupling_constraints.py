@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from robot_texts import joint, link, robot, write
 
 import pinred
-from pinred.judge.full_state import FullState
-from pinred.judge.ties import Ties
+from pinred.judge.coupling_constraints import CouplingConstraints
+from pinred.judge.reference_solution import FullState
 from pinred.system.coupling import Coupled
 
 MASSLESS = robot(
@@ -28,10 +28,10 @@ MASSLESS = robot(
 def test_accelerations(case: CoupledCase) -> None:
     """By ABA with multipliers, as one system, and by Gᵀ of the whole tree."""
     system, rng = case.system, case.rng
-    ties, model = Ties(system), system.model
+    constraints, model = CouplingConstraints(system), system.model
     q = system.model_q(system.group.exp(rng.normal(size=system.r)), rng.uniform(-2, 2, system.m))
     v, tau = case.whole @ rng.normal(size=system.n), rng.normal(size=model.nv)
-    a = ties.acceleration(q, v, tau)
+    a = constraints.acceleration(q, v, tau)
     data = model.createData()
     upper = np.triu(pin.crba(model, data, q))
     H = upper + np.triu(upper, 1).T
@@ -40,12 +40,14 @@ def test_accelerations(case: CoupledCase) -> None:
     expected = G @ np.linalg.solve(G.T @ H @ G, G.T @ (tau - bias))
     size = max(1.0, float(np.abs(expected).max())) * max(1.0, np.linalg.cond(H) * 1e-3)
     np.testing.assert_allclose(a, expected, rtol=0, atol=1e-11 * size)
-    ties._alone = False
-    np.testing.assert_allclose(ties.acceleration(q, v, tau), expected, rtol=0, atol=1e-11 * size)
+    constraints._uses_aba = False
+    np.testing.assert_allclose(
+        constraints.acceleration(q, v, tau), expected, rtol=0, atol=1e-11 * size
+    )
     still = model.copy()
     np.testing.assert_allclose(
         pin.aba(still, still.createData(), q, v, multipliers(system)(0.0, q, v)),
-        ties.acceleration(q, v, np.zeros(model.nv)), rtol=0, atol=1e-10 * size,
+        constraints.acceleration(q, v, np.zeros(model.nv)), rtol=0, atol=1e-10 * size,
     )  # fmt: skip
 
 
@@ -55,16 +57,16 @@ def test_accelerations_in_gravity(alone: bool) -> None:
     case = make_case("SE3", 5, 0, heavy=True)
     model, rng = case.system.model, case.rng
     assert model.gravity.linear.any()
-    ties, data, G = Ties(case.system), model.createData(), case.whole
-    assert ties._alone
-    ties._alone = alone
+    constraints, data, G = CouplingConstraints(case.system), model.createData(), case.whole
+    assert constraints._uses_aba
+    constraints._uses_aba = alone
     q = case.system.model_q(case.system.group.identity(), rng.uniform(-2, 2, case.system.m))
     v = G @ rng.normal(size=case.system.n)
     upper = pin.crba(model, data, q)
     H = np.triu(upper) + np.triu(upper, 1).T
     bias = pin.nonLinearEffects(model, data, q, v)
     expected = G @ np.linalg.solve(G.T @ H @ G, -G.T @ bias)
-    found = ties.acceleration(q, v, np.zeros(model.nv))
+    found = constraints.acceleration(q, v, np.zeros(model.nv))
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
@@ -73,7 +75,7 @@ def test_accelerations_of_driven_joints(driven: list[int], seed: int) -> None:
     """Those that are given, followers with them; Gᵀ of the whole tree for all others."""
     case = make_case("SE3", 7, seed, heavy=True)
     system, rng, G, r = case.system, case.rng, case.whole, case.system.r
-    ties, model, data = Ties(system), system.model, system.model.createData()
+    constraints, model, data = CouplingConstraints(system), system.model, system.model.createData()
     q = system.model_q(system.group.exp(rng.normal(size=r)), rng.uniform(-2, 2, system.m))
     v, tau, given = G @ rng.normal(size=system.n), rng.normal(size=model.nv), rng.normal(size=3)
     upper = pin.crba(model, data, q)
@@ -84,14 +86,16 @@ def test_accelerations_of_driven_joints(driven: list[int], seed: int) -> None:
     a[held] = given[: len(driven)]
     right = G.T @ (tau - pin.nonLinearEffects(model, data, q, v)) - H @ a
     a[free] = np.linalg.solve(H[np.ix_(free, free)], right[free])
-    found = ties.acceleration(q, v, tau, ties.leads[driven].tolist(), given[: len(driven)])
+    found = constraints.acceleration(
+        q, v, tau, constraints.leads[driven].tolist(), given[: len(driven)]
+    )
     np.testing.assert_allclose(found, G @ a, rtol=1e-8, atol=1e-8)
 
 
 def test_accelerations_of_a_tree_that_is_singular_without_its_ties(tmp_path: Path) -> None:
     """A leader without mass moves that of its follower: one system with multipliers, not ABA."""
     system = pinred.load(write(tmp_path, MASSLESS))
-    ties, model, data = Ties(system), system.model, system.model.createData()
+    constraints, model, data = CouplingConstraints(system), system.model, system.model.createData()
     (coupling,) = system.couplings
     joints = list(model.names)[2:]
     G = np.delete(np.eye(model.nv), system.r + joints.index(coupling.follower), axis=1)
@@ -106,7 +110,7 @@ def test_accelerations_of_a_tree_that_is_singular_without_its_ties(tmp_path: Pat
     assert np.linalg.cond(H) > 1e12 > 1e8 * np.linalg.cond(G.T @ H @ G)
     bias = pin.nonLinearEffects(model, data, q, v)
     expected = G @ np.linalg.solve(G.T @ H @ G, G.T @ (tau - bias))
-    found = ties.acceleration(q, v, tau)
+    found = constraints.acceleration(q, v, tau)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
@@ -125,8 +129,8 @@ def test_compare_passes(group: str, seed: int) -> None:
 def test_a_tree_that_is_singular_without_its_ties(tmp_path: Path) -> None:
     """A leader without mass moves that of its follower: one system, not ABA."""
     system = pinred.load(write(tmp_path, MASSLESS))
-    assert not Ties(system)._alone
-    assert Ties(make_case("SE3", 4, 0).system)._alone
+    assert not CouplingConstraints(system)._uses_aba
+    assert CouplingConstraints(make_case("SE3", 4, 0).system)._uses_aba
     report = pinred.compare(pinred.simulate(system, seed=1, duration=0.5))
     assert report.passed, str(report)
 
@@ -156,11 +160,11 @@ def test_a_kick_leaves_followers_on_their_leaders() -> None:
     scene = pinred.Scene(system=case.system, seed=0, duration=1.0)
     full, start = FullState(scene), scene.start
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
-    y, M = full.kick(y0, 1.0, 1e-3), len(case.b)
+    y, M = full.perturb(y0, 1.0, 1e-3), len(case.b)
     x, xdot = y[7 : 7 + M], y[7 + M + 6 :]
     assert np.abs(y - y0).max() > 1e-4
-    np.testing.assert_allclose(x, case.G @ full.ties.shape(x) + case.b, atol=1e-15)
-    np.testing.assert_allclose(xdot, case.G @ full.ties.shape(xdot), atol=1e-15)
+    np.testing.assert_allclose(x, case.G @ full.couplings.shape(x) + case.b, atol=1e-15)
+    np.testing.assert_allclose(xdot, case.G @ full.couplings.shape(xdot), atol=1e-15)
 
 
 @pytest.mark.slow

@@ -12,9 +12,9 @@ import pytest
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.judge import equations_of_motion
-from pinred.judge.equations_of_motion import equation_errors
-from pinred.judge.full_state import FullState
+from pinred.judge import equation_errors as module
+from pinred.judge.equation_errors import equation_errors
+from pinred.judge.reference_solution import FullState
 from pinred.simulation.accelerations import Accelerations, accelerations
 
 CART, POLE, LEVER, MOMENT, G = 2.0, 1.0, 0.5, 0.09, 9.81  # of robots/cartpole.urdf, SI
@@ -70,7 +70,7 @@ def errors(
     ]
     paces = np.full(len(TIMES), pace)
     given = Accelerations(states, v, np.array(a) + off, np.broadcast_to(spread, v.shape), paces)
-    monkeypatch.setattr(equations_of_motion, "accelerations", lambda *_: given)
+    monkeypatch.setattr(module, "accelerations", lambda *_: given)
     return equation_errors(traj, FullState(traj.scene), TIMES)
 
 
@@ -146,7 +146,7 @@ def test_each_drive_has_a_row_of_its_own(monkeypatch: pytest.MonkeyPatch) -> Non
         found = accelerations(*of)
         return replace(found, a=found.a + 1e-3 * (np.arange(r + system.m) == r - 1))
 
-    monkeypatch.setattr(equations_of_motion, "accelerations", off)
+    monkeypatch.setattr(module, "accelerations", off)
     found = equation_errors(traj, FullState(traj.scene), TIMES).max(axis=0)
     assert found[[r + 1, r + 3]] == pytest.approx(0.0, abs=1e-9)
     assert (np.delete(found, [r + 1, r + 3]) > 1e-6).all()
