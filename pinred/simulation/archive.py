@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import LoadError
-from ..common.places import is_file
+from ..common.paths import is_file
 from ..common.plain_names import plain_path, quoted, quoted_path
 
 MOST_BYTES = 1_000_000_000  # Largest accepted size of all arrays together [bytes].

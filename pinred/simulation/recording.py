@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import InputError, LoadError, PinredError
-from ..common.places import is_file
+from ..common.paths import is_file
 from ..common.plain_names import plain_path, quoted_path
 from ..lie.groups import GROUPS
 from ..system.catalogue import bundled_robots
