@@ -162,7 +162,7 @@ class Flow:
         """Return the flow between plain columns of numbers, in the order of `inputs`."""
         from .flow_columns import Columns
 
-        return Columns(self)
+        return Columns(self, self._course, self._inputs, self._run)
 
     def casadi(self, name: str = "flow") -> FlowCallback:
         """Return the flow as a CasADi Callback with derivatives; see `columns`.

@@ -6,7 +6,7 @@ its own coordinates, not those of its tangent, so that values and derivatives be
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,9 @@ from ...common.errors import InputError, ShapeError
 from ...common.names import nearest
 from ...common.plain_names import brief, listed
 from ...kernels.flow_functions import Row, sizes_of
+from .inputs import Inputs
 from .many_runs import entries, outputs_of_many
-from .runs import Run
+from .runs import Course, Run
 
 _FEW = 32  # runs that one thread has done before others have begun
 
@@ -29,7 +30,7 @@ class Columns:
     times one after another.  outputs: the places of State's fields in that of one time.
     """
 
-    def __init__(self, flow: Any) -> None:
+    def __init__(self, flow: Any, course: Course, inputs: Inputs, run: Callable[..., Run]) -> None:
         """Take a Flow.  Raises InputError for inputs that are no vectors."""
         if "pose0" in flow.inputs:
             raise InputError(
@@ -51,7 +52,7 @@ class Columns:
             at += sizes[row]
         self._times = len(flow.t) if flow.over_times else 1
         self.size = at * self._times
-        self._course, self._inputs = flow._course, flow._inputs
+        self._course, self._inputs, self._run = course, inputs, run
         self._cuts = np.cumsum(self.sizes)[:-1]
         ends = np.cumsum(self.sizes).tolist()
         self._spans = [slice(end - size, end) for end, size in zip(ends, self.sizes, strict=True)]
@@ -59,19 +60,19 @@ class Columns:
 
     def value(self, *columns: Any) -> Array:
         """Return the output, (size,)."""
-        return self._output(self.flow._run(self._named(columns)))
+        return self._output(self._run(self._named(columns)))
 
     def value_of(self, column: Array) -> Array:
         """Return the output of all inputs one after another, (size,)."""
-        return self._output(self.flow._run(self._cut(column)))
+        return self._output(self._run(self._cut(column)))
 
     def along_of(self, column: Array, direction: Array) -> Array:
         """Return the derivative (size,) along a direction of all inputs one after another."""
-        return self._along(self.flow._run(self._cut(column)), direction[:, None])[:, 0]
+        return self._along(self._run(self._cut(column)), direction[:, None])[:, 0]
 
     def back_of(self, column: Array, covector: Array) -> Array:
         """Return the derivatives of covector · output by all inputs one after another."""
-        return self._back(self.flow._run(self._cut(column), stages=True), covector)
+        return self._back(self._run(self._cut(column), stages=True), covector)
 
     def values(self, *columns: Any, threads: int | None = None) -> Array:
         """Return the outputs (N, size) of N inputs at once: (N, size) columns, or (1, size).
@@ -105,7 +106,7 @@ class Columns:
 
     def jacobian(self, *columns: Any) -> list[Array]:
         """Return the derivatives of the output by each input, (size, its size)."""
-        run = self.flow._run(self._named(columns))
+        run = self._run(self._named(columns))
         found = self._along(run, np.eye(sum(self.sizes)))
         return np.split(found, self._cuts, axis=1)
 
@@ -114,7 +115,7 @@ class Columns:
 
         Of directions (N, …), eight of which run at once, they are (N, size).
         """
-        run = self.flow._run(self._named(columns))
+        run = self._run(self._named(columns))
         directions = [
             as_floats(each, f"the direction of {name}")
             for each, name in zip(along, self.names, strict=True)
@@ -134,7 +135,7 @@ class Columns:
 
         Of covectors (N, size) they are (N, its size).
         """
-        run = self.flow._run(self._named(columns), stages=True)
+        run = self._run(self._named(columns), stages=True)
         given = as_floats(covector, "the covector")
         covectors = vectors(np.atleast_2d(given), self.size, "the covector")
         found = np.array([self._back(run, each) for each in covectors])

@@ -11,6 +11,7 @@ from ...judge.audit import audit_trajectory
 from ...judge.error_bounds import DRIFT_BOUND
 from ...lie.groups import group_named
 from ...simulation.trajectory import Trajectory
+from ...system.state_fields import FIELDS
 from ..motion_source import MotionSource
 from .motion_labels import labels
 from .style import legend, line, on_log, over_time, steady, styled
@@ -47,7 +48,12 @@ def momentum(motion: MotionSource) -> Figure:
         lost = _largest(audit_trajectory(motion, motion.states).momenta, linear)
         _drift_panel(every[-1], motion, lost)
     else:
-        _change_panel(every[-1], motion.t, _largest(values - values[0], linear), "N·s | N·m·s")
+        _change_panel(
+            every[-1],
+            motion.t,
+            _largest(values - values[0], linear),
+            FIELDS["spatial_momentum"].unit,
+        )
     return figure
 
 
@@ -72,9 +78,11 @@ def energy(motion: MotionSource) -> Figure:
             drawn.append(balance.work[:, k - 1])
         _drift_panel(bottom, motion, {"energy": audit_trajectory(motion, motion.states).energies})
     else:
-        _change_panel(bottom, motion.t, {"energy": motion.energy - motion.energy[0]}, "J")
+        _change_panel(
+            bottom, motion.t, {"energy": motion.energy - motion.energy[0]}, FIELDS["energy"].unit
+        )
     steady(top, np.concatenate(drawn))
-    top.set_ylabel("energy [J]")
+    top.set_ylabel(f"energy [{FIELDS['energy'].unit}]")
     legend(top)
     return figure
 
