@@ -16,7 +16,7 @@ from pinred.common.arrays import Array
 from pinred.judge import step_defects as module
 from pinred.judge.reference_solution import FullState
 from pinred.judge.step_defects import Defects, compute_defects, largest_defect
-from pinred.laboratory.stress.made_robots import single
+from pinred.laboratory.stress.generated_robots import single
 
 RTOL, ATOL, END = 1e-9, 1e-11, 0.5
 JUMP = 1e-3

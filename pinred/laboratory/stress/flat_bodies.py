@@ -8,7 +8,7 @@ from ...common.arrays import Array
 from ...judge.step_defects import largest_defect
 from .check import DEFECT, PER_RADIAN, Case, Cases, Check, Trial, tolerance
 from .closed_forms import euler_top
-from .made_robots import TUMBLING, body, single, tumbling_arm
+from .generated_robots import TUMBLING, body, single, tumbling_arm
 
 _RTOL = 1e-10
 _TIMES = np.linspace(0.0, 10.0, 41)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...judge.step_defects import largest_defect
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
-from .made_robots import TUMBLING, body, tumbling_arm
+from .generated_robots import TUMBLING, body, tumbling_arm
 from .sprung_discs import SprungDiscs
 
 _RTOL = 1e-10

@@ -8,7 +8,7 @@ import pinocchio as pin
 from ...judge.step_defects import largest_defect
 from ...system.system import System
 from .check import DEFECT, PER_RADIAN, Case, Cases, Check, Trial, tolerance
-from .made_robots import body, serial
+from .generated_robots import body, serial
 from .sprung_discs import SprungDiscs
 
 _RTOL = 1e-10

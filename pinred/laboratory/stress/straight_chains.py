@@ -10,7 +10,7 @@ from ...judge.step_defects import largest_defect
 from ...reduction.inertia_split import symmetric
 from ...system.system import System
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
-from .made_robots import body, serial
+from .generated_robots import body, serial
 
 _RTOL = 1e-10
 _ROUNDING = 10.0  # of eps times the condition of the locked inertia

@@ -27,7 +27,7 @@ _SPREAD = 0.05  # of rates, relative, and of shapes [rad | m]
 
 
 @dataclass(frozen=True)
-class CrowdPrepared:
+class PreparedBatch:
     """A way to solve a crowd, ready to run.
 
     run: what is timed, from all initial values to all ends.  ends: takes what `run` returns and
@@ -39,7 +39,7 @@ class CrowdPrepared:
 
 
 @dataclass(frozen=True)
-class CrowdSolver:
+class BatchSolver:
     """A way to solve all members of a crowd.
 
     about: what is timed.  tolerances: from coarse to fine, or with fixed steps their length in
@@ -50,12 +50,12 @@ class CrowdSolver:
     name: str
     about: str
     tolerances: tuple[float, ...]
-    prepare: Callable[[Sequence[Problem], float], CrowdPrepared]
+    prepare: Callable[[Sequence[Problem], float], PreparedBatch]
     missing: Callable[[Problem], str] = lambda _: ""
     most: int = 10**9
 
 
-def crowd(problem: Problem, count: int) -> list[Problem]:
+def generate_members(problem: Problem, count: int) -> list[Problem]:
     """Return members that start near a problem's start."""
     rng, start, members = np.random.default_rng(0), problem.start, []
     for _ in range(count):
@@ -70,14 +70,14 @@ def crowd(problem: Problem, count: int) -> list[Problem]:
     return members
 
 
-def flows_of_crowd(members: Sequence[Problem]) -> CompiledFlows:
+def compile_members(members: Sequence[Problem]) -> CompiledFlows:
     """Return the reduced states and parameters of a crowd, which has momentum."""
     (group,) = of_scenes([member.scene(method="DOP853") for member in members]).groups
     ((_, flows),) = flows_of(group.plan, group.given)
     return flows
 
 
-def ends_of(members: Sequence[Problem], flows: CompiledFlows, y: Any, count: int) -> list[End]:
+def final_states(members: Sequence[Problem], flows: CompiledFlows, y: Any, count: int) -> list[End]:
     """Return the full states of the first members, from reduced ones (N, k) at their end."""
     ends = []
     for k in range(count):
@@ -88,8 +88,8 @@ def ends_of(members: Sequence[Problem], flows: CompiledFlows, y: Any, count: int
     return ends
 
 
-def _own(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> CrowdPrepared:
-    flows, method = flows_of_crowd(members), DOP853(rtol, 1e-2 * rtol)
+def _own(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> PreparedBatch:
+    flows, method = compile_members(members), DOP853(rtol, 1e-2 * rtol)
     kernel, end, times = flows.kernel, members[0].start.duration, members[0].times
     y0, params, quaternion = flows.y0, flows.parameters, kernel.layout.quaternion
     run: Callable[[], Solutions]
@@ -106,19 +106,19 @@ def _own(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> CrowdPre
     def ends(found: Solutions, count: int) -> list[End]:
         if not found.ok.all():
             raise IntegrationError(f"{method.name} has not brought all members to their end")
-        return ends_of(members, flows, found.y[:, -1], count)
+        return final_states(members, flows, found.y[:, -1], count)
 
-    return CrowdPrepared(run, ends)
+    return PreparedBatch(run, ends)
 
 
 OWN = (
-    CrowdSolver(
+    BatchSolver(
         "lanes",
         "DOP853, members in lanes",
         _TOLERANCES,
         partial(_own, in_lanes=True),
     ),
-    CrowdSolver(
+    BatchSolver(
         "one by one",
         "DOP853, the scalar integrator, one after another",
         _TOLERANCES,

@@ -21,7 +21,7 @@ from ...integrators.methods import (
 from ...integrators.methods import Method as Integrator
 from ...system.state_fields import State, with_base
 from .problems import Problem
-from .solver import ATOL, End, Prepared, Solver, decades, halvings
+from .solver import ATOL, End, PreparedRun, Solver, decades, halvings
 
 FROM_TOLERANCE = decades(2, 14)
 
@@ -40,7 +40,7 @@ def own_method(
     takes by itself if None.  tolerances: as Solver has them.
     """
 
-    def prepare(problem: Problem, tolerance: float) -> Prepared:
+    def prepare(problem: Problem, tolerance: float) -> PreparedRun:
         from ...simulation.simulate import simulate
 
         start, times = problem.start, problem.times
@@ -55,12 +55,12 @@ def own_method(
             )
             return traj.states, traj.run.evaluations
 
-        return Prepared(run, lambda found: _end(*found))
+        return PreparedRun(run, lambda found: _end(*found))
 
     return Solver(name, about, tolerances, prepare, fixed=fixed)
 
 
-def _integration(problem: Problem, tolerance: float) -> Prepared:
+def _integration(problem: Problem, tolerance: float) -> PreparedRun:
     from ...simulation.compiled.compiled_flow import CompiledFlow
     from ...simulation.compiled.integrator import integrator
     from ...simulation.plan import plan_of
@@ -75,7 +75,7 @@ def _integration(problem: Problem, tolerance: float) -> Prepared:
         return _end(states, found.evaluations)
 
     integrate = integrator(flow, plan, None)
-    return Prepared(lambda: integrate(0.0, scene.end, flow.y0), end)
+    return PreparedRun(lambda: integrate(0.0, scene.end, flow.y0), end)
 
 
 def _explicit(name: str, kind: type[Explicit]) -> Solver:

@@ -18,8 +18,8 @@ from ...scene.scene import Scene
 from ...simulation.trajectory import Trajectory
 from ...system.load import load
 from ...system.system import System
+from .aba_reference import truth_of
 from .check import EPS, Case, Cases, Check, Trial
-from .full_truth import truth_of
 
 _ROUNDING = 50.0  # of eps times the growth and the root of the number of steps
 _TIMES = np.linspace(0.0, 5.0, 21)

@@ -17,7 +17,7 @@ from ...common.errors import InputError, PinredError
 from ...common.progress import Progress, one_by_one
 from ...judge.distances import FullMotion
 from ...judge.reference_solution import FINEST
-from .crowd import OWN, CrowdPrepared, CrowdSolver, crowd
+from .member_batch import OWN, BatchSolver, PreparedBatch, generate_members
 from .peers.heyoka_batch import HEYOKA_BATCH
 from .peers.mujoco_rollout import ROLLOUT
 from .problems import Problem
@@ -25,7 +25,7 @@ from .scenes import problems_named
 
 MEMBERS, ROUNDS, ERROR = 512, 5, 1e-8
 JUDGED = 2  # members whose ends Pinocchio's ABA judges
-CROWD_SOLVERS = (*OWN, *HEYOKA_BATCH, *ROLLOUT)
+BATCH_SOLVERS = (*OWN, *HEYOKA_BATCH, *ROLLOUT)
 _BUDGET = 10.0  # s, beyond which a way takes no further turn
 
 
@@ -96,11 +96,11 @@ def bench_many(
 
 
 def _measured(problem: Problem, count: int, error: float, rounds: int) -> ManyTiming:
-    members = crowd(problem, count)
+    members = generate_members(problem, count)
     truth = [each.full.run(each.full_start(), each.times, *FINEST) for each in members[:JUDGED]]
-    ready: list[tuple[CrowdSolver, float, float, CrowdPrepared]] = []
+    ready: list[tuple[BatchSolver, float, float, PreparedBatch]] = []
     missing = []
-    for solver in CROWD_SOLVERS:
+    for solver in BATCH_SOLVERS:
         if why := solver.missing(problem):
             missing.append(why)
             continue
@@ -132,8 +132,8 @@ def _processor_seconds(actions: Sequence[Callable[[], object]], rounds: int) -> 
 
 
 def _tolerance(
-    solver: CrowdSolver, members: Sequence[Problem], truth: Sequence[FullMotion], error: float
-) -> tuple[float, float, CrowdPrepared]:
+    solver: BatchSolver, members: Sequence[Problem], truth: Sequence[FullMotion], error: float
+) -> tuple[float, float, PreparedBatch]:
     """Return the coarsest tolerance of a way that keeps to an error, that error, and the way.
 
     Raises InputError if there is none.

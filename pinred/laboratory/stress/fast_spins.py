@@ -9,7 +9,7 @@ from ...judge.step_defects import largest_defect
 from ...system.load import load
 from .check import DEFECT, PER_RADIAN, Case, Cases, Check, Trial, tolerance
 from .closed_forms import euler_top, symmetric_top
-from .made_robots import single
+from .generated_robots import single
 
 _RTOL = 1e-10
 _MOMENTS = np.array([1.0, 2.0, 2.5])

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from ....common.errors import IntegrationError
 
 
-def survived(run: Callable[[], object], who: str) -> None:
+def check_in_child_process(run: Callable[[], object], who: str) -> None:
     """Run once in a child process.  Raises IntegrationError if that is killed.
 
     Some libraries abort where others raise.  What `run` raises by itself is left to the

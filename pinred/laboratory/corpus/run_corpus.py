@@ -11,8 +11,8 @@ import numpy as np
 
 from ...common.errors import InputError
 from ...system.catalogue import bundled_robots, example_robots
-from .entry import GOOD, Entry, write_entries
-from .files import Description, Found, find_descriptions
+from .corpus_entry import GOOD, Entry, write_entries
+from .description_files import Description, Found, find_descriptions
 from .trial import Wanted
 from .worker import Worker
 

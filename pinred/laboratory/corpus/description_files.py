@@ -10,7 +10,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from ...common.errors import LoadError
-from .entry import Kind
+from .corpus_entry import Kind
 
 _SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
 _MOST_BYTES = 256_000_000

@@ -20,7 +20,7 @@ from ...system.system import System
 Floats = Sequence[float]
 
 
-def full_field(system: System) -> Callable[[float, Array], Array]:
+def full_vector_field(system: System) -> Callable[[float, Array], Array]:
     """Return (t, y) → dy/dt of a system without forces but its gravity."""
     model, data = system.model, system.model.createData()
     size, r, at = system.group.size, system.r, system.group.size + system.m

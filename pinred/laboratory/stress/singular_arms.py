@@ -9,7 +9,7 @@ from ...judge.step_defects import largest_defect
 from ...system.system import System
 from ..bench.chains import chain
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
-from .made_robots import body, serial
+from .generated_robots import body, serial
 
 _RTOL = 1e-10
 _ROUNDING = 10.0  # of eps times the ratio of body to ring

@@ -24,7 +24,7 @@ class Drift:
     momentum: float
 
 
-def drift(problem: Problem, q: Array, v: Array) -> Drift:
+def compute_drift(problem: Problem, q: Array, v: Array) -> Drift:
     """Return the drift of a problem that has come to q (nq,) and v (n,)."""
     full, system, start = problem.full, problem.system, problem.start
     k = system.group.linear

@@ -8,8 +8,8 @@ from ...judge.distances import FullMotion
 from ...scene.scene import Scene
 from ...system.catalogue import bundled_robots
 from ...system.load import load
+from .aba_reference import samples, truth_of
 from .check import PER_GROWTH, Case, Cases, Check, Trial, tolerance
-from .full_truth import samples, truth_of
 
 _RTOL = 1e-10
 

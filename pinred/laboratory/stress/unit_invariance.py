@@ -14,8 +14,8 @@ from ...simulation.trajectory import Trajectory
 from ...system.joints import is_prismatic
 from ...system.load import load
 from ...system.system import System
+from .aba_reference import samples, truth_of
 from .check import EPS, Case, Cases, Check, Trial, dop853
-from .full_truth import samples, truth_of
 
 _ROUNDING = 50.0  # of eps times the growth, and the root of the number of steps
 _RTOL = 1e-11

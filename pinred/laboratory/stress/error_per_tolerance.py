@@ -5,8 +5,8 @@ from __future__ import annotations
 from ...scene.scene import Scene
 from ...system.catalogue import bundled_robots
 from ...system.load import load
+from .aba_reference import samples, truth_of
 from .check import PER_GROWTH, Case, Cases, Check, Trial, tolerance
-from .full_truth import samples, truth_of
 
 _SHORT = ("planar_chain5", "falling_cat")
 
