@@ -17,6 +17,7 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.memo import once
 from ..reduction.base_parts import into_body
+from ..system.state_fields import Outcome, derivative_rows
 from ..system.system import System
 from .base_graph import rotated
 from .differentiable import Differentiable, call_value
@@ -27,7 +28,6 @@ from .machine.native import NativeCode
 from .reduced_graph import ReducedGraph
 from .validation import require_agreement
 
-Outcome = Literal["x", "xdot", "pose", "xi", "body_momentum", "spatial_momentum", "energy"]
 # For functions of the pose coordinates themselves, "pose_numbers" replaces the tangent "pose".
 Row = Outcome | Literal["pose_numbers"]
 
@@ -99,9 +99,7 @@ def sizes_of(system: System) -> dict[str, int]:
     Returns:
         The sizes by name.
     """
-    m, r = system.m, system.r
-    twists = dict.fromkeys(("pose", "xi", "body_momentum", "spatial_momentum"), r)
-    return {"x": m, "xdot": m, **twists, "energy": 1, "pose_numbers": system.group.size}
+    return derivative_rows(system) | {"pose_numbers": system.group.size}
 
 
 def _initial_graph(graph: ReducedGraph, given: TwistOrMomentum) -> ca.Function:
@@ -163,13 +161,10 @@ def _outcome_graph(graph: ReducedGraph, rows: tuple[Row, ...]) -> ca.Function:
     reference = ca.SX.sym("pose", group.size)
     constants = ca.SX.sym("constants", layout.parameters + 3 * k)
     outputs = graph.outputs()(y if layout.clock else ca.vertcat(y, t), constants)
-    values = {"x": outputs[where.x], "xdot": outputs[where.xdot], "energy": outputs[where.size - 1]}
+    values = {name: outputs[entries] for name, entries in where.fields.items()}
     if layout.base_requested:
-        values["pose"] = _tangent_coordinates(graph, reference, outputs[where.pose])
-        values["pose_numbers"] = outputs[where.pose]
-        values["xi"] = outputs[where.v][: system.r]
-        values["body_momentum"] = outputs[where.body_momentum]
-        values["spatial_momentum"] = outputs[where.spatial_momentum]
+        values["pose_numbers"] = values["pose"]
+        values["pose"] = _tangent_coordinates(graph, reference, values["pose"])
     column = ca.vertcat(ca.SX(0, 1), *(values[row] for row in rows))
     return ca.Function("outcome", [ca.vertcat(y, t, reference), constants], [ca.densify(column)])
 

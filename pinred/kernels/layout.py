@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
-from typing import Any
+from itertools import accumulate, pairwise, starmap
 
+from ..common.arrays import Array
 from ..forces.force_model import ForceModel
 from ..reduction.base_parts import BaseParts, base_parts
 from ..reduction.tree.free_bodies import NOTHING, Freed
+from ..system.state_fields import FIELDS, axis_lengths
 from ..system.system import System
 
 
@@ -114,26 +116,18 @@ class Layout:
 
 @dataclass(frozen=True)
 class Outputs:
-    """Slices of the kernel outputs.
-
-    The last entry of the outputs is the energy.  The fields after driven_pi are those of
-    State or ShapeState.
+    """Slices of the outputs of a kernel.
 
     Attributes:
-        xi: Body twist relative to the centre of mass.
-        xdot: Shape rate.
-        com: Centre of mass in the root body's frame, (3,).
-        mu: Body momentum relative to the centre of mass.
-        weight: Gravity force on a pivoted base in its frame, (3,), or empty.
-        driven_x: Positions of the prescribed joints.
-        driven_pi: Canonical momenta of the prescribed joints.
-        x: Shape.
-        pose: Pose of the base.
-        q: Pinocchio's configuration.
-        v: Pinocchio's velocity.
-        body_momentum: Body momentum.
-        spatial_momentum: Spatial momentum.
-        size: Length of the outputs.
+        xi: Body twist relative to the centre of mass, (r,).
+        xdot: Shape rate, (m,).
+        com: Centre of mass in the frame of the root body, (3,).
+        mu: Body momentum about the centre of mass, (r,).
+        weight: Gravity force that turns a pivoted base, in its frame, (3,) or empty.
+        driven_x: Positions of the prescribed joints, (k,).
+        driven_pi: Canonical momenta of the prescribed joints, (k,).
+        fields: The fields of State, or of ShapeState without the base, except the time.
+        size: Number of outputs.
     """
 
     xi: slice
@@ -143,13 +137,39 @@ class Outputs:
     weight: slice
     driven_x: slice
     driven_pi: slice
-    x: slice
-    pose: slice
-    q: slice
-    v: slice
-    body_momentum: slice
-    spatial_momentum: slice
+    fields: Mapping[str, slice]
     size: int
+
+    def read_field(self, name: str, outputs: Array, system: System) -> Array:
+        """Return a field of a state, with joints in the order of the robot's own model.
+
+        Args:
+            name: Name of the field, not "t".
+            outputs: Outputs of the kernel, (…, size).
+            system: The system of the kernel.
+
+        Returns:
+            (…,) or (…, length of the field's axis).
+        """
+        values = outputs[..., self.fields[name]]
+        match FIELDS[name].axis:
+            case "nq":
+                return system.given_q(values)
+            case "nv":
+                return system.given_v(values)
+            case None:
+                return values[..., 0]
+            case _:
+                return values
+
+
+def separate_fields(*, base: bool) -> list[str]:
+    """Return the fields of State that have entries of their own among the outputs, in order.
+
+    The shape rate is an output in any case, and the body twist is the first part of v.
+    """
+    shared = ("t", "xdot", "xi")
+    return [f.name for f in FIELDS.values() if f.name not in shared and (base or not f.needs_base)]
 
 
 def outputs_of(system: System, layout: Layout) -> Outputs:
@@ -162,21 +182,14 @@ def outputs_of(system: System, layout: Layout) -> Outputs:
         The slices.
     """
     m, r, k = system.m, system.r, len(layout.prescribed)
-    full = [system.group.size, system.model.nq, system.model.nv, r, r]
-    sizes = [
-        r,
-        m,
-        3,
-        r,
-        3 * layout.gravity_on_base,
-        k,
-        k,
-        m,
-        *(full if layout.base_requested else [0] * len(full)),
-    ]
-    ends = [sum(sizes[:i]) for i in range(len(sizes) + 1)]
-    fields: list[Any] = [*(slice(a, b) for a, b in pairwise(ends)), ends[-1] + 1]
-    return Outputs(*fields)
+    names, lengths = separate_fields(base=layout.base_requested), axis_lengths(system)
+    relative = [r, m, 3, r, 3 * layout.gravity_on_base, k, k]
+    ends = list(accumulate([*relative, *(lengths[FIELDS[name].axis] for name in names)], initial=0))
+    xi, xdot, com, mu, weight, driven_x, driven_pi, *slices = starmap(slice, pairwise(ends))
+    fields = {**dict(zip(names, slices, strict=True)), "xdot": xdot}
+    if layout.base_requested:
+        fields["xi"] = slice(fields["v"].start, fields["v"].start + r)
+    return Outputs(xi, xdot, com, mu, weight, driven_x, driven_pi, fields, ends[-1])
 
 
 def layout_of(system: System, structure: Structure, forces: ForceModel | None) -> Layout:

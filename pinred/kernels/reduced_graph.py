@@ -29,7 +29,7 @@ from ..reduction.tree.momenta import centre_of_mass
 from ..reduction.tree.scalars import Scalar, Vec, add, dot, mul, sub
 from ..system.system import System
 from .base_graph import BaseGraph
-from .layout import Structure, layout_of
+from .layout import Structure, layout_of, separate_fields
 
 
 class ReducedGraph:
@@ -151,17 +151,22 @@ class ReducedGraph:
         energy = mul(0.5, add(dot(self.xi[k:], about), dot(self.xdot, momenta)))
         energy = add(energy, self._potential(com))
         weight: list[Scalar] = self.base.body_weight() or []
-        fields = [self.xi, self.xdot, com, self._mu, weight]
-        fields += [positions, list(self._prescribed_pi.values()), self.x]
+        blocks = [self.xi, self.xdot, com, self._mu, weight]
+        blocks += [positions, list(self._prescribed_pi.values())]
+        fields: dict[str, list[Scalar]] = {"x": self.x}
         com_path = [ca.SX.sym(f"line{j}") for j in range(3 * k)]
         if self.layout.base_requested:
             full = self.base.full(self.xi, self._mu, com, self._t, com_path)
-            fields += [full.pose, self._q(full.pose), full.xi, joint_rates(system, self.xdot)]
-            fields += [full.body_momentum, full.spatial_momentum]
+            fields["pose"], fields["q"] = full.pose, self._q(full.pose)
+            fields["v"] = [*full.xi, *joint_rates(system, self.xdot)]
+            fields["body_momentum"] = full.body_momentum
+            fields["spatial_momentum"] = full.spatial_momentum
             energy = add(energy, full.energy)
+        fields["energy"] = [energy]
+        blocks += [fields[name] for name in separate_fields(base=self.layout.base_requested)]
         y = self.y if self.layout.clock else ca.vertcat(self.y, self._t)
         inputs = [y, ca.vertcat(self.parameters, *com_path)]
-        return self._function("outputs", _column(*fields, [energy]), inputs)
+        return self._function("outputs", _column(*blocks), inputs)
 
     def _potential(self, com: Vec) -> Scalar:
         """Return V(x) plus the gravitational energy of a pivoted body."""

@@ -85,7 +85,7 @@ def _validate_momentum(kernel: Kernel, at: ReferenceState, outputs: Array) -> No
     check("prescribed positions", outputs[where.driven_x], at.x[prescribed], abs(at.x[prescribed]))
     momenta = terms[r:][prescribed]
     check("momenta of prescribed joints", outputs[where.driven_pi], at.pi[prescribed], momenta)
-    check("shape", outputs[where.x], at.x, abs(at.x))
+    check("shape", outputs[where.fields["x"]], at.x, abs(at.x))
 
 
 def _validate_full_state(kernel: Kernel, at: ReferenceState, outputs: Array) -> None:
@@ -93,7 +93,7 @@ def _validate_full_state(kernel: Kernel, at: ReferenceState, outputs: Array) -> 
     system, where, check = kernel.system, kernel.where, _checker(kernel)
     model, r, k = system.model, system.r, system.group.linear
     data = system.data
-    pose, q, v = outputs[where.pose], outputs[where.q], outputs[where.v]
+    pose, q, v = (outputs[where.fields[name]] for name in ("pose", "q", "v"))
     check("configuration", q, system.model_q(pose, at.x), abs(q))
     velocity = system.velocity(system.given_v(v))
     full, v = v, np.concatenate([velocity.xi, velocity.xdot])
@@ -117,10 +117,10 @@ def _validate_full_state(kernel: Kernel, at: ReferenceState, outputs: Array) -> 
     v_terms = at.velocity_terms.copy()
     v_terms[:k] += speed
     mu_terms = np.abs(at.H[:r]) @ v_terms
-    check("body momentum", outputs[where.body_momentum], mu, mu_terms)
+    check("body momentum", outputs[where.fields["body_momentum"]], mu, mu_terms)
     J = system.group.spatial_momentum(pose, mu)
     J_terms = np.abs(system.group.Ad(system.group.inverse(pose))).T @ mu_terms
-    check("spatial momentum", outputs[where.spatial_momentum], J, J_terms)
+    check("spatial momentum", outputs[where.fields["spatial_momentum"]], J, J_terms)
     gravity_energy = pin.computePotentialEnergy(model, data, q)
     energy = 0.5 * v @ at.H @ v + gravity_energy
     force = system.mass * float(np.abs(system.gravity).sum())

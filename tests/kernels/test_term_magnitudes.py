@@ -106,8 +106,8 @@ def test_terms_of_the_full_state(monkeypatch: pytest.MonkeyPatch) -> None:
     judged, at = pushed(), spinning()
     where = judged.where
     out = np.zeros(where.size)
-    out[where.pose] = out[where.q] = [1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0]
-    out[where.v] = speed = [0.0, 0.0, 3.0, 0.0, 0.0, SPIN]
+    out[where.fields["pose"]] = out[where.fields["q"]] = [1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    out[where.fields["v"]] = speed = [0.0, 0.0, 3.0, 0.0, 0.0, SPIN]
     found = sizes(monkeypatch, lambda: judging._validate_full_state(judged, at, out))
     assert found["full velocity"] == pytest.approx(VELOCITY[3:])
     assert found["position of the centre of mass"] == pytest.approx(PARTS + REACH)

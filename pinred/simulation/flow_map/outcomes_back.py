@@ -19,7 +19,7 @@ class OutcomesBack:
         layout, where = kernel.layout, kernel.where
         self._outputs, self._outcome = kernel.outputs, outcome_of(kernel, rows)
         self._size, self._room = layout.size, where.size
-        self._pose = where.pose.start if "pose" in rows else -1
+        self._pose = where.fields["pose"].start if "pose" in rows else -1
         self._whole = layout.size + 1 + kernel.system.group.size
 
     def __call__(

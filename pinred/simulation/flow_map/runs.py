@@ -327,7 +327,7 @@ class Course:
         end = made_later(plan.system, kernel.where, t + h, lambda: out, wanted=self._wanted)
         if columns is None:
             return end, np.zeros((0, 0))
-        at[layout.size + 1 :] = out[kernel.where.pose]
+        at[layout.size + 1 :] = out[kernel.where.fields["pose"]]
         a = np.zeros((len(at), state.shape[1]))
         a[: layout.size] = done.slopes[0][: layout.size]
         along_rest = np.vstack([directions, lines])
@@ -361,7 +361,7 @@ class Course:
         if self._wanted:
             given = whole[:, : size + 1 - clock]
             out = evaluate(kernel.outputs.address, constants, given, where.size)
-            whole[:, size + 1 :] = out[:, where.pose]
+            whole[:, size + 1 :] = out[:, where.fields["pose"]]
         return [(row, constants) for row in whole]
 
     def _count(self, rows: tuple[Row, ...]) -> int:
