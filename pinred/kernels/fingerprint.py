@@ -7,8 +7,8 @@ import hashlib
 import numpy as np
 
 from ..reduction.tree.free_bodies import NOTHING, Freed
-from ..system.other_inertias import nominal
 from ..system.system import System
+from ..system.variants import nominal
 
 
 def model_bytes(system: System, freed: Freed = NOTHING) -> bytes:

@@ -16,9 +16,8 @@ from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import acting_gravity, falling, translations
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.free_bodies import Freed, free_numbers, other_placement
-from ..system.in_gravity import in_gravity
-from ..system.inertias import moved_masses, radius_of_gyration
-from ..system.other_inertias import with_numbers
+from ..system.scale import moved_masses, radius_of_gyration
+from ..system.variants import in_gravity, with_numbers
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel

@@ -17,8 +17,8 @@ from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
+from ...system.coordinates import Indices
 from ...system.state_fields import ShapeState, State
-from ...system.system import Indices
 from ..entry_name import entry_name
 from ..own_numbers import OwnNumbers
 from ..plan import Plan
