@@ -1,4 +1,4 @@
-"""States over time as labelled arrays of other libraries: an xarray Dataset, a pandas DataFrame."""
+"""States over time as labelled arrays: an xarray.Dataset or a pandas.DataFrame."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from ..system.system import System
 
 
 def dataset(outputs: State | ShapeState, system: System) -> Any:
-    """Return an xarray.Dataset of a State or ShapeState over t, joints and coordinates by name.
+    """Return an xarray.Dataset over t, or over member and t, with named joints and coordinates.
 
-    Of many members it is over member, too.  Raises MissingPackageError without xarray.
+    Raises MissingPackageError if xarray is not installed.
     """
-    xarray = _needed("xarray")
+    xarray = _import_package("xarray")
     labels = axis_labels(system)
     variables: dict[str, Any] = {}
     coordinates: dict[str, Any] = {"t": outputs.t}
-    over: tuple[str, ...] = ("t",)
+    leading: tuple[str, ...] = ("t",)
     if outputs.x.ndim == 3:
-        over, coordinates["member"] = ("member", "t"), np.arange(len(outputs.x))
+        leading, coordinates["member"] = ("member", "t"), np.arange(len(outputs.x))
     for name, values in arrays_of(outputs).items():
         axis = FIELDS[name].axis
         if name == "t":
             continue
-        variables[name] = ((*over, axis) if axis else over, values)
+        variables[name] = ((*leading, axis) if axis else leading, values)
         if axis:
             coordinates[axis] = list(labels[axis])
     attributes = {"robot": system.name, "group": system.group.name}
@@ -36,27 +36,28 @@ def dataset(outputs: State | ShapeState, system: System) -> Any:
 
 
 def frame(outputs: State | ShapeState, system: System) -> Any:
-    """Return a pandas.DataFrame of a State or ShapeState over t, with columns such as "x.elbow".
+    """Return a pandas.DataFrame over t, or over member and t, with columns such as "x.elbow".
 
-    Of many members it is over member and t.  Raises MissingPackageError without pandas.
+    Raises MissingPackageError if pandas is not installed.
     """
-    pandas = _needed("pandas")
+    pandas = _import_package("pandas")
     labels, columns = axis_labels(system), {}
     for name, values in arrays_of(outputs).items():
         axis = FIELDS[name].axis
         if axis:
-            for k, entry in enumerate(labels[axis]):
-                columns[f"{name}.{entry}"] = np.ravel(values[..., k])
+            for k, label in enumerate(labels[axis]):
+                columns[f"{name}.{label}"] = np.ravel(values[..., k])
         elif name != "t":
             columns[name] = np.ravel(values)
     index = pandas.Index(outputs.t, name="t")
     if outputs.x.ndim == 3:
-        every = [range(len(outputs.x)), outputs.t]
-        index = pandas.MultiIndex.from_product(every, names=["member", "t"])
+        index = pandas.MultiIndex.from_product(
+            [range(len(outputs.x)), outputs.t], names=["member", "t"]
+        )
     return pandas.DataFrame(columns, index=index)
 
 
-def _needed(package: str) -> Any:
+def _import_package(package: str) -> Any:
     try:
         return import_module(package)
     except ImportError as missing:

@@ -43,7 +43,7 @@ from pinred.laboratory.bench.conservation_drift import compute_drift
 from pinred.laboratory.bench.overview import overview
 from pinred.laboratory.bench.reference import _quadruple
 from pinred.laboratory.bench.solvers import solvers_named
-from pinred.system.system import InitialState
+from pinred.system.coordinates import InitialState
 
 pytestmark = pytest.mark.slow
 

@@ -17,8 +17,8 @@ from ...kernels.wide_rate import wide_rate
 from ...simulation.compiled.compiled_flow import CompiledFlow, CompiledFlows, flows_of
 from ...simulation.compiled.integrate_members import lanes_of
 from ...simulation.members.groups import of_scenes
+from ...system.coordinates import InitialState
 from ...system.state_fields import with_base
-from ...system.system import InitialState
 from .problems import Problem
 from .solver import End
 

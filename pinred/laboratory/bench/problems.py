@@ -12,7 +12,8 @@ from ...common.arrays import Array, freeze
 from ...judge.distances import FullMotion
 from ...judge.reference_solution import FullState
 from ...scene.scene import Scene
-from ...system.system import InitialState, System
+from ...system.coordinates import InitialState
+from ...system.system import System
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from ...common.arrays import Array
 from ...common.progress import Progress, quiet
 from ...kernels.evaluate import repeat
 from ...kernels.kernel import Kernel
+from ...kernels.object_cache import ObjectCache
 
 ROUNDS = 15  # default number of rounds, of which the median is reported
 SPAN = 0.01  # least duration of an action in a round [s]; short actions are repeated
@@ -18,7 +19,7 @@ LOADING = 20.0  # a shorter first call [s] may include compilation, and is repea
 FEWEST = 3  # least number of rounds of a slow action
 
 
-class NoCache:
+class NoCache(ObjectCache):
     """A kernel cache that stores nothing, so that compilation is measured."""
 
     def get(self, key: str) -> None:
