@@ -91,7 +91,7 @@ def _kernels(arguments: argparse.Namespace) -> Result:
 
 
 def _forces(arguments: argparse.Namespace) -> Result:
-    from ..laboratory.bench.forces_in_space import ForcesTiming, bench_forces
+    from ..laboratory.bench.force_timing import ForcesTiming, bench_forces
 
     timings = bench_forces(arguments.robots, progress=True)
     names = ("robot", "free", "torque", "wrench", "full")
@@ -134,7 +134,7 @@ def _scaling(_: argparse.Namespace) -> Result:
 
 
 def _floquet(_: argparse.Namespace) -> Result:
-    from ..laboratory.bench.floquet import ROUTES, bench_floquet
+    from ..laboratory.bench.floquet_timing import ROUTES, bench_floquet
 
     results = bench_floquet(progress=True)
     rows: Rows = [
@@ -146,7 +146,7 @@ def _floquet(_: argparse.Namespace) -> Result:
 
 
 def _many(arguments: argparse.Namespace) -> Result:
-    from ..laboratory.bench.many import bench_many
+    from ..laboratory.bench.batch_timing import bench_many
 
     results = bench_many(arguments.scenes or None, members=arguments.members, progress=True)
     rows: Rows = [

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from .command_options import option_adder
 
 if TYPE_CHECKING:
-    from ..laboratory.corpus.entry import Entry
+    from ..laboratory.corpus.corpus_entry import Entry
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -26,7 +26,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Try all descriptions and print a table.  Returns 1 for a failed comparison, else 0."""
     from ..common.files import check_path
-    from ..laboratory.corpus.suite import corpus
+    from ..laboratory.corpus.run_corpus import corpus
 
     out = None if arguments.out is None else check_path(arguments.out, (".csv",))
     result = corpus(

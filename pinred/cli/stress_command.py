@@ -22,7 +22,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the checks.  Returns 0, or 1 if a check fails."""
     from ..laboratory.stress.check import Trial
-    from ..laboratory.stress.suite import chosen, run_checks, table
+    from ..laboratory.stress.run_stress import chosen, run_checks, table
 
     checks = chosen(arguments.only.split(",") if arguments.only else ())
     trial = Trial(effort="full" if arguments.full else "usual")

@@ -17,8 +17,8 @@ from ..common.plain_names import brief, one_of
 from ..forces.force import Force
 from ..integrators.methods import Method
 from ..system.model_parameters import ModelParameters
-from ..system.other_inertias import nominal
 from ..system.system import checked_system
+from ..system.variants import nominal
 from . import input_formats
 from .angles import refuse_vague
 from .event import Event, list_events, watched_of
