@@ -9,7 +9,7 @@ import numpy as np
 
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError
-from ..reduction.at_a_shape import Reduction
+from ..reduction.at_a_shape import PointwiseReduction
 from ..system.system import System
 
 
@@ -67,7 +67,7 @@ def start_of(system: System, given: GivenStates) -> Start:
     overflows.
     """
     r, one = system.r, given[0]
-    at = system.workspace(Reduction, lambda: Reduction(system)).split(one.x)
+    at = system.workspace(PointwiseReduction, lambda: PointwiseReduction(system)).split(one.x)
     H = at.mass_matrix
     xi, mu = one.xi, one.mu
     with np.errstate(over="ignore", invalid="ignore"):  # checked below
