@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...common.arrays import Array
-from ..stepping.compiling import compiled, woven
+from ...common.memo import once_for_all
+from ..stepping.compiling import compiled, inlined
 from ..stepping.run_record import (
     AGAIN,
     AUTO,
@@ -32,7 +33,8 @@ from ..stepping.state_rows import (
     unit_alone,
 )
 from ..stepping.step_loop import Hooks, equal_steps, loops
-from .newton import MAIN, prepare, refine
+from ..stepping.stepper import Stepper
+from .newton import MAIN, prepare, refine, rows_of_stages
 from .newton import SUB as OTHER
 from .stages import (
     CARRY,
@@ -43,7 +45,6 @@ from .stages import (
     OLD,
     RATE,
     ROUND_OFF,
-    SCALE,
     SUB,
     WITHIN,
     L,
@@ -52,6 +53,7 @@ from .stages import (
     guess_evenly,
     iterate,
     prepare_guess,
+    scale_by_largest,
 )
 
 _STAY = 64  # steps by Newton's method before fixed-point iteration is tried again
@@ -59,19 +61,19 @@ _PIECES = 64  # at most, of a step up to a report
 _SLACK = 1e-6  # of the largest number: an iteration that stops further off has not converged
 
 
-@woven
-def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:  # noqa: ARG001
-    """Do as driver.begin."""
+@inlined
+def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:  # noqa: ARG001
+    """Implement the hook `begin_run`."""
     unit_alone(work[Y], run.quaternion)
-    keep_state(run, work, 0.0, knots_t, knots_y)
+    keep_state(run, work, 0.0, end_times, end_states)
     for i in range(run.n):
         work[CARRY, i] = 0.0
     return DONE
 
 
-@woven
-def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa: ARG001
-    """Do as driver.attempt."""
+@inlined
+def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa: ARG001
+    """Implement the hook `attempt_step`."""
     n, lanes, stages = run.n, run.lanes, run.stages
     auto = run.solver == AUTO
     newton = run.solver == NEWTON or (auto and run.remaining > 0)
@@ -103,21 +105,23 @@ def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa:
     return DONE
 
 
-@woven
-def accept(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
-    """Do as driver.accept."""
+@inlined
+def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
+    """Implement the hook `accept_step`."""
     take_the_end(run, work)
     run.before = run.h
 
 
-@woven
-def load(run: Run, params: Array, work: Array, t_new: float, knots_y: Array, k: int) -> None:
-    """Do as driver.load: the ends are all it takes."""
+@inlined
+def load_step(
+    run: Run, params: Array, work: Array, t_new: float, end_states: Array, k: int
+) -> None:
+    """Implement the hook `load_step`: the ends are all it takes."""
 
 
-@woven
-def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Do as driver.state."""
+@inlined
+def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
+    """Implement the hook `write_state`."""
     if between(run, params, work, time, t_new, out):
         return DONE
     return WANTED if run.solver == AUTO and run.tangent == 0 else DIVERGED
@@ -145,7 +149,7 @@ def not_finite_in(run: Run, work: Array, row: int) -> bool:
 @compiled
 def find_stages(run: Run, params: Array, work: Array, row: int, h: float) -> int:
     """Find a step's stages to round-off by fixed points; return the turns, or NO_SOLUTION."""
-    _measure(work, run.n, run.lanes, row)
+    scale_by_largest(work, run.n, run.lanes, Y, row)
     work[INFO, 0] = _SLACK
     return iterate(run, params, work, row, h, ROUND_OFF)
 
@@ -158,7 +162,7 @@ def find_stages_by_newton(
 
     which, fresh: whose factors, and whether they have to be made.
     """
-    _measure(work, run.n, run.lanes, row)
+    scale_by_largest(work, run.n, run.lanes, Y, row)
     if fresh and not prepare(run, params, work, which, h):
         return NO_SOLUTION
     turns = refine(run, params, work, row, which, fresh, h)
@@ -175,19 +179,6 @@ def _turns_worth_newton(n: int, stages: int) -> int:
     fixed-point iteration hardly converges, or does not.
     """
     return 40 + n * ((stages + 1) // 2)
-
-
-@compiled
-def _measure(work: Array, n: int, lanes: int, row: int) -> None:
-    """Fill SCALE with the inverse of the largest number."""
-    largest = 0.0
-    for i in range(n):
-        largest = max(largest, abs(work[Y, i]))
-        for j in range(lanes):
-            largest = max(largest, abs(work[row, i * lanes + j]))
-    inverse = 1.0 / largest if largest > 0.0 else 0.0
-    for i in range(n):
-        work[SCALE, i] = inverse
 
 
 @compiled
@@ -255,4 +246,12 @@ def _sum(work: Array, row: int, i: int, lanes: int) -> float:
     return total
 
 
-LOOPS = loops("Gauss", Hooks(begin, equal_steps, attempt, accept, load, state))
+LOOPS = loops(
+    "Gauss", Hooks(begin_run, equal_steps, attempt_step, accept_step, load_step, write_state)
+)
+
+
+@once_for_all
+def fixed_stepper(stages: int, *, needs_tangent: bool) -> Stepper:
+    """Return the stepper with steps of equal length, for a number of stages."""
+    return Stepper(LOOPS, rows_of_stages(stages), needs_tangent=needs_tangent)

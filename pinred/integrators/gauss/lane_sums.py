@@ -13,48 +13,9 @@ from llvmlite import ir
 from numba.core import cgutils, types
 
 from ..stepping.compiling import make_intrinsic
+from ..stepping.vector_rows import VectorRows, add_pairwise
 
-_DOUBLE = ir.DoubleType()
 _FAST = ("contract",)
-
-
-class _Rows:
-    """Loads and stores of vectors in the rows of a work array."""
-
-    def __init__(self, context: Any, builder: Any, kind: Any, work: Any, lanes: int) -> None:
-        array = context.make_array(kind)(context, builder, work)
-        self._data, self._builder, self._lanes = array.data, builder, lanes
-        self._stride = builder.extract_value(array.shape, 1)
-        self.vector = ir.VectorType(_DOUBLE, lanes)
-
-    def at(self, row: Any, index: Any) -> Any:
-        """Return the place of an entry of a row."""
-        offset = self._builder.add(self._builder.mul(self._stride, row), index)
-        return self._builder.gep(self._data, [offset])
-
-    def number(self, row: Any, index: Any) -> Any:
-        """Return one number, in all lanes."""
-        return self.splat(self._builder.load(self.at(row, index), align=8))
-
-    def splat(self, value: Any) -> Any:
-        """Return a number in all lanes."""
-        one = self._builder.insert_element(
-            ir.Constant(self.vector, ir.Undefined), value, ir.IntType(32)(0)
-        )
-        zeros = ir.Constant(ir.VectorType(ir.IntType(32), self._lanes), [0] * self._lanes)
-        return self._builder.shuffle_vector(one, ir.Constant(self.vector, ir.Undefined), zeros)
-
-    def place(self, row: Any, index: Any) -> Any:
-        """Return the place of a vector that begins at an entry of a row."""
-        return self._builder.bitcast(self.at(row, index), self.vector.as_pointer())
-
-    def load(self, row: Any, index: Any) -> Any:
-        """Return a vector that begins at an entry of a row."""
-        return self._builder.load(self.place(row, index), align=8)
-
-    def store(self, value: Any, row: Any, index: Any) -> None:
-        """Store a vector from an entry of a row on."""
-        self._builder.store(value, self.place(row, index), align=8)
 
 
 def product(lanes: int) -> Callable[..., None]:
@@ -75,7 +36,7 @@ def product(lanes: int) -> Callable[..., None]:
         n: Any,
     ):
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            rows = _Rows(context, builder, signature.args[0], arguments[0], lanes)
+            rows = VectorRows(context, builder, signature.args[0], arguments[0], lanes)
             out, base, table, row, n = arguments[1:]
             integer = n.type
             columns = [rows.load(table, integer(lanes * j)) for j in range(lanes)]
@@ -95,12 +56,8 @@ def product(lanes: int) -> Callable[..., None]:
                     )
                     for j, column in enumerate(columns)
                 ]
-                while len(parts) > 1:
-                    parts = [
-                        builder.fadd(a, b, flags=_FAST)
-                        for a, b in zip(parts[::2], parts[1::2], strict=True)
-                    ]
-                rows.store(builder.fadd(start, parts[0], flags=_FAST), out, first)
+                total = builder.fadd(start, add_pairwise(builder, parts, _FAST), flags=_FAST)
+                rows.store(total, out, first)
             return context.get_dummy_value()
 
         whole = types.int64
@@ -124,7 +81,7 @@ def refreshment(lanes: int) -> Callable[..., float]:
         weights: Any, n: Any, h: Any,
     ):  # fmt: skip
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            rows = _Rows(context, builder, signature.args[0], arguments[0], lanes)
+            rows = VectorRows(context, builder, signature.args[0], arguments[0], lanes)
             row, rate, last, best, scale, weights, n, h = arguments[1:]
             integer, T = n.type, rows.vector
             zero, one = ir.Constant(T, [0.0] * lanes), ir.Constant(T, [1.0] * lanes)
@@ -151,9 +108,7 @@ def refreshment(lanes: int) -> Callable[..., float]:
             rows.store(builder.load(less), best, builder.mul(n, integer(lanes)))
             summed = builder.load(size)
             parts = [builder.extract_element(summed, ir.IntType(32)(j)) for j in range(lanes)]
-            while len(parts) > 1:
-                parts = [builder.fadd(a, b) for a, b in zip(parts[::2], parts[1::2], strict=True)]
-            return parts[0]
+            return add_pairwise(builder, parts)
 
         whole = types.int64
         kinds = (work, *(whole,) * 7, types.float64)

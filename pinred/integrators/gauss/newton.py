@@ -8,6 +8,7 @@ the begin of some step, so that turns go on to round-off as those of the fixed p
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -18,7 +19,7 @@ from ..stepping.kernel_call import SEEDS, call
 from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
 from ..stepping.run_record import Run
 from ..stepping.state_rows import Y, first_not_finite
-from .stages import BEST, MU, NO_SOLUTION, RATE, ROWS, SCALE, STAGE, B, multiply
+from .stages import BEST, MU, NO_SOLUTION, RATE, ROWS, SCALE, STAGE, B, multiply, work_rows
 from .tables import MOST_STAGES, tables
 
 _ENTRY = 2 + 4 * MOST_STAGES  # numbers of a pair: eigenvalue, and its two eigenvectors
@@ -52,16 +53,20 @@ def pairs(stages: int) -> Array:
     return read_only(rows)
 
 
-def room(n: int, stages: int) -> int:
-    """Return how many numbers stand behind the rows of stages.py."""
-    wide, p = _wide(n), (stages + 1) // 2
-    return p * _ENTRY + (2 * SEEDS + 2) * wide + 2 * (p + n + 2 * n * p) * wide
+def rows_of_stages(stages: int) -> Callable[[int, bool], Array]:
+    """Return the function that allocates the work rows, as `Stepper.rows`."""
 
+    def rows(n: int, tangent: bool) -> Array:
+        if not tangent:
+            return work_rows(stages, n, 0)
+        wide, p = _wide(n), (stages + 1) // 2
+        numbers = p * _ENTRY + (2 * SEEDS + 2) * wide + 2 * (p + n + 2 * n * p) * wide
+        work = work_rows(stages, n, numbers)
+        table = pairs(stages)
+        work.reshape(-1)[ROWS * work.shape[1] :][: table.size] = table.ravel()
+        return work
 
-def fill(work: Array, stages: int) -> None:
-    """Put the table of pairs behind the rows."""
-    table = pairs(stages)
-    work.reshape(-1)[ROWS * work.shape[1] :][: table.size] = table.ravel()
+    return rows
 
 
 @compiled

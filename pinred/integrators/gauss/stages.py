@@ -61,6 +61,27 @@ def multiply(work: Array, out: int, base: int, table: int, row: int, n: int, lan
 
 
 @compiled
+def refresh(work: Array, row: int, n: int, lanes: int, h: float) -> float:
+    """Set L in a row to h b RATE; return the norm of the change, weighted by SCALE."""
+    if lanes == 4:
+        return float(np.sqrt(_refresh4(work, row, RATE, CHANGE, BEST, SCALE, B, n, h)))
+    return float(np.sqrt(_refresh8(work, row, RATE, CHANGE, BEST, SCALE, B, n, h)))
+
+
+@compiled
+def scale_by_largest(work: Array, n: int, lanes: int, base: int, row: int) -> None:
+    """Fill SCALE with the inverse of the largest number in row `base` and in stage row `row`."""
+    largest = 0.0
+    for i in range(n):
+        largest = max(largest, abs(work[base, i]))
+        for j in range(lanes):
+            largest = max(largest, abs(work[row, i * lanes + j]))
+    inverse = 1.0 / largest if largest > 0.0 else 1.0
+    for i in range(n):
+        work[SCALE, i] = inverse
+
+
+@compiled
 def start_evenly(
     address: int, params: Array, work: Array, n: int, lanes: int, row: int, h: float
 ) -> None:
@@ -114,7 +135,7 @@ def iterate(run: Run, params: Array, work: Array, row: int, h: float, limit: flo
     limit: on what is still to come, by SCALE; ROUND_OFF to go on until no number changes by
     less than before in two turns.  NO_SOLUTION if that does not come about.
     """
-    address, n, lanes = run.address, run.n, run.lanes
+    n, lanes = run.n, run.lanes
     change, best = work[CHANGE], work[BEST]
     for i in range(n * lanes):
         change[i] = best[i] = np.inf
@@ -122,14 +143,9 @@ def iterate(run: Run, params: Array, work: Array, row: int, h: float, limit: flo
     idle = 0
     for turn in range(1, (MOST_WITHIN if row == SUB else MOST) + 1):
         run.evaluations += run.stages
-        if lanes == 4:
-            _multiply4(work, STAGE, Y, MU, row, n)
-            call(address, work[STAGE], params, work[RATE])
-            size = np.sqrt(_refresh4(work, row, RATE, CHANGE, BEST, SCALE, B, n, h))
-        else:
-            _multiply8(work, STAGE, Y, MU, row, n)
-            call(address, work[STAGE], params, work[RATE])
-            size = np.sqrt(_refresh8(work, row, RATE, CHANGE, BEST, SCALE, B, n, h))
+        multiply(work, STAGE, Y, MU, row, n, lanes)
+        call(run.address, work[STAGE], params, work[RATE])
+        size = refresh(work, row, n, lanes, h)
         if not size < np.inf or (turn > 3 and size > 10.0 * before and size > work[INFO, 0]):
             return NO_SOLUTION
         improved = 0.0

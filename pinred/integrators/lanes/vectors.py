@@ -11,7 +11,6 @@ import operator
 from collections.abc import Callable
 from functools import cache, partial
 from math import sqrt
-from types import SimpleNamespace
 from typing import Any
 
 from llvmlite import ir
@@ -20,6 +19,7 @@ from numba.core import cgutils, types
 from numba.core.typing import templates
 
 from ..stepping.compiling import make_intrinsic
+from ..stepping.vector_rows import VectorRows, splat
 
 # numba says nothing of the types of these.
 signature: Any = templates.signature
@@ -65,20 +65,11 @@ class _MaskModel(extending.models.PrimitiveModel):
 # --- operators -----------------------------------------------------------------------------
 
 
-def splatted(builder: Any, value: Any, width: int) -> Any:
-    """Return a number in all lanes."""
-    kind = ir.VectorType(value.type, width)
-    none = ir.Constant(kind, ir.Undefined)
-    one = builder.insert_element(none, value, _INT32(0))
-    zeros = ir.Constant(ir.VectorType(_INT32, width), [0] * width)
-    return builder.shuffle_vector(one, none, zeros)
-
-
 def _in_lanes(builder: Any, kinds: Any, values: Any) -> list[Any]:
     """Return the vectors among values, and numbers in all lanes."""
     (width,) = {kind.width for kind in kinds if isinstance(kind, Vector)}
     return [
-        value if isinstance(kind, Vector) else splatted(builder, value, width)
+        value if isinstance(kind, Vector) else splat(builder, value, width)
         for kind, value in zip(kinds, values, strict=True)
     ]
 
@@ -94,13 +85,13 @@ def _binary(function: Any, result: type, emit: Callable[[Any, Any, Any], Any]) -
     """Tell numba an operator on vectors, or on a vector and a number."""
 
     class Typed(templates.AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002
+        def generic(self, args: Any, kws: Any) -> Any:
             width = _operands(args)
             return signature(result(width), *args) if width else None
 
     infer_global(function)(Typed)
 
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return emit(builder, *_in_lanes(builder, sig.args, args))
 
     for kinds in ((Vector, Vector), (Vector, types.Float), (types.Float, Vector)):
@@ -108,14 +99,14 @@ def _binary(function: Any, result: type, emit: Callable[[Any, Any, Any], Any]) -
 
 
 def _arithmetic(builder: Any, x: Any, y: Any, name: str) -> Any:
-    return getattr(builder, name)(x, y, flags=_FUSED)
+    return getattr(builder, name)(x, y, flags=FUSED)
 
 
 def _comparison(builder: Any, x: Any, y: Any, sign: str) -> Any:
     return builder.fcmp_ordered(sign, x, y)
 
 
-_FUSED = ("contract",)  # a multiplication and the addition of its product may be one instruction
+FUSED = ("contract",)  # a multiplication and the addition of its product may be one instruction
 
 for _function, _name in (
     (operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"),
@@ -138,13 +129,13 @@ def _logical(function: Any, count: int, emit: Callable[..., Any]) -> None:
     """Tell numba an operator on truth values."""
 
     class Typed(templates.AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002
+        def generic(self, args: Any, kws: Any) -> Any:
             fits = len(args) == count and all(isinstance(a, Mask) for a in args)
             return signature(args[0], *args) if fits else None
 
     infer_global(function)(Typed)
 
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return emit(builder, *args)
 
     lower_builtin(function, *[Mask] * count)(lowered)
@@ -159,13 +150,13 @@ def _unary(function: Any, name: str) -> None:
     """Tell numba a function of one vector that LLVM has."""
 
     class Typed(templates.AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002
+        def generic(self, args: Any, kws: Any) -> Any:
             fits = len(args) == 1 and isinstance(args[0], Vector)
             return signature(args[0], args[0]) if fits else None
 
     infer_global(function)(Typed)
 
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         kind = args[0].type
         whole = f"{name}.v{kind.count}f64"
         called = insert_function(builder.module, ir.FunctionType(kind, [kind]), whole)
@@ -182,14 +173,14 @@ _unary(abs, "llvm.fabs")
 
 
 @make_intrinsic
-def choose(typing: Any, mask: Any, yes: Any, no: Any) -> Any:  # noqa: ARG001
+def choose(typing: Any, mask: Any, yes: Any, no: Any) -> Any:
     """Return `yes` in the lanes where the mask is true, `no` in the others; numbers or vectors."""
     number, width = types.float64, mask.width
     kinds = [types.float64 if kind == number else Vector(width) for kind in (yes, no)]
 
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         both = [
-            value if isinstance(kind, Vector) else splatted(builder, value, width)
+            value if isinstance(kind, Vector) else splat(builder, value, width)
             for kind, value in zip(sig.args[1:], args[1:], strict=True)
         ]
         return builder.select(args[0], *both)
@@ -198,10 +189,10 @@ def choose(typing: Any, mask: Any, yes: Any, no: Any) -> Any:  # noqa: ARG001
 
 
 @make_intrinsic
-def bits(typing: Any, mask: Any) -> Any:  # noqa: ARG001
+def bits(typing: Any, mask: Any) -> Any:
     """Return the truth values as a whole number, lane 0 in its lowest bit; 0 if none is true."""
 
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         packed = builder.bitcast(args[0], ir.IntType(mask.width))
         return builder.zext(packed, ir.IntType(64))
 
@@ -209,10 +200,10 @@ def bits(typing: Any, mask: Any) -> Any:  # noqa: ARG001
 
 
 @make_intrinsic
-def power(typing: Any, base: Any, exponent: Any) -> Any:  # noqa: ARG001
+def power(typing: Any, base: Any, exponent: Any) -> Any:
     """Return a power of each lane, one after another."""
 
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         called = builder.module.declare_intrinsic("llvm.pow", [_DOUBLE])
         out = ir.Constant(args[0].type, ir.Undefined)
         for lane in range(base.width):
@@ -225,7 +216,7 @@ def power(typing: Any, base: Any, exponent: Any) -> Any:  # noqa: ARG001
 
 
 @make_intrinsic
-def take(typing: Any, counter: Any, count: Any) -> Any:  # noqa: ARG001
+def fetch_and_add(typing: Any, counter: Any, count: Any) -> Any:
     """Add `count` to the number in counter (1,), int64, and return what it was.
 
     No two threads get the same.
@@ -239,7 +230,7 @@ def take(typing: Any, counter: Any, count: Any) -> Any:  # noqa: ARG001
 
 
 @cache
-def of_width(width: int) -> SimpleNamespace:
+def functions_of_width(width: int) -> dict[str, Any]:
     """Return the functions that depend on how many lanes there are.
 
     same(number): it in all lanes.  get(rows, row, i), put(rows, row, i, vector): entry i of a row
@@ -248,36 +239,27 @@ def of_width(width: int) -> SimpleNamespace:
     vector = Vector(width)
 
     @make_intrinsic
-    def same(typing: Any, number: Any) -> Any:  # noqa: ARG001
-        def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-            return splatted(builder, args[0], width)
+    def same(typing: Any, number: Any) -> Any:
+        def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            return splat(builder, args[0], width)
 
         return vector(types.float64), generate
 
     @make_intrinsic
-    def get(typing: Any, rows: Any, row: Any, i: Any) -> Any:  # noqa: ARG001
+    def get(typing: Any, rows: Any, row: Any, i: Any) -> Any:
         def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            return builder.load(_place(context, builder, sig.args[0], args, width), align=8)
+            work = VectorRows(context, builder, sig.args[0], args[0], width)
+            return work.load(args[1], builder.mul(args[2], args[2].type(width)))
 
         return vector(rows, types.int64, types.int64), generate
 
     @make_intrinsic
-    def put(typing: Any, rows: Any, row: Any, i: Any, value: Any) -> Any:  # noqa: ARG001
+    def put(typing: Any, rows: Any, row: Any, i: Any, value: Any) -> Any:
         def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            place = _place(context, builder, sig.args[0], args, width)
-            builder.store(args[3], place, align=8)
+            work = VectorRows(context, builder, sig.args[0], args[0], width)
+            work.store(args[3], args[1], builder.mul(args[2], args[2].type(width)))
             return context.get_dummy_value()
 
         return types.void(rows, types.int64, types.int64, vector), generate
 
-    return SimpleNamespace(same=same, get=get, put=put)
-
-
-def _place(context: Any, builder: Any, kind: Any, args: Any, width: int) -> Any:
-    array = context.make_array(kind)(context, builder, args[0])
-    stride = builder.extract_value(array.shape, 1)
-    entry = builder.mul(args[2], args[2].type(width))
-    index = builder.add(builder.mul(stride, args[1]), entry)
-    return builder.bitcast(
-        builder.gep(array.data, [index]), ir.VectorType(_DOUBLE, width).as_pointer()
-    )
+    return {"same": same, "get": get, "put": put, "choose": choose, "power": power}

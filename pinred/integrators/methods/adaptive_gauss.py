@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from ...common.memo import once_for_all
 from ..gauss.tables import MOST_STAGES, lanes_of
 from ..stepping.run_record import FIXED_POINT
 from .method import ErrorControl
@@ -32,17 +31,12 @@ class AdaptiveGauss(ErrorControl):
     dense_order: ClassVar[int] = 2 * MOST_STAGES
 
     def stepper(self) -> Stepper:
-        """Return what runs it."""
-        return _stepper()
+        """Return the compiled stepper."""
+        from ..gauss.adaptive import adaptive_stepper
+
+        return adaptive_stepper(MOST_STAGES)
 
     def registers(self, t_end: float) -> dict[str, float]:
         """Return the tolerances, and how the stages are evaluated and found."""
         solved = {"stages": self.stages, "lanes": self.lanes, "solver": FIXED_POINT}
         return super().registers(t_end) | solved
-
-
-@once_for_all
-def _stepper() -> Stepper:
-    from ..gauss.steppers import adaptive
-
-    return adaptive(MOST_STAGES)

@@ -7,7 +7,6 @@ from numbers import Integral
 from typing import TYPE_CHECKING, ClassVar
 
 from ...common.errors import InputError
-from ...common.memo import once_for_all
 from ..gauss.tables import MOST_STAGES, lanes_of
 from ..stepping.run_record import AUTO, FIXED_POINT, NEWTON
 from .method import EqualSteps, option
@@ -72,8 +71,10 @@ class Gauss(EqualSteps):
         return lanes_of(self.stages)
 
     def stepper(self) -> Stepper:
-        """Return what runs it."""
-        return _stepper(self.stages, self.solver == "Newton")
+        """Return the compiled stepper."""
+        from ..gauss.fixed_step import fixed_stepper
+
+        return fixed_stepper(self.stages, needs_tangent=self.solver == "Newton")
 
     def registers(self, t_end: float) -> dict[str, float]:
         """Return length and number of the steps, and how the stages are evaluated and found."""
@@ -83,10 +84,3 @@ class Gauss(EqualSteps):
             "solver": STAGES_FOUND_BY[self.solver],
         }
         return super().registers(t_end) | solved
-
-
-@once_for_all
-def _stepper(stages: int, needs_tangent: bool) -> Stepper:
-    from ..gauss.steppers import fixed_step
-
-    return fixed_step(stages, needs_tangent=needs_tangent)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from ...common.arrays import positive
 from ...common.defaults import Default
 from ...common.errors import InputError
-from ...common.memo import once_for_all
 
 if TYPE_CHECKING:
     from ..explicit.tableau import Tableau
@@ -152,12 +151,7 @@ class Explicit(ErrorControl):
         """Return the numbers of the method, the same object at every call."""
 
     def stepper(self) -> Stepper:
-        """Return what runs the tableau."""
-        return _stepper(type(self).__name__, self.order, self.tableau())
+        """Return the compiled stepper."""
+        from ..explicit.runge_kutta import make_stepper
 
-
-@once_for_all
-def _stepper(name: str, order: int, tableau: Tableau) -> Stepper:
-    from ..explicit.runge_kutta import make_stepper
-
-    return make_stepper(name, order, tableau)
+        return make_stepper(type(self).__name__, self.order, self.tableau())

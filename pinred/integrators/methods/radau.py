@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from ...common.memo import once_for_all
 from .method import ErrorControl
 
 if TYPE_CHECKING:
@@ -29,12 +28,7 @@ class Radau(ErrorControl):
     dense_order: ClassVar[int] = 5
 
     def stepper(self) -> Stepper:
-        """Return what runs it."""
-        return _stepper()
+        """Return the compiled stepper."""
+        from ..radau.radau_iia import STEPPER
 
-
-@once_for_all
-def _stepper() -> Stepper:
-    from ..radau.radau_iia import STEPPER
-
-    return STEPPER
+        return STEPPER

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from ...common.memo import once_for_all
 from .method import EqualSteps
 
 if TYPE_CHECKING:
@@ -24,12 +23,7 @@ class RKMK4(EqualSteps):
     dense_order: ClassVar[int] = 3
 
     def stepper(self) -> Stepper:
-        """Return what runs it."""
-        return _stepper()
+        """Return the compiled stepper."""
+        from ..explicit.munthe_kaas import STEPPER
 
-
-@once_for_all
-def _stepper() -> Stepper:
-    from ..explicit.munthe_kaas import STEPPER
-
-    return STEPPER
+        return STEPPER

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from ...common.memo import once_for_all
 from .method import EqualSteps
 
 if TYPE_CHECKING:
@@ -32,12 +31,7 @@ class Variational(EqualSteps):
     steady_momentum: ClassVar[bool] = True
 
     def stepper(self) -> Stepper:
-        """Return what runs it."""
-        return _stepper()
+        """Return the compiled stepper."""
+        from ..variational.lagrange_poincare import STEPPER
 
-
-@once_for_all
-def _stepper() -> Stepper:
-    from ..variational.lagrange_poincare import STEPPER
-
-    return STEPPER
+        return STEPPER

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.integrate._ivp import radau as tableau
 
 from ...common.arrays import Array
-from ..stepping.compiling import compiled, woven
+from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call, call_tangent
 from ..stepping.linear_systems import factor, jacobian, solve
 from ..stepping.run_record import DENSE, DONE, Run
@@ -35,33 +35,40 @@ _POWERS = np.linalg.inv(np.vander([_C1, _C2, 1.0], 4, increasing=True)[:, 1:])
 _SLOPE, _BEND, _LAST_BEND = _POWERS[0], 2.0 * _POWERS[1], 2.0 * _POWERS[1] + 6.0 * _POWERS[2]
 
 
-@woven
-def keep(run: Run, work: Array, t: float, knots_t: Array, knots_y: Array) -> None:
-    """Do as driver.keep: write down the time, the state that a step has left, and its stages."""
+@inlined
+def store_end(run: Run, work: Array, t: float, end_times: Array, end_states: Array) -> None:
+    """Implement the hook `store_end`: store time, state and stages."""
     if run.keep:
         n, k = run.n, run.steps
         row = NEW if run.begun else Y
-        knots_t[k] = t
+        end_times[k] = t
         for i in range(n):
-            knots_y[k, i] = work[row, i]
+            end_states[k, i] = work[row, i]
             for j in range(3):
-                knots_y[k, (j + 1) * n + i] = work[Z + j, i]
+                end_states[k, (j + 1) * n + i] = work[Z + j, i]
 
 
-@woven
-def load(run: Run, params: Array, work: Array, t_new: float, knots_y: Array, k: int) -> None:  # noqa: ARG001
-    """Do as driver.load: with the stages, which the knot at the end has."""
+@inlined
+def load_step(
+    run: Run,
+    params: Array,
+    work: Array,
+    t_new: float,  # noqa: ARG001
+    end_states: Array,
+    k: int,
+) -> None:
+    """Implement the hook `load_step`: with the stages, which the knot at the end has."""
     for i in range(run.n):
         for row in range(3):
-            work[Z + row, i] = knots_y[k + 1, (row + 1) * run.n + i]
+            work[Z + row, i] = end_states[k + 1, (row + 1) * run.n + i]
     call(run.address, work[Y], params, work[RATE])
     call(run.address, work[NEW], params, work[END_RATE])
     unit(work[Y], work[RATE], run.quaternion)
 
 
-@woven
-def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Do as driver.state."""
+@inlined
+def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
+    """Implement the hook `write_state`."""
     if not copy_an_end(run, work, time, t_new, out):
         if run.known < DENSE:
             run.known = DENSE

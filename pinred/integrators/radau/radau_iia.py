@@ -14,16 +14,17 @@ import numpy as np
 from scipy.integrate._ivp import radau as tableau
 
 from ...common.arrays import Array
-from ..stepping.compiling import compiled, woven
+from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call
 from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
-from ..stepping.run_record import AGAIN, DONE, NOT_FINITE, Run
+from ..stepping.run_record import DONE, NOT_FINITE, Run
 from ..stepping.state_rows import (
     NEW,
-    TURN,
     Y,
+    entry_size,
     first_not_finite,
-    in_quaternion,
+    first_step_by_rate,
+    reject_step,
     unit,
 )
 from ..stepping.step_loop import Hooks, loops
@@ -39,9 +40,9 @@ from .dense import (
     SLOPES,
     Z,
     between,
-    keep,
-    load,
-    state,
+    load_step,
+    store_end,
+    write_state,
 )
 
 # Rows of `work` besides those of dense.py.  W: stages in the coordinates in which the
@@ -61,37 +62,37 @@ _FAST = 1e-2  # contraction that lets the factors serve for the next step, too
 _SAME = 1.2  # a step that might be so much longer keeps its length, and the factors
 
 
-@woven
-def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:
-    """Do as driver.begin."""
-    keep(run, work, 0.0, knots_t, knots_y)
+@inlined
+def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
+    """Implement the hook `begin_run`."""
+    store_end(run, work, 0.0, end_times, end_states)
     call(run.address, work[Y], params, work[RATE])
     run.evaluations += 1
     unit(work[Y], work[RATE], run.quaternion)
     run.entry = first_not_finite(work[RATE], run.n)
     if run.entry >= 0:
         return NOT_FINITE
-    run.h, run.convergence = _first_step(run, work), 1.0
+    run.h, run.convergence = first_step_by_rate(run, work[Y], work[RATE], 1, 0.01), 1.0
     return DONE
 
 
-@woven
-def until(run: Run) -> float:
-    """Do as driver.until."""
+@inlined
+def next_end_time(run: Run) -> float:
+    """Implement the hook `next_end_time`."""
     return run.t_end if run.t + 1.0001 * run.h >= run.t_end else run.t + run.h
 
 
-@woven
-def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
-    """Do as driver.attempt."""
+@inlined
+def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
+    """Implement the hook `attempt_step`."""
     n, h = run.n, t_new - run.t
     if abs(h - run.factored) > 1e-9 * h:
         run.pause -= n * n // 8  # of evaluations, which factors cost
         if not _prepare(run, params, work, h):
-            return reject(run, h * _HALF)
+            return reject_step(run, h * _HALF)
     turns = _newton(run, params, work, h)
     if turns == 0:
-        return reject(run, h * (_CRASH if run.entry >= 0 else run.cut))
+        return reject_step(run, h * (_CRASH if run.entry >= 0 else run.cut))
     run.error = _error(run, params, work, h)
     # Fewer turns of Newton's method: more trust in the error.
     trust = min(_SAFETY, _SAFETY * (1 + 2 * _MOST) / (turns + 2 * _MOST))
@@ -103,24 +104,15 @@ def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
         if entry < 0:
             return DONE
         run.entry = entry
-        return reject(run, h * _CRASH)
+        return reject_step(run, h * _CRASH)
     if run.error < np.inf and run.steps > 0:
-        return reject(run, h / run.quotient)
-    return reject(run, h * _CRASH)
+        return reject_step(run, h / run.quotient)
+    return reject_step(run, h * _CRASH)
 
 
-@woven
-def reject(run: Run, h: float) -> int:
-    """Try again with a shorter step."""
-    run.rejected += 1
-    run.again = 1
-    run.h, run.factored = h, 0.0
-    return AGAIN
-
-
-@woven
-def accept(run: Run, work: Array, t_new: float) -> None:
-    """Do as driver.accept."""
+@inlined
+def accept_step(run: Run, work: Array, t_new: float) -> None:
+    """Implement the hook `accept_step`."""
     h, quotient = t_new - run.t, run.quotient
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
@@ -182,10 +174,7 @@ def _measure(run: Run, work: Array) -> None:
     n, quaternion = run.n, run.quaternion
     rtol, atol = _tolerances(run)
     for i in range(n):
-        size = abs(work[Y, i])
-        if in_quaternion(i, quaternion):
-            size = TURN
-        work[SCALE, i] = 1.0 / (atol + rtol * size)
+        work[SCALE, i] = 1.0 / (atol + rtol * entry_size(work[Y], i, quaternion))
 
 
 @compiled
@@ -311,20 +300,13 @@ def _size(work: Array, n: int) -> float:
     return sqrt(total / n)
 
 
-@compiled
-def _first_step(run: Run, work: Array) -> float:
-    """Return the first step: a part of the time in which the state changes by its size."""
-    n, quaternion, least = run.n, run.quaternion, run.atol / run.rtol
-    rate = 0.0
-    for i in range(n):
-        scale = least + (TURN if in_quaternion(i, quaternion) else abs(work[Y, i]))
-        rate += (work[RATE, i] / scale) ** 2
-    longest: float = min(run.t_end, run.max_step)
-    return min(longest, 0.01 * sqrt(n / rate)) if rate > 0.0 else longest
-
-
 STEPPER = Stepper(
-    loops("Radau", Hooks(begin, until, attempt, accept, load, state, keep)),
+    loops(
+        "Radau",
+        Hooks(
+            begin_run, next_end_time, attempt_step, accept_step, load_step, write_state, store_end
+        ),
+    ),
     lambda n, tangent: np.zeros((MATRIX + 5 * n, -(-n // SEEDS) * SEEDS)),  # noqa: ARG005
     kept=KEPT,
     needs_tangent=True,

@@ -12,13 +12,14 @@ from typing import Any
 from llvmlite import ir
 from numba.core import types
 
-from .compiling import make_intrinsic
+from ...common.arrays import Array
+from .compiling import compiled, make_intrinsic
 
 SEEDS = 8  # directions that a tangent kernel takes at once
 
 
 @make_intrinsic
-def call(typing: Any, address: Any, y: Any, params: Any, dydt: Any) -> Any:  # noqa: ARG001
+def call(typing: Any, address: Any, y: Any, params: Any, dydt: Any) -> Any:
     """Let the kernel at `address` (int64) fill dydt with the rates at y.
 
     y (n,), params (p,) and dydt (n,) are contiguous arrays of float64.
@@ -27,14 +28,7 @@ def call(typing: Any, address: Any, y: Any, params: Any, dydt: Any) -> Any:  # n
 
 
 @make_intrinsic
-def call_tangent(  # type: ignore[no-untyped-def]
-    typing: Any,  # noqa: ARG001
-    address: Any,  # noqa: ARG001
-    y: Any,
-    params: Any,
-    directions: Any,
-    out: Any,
-):
+def call_tangent(typing: Any, address: Any, y: Any, params: Any, directions: Any, out: Any) -> Any:
     """Let the tangent kernel at `address` (int64) fill `out` with the derivatives of ẏ.
 
     directions, out: SEEDS values an entry, one after another: out = ∂ẏ/∂y directions.
@@ -43,15 +37,9 @@ def call_tangent(  # type: ignore[no-untyped-def]
 
 
 @make_intrinsic
-def call_slopes(  # type: ignore[no-untyped-def]
-    typing: Any,  # noqa: ARG001
-    address: Any,  # noqa: ARG001
-    y: Any,
-    params: Any,
-    along_y: Any,
-    along_params: Any,
-    out: Any,
-):
+def call_slopes(
+    typing: Any, address: Any, y: Any, params: Any, along_y: Any, along_params: Any, out: Any
+) -> Any:
     """Let the tangent at `address` (int64) fill `out` with slopes along y and parameters.
 
     along_y, along_params, out: SEEDS values an entry, one after another.
@@ -60,14 +48,7 @@ def call_slopes(  # type: ignore[no-untyped-def]
 
 
 @make_intrinsic
-def call_adjoint(  # type: ignore[no-untyped-def]
-    typing: Any,  # noqa: ARG001
-    address: Any,  # noqa: ARG001
-    y: Any,
-    params: Any,
-    covector: Any,
-    out: Any,
-):
+def call_adjoint(typing: Any, address: Any, y: Any, params: Any, covector: Any, out: Any) -> Any:
     """Let the adjoint at `address` (int64) fill `out` with slopes of covector · ẏ.
 
     Those by y, then those by the parameters.
@@ -103,3 +84,19 @@ def emit_call(builder: Any, address: Any, pointers: list[Any]) -> None:
     """Write the instructions that call a kernel with pointers to numbers."""
     kernel = ir.FunctionType(ir.VoidType(), [pointer.type for pointer in pointers])
     builder.call(builder.inttoptr(address, kernel.as_pointer()), pointers)
+
+
+@compiled
+def to_lanes(along: Array, out: Array) -> None:
+    """Arrange directions (n, N) as tangent kernels take them: out (B, n SEEDS)."""
+    for k in range(along.shape[0]):
+        for j in range(along.shape[1]):
+            out[j // SEEDS, k * SEEDS + j % SEEDS] = along[k, j]
+
+
+@compiled
+def from_lanes(lanes: Array, out: Array) -> None:
+    """Undo `to_lanes`: fill out (n, N) with the directions."""
+    for k in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[k, j] = lanes[j // SEEDS, k * SEEDS + j % SEEDS]

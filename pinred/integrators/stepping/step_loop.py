@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array
-from .compiling import bound, compiled, woven
+from .compiling import bind_globals, compiled, inlined
 from .run_record import (
     AGAIN,
     DONE,
@@ -37,17 +37,17 @@ _EPS = float(np.finfo(float).eps)
 # --- what a method gives -------------------------------------------------------------------
 
 
-def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:
+def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
     """Keep the first knot, evaluate what the first step takes; return DONE, or why not."""
     raise NotImplementedError
 
 
-def until(run: Run) -> float:
+def next_end_time(run: Run) -> float:
     """Return the time at which the next step is to end."""
     raise NotImplementedError
 
 
-def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
+def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
     """Make a step to t_new from row Y to row NEW.
 
     Return DONE, AGAIN with the next step in run.h, WANTED, or why it cannot be made.
@@ -55,17 +55,19 @@ def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
     raise NotImplementedError
 
 
-def accept(run: Run, work: Array, t_new: float) -> None:
+def accept_step(run: Run, work: Array, t_new: float) -> None:
     """Take the end of a step for the begin of the next, and choose its length."""
     raise NotImplementedError
 
 
-def load(run: Run, params: Array, work: Array, t_new: float, knots_y: Array, k: int) -> None:
+def load_step(
+    run: Run, params: Array, work: Array, t_new: float, end_states: Array, k: int
+) -> None:
     """Fill the rows of the k-th step, whose ends are in Y and NEW, as it was made."""
     raise NotImplementedError
 
 
-def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
+def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
     """Write the state (n,) at a time in the step from run.t to t_new, its quaternion of length 1.
 
     run.known says what of the step is in the rows.  Return DONE; or AGAIN, WANTED, or why there
@@ -74,10 +76,10 @@ def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: 
     raise NotImplementedError
 
 
-keep = keep_state
+store_end = keep_state
 
 
-@woven
+@inlined
 def equal_steps(run: Run) -> float:
     """Return the end of the next of run.total steps of one length, as `until` does."""
     k = run.steps + 1
@@ -88,13 +90,13 @@ def equal_steps(run: Run) -> float:
 class Hooks:
     """The part of a method in the loop: compiled functions that do as those above."""
 
-    begin: Callable[..., int]
-    until: Callable[..., float]
-    attempt: Callable[..., int]
-    accept: Callable[..., None]
-    load: Callable[..., None]
-    state: Callable[..., int]
-    keep: Callable[..., None] = keep_state
+    begin_run: Callable[..., int]
+    next_end_time: Callable[..., float]
+    attempt_step: Callable[..., int]
+    accept_step: Callable[..., None]
+    load_step: Callable[..., None]
+    write_state: Callable[..., int]
+    store_end: Callable[..., None] = keep_state
 
 
 # --- the loops -----------------------------------------------------------------------------
@@ -106,17 +108,17 @@ def advance(
     work: Array,
     times: Array,
     out: Array,
-    knots_t: Array,
-    knots_y: Array,
+    end_times: Array,
+    end_states: Array,
 ) -> int:
     """Integrate until the end, a pause, a full store of knots or a failure; return which.
 
     params: (p,).  work: rows, with the state in row Y.  times: (T,) sorted; out: (T, n) their
-    states.  knots_t: (K,), knots_y: (K, n), or what `keep` writes for a knot.
+    states.  end_times: (K,), end_states: (K, n), or what `keep` writes for a knot.
     """
     run: Run = runs[0]
     if not run.begun:
-        status = begin(run, params, work, knots_t, knots_y)
+        status = begin_run(run, params, work, end_times, end_states)
         if status != DONE:
             return status
         run.begun = 1
@@ -125,14 +127,14 @@ def advance(
     while run.t < run.t_end:
         if run.evaluations >= run.pause:
             return PAUSED
-        if run.keep and run.steps + 1 >= knots_t.shape[0]:
+        if run.keep and run.steps + 1 >= end_times.shape[0]:
             return FULL
         if run.steps + run.rejected >= run.max_steps:
             return TOO_MANY
         if 0.1 * run.h <= _EPS * run.t:
             return NOT_FINITE if run.entry >= 0 else UNDERFLOW
-        t_new = until(run)
-        status = attempt(run, params, work, t_new)
+        t_new = next_end_time(run)
+        status = attempt_step(run, params, work, t_new)
         if status == DONE:
             status = report(run, params, work, times, out, t_new)
         if status == AGAIN:
@@ -140,8 +142,8 @@ def advance(
         if status != DONE:
             return status
         run.steps += 1
-        keep(run, work, t_new, knots_t, knots_y)
-        accept(run, work, t_new)
+        store_end(run, work, t_new, end_times, end_states)
+        accept_step(run, work, t_new)
         run.t = t_new
     return DONE
 
@@ -151,7 +153,7 @@ def report(run: Run, params: Array, work: Array, times: Array, out: Array, t_new
     run.known = STEP
     while run.next < times.shape[0] and times[run.next] <= t_new:
         j = run.next
-        status = state(run, params, work, times[j], t_new, out[j])
+        status = write_state(run, params, work, times[j], t_new, out[j])
         if status != DONE:
             return status
         run.next += 1
@@ -164,8 +166,8 @@ def recall(
     work: Array,
     times: Array,
     out: Array,
-    knots_t: Array,
-    knots_y: Array,
+    end_times: Array,
+    end_states: Array,
 ) -> None:
     """Fill out (T, n) with the states at sorted times (T,), by the steps around them.
 
@@ -174,21 +176,21 @@ def recall(
     run: Run = runs[0]
     k, loaded = 0, -1
     for j in range(times.shape[0]):
-        k = step_at(times[j], k, knots_t)
+        k = step_at(times[j], k, end_times)
         if loaded != k:
             loaded = k
-            run.t, run.known = knots_t[k], ENDS
+            run.t, run.known = end_times[k], ENDS
             for i in range(run.n):
-                work[Y, i] = knots_y[k, i]
-                work[NEW, i] = knots_y[k + 1, i]
-            load(run, params, work, knots_t[k + 1], knots_y, k)
-        state(run, params, work, times[j], knots_t[k + 1], out[j])
+                work[Y, i] = end_states[k, i]
+                work[NEW, i] = end_states[k + 1, i]
+            load_step(run, params, work, end_times[k + 1], end_states, k)
+        write_state(run, params, work, times[j], end_times[k + 1], out[j])
 
 
 @compiled
-def step_at(time: float, k: int, knots_t: Array) -> int:
+def step_at(time: float, k: int, end_times: Array) -> int:
     """Return the step within which a time lies, from the k-th on; its end belongs to it."""
-    while k + 1 < knots_t.shape[0] - 1 and time > knots_t[k + 1]:
+    while k + 1 < end_times.shape[0] - 1 and time > end_times[k + 1]:
         k += 1
     return k
 
@@ -260,10 +262,10 @@ class Loops:
 def loops(name: str, hooks: Hooks) -> Loops:
     """Return the loops of a method.  name: of this method alone, and the same in every process."""
     parts = vars(hooks)
-    told = woven(bound(report, f"{name}_report", **parts))
-    run = compiled(bound(advance, f"{name}_advance", **parts, report=told))
+    told = inlined(bind_globals(report, f"{name}_report", **parts))
+    run = compiled(bind_globals(advance, f"{name}_advance", **parts, report=told))
     return Loops(
         run,
-        compiled(bound(recall, f"{name}_recall", **parts)),
-        compiled(bound(members, f"{name}_members", advance=run)),
+        compiled(bind_globals(recall, f"{name}_recall", **parts)),
+        compiled(bind_globals(members, f"{name}_members", advance=run)),
     )

@@ -27,7 +27,7 @@ from math import sqrt
 import numpy as np
 
 from ...common.arrays import Array
-from ..stepping.compiling import compiled, woven
+from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call
 from ..stepping.run_record import DIVERGED, DONE, NOT_FINITE, Run
 from ..stepping.state_rows import (
@@ -54,19 +54,19 @@ _SMALL, _SLACK = 1e-14, 1e-11  # of the largest number
 _NOTHING = 1e-17  # of it: what is still to come does not count
 
 
-@woven
-def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:
-    """Do as driver.begin."""
+@inlined
+def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
+    """Implement the hook `begin_run`."""
     unit_alone(work[Y], run.quaternion)
-    keep_state(run, work, 0.0, knots_t, knots_y)
+    keep_state(run, work, 0.0, end_times, end_states)
     _begin(run, params, work, MAIN, run.h)
     run.entry = first_not_finite(work[MAIN + BEGIN_RATE], run.n)
     return NOT_FINITE if run.entry >= 0 else DONE
 
 
-@woven
-def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa: ARG001
-    """Do as driver.attempt."""
+@inlined
+def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa: ARG001
+    """Implement the hook `attempt_step`."""
     status = _step(run, params, work, MAIN, run.h)
     if status == NOT_FINITE:
         run.entry = first_not_finite(work[MAIN + BEGIN_RATE], run.n)
@@ -75,21 +75,23 @@ def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa:
     return status
 
 
-@woven
-def accept(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
-    """Do as driver.accept."""
+@inlined
+def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
+    """Implement the hook `accept_step`."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
 
 
-@woven
-def load(run: Run, params: Array, work: Array, t_new: float, knots_y: Array, k: int) -> None:
-    """Do as driver.load: the ends are all it takes."""
+@inlined
+def load_step(
+    run: Run, params: Array, work: Array, t_new: float, end_states: Array, k: int
+) -> None:
+    """Implement the hook `load_step`: the ends are all it takes."""
 
 
-@woven
-def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Do as driver.state, by a step of its own."""
+@inlined
+def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
+    """Implement the hook `write_state`, by a step of its own."""
     if copy_an_end(run, work, time, t_new, out):
         return DONE
     _begin(run, params, work, SUB, time - run.t)
@@ -234,6 +236,9 @@ def _place(y: Array, u: Array, params: Array, out: Array, quaternion: int) -> No
 
 
 STEPPER = Stepper(
-    loops("Variational", Hooks(begin, equal_steps, attempt, accept, load, state)),
+    loops(
+        "Variational",
+        Hooks(begin_run, equal_steps, attempt_step, accept_step, load_step, write_state),
+    ),
     lambda n, tangent: padded_rows(ROWS, max(n, LEAST)),  # noqa: ARG005
 )

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...common.arrays import Array, read_only
 from ...common.errors import InputError, IntegrationError
-from ...integrators.derivatives import Slopes, refuse_without_derivatives, run_along, run_back
+from ...integrators.run_derivatives import Slopes, refuse_without_derivatives, run_along, run_back
 from ...integrators.integrate import Solution, integrate_checked
 from ...integrators.methods import AdaptiveGauss, Explicit
 from ...kernels.begin_and_end import Row, begin_of, outcome_of, rate_of, sizes_of

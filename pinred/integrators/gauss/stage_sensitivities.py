@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...common.arrays import Array
-from ..explicit.derivatives import across, to_unit
+from ..explicit.forward_sensitivities import normalise_with
 from ..stepping.compiling import compiled
 from ..stepping.kernel_call import call, call_slopes
 
@@ -152,9 +152,7 @@ def forward(
     G: (n lanes,).  Return 0, or 1 plus the first step that is not found.
     """
     n, count = y.shape[0], along.shape[0]
-    size = to_unit(y, quaternion)
-    for d in range(count):
-        across(y, size, quaternion, along[d], 1)
+    normalise_with(y, quaternion, along, 1)
     first = 0
     while first < times.shape[0] and times[first] <= knots[0]:
         _report(y, along, quaternion, out[first], out_along[first])
@@ -171,26 +169,12 @@ def forward(
             for d in range(count):
                 for i in range(n):
                     out_along[first, d, i] = along[d, i]
-                if (
-                    step_forward(
-                        slopes,
-                        params,
-                        a,
-                        b,
-                        lanes,
-                        h,
-                        Y,
-                        out_along[first, d],
-                        along_params[d],
-                        D,
-                        G,
-                    )
-                    < 0
-                ):
+                turns = step_forward(
+                    slopes, params, a, b, lanes, h, Y, out_along[first, d], along_params[d], D, G
+                )
+                if turns < 0:
                     return step + 1
-            size = to_unit(out[first], quaternion)
-            for d in range(count):
-                across(out[first], size, quaternion, out_along[first, d], 1)
+            normalise_with(out[first], quaternion, out_along[first], 1)
             first += 1
         h = knots[step + 1] - knots[step]
         if find_stages(address, params, a, lanes, h, y, Y, F) < 0:
@@ -210,8 +194,7 @@ def _report(y: Array, along: Array, quaternion: int, out: Array, out_along: Arra
     """Write a state and its directions with a quaternion of length one."""
     for i in range(y.shape[0]):
         out[i] = y[i]
-    size = to_unit(out, quaternion)
     for d in range(along.shape[0]):
         for i in range(y.shape[0]):
             out_along[d, i] = along[d, i]
-        across(out, size, quaternion, out_along[d], 1)
+    normalise_with(out, quaternion, out_along, 1)

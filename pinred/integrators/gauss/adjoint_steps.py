@@ -18,20 +18,16 @@ from functools import lru_cache
 import numpy as np
 
 from ...common.arrays import Array
-from ..explicit.derivatives import across, to_unit
+from ..explicit.forward_sensitivities import across, to_unit
 from ..stepping.compiling import compiled
 from ..stepping.kernel_call import call, call_adjoint
 from ..stepping.state_rows import NEW, Y
-from .lane_sums import refreshment
 from .stages import (
-    BEST,
-    CHANGE,
     GUESS,
     MU,
     OLD,
     RATE,
     ROWS,
-    SCALE,
     STAGE,
     SUB,
     WITHIN,
@@ -40,6 +36,8 @@ from .stages import (
     guess,
     multiply,
     prepare_guess,
+    refresh,
+    scale_by_largest,
     start_evenly,
     work_rows,
 )
@@ -56,8 +54,6 @@ _CLOSE = 1e-10  # change, in parts of the largest number, above which nothing ha
 _EPS = float(np.finfo(float).eps)
 _SURE = 64.0 * _EPS  # change below which the quotient of two says what is still to come
 _FURTHEST = 2.0  # lengths of the step behind over which its rates are continued
-
-_refresh4, _refresh8 = refreshment(4), refreshment(8)
 
 
 def reverse_rows(stages: int, n: int) -> Array:
@@ -169,12 +165,12 @@ def find_stages(
     address: int, params: Array, work: Array, n: int, lanes: int, row: int, h: float
 ) -> bool:
     """Find the L in `row` from a guess, and put the stages into STAGE; return whether it is."""
-    _measure(work, n, lanes, Y, row)
+    scale_by_largest(work, n, lanes, Y, row)
     before, best, idle = np.inf, np.inf, 0
     for _ in range(_MOST):
         multiply(work, STAGE, Y, MU, row, n, lanes)
         call(address, work[STAGE], params, work[RATE])
-        change = _refresh(work, row, n, lanes, h)
+        change = refresh(work, row, n, lanes, h)
         if not change < np.inf:
             return False
         idle = idle + 1 if change >= best else 0
@@ -205,7 +201,7 @@ def step_back(
     n, p = covector.shape[0], by_params.shape[0]
     for i in range(n):
         work[NEW, i] = covector[i]
-    _measure(work, n, lanes, NEW, row)
+    scale_by_largest(work, n, lanes, NEW, row)
     before, best, idle = np.inf, np.inf, 0
     found = False
     for _ in range(_MOST):
@@ -213,7 +209,7 @@ def step_back(
         call_adjoint(adjoint, work[STAGE], params, work[SEED], both)
         for i in range(n * lanes):
             work[RATE, i] = both[i]
-        change = _refresh(work, row, n, lanes, h)
+        change = refresh(work, row, n, lanes, h)
         if not change < np.inf:
             return False
         idle = idle + 1 if change >= best else 0
@@ -238,29 +234,3 @@ def _settled(change: float, before: float, best: float, idle: int) -> bool:
         return True
     quotient = change / before
     return change <= _SURE and quotient < 1.0 and change * quotient <= _EPS * (1.0 - quotient)
-
-
-@compiled
-def _refresh(work: Array, row: int, n: int, lanes: int, h: float) -> float:
-    """Put h b RATE into a row over stages; return the change, in parts of the largest number."""
-    if lanes == 4:
-        total = _refresh4(work, row, RATE, CHANGE, BEST, SCALE, B, n, h)
-    else:
-        total = _refresh8(work, row, RATE, CHANGE, BEST, SCALE, B, n, h)
-    return float(np.sqrt(total))
-
-
-@compiled
-def _measure(work: Array, n: int, lanes: int, base: int, row: int) -> None:
-    """Fill SCALE with the inverse of the largest number in two rows, of which one is over stages.
-
-    That of the second counts only as a guess of what it will be.
-    """
-    largest = 0.0
-    for i in range(n):
-        largest = max(largest, abs(work[base, i]))
-        for j in range(lanes):
-            largest = max(largest, abs(work[row, i * lanes + j]))
-    inverse = 1.0 / largest if largest > 0.0 else 1.0
-    for i in range(n):
-        work[SCALE, i] = inverse
