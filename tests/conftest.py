@@ -1,10 +1,9 @@
-"""Hypothesis profiles: failures print what reproduces them; no time limit on noisy machines.
-
-And the browser that the tests of pages share.
-"""
+"""Test options, hypothesis profiles, and the browser that tests of pages share."""
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Iterator
 
 import pytest
@@ -13,36 +12,71 @@ from hypothesis import settings
 import pinred
 from pinred.views.playback.headless_browser import Browser, browser, find_browser
 
-settings.register_profile("pinred", deadline=None, print_blob=True, max_examples=20)
-settings.register_profile("by hand", settings.get_profile("pinred"), max_examples=200)
-settings.load_profile("pinred")
+# The default run tries the same examples every time, so that no test fails by chance.
+settings.register_profile(
+    "repeatable", deadline=None, print_blob=True, max_examples=20, derandomize=True, database=None
+)
+settings.register_profile(
+    "random", deadline=None, print_blob=True, max_examples=200, derandomize=False
+)
+settings.load_profile("repeatable")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option that runs what is left out otherwise."""
-    parser.addoption("--by-hand", action="store_true", help="run the tests marked by_hand, too")
+    """Add the options of longer runs."""
+    parser.addoption(
+        "--by-hand",
+        action="store_true",
+        help="also run the tests marked by_hand, and draw random examples for property tests",
+    )
+    parser.addoption(
+        "--examples",
+        type=int,
+        metavar="N",
+        help="run only the property tests, each with N random examples",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Try more examples where time is no matter."""
-    if config.getoption("--by-hand"):
-        settings.load_profile("by hand")
+    """Choose the hypothesis profile, and listen to SIGINT."""
+    if config.getoption("--by-hand") or config.getoption("--examples"):
+        settings.load_profile("random")
+    # A shell starts `nohup … &` with SIGINT ignored, and child processes inherit that.
+    # Tests of Ctrl-C need the default handler there.
+    if (
+        threading.current_thread() is threading.main_thread()
+        and signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    ):
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """What opens pages is slow; what is run by hand is left out unless asked for."""
+    """Mark tests that open pages as slow, and deselect tests that were not requested."""
     for item in items:
         if item.get_closest_marker("browser") or item.get_closest_marker("by_hand"):
             item.add_marker(pytest.mark.slow)
+    examples = config.getoption("--examples")
+    selected = [item for item in items if not examples or _set_examples(item, examples)]
     if not config.getoption("--by-hand"):
-        left_out = [item for item in items if item.get_closest_marker("by_hand")]
-        items[:] = [item for item in items if not item.get_closest_marker("by_hand")]
-        config.hook.pytest_deselected(items=left_out)
+        selected = [item for item in selected if not item.get_closest_marker("by_hand")]
+    config.hook.pytest_deselected(items=[item for item in items if item not in set(selected)])
+    items[:] = selected
+
+
+def _set_examples(item: pytest.Item, count: int) -> bool:
+    """Set the number of examples of a property test; return whether the test is one."""
+    function = getattr(item, "obj", None)
+    function = getattr(function, "__func__", function)
+    if not getattr(function, "is_hypothesis_test", False):
+        return False
+    name = "_hypothesis_internal_use_settings"
+    setattr(function, name, settings(getattr(function, name), max_examples=count))
+    return True
 
 
 @pytest.fixture(scope="module")
 def screen() -> Iterator[Browser]:
-    """One browser for all tests of a file; they are skipped where there is none."""
+    """Share one browser between the tests of a file; skip them where there is none."""
     try:
         find_browser()
     except pinred.InputError as error:

@@ -10,14 +10,13 @@ from ..forces.force_model import ForceModel
 from ..reduction.tree.limbs import Lanes
 from ..system.system import System
 from .fingerprint import model_bytes
-from .judge import judge
-from .judged_state import with_other_numbers
 from .kernel import Kernel, KernelStore
 from .layout import Structure, layout_of
 from .machine.native import compile_object, load_object
 from .object_cache import ObjectCache, cache_key
 from .reduced_graph import ReducedGraph
-from .scale import telling_scale
+from .reference_state import perturb_parameters
+from .validation import explain_ill_scaling, validate_kernel
 
 
 def build_kernel(
@@ -54,12 +53,12 @@ def build_kernel(
         outputs=load_object(outputs_code, "outputs"),
         instructions=int(meta["instructions"]),
     )
-    with telling_scale(system):
-        judge(kernel)
+    with explain_ill_scaling(system):
+        validate_kernel(kernel)
         if structure.freed:  # with other numbers, too
-            other = with_other_numbers(system, structure.freed, structure.cyclic)
+            other = perturb_parameters(system, structure.freed, structure.cyclic)
             moved = None if forces is None else forces.on(other)
-            judge(replace(kernel, system=other, forces=moved))
+            validate_kernel(replace(kernel, system=other, forces=moved))
     return kernel
 
 

@@ -20,7 +20,7 @@ from ..integrators.stepping.kernel_call import SEEDS, call, call_adjoint, call_s
 from ..integrators.stepping.kernel_call import from_lanes, to_lanes
 from ..reduction.tree.limbs import Lanes
 from .adjoint_lanes import adjoint_in_lanes
-from .derived import derived_code
+from .derived_code import derived_code
 from .kernel import Kernel
 from .machine.native import NativeCode, compile_object
 from .reduced_graph import ReducedGraph

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
-from typing import Any
+from itertools import accumulate, pairwise, starmap
 
+from ..common.arrays import Array
 from ..forces.force_model import ForceModel
 from ..reduction.base_parts import BaseParts, base_parts
 from ..reduction.tree.free_bodies import NOTHING, Freed
+from ..system.state_fields import FIELDS, axis_lengths
 from ..system.system import System
 
 
@@ -100,12 +102,18 @@ class Layout:
 
 @dataclass(frozen=True)
 class Outputs:
-    """The places of things in the outputs, as slices.
+    """Slices of the outputs of a kernel.
 
-    xi, xdot, com, mu, weight, driven_x, driven_pi: as seen from the centre of mass; com in
-    the root body's frame, (3,); the weight that turns a pivoted base, (3,) in its frame, or
-    none; x and π of the prescribed joints.  The rest are fields of State, or of
-    ShapeState, whose energy is the last.
+    Attributes:
+        xi: Body twist relative to the centre of mass, (r,).
+        xdot: Shape rate, (m,).
+        com: Centre of mass in the frame of the root body, (3,).
+        mu: Body momentum about the centre of mass, (r,).
+        weight: Gravity force that turns a pivoted base, in its frame, (3,) or empty.
+        driven_x: Positions of the prescribed joints, (k,).
+        driven_pi: Canonical momenta of the prescribed joints, (k,).
+        fields: The fields of State, or of ShapeState without the base, except the time.
+        size: Number of outputs.
     """
 
     xi: slice
@@ -115,23 +123,52 @@ class Outputs:
     weight: slice
     driven_x: slice
     driven_pi: slice
-    x: slice
-    pose: slice
-    q: slice
-    v: slice
-    body_momentum: slice
-    spatial_momentum: slice
+    fields: Mapping[str, slice]
     size: int
+
+    def read_field(self, name: str, outputs: Array, system: System) -> Array:
+        """Return a field of a state, with joints in the order of the robot's own model.
+
+        Args:
+            name: Name of the field, not "t".
+            outputs: Outputs of the kernel, (…, size).
+            system: The system of the kernel.
+
+        Returns:
+            (…,) or (…, length of the field's axis).
+        """
+        values = outputs[..., self.fields[name]]
+        match FIELDS[name].axis:
+            case "nq":
+                return system.given_q(values)
+            case "nv":
+                return system.given_v(values)
+            case None:
+                return values[..., 0]
+            case _:
+                return values
+
+
+def separate_fields(*, base: bool) -> list[str]:
+    """Return the fields of State that have entries of their own among the outputs, in order.
+
+    The shape rate is an output in any case, and the body twist is the first part of v.
+    """
+    shared = ("t", "xdot", "xi")
+    return [f.name for f in FIELDS.values() if f.name not in shared and (base or not f.needs_base)]
 
 
 def outputs_of(system: System, layout: Layout) -> Outputs:
-    """Return where things stand in the outputs of a kernel."""
+    """Return the slices of the outputs of a kernel."""
     m, r, k = system.m, system.r, len(layout.prescribed)
-    full = [system.group.size, system.model.nq, system.model.nv, r, r]
-    sizes = [r, m, 3, r, 3 * layout.heavy, k, k, m, *(full if layout.wanted else [0] * len(full))]
-    ends = [sum(sizes[:i]) for i in range(len(sizes) + 1)]
-    places: list[Any] = [*(slice(a, b) for a, b in pairwise(ends)), ends[-1] + 1]
-    return Outputs(*places)
+    names, lengths = separate_fields(base=layout.wanted), axis_lengths(system)
+    relative = [r, m, 3, r, 3 * layout.heavy, k, k]
+    ends = list(accumulate([*relative, *(lengths[FIELDS[name].axis] for name in names)], initial=0))
+    xi, xdot, com, mu, weight, driven_x, driven_pi, *slices = starmap(slice, pairwise(ends))
+    fields = {**dict(zip(names, slices, strict=True)), "xdot": xdot}
+    if layout.wanted:
+        fields["xi"] = slice(fields["v"].start, fields["v"].start + r)
+    return Outputs(xi, xdot, com, mu, weight, driven_x, driven_pi, fields, ends[-1])
 
 
 def layout_of(system: System, structure: Structure, forces: ForceModel | None) -> Layout:

@@ -29,7 +29,7 @@ from platformdirs import user_cache_path
 from ..common.errors import CacheWarning, InputError
 from ..common.temporary import sweep, temporary
 from ..common.version import __version__
-from .secret import secret
+from .signing_key import signing_key
 
 LIMIT = 256 * 2**20  # bytes
 _WRITERS = 8  # as many processes may fill what is free before any of them looks again
@@ -295,7 +295,7 @@ def _checked(file: BinaryIO, size: int, key: str) -> bytes:
 
 
 def _signature(header: bytes, payload: bytes) -> bytes:
-    return hmac.digest(secret(), header + payload, "sha256")
+    return hmac.digest(signing_key(), header + payload, "sha256")
 
 
 def _write(folder: int, name: str, data: bytes) -> None:

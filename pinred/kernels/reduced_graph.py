@@ -30,7 +30,7 @@ from ..reduction.tree.momenta import centre_of_mass
 from ..reduction.tree.scalars import Scalar, Vec, add, dot, mul, sub
 from ..system.system import System
 from .base_graph import BaseGraph
-from .layout import Structure, layout_of
+from .layout import Structure, layout_of, separate_fields
 
 
 class ReducedGraph:
@@ -139,16 +139,21 @@ class ReducedGraph:
         energy = add(energy, self._potential(com))
         weight: list[Scalar] = self.base.body_weight() or []
         parts = [self.xi, self.xdot, com, self._mu, weight]
-        parts += [places, list(self._driven_pi.values()), self.x]
+        parts += [places, list(self._driven_pi.values())]
+        fields: dict[str, list[Scalar]] = {"x": self.x}
         line = [ca.SX.sym(f"line{j}") for j in range(3 * k)]
         if self.layout.wanted:
             full = self.base.full(self.xi, self._mu, com, self._t, line)
-            parts += [full.pose, self._q(full.pose), full.xi, joint_rates(system, self.xdot)]
-            parts += [full.body_momentum, full.spatial_momentum]
+            fields["pose"], fields["q"] = full.pose, self._q(full.pose)
+            fields["v"] = [*full.xi, *joint_rates(system, self.xdot)]
+            fields["body_momentum"] = full.body_momentum
+            fields["spatial_momentum"] = full.spatial_momentum
             energy = add(energy, full.energy)
+        fields["energy"] = [energy]
+        parts += [fields[name] for name in separate_fields(base=self.layout.wanted)]
         y = self.y if self.layout.clock else ca.vertcat(self.y, self._t)
         inputs = [y, ca.vertcat(self.parameters, *line)]
-        return self._function("outputs", _column(*parts, [energy]), inputs)
+        return self._function("outputs", _column(*parts), inputs)
 
     def _potential(self, com: Vec) -> Scalar:
         """Return V(x), and the potential energy of a pivoted body's weight."""

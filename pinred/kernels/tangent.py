@@ -13,12 +13,12 @@ from ..common.arrays import Array
 from ..common.errors import InputError
 from ..integrators.stepping.kernel_call import SEEDS
 from ..integrators.stepping.linear_systems import jacobian
-from .derived import derived_code
+from .derived_code import derived_code
 from .evaluate import evaluate
-from .judge import ROUND_OFF, agree
 from .kernel import Kernel
 from .machine.native import NativeCode, compile_object
 from .reduced_graph import ReducedGraph
+from .validation import ROUND_OFF, require_agreement
 
 _TRIALS, _NEEDED = 40, 2
 _STEP = 2e-3  # of the differences, for states of size one
@@ -84,7 +84,9 @@ def _judge(kernel: Kernel, native: NativeCode) -> None:
         smooth &= np.isfinite(found).all(axis=0)
         for j in np.flatnonzero(smooth):
             terms = noise / ROUND_OFF
-            agree(who, f"column {j}", found[:, j], expected[:, j], terms, 10.0 * _TOLERANCE)
+            require_agreement(
+                who, f"column {j}", found[:, j], expected[:, j], terms, 10.0 * _TOLERANCE
+            )
         judged += bool(2 * smooth.sum() >= size)
         if judged == _NEEDED:
             return

@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..common.errors import KernelMismatch
-from .derived import derived_code
+from .derived_code import derived_code
 from .evaluate import evaluate
-from .judge import agree
 from .kernel import Kernel
 from .machine.native import NativeCode, compile_object
+from .validation import require_agreement
 
 _TRIALS, _MOST = 3, 80
 
@@ -51,7 +51,9 @@ def _judge(kernel: Kernel, native: NativeCode, lanes: int, *, own_parameters: bo
             own = parameters[lane % len(parameters)]
             (one,) = evaluate(kernel.rate.address, own, y[lane : lane + 1], size)
             if np.isfinite(one).all():
-                agree(who, "the rate", found.reshape(size, lanes)[:, lane], one, abs(one))
+                require_agreement(
+                    who, "the rate", found.reshape(size, lanes)[:, lane], one, abs(one)
+                )
                 judged[lane] += 1
         if judged.min() >= _TRIALS:
             return

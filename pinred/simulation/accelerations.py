@@ -13,7 +13,7 @@ import numpy as np
 
 from ..common.arrays import Array
 from ..common.errors import InputError
-from .state import State
+from ..system.state_fields import State
 from .trajectory import Trajectory
 
 _WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)  # of v(t + k h) − v(t − k h), over h

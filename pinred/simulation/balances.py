@@ -17,10 +17,10 @@ from numpy.polynomial import legendre
 
 from ..common.arrays import Array, freeze
 from ..system.joints import axes_of
+from ..system.state_fields import State, with_base
 from .driving_torques import driving_torques
 from .pieces import Motion
 from .plan import Plan
-from .state import State, with_base
 
 _POINTS = 8
 _DRIVES = "prescribed joints"

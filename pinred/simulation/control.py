@@ -17,7 +17,7 @@ from ..common.arrays import Array, read_only
 from ..forces.by_name import Vector
 from ..scene.scene import Scene
 from ..system.force import SeenState
-from .state import Sample
+from .sample import Sample
 
 _ONE = 1e-12  # of the whole time: what round-off holds apart is one stop
 _DUE = 1e-9  # of a period

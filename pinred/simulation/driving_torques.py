@@ -18,7 +18,7 @@ from ..reduction.potential import shape_gravity
 from ..reduction.textbook_equations import lagrange_poincare
 from ..system.system import System
 from .plan import Plan
-from .state import Sample
+from .sample import Sample
 
 
 def driving_torques(plan: Plan, t: Array, seen: list[tuple[Sample, Array]]) -> Array:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ..common.arrays import Array
-from .state import Sample, ShapeState, State
+from ..system.state_fields import ShapeState, State
+from .sample import Sample
 
 
 class Flow(Protocol):

@@ -22,7 +22,7 @@ from ..common.errors import (
     ModelError,
     ModelWarning,
 )
-from ..common.places import is_file
+from ..common.paths import is_file
 from ..common.plain_names import brief, listed, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named

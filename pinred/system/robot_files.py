@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from ..common.errors import LoadError, ModelError
 from ..common.library_output import library_output
-from ..common.places import is_file, is_folder
+from ..common.paths import is_file, is_folder
 from ..common.plain_names import plain_path, quoted_path
 from .contents import Coupling
 from .model_passive import keep_dynamics

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from ..common.arrays import entries_of
 from ..common.errors import InputError
-from ..common.places import is_folder
+from ..common.paths import is_folder
 from ..common.plain_names import brief, quoted_path
 
 

@@ -1,4 +1,4 @@
-"""How far accelerations are apart, in the forces that it would take, relative to those that act."""
+"""Errors of accelerations and forces, relative to the terms that they are sums of."""
 
 from __future__ import annotations
 
@@ -10,19 +10,44 @@ import numpy as np
 from pinred.common.arrays import Array
 
 
-def largest(*parts: Any) -> float:
-    """Return the largest entry of arrays, or of the arrays that are fields of a value."""
+def largest(*terms: Any) -> float:
+    """Return the largest absolute entry.
+
+    Args:
+        terms: Numbers, arrays, or dataclasses whose fields are arrays.
+    """
     arrays: list[Array] = []
-    for part in parts:
-        one = isinstance(part, np.ndarray)
-        arrays += [part] if one else [getattr(part, field.name) for field in fields(part)]
+    for term in terms:
+        if isinstance(term, float | np.ndarray):
+            arrays.append(np.asarray(term))
+        else:
+            arrays += [getattr(term, field.name) for field in fields(term)]
     return max(float(np.abs(array).max(initial=0.0)) for array in arrays)
 
 
-def backward_error(inertia: Array, a: Array, b: Array, *terms: Any) -> float:
-    """Return |inertia (a − b)| over the largest of the terms that the accelerations follow from.
+def kinetic_size(mass_matrix: Array, v: Array) -> float:
+    """Return |v|ᵀ |H| |v|, the size of the Coriolis and centrifugal terms before cancellation.
 
-    A badly conditioned inertia makes accelerations of round-off in any code, forces of none.
+    Such a term is a sum over links. Its round-off scales with this number, also if the sum is
+    nearly or exactly zero.
+
+    Args:
+        mass_matrix: H, (n, n), in the section in which the equations are evaluated.
+        v: Velocity, (n,), in the same section.
     """
-    apart = largest(inertia @ (a - b))
-    return apart / largest(*terms) if apart else 0.0
+    return float(np.abs(v) @ np.abs(mass_matrix) @ np.abs(v))
+
+
+def backward_error(inertia: Array, a: Array, b: Array, *terms: Any) -> float:
+    """Return |inertia (a − b)| relative to the largest of the given terms.
+
+    An ill-conditioned inertia amplifies round-off in accelerations, but not in forces.
+
+    Args:
+        inertia: Matrix that turns accelerations into forces.
+        a: Accelerations.
+        b: Reference accelerations.
+        terms: Terms that the accelerations are computed from (see `largest`).
+    """
+    difference = largest(inertia @ (a - b))
+    return difference / largest(*terms) if difference else 0.0

@@ -29,6 +29,7 @@ from numba.core.dispatcher import Dispatcher
 
 LONG = 20.0  # s; tests that take longer are left out
 _IN_KERNELS = ("forces", "kernels", "lie", "reduction")  # what kernels may be made of
+_VALIDATION = ("kernels/validation", "kernels/reference_state")  # never part of a kernel
 
 
 class MutantSession:
@@ -179,7 +180,7 @@ class MutantSession:
                 for each in self._compiled:
                     each._cache = NullCache()  # type: ignore[attr-defined]
                 numba.config.CACHE_DIR = own  # type: ignore[attr-defined]  # of those that are made from now on
-            if module.startswith(_IN_KERNELS) and not module.startswith("kernels/judge"):
+            if module.startswith(_IN_KERNELS) and not module.startswith(_VALIDATION):
                 os.environ["PINRED_CACHE_DIR"] = own
             items = [self._items[name] for name in tests]
             for item, then in zip(items, [*items[1:], None], strict=True):

@@ -47,20 +47,25 @@ ROOT = Path(__file__).parents[2]
 TESTS: dict[str, list[str]] = {
     "judge": [
         "judge/test_audit.py", "judge/test_compare.py",
-        "judge/test_bounds_of_compare.py", "judge/test_bounds_of_ends.py",
-        "judge/test_ties.py", "judge/test_defects.py",
-        "judge/test_distances.py", "judge/test_equations_of_motion.py",
-        "judge/test_weights.py", "simulation/test_balances.py",
+        "judge/test_bounds_of_compare.py", "judge/test_error_bounds.py",
+        "judge/test_coupling_constraints.py", "judge/test_step_defects.py",
+        "judge/test_distances.py", "judge/test_equation_errors.py",
+        "judge/test_gravity_loads.py", "simulation/test_balances.py",
         "views/test_notebook_cards.py",
     ],
-    "kernels/judge": [
-        "kernels/test_judged_state.py", "kernels/test_judged_velocities.py",
-        "kernels/test_judge.py", "kernels/test_allowances.py", "kernels/test_judged_forces.py",
-        "kernels/test_sizes_of_terms.py", "kernels/test_other_numbers.py",
-        "forces/test_refused_forces.py",
+    "kernels/validation": [
+        "kernels/test_velocity_validation.py", "kernels/test_kernel_validation.py",
+        "kernels/test_validation_tolerances.py", "kernels/test_force_validation.py",
+        "kernels/test_term_magnitudes.py", "forces/test_refused_forces.py",
+    ],
+    "kernels/reference_state": [
+        "kernels/test_reference_state.py", "kernels/test_velocity_validation.py",
+        "kernels/test_kernel_validation.py", "kernels/test_validation_tolerances.py",
+        "kernels/test_force_validation.py", "kernels/test_term_magnitudes.py",
+        "kernels/test_perturbed_parameters.py", "forces/test_refused_forces.py",
     ],
     "reduction": [
-        "reduction", "kernels/test_limbs.py", "simulation/test_varied_inertias.py",
+        "reduction", "kernels/test_identical_branches.py", "simulation/test_varied_inertias.py",
         "system/test_refusals.py", "views/test_notebook_cards.py", "simulation/test_skipping.py",
     ],
     "lie": ["lie", "system/test_root_chain.py"],

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pinred
 from pinred.common.arrays import Array
 from pinred.simulation.pieces import Motion
-from pinred.simulation.state import with_base
+from pinred.system.state_fields import with_base
 
 Change = Callable[[pinred.State], pinred.State]
 

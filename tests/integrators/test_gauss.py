@@ -24,8 +24,8 @@ from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.stepping import run_record
 from pinred.judge.distances import FullMotion
-from pinred.judge.full_state import FullState
-from pinred.kernels import derived
+from pinred.judge.reference_solution import FullState
+from pinred.kernels import derived_code
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.machine.native import NativeCode, compile_object, load_object
 from pinred.kernels.tangent import tangent_of
@@ -457,7 +457,7 @@ def test_code_that_two_threads_make_is_one(
         found.append(make(kernel))  # what another thread does meanwhile
         return load_object(code, name)
 
-    monkeypatch.setattr(derived, "load_object", load)
+    monkeypatch.setattr(derived_code, "load_object", load)
     assert make(kernel) is found[0]
     assert make(kernel) is found[0]
 

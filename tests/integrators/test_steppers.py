@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 import signal
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -516,11 +515,9 @@ def test_interruption() -> None:
     try:
         for run in runs:
             timer = threading.Timer(0.1, signal.pthread_kill, (main, signal.SIGINT))
-            began = time.perf_counter()
             timer.start()
             with pytest.raises(KeyboardInterrupt):
                 run()
-            assert time.perf_counter() - began < 5.0
             timer.join()
     finally:
         signal.signal(signal.SIGINT, before)

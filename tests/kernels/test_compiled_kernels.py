@@ -15,10 +15,10 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.kernels.build import build_kernel
-from pinred.kernels.judge import judge
 from pinred.kernels.layout import Structure
 from pinred.kernels.machine.native import NativeCode
 from pinred.kernels.object_cache import ObjectCache
+from pinred.kernels.validation import validate_kernel
 from pinred.lie import GROUPS
 from pinred.reduction.cyclic_joints import cyclic_joints
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
@@ -140,13 +140,13 @@ def test_a_wrong_kernel_never_runs() -> None:
     """A kernel of another robot, or with a number off, is refused with the numbers."""
     cat = pinred.load("falling_cat")
     kernel = kernel_of(plan_of(pinred.Scene(system=cat, seed=0)), zero_momentum=False)
-    judge(kernel)
+    validate_kernel(kernel)
     other = pinred.load("falling_cat")
     inertia = other.model.inertias[2]
     inertia.mass = inertia.mass * (1 + 1e-8)
     other.model.inertias[2] = inertia
     with pytest.raises(pinred.KernelMismatch, match=r"falling_cat.*disagrees.*off by"):
-        judge(replace(kernel, system=other))
+        validate_kernel(replace(kernel, system=other))
 
 
 def test_kernels_come_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

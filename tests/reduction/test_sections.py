@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from backward_error import backward_error, largest
-from hypothesis import given, settings
+from backward_error import backward_error, kinetic_size, largest
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from strategies import Case, cases, make_case
@@ -151,6 +151,7 @@ def test_slope_of_the_centre_of_mass_in_another_section(case: Case) -> None:
 
 @settings(max_examples=30)
 @given(cases(1, 5), st.booleans())
+@example(case=make_case("R", 1, 787), heavy=False)  # all terms nearly cancel
 def test_motion_does_not_see_the_section(case: Case, heavy: bool) -> None:
     """Both equations in a moved frame have ABA's accelerations; gravity may turn a pivot."""
     system, G = case.system, case.system.group
@@ -169,10 +170,11 @@ def test_motion_does_not_see_the_section(case: Case, heavy: bool) -> None:
     terms = lagrange_poincare(moved, case.x, case.xdot, omega, **pose0)
     model = system.model
     a = pin.aba(model, model.createData(), case.q, case.v, np.zeros(system.n))[system.r :]
-    assert backward_error(at.reduced_metric, terms.xddot, a, terms.shape) < 1e-12
+    kinetic = kinetic_size(at.mass_matrix, np.concatenate([xi, case.xdot]))
+    assert backward_error(at.reduced_metric, terms.xddot, a, terms.shape, kinetic) < 1e-12
     p, mu = at.reduced_metric @ case.xdot, at.locked_inertia @ omega
     by_momenta = hamilton_poincare(first, case.x, p, mu, **pose0)  # needs no ∂Θ
-    size = largest(terms.shape, terms.momentum) + 1e-300
+    size = largest(terms.shape, terms.momentum, kinetic)
     assert relative(by_momenta.shape.total, terms.shape.total, size) < 1e-12
     assert relative(by_momenta.momentum.total, terms.momentum.total, size) < 1e-12
 

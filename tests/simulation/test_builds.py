@@ -11,7 +11,7 @@ import pytest
 import pinred
 from pinred import Parameter
 from pinred.forces import PD, ComputedTorque, Damper, Friction, Limit, Spring, Torque, Wrench
-from pinred.kernels import build, differentiable, start_kernel
+from pinred.kernels import build, differentiable, initial_conditions
 from pinred.signals import Constant, Fourier, Hold, Linear, Spline
 
 GAIN, BIAS = Parameter("gain", 1.0), Parameter("bias", 0.1)
@@ -90,7 +90,7 @@ def builds(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         made.append(name)
         return whole(function, name, *args, **options)
 
-    for module in (build, start_kernel, differentiable):
+    for module in (build, initial_conditions, differentiable):
         monkeypatch.setattr(module, "compile_object", counted)
     return made
 

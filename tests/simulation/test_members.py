@@ -14,7 +14,7 @@ import pytest
 import pinred
 from pinred.forces import Controller, Damper, Spring, Torque
 from pinred.signals import Fourier, Hold, Spline
-from pinred.simulation.state import State
+from pinred.system.state_fields import State
 
 CAT = pinred.load("falling_cat")
 TIMES = np.linspace(0.0, 0.5, 4)

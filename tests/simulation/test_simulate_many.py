@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pinred
-from pinred.simulation.state import State
+from pinred.system.state_fields import State
 
 NEAR: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-11}  # round-off times a short stretch
 

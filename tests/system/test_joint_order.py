@@ -12,7 +12,7 @@ from trees import random_model
 
 import pinred
 from pinred.forces import Damper
-from pinred.judge.full_state import FullState
+from pinred.judge.reference_solution import FullState
 from pinred.system.rerooting import depth_first
 
 

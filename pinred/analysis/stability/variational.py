@@ -20,8 +20,8 @@ from ...kernels.tangent import jacobian_of, tangent_of
 from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
-from ...simulation.state import State
 from ...simulation.trajectory import Trajectory
+from ...system.state_fields import State
 from .reduced_state import Leaf, leaf_of
 
 _FINER = 0.5  # of the motion's own steps

@@ -8,8 +8,8 @@ import numpy as np
 
 from ...common.arrays import Array
 from ..evaluate import evaluate
-from ..judge import agree
 from ..machine.native import NativeCode
+from ..validation import require_agreement
 from .form import ConnectionForm
 
 _TRIALS = 2
@@ -26,9 +26,13 @@ def judge_velocity(form: ConnectionForm, code: NativeCode) -> None:
         xdot = rng.normal(size=form.m)
         found = _one(code, np.concatenate([x, xdot]), r + 1 + form.symmetric)
         A, M, size = _expected(form, x)
-        agree(who(form), "the body velocity", found[:r], -A @ xdot, size * np.abs(xdot).sum())
+        require_agreement(
+            who(form), "the body velocity", found[:r], -A @ xdot, size * np.abs(xdot).sum()
+        )
         if form.symmetric:
-            agree(who(form), "the metric", found[r + 1 :], np.array([xdot @ M @ xdot]), 0.0)
+            require_agreement(
+                who(form), "the metric", found[r + 1 :], np.array([xdot @ M @ xdot]), 0.0
+            )
 
 
 def judge_slope(form: ConnectionForm, code: NativeCode) -> None:
@@ -47,7 +51,7 @@ def judge_slope(form: ConnectionForm, code: NativeCode) -> None:
             expected[r, m:] = 2.0 * M @ xdot
         noise = max(size, float(np.abs(M).max(initial=0.0))) * (1.0 + xdot @ xdot) / _STEP
         what = "the slope of its velocity"
-        agree(who(form), what, found.ravel(), expected.ravel(), noise, _SLOPE)
+        require_agreement(who(form), what, found.ravel(), expected.ravel(), noise, _SLOPE)
 
 
 def judge_local(form: ConnectionForm, code: NativeCode) -> None:
@@ -57,10 +61,12 @@ def judge_local(form: ConnectionForm, code: NativeCode) -> None:
         found = _one(code, x, r * m + r * r + 1 + m * m * form.symmetric)
         A, M, size = _expected(form, x)
         P = form.reference(x)[:r, :r]
-        agree(who(form), "A", found[: r * m], A.T.ravel(), size)
-        agree(who(form), "P_b", found[r * m : r * m + r * r], P.T.ravel(), np.abs(P).max())
+        require_agreement(who(form), "A", found[: r * m], A.T.ravel(), size)
+        require_agreement(
+            who(form), "P_b", found[r * m : r * m + r * r], P.T.ravel(), np.abs(P).max()
+        )
         if form.symmetric:
-            agree(who(form), "M", found[r * m + r * r + 1 :], M.ravel(), 0.0)
+            require_agreement(who(form), "M", found[r * m + r * r + 1 :], M.ravel(), 0.0)
 
 
 def judge_curvature(form: ConnectionForm, code: NativeCode) -> None:
@@ -74,7 +80,7 @@ def judge_curvature(form: ConnectionForm, code: NativeCode) -> None:
         exterior = (np.swapaxes(dA, 1, 2) - dA)[:, first, second]
         bracket = form.group.bracket(A.T[first], A.T[second])
         both = np.concatenate([exterior.T.ravel(), bracket.ravel()])
-        agree(who(form), "the curvature", found, both, (size + size**2) / _STEP, _SLOPE)
+        require_agreement(who(form), "the curvature", found, both, (size + size**2) / _STEP, _SLOPE)
 
 
 def who(form: ConnectionForm) -> str:

@@ -12,8 +12,8 @@ import numpy as np
 
 from ...common.arrays import Array
 from ..evaluate import evaluate
-from ..judge import agree
 from ..machine.native import NativeCode
+from ..validation import require_agreement
 from .connection_judge import metric_slopes, shapes_to_judge, who
 from .form import ConnectionForm
 from .graphs import velocity_graph
@@ -52,7 +52,9 @@ def judge_covariant(form: ConnectionForm, code: NativeCode) -> None:
         M, dM = metric_slopes(form, x)
         found = at(y)
         turning = np.einsum("bcg,g,c->b", dM, v, v) - 0.5 * np.einsum("cda,c,d->a", dM, v, v)
-        agree(who(form), "the covariant force", found[:m], M @ a + turning, 0.0, _DIFFERENCES)
+        require_agreement(
+            who(form), "the covariant force", found[:m], M @ a + turning, 0.0, _DIFFERENCES
+        )
         expected = np.zeros(3 * m)
         for k in range(3 * m):
             for step, weight in ((1, 45.0), (2, -9.0), (3, 1.0)):
@@ -60,4 +62,4 @@ def judge_covariant(form: ConnectionForm, code: NativeCode) -> None:
                     moved = y.copy()
                     moved[k] += sign * step * _STEP
                     expected[k] += sign * weight / (60.0 * _STEP) * (along @ at(moved)[:m])
-        agree(who(form), "its derivative", found[m:], expected, 0.0, _DIFFERENCES)
+        require_agreement(who(form), "its derivative", found[m:], expected, 0.0, _DIFFERENCES)

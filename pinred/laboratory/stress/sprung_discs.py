@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from ...common.arrays import Array
-from ...simulation.state import State
 from ...simulation.trajectory import Trajectory
+from ...system.state_fields import State
 from ...system.system import System
 from .closed_forms import discs
-from .made_robots import disc_stack
+from .generated_robots import disc_stack
 
 
 @dataclass(frozen=True)

@@ -10,18 +10,19 @@ from ...common.errors import InputError
 from ...forces.acting import BaseInSpace
 from ...integrators.methods import Method
 from ...kernels.evaluate import evaluate
+from ...kernels.initial_conditions import InitialConditions, initial_conditions_kernel
 from ...kernels.kernel import Kernel
-from ...kernels.start_kernel import Starts, start_kernel
 from ...kernels.tangent import tangent_of
 from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
+from ...system.state_fields import ShapeState, State
 from ...system.system import Indices
 from ..entry_name import entry_name
 from ..own_numbers import OwnNumbers
 from ..plan import Plan
-from ..state import Sample, ShapeState, State
+from ..sample import Sample
 from .kernel_of_plan import kernel_of
 
 _AT_ONCE = 512  # members that are set up together
@@ -70,38 +71,25 @@ class CompiledFlow:
         weight = out[where.weight] if where.weight.stop > where.weight.start else np.zeros(3)
         base = None
         if self.kernel.layout.wanted:
-            twist = out[where.v][: self._system.r]
-            momenta = out[where.body_momentum], out[where.spatial_momentum]
-            base = BaseInSpace(out[where.pose], twist, *momenta)
-        return Sample(out[where.x], out[where.xdot], out[where.xi], out[where.mu], weight, base)
+            fields = ("pose", "xi", "body_momentum", "spatial_momentum")
+            base = BaseInSpace(*(out[where.fields[name]] for name in fields))
+        x, xdot = out[where.fields["x"]], out[where.xdot]
+        return Sample(x, xdot, out[where.xi], out[where.mu], weight, base)
 
     def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
         """Return the full states at times t (T,) of reduced states y (T, k).
 
         numbers: (p,) those in the forces then.
         """
-        kernel, where, r = self.kernel, self.kernel.where, self._system.r
+        kernel, where = self.kernel, self.kernel.where
         parameters = np.concatenate([self._with(numbers), self._line])
         rows = y[:, : kernel.layout.size]
         if not kernel.layout.clock:
             rows = np.concatenate([rows, t[:, None]], axis=1)
         out = evaluate(kernel.outputs.address, parameters, rows, where.size)
-        x, xdot, energy = out[:, where.x], out[:, where.xdot], out[:, -1]
-        if not kernel.layout.wanted:
-            return ShapeState(t=t.copy(), x=x, xdot=xdot, energy=energy)
-        v = out[:, where.v]
-        return State(
-            t=t.copy(),
-            x=x,
-            xdot=xdot,
-            xi=v[:, :r],
-            pose=out[:, where.pose],
-            q=self._system.given_q(out[:, where.q]),
-            v=self._system.given_v(v),
-            body_momentum=out[:, where.body_momentum],
-            spatial_momentum=out[:, where.spatial_momentum],
-            energy=energy,
-        )
+        kind = State if kernel.layout.wanted else ShapeState
+        fields = {name: where.read_field(name, out, self._system) for name in where.fields}
+        return kind(t=t.copy(), **fields)
 
     def rates(self, t: Array, y: Array, numbers: Array) -> Array:  # noqa: ARG002
         """Return dy/dt (T, k) of reduced states y (T, k), which hold the time where it counts."""
@@ -118,7 +106,7 @@ class CompiledFlow:
     def shape(self, t: float, y: Array) -> Array:
         """Return the shape (m,) in a reduced state."""
         out = self.kernel.evaluate_outputs(t, y, self.parameters, self._line)
-        return np.asarray(out[self.kernel.where.x])
+        return np.asarray(out[self.kernel.where.fields["x"]])
 
     def entry_name(self, entry: int) -> str:
         """Return what an entry of the reduced state is, for messages."""
@@ -186,7 +174,7 @@ class CompiledFlows:
         self,
         plan: Plan,
         given: GivenStates,
-        start: Starts,
+        start: InitialConditions,
         own: OwnNumbers | None = None,
         *,
         zero: bool,
@@ -282,8 +270,8 @@ def without_momentum(
     return still
 
 
-def _started(plan: Plan, given: GivenStates, own: OwnNumbers | None) -> Starts:
+def _started(plan: Plan, given: GivenStates, own: OwnNumbers | None) -> InitialConditions:
     robot = None if own is None else own.robot
     freed = plan.freed(generic=robot is not None)
-    kernel = start_kernel(plan.system, "xi" if given.mu is None else "mu", freed)
+    kernel = initial_conditions_kernel(plan.system, "xi" if given.mu is None else "mu", freed)
     return kernel(given.pose, given.x, given.xdot, given.motion, robot)

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from ...common.arrays import Array
-from .columns import Columns
+from .flow_columns import Columns
 
 _Evaluation = Callable[[Sequence[Array]], Sequence[Array]]
 _Sizes = Sequence[tuple[int, int]]

@@ -12,7 +12,7 @@ from ...common.errors import InputError, MissingPackageError
 from ...common.memo import once_for_all
 from . import xla_call
 from .batched import FIRST_ORDER, Batched
-from .columns import Columns
+from .flow_columns import Columns
 
 _OLDEST = (0, 10, 0)
 

@@ -7,7 +7,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...integrators.stepping.compiling import compiled
 from ...integrators.stepping.kernel_call import call, call_adjoint
-from ...kernels.begin_and_end import Row, outcome_of
+from ...kernels.flow_functions import Row, outcome_of
 from ...kernels.kernel import Kernel
 
 
@@ -19,7 +19,7 @@ class OutcomesBack:
         layout, where = kernel.layout, kernel.where
         self._outputs, self._outcome = kernel.outputs, outcome_of(kernel, rows)
         self._size, self._room = layout.size, where.size
-        self._pose = where.pose.start if "pose" in rows else -1
+        self._pose = where.fields["pose"].start if "pose" in rows else -1
         self._whole = layout.size + 1 + kernel.system.group.size
 
     def __call__(

@@ -11,17 +11,17 @@ from ...common.errors import InputError, IntegrationError
 from ...integrators.run_derivatives import Slopes, refuse_without_derivatives, run_along, run_back
 from ...integrators.integrate import Solution, integrate_checked
 from ...integrators.methods import AdaptiveGauss, Explicit
-from ...kernels.begin_and_end import Row, begin_of, outcome_of, rate_of, sizes_of
 from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate
-from ...kernels.start_kernel import TwistOrMomentum
+from ...kernels.flow_functions import Row, initial_conditions_of, outcome_of, rate_of, sizes_of
+from ...kernels.initial_conditions import TwistOrMomentum
 from ...kernels.tangent import tangent_of
+from ...system.state_fields import ShapeState, State
 from ..compiled.compiled_flow import CompiledFlow, rate_address
 from ..compiled.integrator import explained, wild_steps
 from ..compiled.kernel_of_plan import kernel_of
 from ..pieces import joined
 from ..plan import Plan
-from ..state import ShapeState, State
 from .inputs import Given, motion_of
 from .later import made_later
 from .outcomes_back import OutcomesBack
@@ -74,7 +74,7 @@ class Course:
         refuse_without_derivatives(self.method)
         self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum, generic=True)
         motion: TwistOrMomentum = "mu" if motion_of(plan.scene) == "mu" else "xi"
-        self._begin = begin_of(kernel, motion)
+        self._begin = initial_conditions_of(kernel, motion)
         self._rate = rate_of(kernel)
         self._address = rate_address(kernel, self.method)
         rate = self._rate
@@ -327,7 +327,7 @@ class Course:
         end = made_later(plan.system, kernel.where, t + h, lambda: out, wanted=self._wanted)
         if columns is None:
             return end, np.zeros((0, 0))
-        at[layout.size + 1 :] = out[kernel.where.pose]
+        at[layout.size + 1 :] = out[kernel.where.fields["pose"]]
         a = np.zeros((len(at), state.shape[1]))
         a[: layout.size] = done.slopes[0][: layout.size]
         along_rest = np.vstack([directions, lines])
@@ -361,7 +361,7 @@ class Course:
         if self._wanted:
             given = whole[:, : size + 1 - clock]
             out = evaluate(kernel.outputs.address, constants, given, where.size)
-            whole[:, size + 1 :] = out[:, where.pose]
+            whole[:, size + 1 :] = out[:, where.fields["pose"]]
         return [(row, constants) for row in whole]
 
     def _count(self, rows: tuple[Row, ...]) -> int:

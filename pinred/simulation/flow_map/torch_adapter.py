@@ -13,7 +13,7 @@ from ...common.errors import InputError, MissingPackageError, ShapeError
 from ...common.memo import once_for_all
 from ...common.plain_names import brief
 from .batched import FIRST_ORDER, Batched
-from .columns import Columns
+from .flow_columns import Columns
 
 _flows: dict[int, Batched] = {}  # by the numbers that operators know them by, for ever
 _numbers = count()

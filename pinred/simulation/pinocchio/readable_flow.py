@@ -14,9 +14,10 @@ from ...forces.acting import BaseInSpace
 from ...reduction.canonical_form import CanonicalForm
 from ...reduction.inertia_split import symmetric
 from ...reduction.potential import shape_gravity
+from ...system.state_fields import ShapeState, State
 from ..entry_name import entry_name
 from ..plan import Plan
-from ..state import Sample, ShapeState, State
+from ..sample import Sample
 from .base_motion import Base
 
 

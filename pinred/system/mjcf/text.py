@@ -12,7 +12,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from ...common.errors import LoadError
-from ...common.places import is_file
+from ...common.paths import is_file
 from ...common.plain_names import plain_path
 from ..robot_files import read_text
 

@@ -13,7 +13,7 @@ from ...common.arrays import Array
 from ...common.errors import InputError
 from ...lie.groups import GROUPS, group_named
 from ...reduction.at_a_shape import Reduction
-from ...simulation.state import with_base
+from ...system.state_fields import with_base
 from ...system.system import System
 from ..motion_source import MotionSource
 from .fine_path import Path, fine_path, state_at

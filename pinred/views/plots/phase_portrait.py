@@ -13,8 +13,8 @@ from ...common.arrays import Array
 from ...common.errors import InputError, SymmetryError
 from ...reduction.at_a_shape import Reduction
 from ...reduction.inertia_split import symmetric
-from ...simulation.state import State, with_base
 from ...simulation.trajectory import Trajectory
+from ...system.state_fields import State, with_base
 from ...system.system import System
 from ..motion_source import MotionSource
 from .fine_path import Path, fine_path, state_at

@@ -1,0 +1,29 @@
+"""The state that forces depend on, in the frame of the centre of mass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..common.arrays import Array
+from ..forces.acting import BaseInSpace
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The state at one time that forces depend on, in the frame of the centre of mass.
+
+    Attributes:
+        x: Shape, (m,) [rad | m].
+        xdot: Shape rate, (m,) [rad/s | m/s].
+        xi: Body twist relative to the centre of mass, (r,) [m/s | rad/s].
+        mu: Body momentum about the centre of mass, (r,) [N·s | N·m·s]; its linear part is zero.
+        weight: Gravity force m g in the body frame if it turns a pivoted base, else zero, (3,) [N].
+        base: The base as seen from space, None if the scene leaves it out.
+    """
+
+    x: Array
+    xdot: Array
+    xi: Array
+    mu: Array
+    weight: Array
+    base: BaseInSpace | None = None

@@ -1,0 +1,241 @@
+"""The fields of a state: one table, and the classes State and ShapeState that follow it.
+
+Files, labelled arrays, kernels and flows read names, axes and units from FIELDS.  To add a field,
+add it to FIELDS, to State (and to ShapeState if it does not need the base), to StateArrays, and
+to Outcome if flows differentiate it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar, overload
+
+from ..common.arrays import Array, freeze
+from ..common.errors import InputError
+
+if TYPE_CHECKING:
+    from .system import System
+
+Axis = Literal["joint", "twist", "coordinate", "nq", "nv"]
+Outcome = Literal["x", "xdot", "pose", "xi", "body_momentum", "spatial_momentum", "energy"]
+_Kind = TypeVar("_Kind", bound="type[State | ShapeState]")
+
+# The length of each axis, as it is written in shapes.
+_SYMBOLS: dict[Axis, str] = {
+    "joint": "m", "twist": "r", "coordinate": "size", "nq": "nq", "nv": "nv",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class StateField:
+    """The description of one quantity of a state.
+
+    Attributes:
+        name: Name of the field in State, in files and among the outputs of flows.
+        meaning: The quantity, as a phrase that starts a sentence.
+        unit: Unit of the entries; " | " separates the units of different entries.
+        axis: The axis after time, None for one number at each time.
+        needs_base: Whether the field is missing if the scene leaves out the base.
+        derivative: How flows differentiate the field: by its "entries", by the "twist" of the
+            body that changes a pose, or not at all ("none").
+    """
+
+    name: str
+    meaning: str
+    unit: str
+    axis: Axis | None
+    needs_base: bool = True
+    derivative: Literal["entries", "twist", "none"] = "none"
+
+    @property
+    def description(self) -> str:
+        """The meaning, shape and unit in one sentence."""
+        shape = f"(…, {_SYMBOLS[self.axis]})" if self.axis else "(…,)"
+        return f"{self.meaning}, {shape} [{self.unit}]."
+
+
+FIELDS: Mapping[str, StateField] = MappingProxyType({
+    field.name: field
+    for field in (
+        StateField("t", "Time", "s", None, needs_base=False),
+        StateField("x", "Shape", "rad | m", "joint", needs_base=False, derivative="entries"),
+        StateField(
+            "xdot", "Shape rate", "rad/s | m/s", "joint", needs_base=False, derivative="entries"
+        ),
+        StateField(
+            "xi", "Body twist of the base as [linear; angular]", "m/s | rad/s", "twist",
+            derivative="entries",
+        ),
+        StateField("pose", "Pose of the base", "m | rad | 1", "coordinate", derivative="twist"),
+        StateField("q", "Pinocchio's configuration", "m | rad | 1", "nq"),
+        StateField("v", "Pinocchio's velocity", "m/s | rad/s", "nv"),
+        StateField(
+            "body_momentum", "Body momentum μ, in the body frame, about its origin",
+            "N·s | N·m·s", "twist", derivative="entries",
+        ),
+        StateField(
+            "spatial_momentum",
+            "Spatial momentum J = Ad*_{g⁻¹} μ, in the root joint's fixed frame, about its origin",
+            "N·s | N·m·s", "twist", derivative="entries",
+        ),
+        StateField(
+            "energy",
+            "Kinetic and potential energy: with the base in the world, its free fall included and "
+            "zero height at the world's origin; without the base, about the centre of mass",
+            "J", None, needs_base=False, derivative="entries",
+        ),
+    )
+})  # fmt: skip
+
+
+def _describe_fields(kind: _Kind) -> _Kind:
+    """Append the descriptions in FIELDS to the docstring of a class of states."""
+    entries = [f"    {name}: {FIELDS[name].description}" for name in kind.__dataclass_fields__]
+    kind.__doc__ = "\n".join([f"{kind.__doc__}\n\nAttributes:", *entries])
+    return kind
+
+
+@_describe_fields
+@dataclass(frozen=True)
+class ShapeState:
+    """The shape at one time or over time (time first), without the base; read-only arrays."""
+
+    t: Array
+    x: Array
+    xdot: Array
+    energy: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+@_describe_fields
+@dataclass(frozen=True)
+class State:
+    """The state of a system at one time or over time (time first); read-only arrays."""
+
+    t: Array
+    x: Array
+    xdot: Array
+    xi: Array
+    pose: Array
+    q: Array
+    v: Array
+    body_momentum: Array
+    spatial_momentum: Array
+    energy: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+class _Column:
+    """A read-only attribute of motions that returns one field of their states."""
+
+    def __init__(self, name: str) -> None:
+        self._field = FIELDS[name]
+        self.__doc__ = self._field.description
+
+    @overload
+    def __get__(self, motion: None, owner: type) -> _Column: ...
+
+    @overload
+    def __get__(self, motion: StateArrays, owner: type | None = None) -> Array: ...
+
+    def __get__(self, motion: StateArrays | None, owner: type | None = None) -> Any:
+        if motion is None:
+            return self
+        states = motion.states if self._field.needs_base else motion.outputs
+        return getattr(states, self._field.name)
+
+    def __set__(self, motion: StateArrays, value: object) -> NoReturn:
+        raise AttributeError(f"'{self._field.name}' of a motion is read-only")
+
+
+class StateArrays(ABC):
+    """The fields of a motion's states; those that need the base raise InputError without it."""
+
+    x = _Column("x")
+    xdot = _Column("xdot")
+    xi = _Column("xi")
+    pose = _Column("pose")
+    q = _Column("q")
+    v = _Column("v")
+    body_momentum = _Column("body_momentum")
+    spatial_momentum = _Column("spatial_momentum")
+    energy = _Column("energy")
+
+    @property
+    @abstractmethod
+    def outputs(self) -> State | ShapeState:
+        """The states at all report times."""
+
+    @property
+    @abstractmethod
+    def states(self) -> State:
+        """The states with the base.  Raises InputError if the base was left out."""
+
+
+def with_base(state: State | ShapeState, name: str) -> State:
+    """Return a state that has the base.
+
+    Args:
+        state: A state, with or without the base.
+        name: Name of the robot or motion in the message.
+
+    Returns:
+        The same state.
+
+    Raises:
+        InputError: The base was left out.
+    """
+    if isinstance(state, State):
+        return state
+    raise InputError(
+        f"the scene of '{name}' has outputs='shape', which leaves out the base; "
+        "simulate with outputs='all'"
+    )
+
+
+def arrays_of(state: State | ShapeState) -> dict[str, Array]:
+    """Return the arrays of a state by field name."""
+    return {name: getattr(state, name) for name in state.__dataclass_fields__}
+
+
+def map_arrays(
+    function: Callable[..., Array], first: State | ShapeState, *others: State | ShapeState
+) -> State | ShapeState:
+    """Return the state whose fields are a function of the same field of one or several states."""
+    names = first.__dataclass_fields__
+    states = (first, *others)
+    kind = State if isinstance(first, State) else ShapeState
+    return kind(**{name: function(*(getattr(state, name) for state in states)) for name in names})
+
+
+def axis_labels(system: System) -> dict[Axis, Sequence[Any]]:
+    """Return the labels of the entries along each axis of a system's states."""
+    return {
+        "joint": system.shape_names,
+        "twist": system.group.twist_names,
+        "coordinate": system.group.pose_names,
+        "nq": range(system.model.nq),
+        "nv": range(system.model.nv),
+    }
+
+
+def axis_lengths(system: System) -> dict[Axis | None, int]:
+    """Return the number of entries along each axis of a system's states, 1 without an axis."""
+    return {None: 1} | {axis: len(labels) for axis, labels in axis_labels(system).items()}
+
+
+def derivative_rows(system: System) -> dict[str, int]:
+    """Return the number of derivative rows of each field that flows differentiate."""
+    lengths = axis_lengths(system)
+    return {
+        name: lengths["twist" if field.derivative == "twist" else field.axis]
+        for name, field in FIELDS.items()
+        if field.derivative != "none"
+    }
