@@ -248,12 +248,12 @@ def forward(
 
 @compiled
 def back_to_given(y0: Array, quaternion: int, covector: Array, y: Array) -> None:
-    """Propagate a covector (n,) of the normalised initial state to the state y0 before normalisation.
+    """Propagate a covector (n,) through the normalisation of the initial state y0.
 
     Args:
-        y0: Initial state, (n,).
+        y0: Initial state before normalisation, (n,).
         quaternion: Index of the first of the quaternion's four entries, −1 for none.
-        covector: Covector, changed in place.
+        covector: Covector of the normalised state, changed in place.
         y: Workspace (n,).
     """
     _copy(y0, y)

@@ -129,8 +129,8 @@ def _lane_loop(name: str, order: int, tableau: Tableau, width: int) -> LaneLoop:
     )
     for function in lane_loop.INLINED:
         bindings.add(function)
-    for function in lane_loop.COMPILED:
-        bindings.add(function, compiled)
+    for compiled_function in lane_loop.COMPILED:
+        bindings.add(compiled_function, compiled)
     return LaneLoop(width, bindings.values["run_members"], steps.rows + 1)
 
 

@@ -1,8 +1,8 @@
-"""Vectors in compiled code: a number of each lane, and truth values of each, in one register.
+"""Vectors and masks in compiled code: one number, or one truth value, per SIMD lane.
 
-What is written with them is written once for all lanes: `a + b`, `a <= b`, `sqrt(a)`, `choose`.
-Every operation gives in a lane what that lane holds alone, so that lanes know nothing of each
-other.  Rows hold lane j of entry i at i width + j, as kernels take it that evaluate many states.
+Expressions such as `a + b`, `a <= b`, `sqrt(a)` and `choose` apply to all lanes at once. The
+result in a lane depends on the operands in that lane only. A row stores the value of entry i in
+lane j as number i·width + j. Kernels that evaluate several states at once use the same layout.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numba.core.typing import templates
 from ..stepping.compiling import make_intrinsic
 from ..stepping.vector_rows import VectorRows, splat
 
-# numba says nothing of the types of these.
+# numba has no type hints for these functions.
 signature: Any = templates.signature
 infer_global: Any = templates.infer_global
 lower_builtin: Any = extending.lower_builtin
@@ -33,7 +33,11 @@ _DOUBLE, _BIT, _INT32 = ir.DoubleType(), ir.IntType(1), ir.IntType(32)
 
 
 class Vector(types.Type):
-    """A float64 in each lane, to numba."""
+    """Numba type of a float64 per lane.
+
+    Attributes:
+        width: Number of lanes.
+    """
 
     def __init__(self, width: int) -> None:
         """Take the number of lanes."""
@@ -42,7 +46,11 @@ class Vector(types.Type):
 
 
 class Mask(types.Type):
-    """A truth value in each lane, to numba."""
+    """Numba type of a truth value per lane.
+
+    Attributes:
+        width: Number of lanes.
+    """
 
     def __init__(self, width: int) -> None:
         """Take the number of lanes."""
@@ -65,24 +73,34 @@ class _MaskModel(extending.models.PrimitiveModel):
 # --- operators -----------------------------------------------------------------------------
 
 
-def _in_lanes(builder: Any, kinds: Any, values: Any) -> list[Any]:
-    """Return the vectors among values, and numbers in all lanes."""
-    (width,) = {kind.width for kind in kinds if isinstance(kind, Vector)}
+def _in_lanes(builder: Any, operand_types: Any, values: Any) -> list[Any]:
+    """Return the operands as vectors; numbers are copied to all lanes."""
+    (width,) = {
+        operand_type.width for operand_type in operand_types if isinstance(operand_type, Vector)
+    }
     return [
-        value if isinstance(kind, Vector) else splat(builder, value, width)
-        for kind, value in zip(kinds, values, strict=True)
+        value if isinstance(operand_type, Vector) else splat(builder, value, width)
+        for operand_type, value in zip(operand_types, values, strict=True)
     ]
 
 
 def _operands(args: Any) -> int:
-    """Return the width of two operands of which one is a vector, 0 for others."""
-    widths = {kind.width for kind in args if isinstance(kind, Vector)}
-    known = all(isinstance(kind, Vector) or kind == types.float64 for kind in args)
-    return widths.pop() if len(args) == 2 and known and len(widths) == 1 else 0
+    """Return the width of two operands of which at least one is a vector, 0 for others."""
+    widths = {operand_type.width for operand_type in args if isinstance(operand_type, Vector)}
+    all_numeric = all(
+        isinstance(operand_type, Vector) or operand_type == types.float64 for operand_type in args
+    )
+    return widths.pop() if len(args) == 2 and all_numeric and len(widths) == 1 else 0
 
 
 def _binary(function: Any, result: type, emit: Callable[[Any, Any, Any], Any]) -> None:
-    """Tell numba an operator on vectors, or on a vector and a number."""
+    """Register an operator on two vectors, or on a vector and a number.
+
+    Args:
+        function: The operator.
+        result: Vector or Mask.
+        emit: Emits the instruction for builder and two vectors.
+    """
 
     class Typed(templates.AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:
@@ -94,8 +112,8 @@ def _binary(function: Any, result: type, emit: Callable[[Any, Any, Any], Any]) -
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return emit(builder, *_in_lanes(builder, sig.args, args))
 
-    for kinds in ((Vector, Vector), (Vector, types.Float), (types.Float, Vector)):
-        lower_builtin(function, *kinds)(lowered)
+    for operand_types in ((Vector, Vector), (Vector, types.Float), (types.Float, Vector)):
+        lower_builtin(function, *operand_types)(lowered)
 
 
 def _arithmetic(builder: Any, x: Any, y: Any, name: str) -> Any:
@@ -106,7 +124,7 @@ def _comparison(builder: Any, x: Any, y: Any, sign: str) -> Any:
     return builder.fcmp_ordered(sign, x, y)
 
 
-FUSED = ("contract",)  # a multiplication and the addition of its product may be one instruction
+FUSED = ("contract",)  # lets a multiplication and an addition become one instruction
 
 for _function, _name in (
     (operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"),
@@ -121,12 +139,18 @@ for _function, _sign in (
     (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="),
     (operator.eq, "=="),
 ):  # fmt: skip
-    # NaN compares as false.
+    # Comparisons with NaN are false.
     _binary(_function, Mask, partial(_comparison, sign=_sign))
 
 
 def _logical(function: Any, count: int, emit: Callable[..., Any]) -> None:
-    """Tell numba an operator on truth values."""
+    """Register an operator on masks.
+
+    Args:
+        function: The operator.
+        count: Number of operands.
+        emit: Emits the instruction for builder and masks.
+    """
 
     class Typed(templates.AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:
@@ -147,7 +171,7 @@ _logical(operator.invert, 1, lambda b, x: b.not_(x))
 
 
 def _unary(function: Any, name: str) -> None:
-    """Tell numba a function of one vector that LLVM has."""
+    """Register a function of one vector as an LLVM intrinsic."""
 
     class Typed(templates.AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:
@@ -157,10 +181,12 @@ def _unary(function: Any, name: str) -> None:
     infer_global(function)(Typed)
 
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        kind = args[0].type
-        whole = f"{name}.v{kind.count}f64"
-        called = insert_function(builder.module, ir.FunctionType(kind, [kind]), whole)
-        return builder.call(called, args)
+        vector_type = args[0].type
+        full_name = f"{name}.v{vector_type.count}f64"
+        callee = insert_function(
+            builder.module, ir.FunctionType(vector_type, [vector_type]), full_name
+        )
+        return builder.call(callee, args)
 
     lower_builtin(function, Vector)(lowered)
 
@@ -174,23 +200,25 @@ _unary(abs, "llvm.fabs")
 
 @make_intrinsic
 def choose(typing: Any, mask: Any, yes: Any, no: Any) -> Any:
-    """Return `yes` in the lanes where the mask is true, `no` in the others; numbers or vectors."""
+    """Return `yes` in the lanes where the mask is true, else `no`; both are numbers or vectors."""
     number, width = types.float64, mask.width
-    kinds = [types.float64 if kind == number else Vector(width) for kind in (yes, no)]
+    branch_types = [
+        types.float64 if branch_type == number else Vector(width) for branch_type in (yes, no)
+    ]
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        both = [
-            value if isinstance(kind, Vector) else splat(builder, value, width)
-            for kind, value in zip(sig.args[1:], args[1:], strict=True)
+        branches = [
+            value if isinstance(branch_type, Vector) else splat(builder, value, width)
+            for branch_type, value in zip(sig.args[1:], args[1:], strict=True)
         ]
-        return builder.select(args[0], *both)
+        return builder.select(args[0], *branches)
 
-    return Vector(width)(mask, *kinds), generate
+    return Vector(width)(mask, *branch_types), generate
 
 
 @make_intrinsic
 def bits(typing: Any, mask: Any) -> Any:
-    """Return the truth values as a whole number, lane 0 in its lowest bit; 0 if none is true."""
+    """Return the mask as an integer with lane 0 in its lowest bit."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         packed = builder.bitcast(args[0], ir.IntType(mask.width))
@@ -201,26 +229,23 @@ def bits(typing: Any, mask: Any) -> Any:
 
 @make_intrinsic
 def power(typing: Any, base: Any, exponent: Any) -> Any:
-    """Return a power of each lane, one after another."""
+    """Return a power of the number in each lane."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        called = builder.module.declare_intrinsic("llvm.pow", [_DOUBLE])
-        out = ir.Constant(args[0].type, ir.Undefined)
+        callee = builder.module.declare_intrinsic("llvm.pow", [_DOUBLE])
+        result = ir.Constant(args[0].type, ir.Undefined)
         for lane in range(base.width):
-            at = _INT32(lane)
-            value = builder.call(called, [builder.extract_element(args[0], at), args[1]])
-            out = builder.insert_element(out, value, at)
-        return out
+            position = _INT32(lane)
+            value = builder.call(callee, [builder.extract_element(args[0], position), args[1]])
+            result = builder.insert_element(result, value, position)
+        return result
 
     return base(base, types.float64), generate
 
 
 @make_intrinsic
 def fetch_and_add(typing: Any, counter: Any, count: Any) -> Any:
-    """Add `count` to the number in counter (1,), int64, and return what it was.
-
-    No two threads get the same.
-    """
+    """Add `count` to the int64 in counter (1,) and return its previous value, atomically."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         array = context.make_array(sig.args[0])(context, builder, args[0])
@@ -231,10 +256,9 @@ def fetch_and_add(typing: Any, counter: Any, count: Any) -> Any:
 
 @cache
 def functions_of_width(width: int) -> dict[str, Any]:
-    """Return the functions that depend on how many lanes there are.
+    """Return the functions that depend on the number of lanes, see explicit/step_formulas.py.
 
-    same(number): it in all lanes.  get(rows, row, i), put(rows, row, i, vector): entry i of a row
-    of rows (R, n width), contiguous.
+    same(number), get(rows, row, i) and put(rows, row, i, vector) use rows (R, n width).
     """
     vector = Vector(width)
 

