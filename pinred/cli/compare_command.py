@@ -1,11 +1,11 @@
-"""`pinred compare`: simulate the reduced equations and judge them by full ABA."""
+"""`pinred compare`: simulate the reduced equations and compare with the full simulation by ABA."""
 
 from __future__ import annotations
 
 import argparse
 from typing import TYPE_CHECKING
 
-from .options import add_robot, add_scene, scene_of
+from .command_options import add_robot, add_scene, scene_of
 
 if TYPE_CHECKING:
     from ..simulation.trajectory import Trajectory
@@ -17,14 +17,15 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add_scene(sub)
 
 
-def run(options: argparse.Namespace) -> int:
-    """Simulate and judge.  Returns 0 for PASSED, 1 for FAILED, 3 for CANNOT TELL."""
+def run(arguments: argparse.Namespace) -> int:
+    """Simulate and compare.  Returns 0 for PASSED, 1 for FAILED, 3 for CANNOT TELL."""
     from ..simulation.simulate import simulate
 
-    return judged(simulate(scene_of(options), engine=options.engine, progress=True))
+    traj = simulate(scene_of(arguments), engine=arguments.engine, progress=True)
+    return print_comparison(traj)
 
 
-def judged(traj: Trajectory) -> int:
+def print_comparison(traj: Trajectory) -> int:
     """Print the comparison of a motion with full ABA.  Returns 0, 1 or 3, as `run` does."""
     from ..judge.compare import compare
     from ..judge.report import EXIT_CODES

@@ -1,46 +1,48 @@
-"""`pinred run`: simulate the scene in a file, and print a summary."""
+"""`pinred run`: simulate the scene in a TOML file and print a summary."""
 
 from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..common.errors import InputError
-from .compare import judged
-from .options import add_parameters, parameters_in
-from .written import written
+from .command_options import add_options, add_parameters, option_adder, parameters_in
+from .compare_command import print_comparison
+from .output_files import describe_file
 
 if TYPE_CHECKING:
     from ..scene.scene import Scene
     from ..simulation.trajectory import Trajectory
 
-_TIMES = 8  # of an event, in a summary
+_TIMES = 8  # largest number of times of an event in a summary
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..scene.scene import ENGINES
+    from ..scene.scene_options import RUN_OPTIONS
 
-    sub.add_argument("scene", metavar="SCENE", nargs="?", help="a TOML file (docs/scenes.md)")
-    sub.add_argument("--check", action="store_true", help="say whether it can run; do not run it")
-    sub.add_argument("--explain", action="store_true", help="print what is skipped")
-    sub.add_argument("--compare", action="store_true", help="judge by full ABA; exit 1 if it fails")
-    sub.add_argument("--out", metavar="FILE", help="write the motion: traj.npz or traj.csv")
-    engines = " or ".join(ENGINES)
-    sub.add_argument("--engine", metavar="E", help=f"{engines}, whatever the file says")
-    add_parameters(sub, "a parameter of the file or a number of its robot, whatever the file says")
-    sub.add_argument("--schema", action="store_true", help="print the JSON Schema of scenes")
+    sub.add_argument("scene", metavar="SCENE", nargs="?", help="scene file (docs/scenes.md)")
+    add = option_adder(sub)
+    add("--check", "validate the scene without running it")
+    add("--explain", "print what the simulation skips")
+    add("--compare", "compare with full ABA; exit 1 on failure")
+    add("--out FILE", "write the motion to traj.npz or traj.csv")
+    engine = replace(RUN_OPTIONS["engine"], default="the engine in the file")
+    add_options(sub, {"engine": engine})
+    add_parameters(sub, "value of a parameter of the file or of its robot, instead of the file's")
+    add("--schema", "print the JSON Schema of scene files")
 
 
-def run(options: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Run the command.  Returns 0, or 1 if a comparison does not pass."""
-    if options.schema:
+    if arguments.schema:
         from ..scene.toml.keys import scene_schema
 
         print(json.dumps(scene_schema(), indent=2, ensure_ascii=False))
         return 0
-    if options.scene is None:
+    if arguments.scene is None:
         raise InputError("run needs a scene: the name of a TOML file; see `pinred run --help`")
     from ..common.files import check_path
     from ..scene.angles import large_angles
@@ -49,29 +51,29 @@ def run(options: argparse.Namespace) -> int:
     from ..simulation.plan import plan_of
     from ..simulation.simulate import as_scene, simulate
 
-    file = read_scene_file(options.scene)
+    file = read_scene_file(arguments.scene)
     scene = file.scene
-    if parameters := parameters_in(options.parameter):
+    if parameters := parameters_in(arguments.parameter):
         scene = as_scene(scene, {"parameters": parameters}, "run")
-    explanation = explain(plan_of(scene))  # finds out whether the scene can run, too
-    if options.explain:
+    explanation = explain(plan_of(scene))  # This also checks that the scene can run.
+    if arguments.explain:
         print(explanation)
     elif note := large_angles(scene.given.x[0], scene.system):
         print(f"note: {note}")
-    if options.check:
+    if arguments.check:
         print(f"ok: {_title(scene)}")
         return 0
-    path = None if options.out is None else check_path(options.out)
-    traj = simulate(scene, engine=options.engine or file.engine, progress=True)
+    path = None if arguments.out is None else check_path(arguments.out)
+    traj = simulate(scene, engine=arguments.engine or file.engine, progress=True)
     print(summary(traj))
     if path is not None:
         traj.save(path)
-        print(f"  {written(path)}")
-    return judged(traj) if options.compare else 0
+        print(f"  {describe_file(path)}")
+    return print_comparison(traj) if arguments.compare else 0
 
 
 def summary(traj: Trajectory) -> str:
-    """Return a short table of a simulation's results."""
+    """Return a short table of the results of a simulation."""
     from ..simulation.explain import integrated
 
     scene, run = traj.scene, traj.run
@@ -80,7 +82,7 @@ def summary(traj: Trajectory) -> str:
         ("steps", f"{run.steps} of {run.method} ({run.engine}), {run.evaluations} evaluations"),
         ("wall time [s]", f"{run.wall:.5f}"),
     ]
-    rows += [(f"event {name}", text) for name, text in told_events(traj)]
+    rows += [(f"event {name}", text) for name, text in describe_events(traj)]
     if scene.left_out:
         rows.append(("left out", scene.left_out))
     if scene.outputs == "all":
@@ -91,15 +93,16 @@ def summary(traj: Trajectory) -> str:
     return "\n".join([_title(scene), *(f"  {name:<{width}}  {text}" for name, text in rows)])
 
 
-def told_events(traj: Trajectory) -> list[tuple[str, str]]:
-    """Return the names of the events, each with its times in words."""
-    out = []
-    for name, found in traj.events.items():
-        times = ", ".join(f"{t:.9g}" for t in found.t[:_TIMES])
-        more = f", … ({len(found)} in all)" if len(found) > _TIMES else ""
+def describe_events(traj: Trajectory) -> list[tuple[str, str]]:
+    """Return (name, times in words) of each event."""
+    descriptions = []
+    for name, crossings in traj.events.items():
+        times = ", ".join(f"{t:.9g}" for t in crossings.t[:_TIMES])
+        more = f", … ({len(crossings)} in all)" if len(crossings) > _TIMES else ""
         ends = "; the motion ends there" if name == traj.ended_by else ""
-        out.append((name, f"t = {times}{more} s{ends}" if times else "does not happen"))
-    return out
+        text = f"t = {times}{more} s{ends}" if times else "does not happen"
+        descriptions.append((name, text))
+    return descriptions
 
 
 def _title(scene: Scene) -> str:

@@ -1,8 +1,8 @@
-"""The forms in which options of a Scene may be given, and the one in which it keeps each.
+"""Accepted input formats of scene options, and their conversion to one internal format.
 
-Python, the command line and scene files take the same: joints by name or in their order, an
-integrator as a value or as text, a plan as a Signal, a number or a formula, and Pinocchio's
-(q, v) in the place of pose, shape and velocities.
+Python, the command line and scene files accept the same formats.  Joint values are an array
+or a table by joint name.  An integrator is an object or text.  The motion of a joint is a
+Signal, a number or a formula.  Pinocchio's (q, v) may replace pose, shape and velocities.
 """
 
 from __future__ import annotations
@@ -28,15 +28,24 @@ from ..system.coordinates import Configuration, Velocity
 from ..system.coupling import following
 from ..system.system import System
 
-_UNIT = 1e-3  # by how much a cosine and sine may miss norm 1, as those of few decimals do
+_UNIT = 1e-3  # tolerance on norm 1 of a cosine and sine, for values rounded to few decimals
 
 
-def in_order(value: Any, system: System, what: str) -> Any:
-    """Return values by joint as one array, (m,) or (N, m), with zeros where none is given.
+def order_by_joint(value: Any, system: System, what: str) -> Any:
+    """Convert values by joint name to one array in joint order.
 
-    value: {joint: number, or (N,) numbers of as many members}; what is no mapping is returned
-    as it is.  Raises InputError for joints that are not there, ShapeError for lengths that
-    differ.
+    Args:
+        value: {joint: number}, or {joint: (N,) numbers} for N members.  Any value that is not a
+            mapping is returned unchanged.
+        system: System with the joints.
+        what: Name of the option, for messages.
+
+    Returns:
+        (m,) or (N, m), with zeros for the joints that are not named.
+
+    Raises:
+        InputError: a joint does not exist or is a mimic joint.
+        ShapeError: the lengths differ.
     """
     if not isinstance(value, Mapping):
         return value
@@ -58,10 +67,11 @@ def in_order(value: Any, system: System, what: str) -> Any:
     return read_only(array)
 
 
-def signal(value: Any, what: str) -> Signal:
-    """Return the motion of a prescribed joint as a Signal.
+def parse_signal(value: Any, what: str) -> Signal:
+    """Convert the motion of a prescribed joint to a Signal.
 
-    value: a Signal, a number, a Parameter or a formula in t.  Raises InputError naming `what`.
+    `value` is a Signal, a number, a Parameter or a formula in t.  Raises an InputError that
+    names the option `what`.
     """
     if isinstance(value, Signal):
         return value
@@ -79,11 +89,11 @@ def signal(value: Any, what: str) -> Signal:
     raise InputError(f"{what} must be a Signal, a number or a formula in t, got {brief(value)}")
 
 
-def configuration(q: ArrayLike, system: System) -> Configuration:
-    """Return pose (size,) and shape (m,) of Pinocchio's q (nq,), angles in (−π, π].
+def parse_configuration(q: ArrayLike, system: System) -> Configuration:
+    """Split Pinocchio's configuration q, (nq,), into pose (size,) and shape (m,).
 
-    Raises ShapeError for another length or what is not finite, InputError for quaternions, or
-    cosines and sines, that are not of norm 1.
+    Angles are in (−π, π].  Raises ShapeError if q has the wrong length or is not finite,
+    InputError if a quaternion, or a cosine and sine, do not have norm 1.
     """
     q = vector(q, system.model.nq, "q0")
     root, *joints = list(system.model.joints)[1:]
@@ -98,45 +108,50 @@ def configuration(q: ArrayLike, system: System) -> Configuration:
             raise InputError(
                 f"q0: cosine and sine of joint '{name}' must have norm 1, got {norm:g}"
             )
-    found = system.configuration(q)
+    split = system.configuration(q)
     if system.coupled is not None:
-        _refuse_apart(system, system.sorted_q(q), system.model_q(found.pose, found.x), "q0")
-    return Configuration(pose=system.group.normalize(found.pose), x=found.x)
+        _check_followers(system, system.sorted_q(q), system.model_q(split.pose, split.x), "q0")
+    return Configuration(pose=system.group.normalize(split.pose), x=split.x)
 
 
-def velocity(v: ArrayLike, system: System) -> Velocity:
-    """Return body twist (r,) and shape rate (m,) of Pinocchio's v (nv,).
+def parse_velocity(v: ArrayLike, system: System) -> Velocity:
+    """Split Pinocchio's velocity v, (nv,), into body twist (r,) and shape rate (m,).
 
-    Raises ShapeError for another length or what is not finite, InputError for joints that do not
-    follow as they are coupled.
+    Raises ShapeError if v has the wrong length or is not finite, InputError if a mimic joint
+    does not follow its coupling.
     """
     v = vector(v, system.model.nv, "v0")
-    found = system.velocity(v)
+    split = system.velocity(v)
     if system.coupled is not None:
-        _refuse_apart(system, system.sorted_v(v), system.model_v(found.xi, found.xdot), "v0")
-    return found
+        _check_followers(system, system.sorted_v(v), system.model_v(split.xi, split.xdot), "v0")
+    return split
 
 
-def _refuse_apart(system: System, given: Array, coupled: Array, what: str) -> None:
-    """Refuse a configuration or velocity of the model in which a follower does not follow."""
+def _check_followers(system: System, stated: Array, coupled: Array, what: str) -> None:
+    """Reject a model configuration or velocity in which a mimic joint violates its coupling.
+
+    `stated` is the value of the option `what`; `coupled` has followers that obey their couplings.
+    """
     for name in system.followers:
         joint = system.model.joints[2 + system.joint_number(name)]
-        at = slice(joint.idx_q, joint.idx_q + joint.nq)
+        entries = slice(joint.idx_q, joint.idx_q + joint.nq)
         if what == "v0":
-            at = slice(joint.idx_v, joint.idx_v + 1)
-        # Against its own size, for a rate of any size is one.
-        most = _UNIT * max(1.0, float(np.abs(coupled[at]).max()))
-        if np.abs(given[at] - coupled[at]).max() > most:
-            shown = ", ".join(f"{value:g}" for value in coupled[at])
+            entries = slice(joint.idx_v, joint.idx_v + 1)
+        # The tolerance is relative above 1, because rates have no upper limit.
+        most = _UNIT * max(1.0, float(np.abs(coupled[entries]).max()))
+        if np.abs(stated[entries] - coupled[entries]).max() > most:
+            expected = ", ".join(f"{value:g}" for value in coupled[entries])
             words = following(name, system.couplings)
-            raise InputError(f"{what}: {words} and must be at {shown} there, got {given[at]}")
+            raise InputError(
+                f"{what}: {words} and must be at {expected} there, got {stated[entries]}"
+            )
 
 
-def method(value: Any) -> Method | Literal["auto"]:
+def parse_method(value: Any) -> Method | Literal["auto"]:
     """Return an integrator, or "auto".
 
-    value: either of them, or text: a name, or a name with options as Python writes them, such
-    as "RKMK4(0.01)" or "DOP853(max_step=0.1)".  Raises InputError.
+    `value` is one of these, or text: a name, or a name with options in Python notation, such as
+    "RKMK4(0.01)" or "DOP853(max_step=0.1)".  Raises InputError.
     """
     if isinstance(value, str):
         return _method_of_text(value)
@@ -149,12 +164,12 @@ def method(value: Any) -> Method | Literal["auto"]:
 
 
 def _method_of_text(text: str) -> Method | Literal["auto"]:
-    """Return the integrator that a text stands for; nothing in it is executed."""
-    if text == "auto":  # nearly always
+    """Return the integrator that a text names; the text is parsed and never executed."""
+    if text == "auto":  # Skip the parser in the most frequent case.
         return "auto"
-    name, given, named = _call(text)
+    name, positional, named = _parse_call(text)
     if name == "auto":
-        if given or named:
+        if positional or named:
             raise InputError(f"method auto has no options, got {quoted(text)}")
         return "auto"
     if name not in METHODS:
@@ -165,24 +180,24 @@ def _method_of_text(text: str) -> Method | Literal["auto"]:
     kind = METHODS[name]
     options = {entry.name: entry.default for entry in fields(kind)}
     unknown = [key for key in named if key not in options]
-    if unknown or len(given) > len(options):
-        told = f"option {quoted(unknown[0])}" if unknown else f"{len(given)} options"
-        raise InputError(f"method {name} has no {told}; its options are {', '.join(options)}")
-    twice = [key for key in list(options)[: len(given)] if key in named]
-    if twice:
-        raise InputError(f"method {quoted(text)} gives {twice[0]} twice")
-    named |= dict(zip(options, given, strict=False))
+    if unknown or len(positional) > len(options):
+        excess = f"option {quoted(unknown[0])}" if unknown else f"{len(positional)} options"
+        raise InputError(f"method {name} has no {excess}; its options are {', '.join(options)}")
+    repeated = [key for key in list(options)[: len(positional)] if key in named]
+    if repeated:
+        raise InputError(f"method {quoted(text)} gives {repeated[0]} twice")
+    named |= dict(zip(options, positional, strict=False))
     missing = [key for key, default in options.items() if default is MISSING and key not in named]
     if missing:
         raise InputError(f"method {quoted(text)} needs a {missing[0]}, as in {name}(0.01)")
     return kind(**named)
 
 
-def _call(text: str) -> tuple[str, list[Any], dict[str, Any]]:
-    """Return name and options of NAME or NAME(1, key=2), as Python writes them."""
+def _parse_call(text: str) -> tuple[str, list[Any], dict[str, Any]]:
+    """Return name, positional and named options of a text NAME or NAME(1, key=2)."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # what Python doubts is an error here
+            warnings.simplefilter("error")  # A syntax warning counts as an error.
             node = ast.parse(text.strip(), mode="eval").body
         if isinstance(node, ast.Name):
             return node.id, [], {}
@@ -201,7 +216,7 @@ def _call(text: str) -> tuple[str, list[Any], dict[str, Any]]:
 
 
 def _value(node: ast.expr) -> Any:
-    """Return a number or text; inf and nan are numbers, as in what Python shows of a method."""
+    """Return a number or text; inf and nan are numbers, as in the repr of a method."""
     if isinstance(node, ast.Name) and node.id in ("inf", "nan"):
         return float(node.id)
     return ast.literal_eval(node)

@@ -1,4 +1,4 @@
-"""`pinred robots`: the robots that can be loaded by name."""
+"""`pinred robots`: list the robots that can be loaded by name."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from ..common.errors import PinredError
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    sub.add_argument("--check", action="store_true", help="load each and say what is refused")
+    sub.add_argument("--check", action="store_true", help="load each robot and print errors")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Print the robots' names.  Returns 0."""
+def run(arguments: argparse.Namespace) -> int:
+    """Print the names of the robots.  Returns 0."""
     from ..system import catalogue
 
     bundled = catalogue.bundled_robots()
@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"more (solo12, talos, ur5, …): {catalogue.INSTALL_ROBOTS}")
         return 0
     print("from example-robot-data:")
-    if not options.check:
+    if not arguments.check:
         print("  " + ", ".join(examples))
         return 0
     from ..system.load import load
@@ -35,12 +35,12 @@ def run(options: argparse.Namespace) -> int:
     width = max(map(len, examples))
     for name in examples:
         try:
-            with warnings.catch_warnings(record=True) as told:
+            with warnings.catch_warnings(record=True) as caught:
                 system = load(name)
             print(
                 f"  {name:<{width}}  {system.group.name:<3}  {system.m} joints, {system.mass:g} kg"
             )
-            for warning in told:
+            for warning in caught:
                 print(f"  {'':<{width}}  warning: {warning.message}")
         except PinredError as error:
             print(f"  {name:<{width}}  refused: {error}")
