@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..system.singular_shapes import SingularShapes, singular_shapes
+from ..system.singular_mass_matrix import SingularShapes, singular_shapes
 from ..system.system import System
 
 

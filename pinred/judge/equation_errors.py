@@ -22,7 +22,7 @@ from ..common.arrays import Array
 from ..reduction.inertia_split import symmetric
 from ..simulation.accelerations import accelerations
 from ..simulation.trajectory import Trajectory
-from ..system.inertias import moved_masses
+from ..system.scale import moved_masses
 from ..system.system import System
 from .gravity_loads import gravity_load_sizes
 from .reference_solution import SPREAD_MARGIN, FullState

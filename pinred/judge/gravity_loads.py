@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
-from ..system.inertias import moved_masses
+from ..system.scale import moved_masses
 
 
 def gravity_load_sizes(model: pin.Model, data: pin.Data, q: Array) -> Array:

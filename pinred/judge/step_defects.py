@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from ..common.arrays import Array
 from ..simulation.trajectory import Trajectory
-from ..system.system import Indices, System
+from ..system.coordinates import Indices
+from ..system.system import System
 from .reference_solution import OFFSET, SPREAD_MARGIN, FullState
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)

@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 
 from ..common.arrays import Array
+from ..system.coordinates import Indices
 from ..system.state_fields import ShapeState, State, map_arrays
-from ..system.system import Indices
 from .control import Control, ControlAction, Replay
 from .events import Found, Watch, ended
 from .piece import Flow, Integrate, Piece

@@ -91,6 +91,6 @@ def test_the_table_of_the_document_is_what_the_methods_claim() -> None:
         method = kind(*given, order=16) if name == "Gauss" else kind(*given)
         order, steps, between, symplectic, _ = (cell.strip() for cell in row.split("|"))
         assert str(method.order) in order.split(", ")
-        assert steps == ("by error" if method.adaptive else "equal")
+        assert steps == ("adaptive" if method.adaptive else "fixed")
         assert name == "Gauss" or f"order {method.dense_order}" in between
         assert symplectic == ("yes" if method.symplectic else "no")

@@ -9,8 +9,8 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import InputError, IntegrationError
 from ...kernels.evaluate import evaluate_each
+from ...system.coordinates import Indices
 from ...system.state_fields import Outcome
-from ...system.system import Indices
 from ..compiled.compiled_flow import CompiledFlows
 from ..compiled.integrate_members import integrate_members
 from .runs import OVERFLOWS, Course

@@ -10,8 +10,8 @@ import numpy as np
 
 from ...common.files import check_path, write_atomic
 from ...scene.scene import Scene
-from ...system.other_inertias import nominal
 from ...system.state_fields import arrays_of
+from ...system.variants import nominal
 from ..over_time import OverTime
 from ..trajectory_files import robot_arrays
 from ..zarr_files import write_zarr

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...scene.scene import Scene
+from ...system.coordinates import Indices
 from ...system.state_fields import FIELDS, ShapeState, State, axis_lengths, map_arrays
-from ...system.system import Indices, System
+from ...system.system import System
 from ..over_time import OverTime
 from ..simulate import trajectory_of
 from ..trajectory import Run, Trajectory, known_trajectory
