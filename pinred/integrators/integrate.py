@@ -266,10 +266,7 @@ def begun_by(
     canonical: Canonical,
     keep: int = NOTHING_KEPT,
 ) -> Runs:
-    """Return the registers of a run to `end` [s] before its first step.
-
-    The arguments are those of `integrate_checked`; keep: stored data of steps.
-    """
+    """Return the registers of a run to `end` [s] before its first step; keep: stored data."""
     pairs, spin = canonical
     return new_run(
         address=address,

@@ -76,7 +76,9 @@ TESTS: dict[str, list[str]] = {
     "integrators/explicit/forward_sensitivities": [
         "simulation/test_step_map.py", "simulation/test_flow_map.py",
     ],
-    "integrators/explicit/adjoint_sweep": ["simulation/test_flow_map.py", "simulation/test_adapters.py"],
+    "integrators/explicit/adjoint_sweep": [
+        "simulation/test_flow_map.py", "simulation/test_adapters.py",
+    ],
     "integrators/explicit": [
         "integrators/test_steppers.py", "integrators/test_claimed_orders.py",
         "integrators/test_tableaux.py", "integrators/test_tolerance_of_turns.py",
@@ -85,7 +87,9 @@ TESTS: dict[str, list[str]] = {
     "integrators/gauss/stage_sensitivities": [
         "simulation/test_step_map.py", "simulation/test_flow_map.py",
     ],
-    "integrators/gauss/adjoint_steps": ["simulation/test_flow_map.py", "simulation/test_adapters.py"],
+    "integrators/gauss/adjoint_steps": [
+        "simulation/test_flow_map.py", "simulation/test_adapters.py",
+    ],
     "integrators/gauss": [
         "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
         "integrators/test_gauss.py", "integrators/test_newton_in_gauss.py",
