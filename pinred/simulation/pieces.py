@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from ..common.arrays import Array
-from ..system.state_fields import ShapeState, State
-from ..system.system import Indices
+from ..system.coordinates import Indices
+from ..system.state_fields import ShapeState, State, map_arrays
 from .control import Control, ControlAction, Replay
 from .events import Found, Watch, ended
 from .piece import Flow, Integrate, Piece
@@ -162,10 +162,5 @@ def _motion(
 
 def joined(parts: Sequence[State | ShapeState], order: Indices) -> State | ShapeState:
     """Return the states of all parts; order: (T,) where each row of them belongs."""
-    kind = type(parts[0])
     back = np.argsort(order, kind="stable")
-    columns = {
-        field.name: np.concatenate([getattr(part, field.name) for part in parts])[back]
-        for field in fields(kind)
-    }
-    return kind(**columns)
+    return map_arrays(lambda *values: np.concatenate(values)[back], *parts)

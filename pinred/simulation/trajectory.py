@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, NotCopyable, ShapeError
-from ..system.state_fields import ShapeState, State, with_base
+from ..system.state_fields import ShapeState, State, map_arrays, with_base
 from .over_time import OverTime
 from .plan import Plan, plan_of
 
@@ -200,8 +200,7 @@ class Trajectory(OverTime):
         state = self.motion.states(flat)
         if times.ndim:
             return state
-        kind = type(state)
-        return kind(**{f.name: np.asarray(getattr(state, f.name)[0]) for f in fields(kind)})
+        return map_arrays(lambda values: np.asarray(values[0]), state)
 
     def save(self, path: str | Path) -> None:
         """Write the states to a .npz, .csv or .zarr file (see trajectory_files.py).

@@ -24,7 +24,7 @@ from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.stepping import run_record
 from pinred.judge.distances import FullMotion
-from pinred.judge.full_state import FullState
+from pinred.judge.reference_solution import FullState
 from pinred.kernels import derived_code
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.machine.native import NativeCode, compile_object, load_object

@@ -34,7 +34,7 @@ from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.stepping import run_record
 from pinred.integrators.stepping.linear_systems import factor, factor_complex, solve, solve_complex
 from pinred.judge.distances import FullMotion
-from pinred.judge.full_state import FullState
+from pinred.judge.reference_solution import FullState
 from pinred.kernels import tangent
 from pinred.kernels.machine import native
 from pinred.kernels.tangent import jacobian_of, tangent_of

@@ -23,8 +23,8 @@ from pinred.laboratory.bench import (
     bench_threads,
     timing,
 )
+from pinred.laboratory.bench.batch_timing import BATCH_SOLVERS
 from pinred.laboratory.bench.chains import chain
-from pinred.laboratory.bench.many import CROWD_SOLVERS
 
 pytestmark = pytest.mark.slow
 
@@ -37,7 +37,7 @@ def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_bench_is_light() -> None:
     """Importing the package imports none of what it measures with."""
-    code = "import sys, pinred.cli.bench; print(*sys.modules)"
+    code = "import sys, pinred.cli.bench_command; print(*sys.modules)"
     assert not {"numpy", "pinocchio", "scipy", "casadi", "heyoka"} & set(python(code).split())
 
 
@@ -98,7 +98,7 @@ def test_many() -> None:
     assert own.tolerance == other.tolerance
     assert own.error == pytest.approx(other.error, rel=1e-3)
     assert found.times("lanes") == pytest.approx(own.per_second / other.per_second)
-    assert len(found.rates) + len(found.missing) == len(CROWD_SOLVERS)
+    assert len(found.rates) + len(found.missing) == len(BATCH_SOLVERS)
     with pytest.raises(InputError, match="at least 2"):
         bench_many(["planar1"], members=1)
 

@@ -1,23 +1,23 @@
-"""Every name and where it stands: for type checkers, and for the first use of a name."""
+"""Public names and their modules, for type checkers and for the lazy import."""
 
 from .accuracy import DEFAULT as DEFAULT
 from .accuracy import FULL as FULL
 from .accuracy import QUICK as QUICK
 from .accuracy import Effort as Effort
 from .accuracy import bench_accuracy as bench_accuracy
+from .batch_timing import ManyTiming as ManyTiming
+from .batch_timing import bench_many as bench_many
 from .evaluations import Evaluations as Evaluations
 from .evaluations import bench_evaluations as bench_evaluations
-from .floquet import FloquetTiming as FloquetTiming
-from .floquet import bench_floquet as bench_floquet
+from .floquet_timing import FloquetTiming as FloquetTiming
+from .floquet_timing import bench_floquet as bench_floquet
 from .flow_timing import FlowTiming as FlowTiming
 from .flow_timing import bench_flow as bench_flow
-from .forces_in_space import ForcesTiming as ForcesTiming
-from .forces_in_space import bench_forces as bench_forces
+from .force_timing import ForcesTiming as ForcesTiming
+from .force_timing import bench_forces as bench_forces
 from .kernel_timing import KernelTiming as KernelTiming
 from .kernel_timing import bench_kernels as bench_kernels
-from .many import ManyTiming as ManyTiming
-from .many import bench_many as bench_many
-from .own_methods import own_method as own_method
+from .pinred_methods import own_method as own_method
 from .problems import Problem as Problem
 from .record import read_record as read_record
 from .record import write_record as write_record
@@ -28,7 +28,7 @@ from .scaling import bench_scaling as bench_scaling
 from .scenes import SCENES as SCENES
 from .scenes import problems_named as problems_named
 from .solver import End as End
-from .solver import Prepared as Prepared
+from .solver import PreparedRun as PreparedRun
 from .solver import Solver as Solver
 from .solvers import SOLVERS as SOLVERS
 from .threads import ThreadsTiming as ThreadsTiming

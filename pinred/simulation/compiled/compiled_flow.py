@@ -17,8 +17,8 @@ from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
+from ...system.coordinates import Indices
 from ...system.state_fields import ShapeState, State
-from ...system.system import Indices
 from ..entry_name import entry_name
 from ..own_numbers import OwnNumbers
 from ..plan import Plan
@@ -70,39 +70,26 @@ class CompiledFlow:
         out = self.kernel.evaluate_outputs(t, y, parameters, self._line)
         weight = out[where.weight] if where.weight.stop > where.weight.start else np.zeros(3)
         base = None
-        if self.kernel.layout.wanted:
-            twist = out[where.v][: self._system.r]
-            momenta = out[where.body_momentum], out[where.spatial_momentum]
-            base = BaseInSpace(out[where.pose], twist, *momenta)
-        return Sample(out[where.x], out[where.xdot], out[where.xi], out[where.mu], weight, base)
+        if self.kernel.layout.base_requested:
+            fields = ("pose", "xi", "body_momentum", "spatial_momentum")
+            base = BaseInSpace(*(out[where.fields[name]] for name in fields))
+        x, xdot = out[where.fields["x"]], out[where.xdot]
+        return Sample(x, xdot, out[where.xi], out[where.mu], weight, base)
 
     def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
         """Return the full states at times t (T,) of reduced states y (T, k).
 
         numbers: (p,) those in the forces then.
         """
-        kernel, where, r = self.kernel, self.kernel.where, self._system.r
+        kernel, where = self.kernel, self.kernel.where
         parameters = np.concatenate([self._with(numbers), self._line])
         rows = y[:, : kernel.layout.size]
         if not kernel.layout.clock:
             rows = np.concatenate([rows, t[:, None]], axis=1)
         out = evaluate(kernel.outputs.address, parameters, rows, where.size)
-        x, xdot, energy = out[:, where.x], out[:, where.xdot], out[:, -1]
-        if not kernel.layout.wanted:
-            return ShapeState(t=t.copy(), x=x, xdot=xdot, energy=energy)
-        v = out[:, where.v]
-        return State(
-            t=t.copy(),
-            x=x,
-            xdot=xdot,
-            xi=v[:, :r],
-            pose=out[:, where.pose],
-            q=self._system.given_q(out[:, where.q]),
-            v=self._system.given_v(v),
-            body_momentum=out[:, where.body_momentum],
-            spatial_momentum=out[:, where.spatial_momentum],
-            energy=energy,
-        )
+        kind = State if kernel.layout.base_requested else ShapeState
+        fields = {name: where.read_field(name, out, self._system) for name in where.fields}
+        return kind(t=t.copy(), **fields)
 
     def rates(self, t: Array, y: Array, numbers: Array) -> Array:  # noqa: ARG002
         """Return dy/dt (T, k) of reduced states y (T, k), which hold the time where it counts."""
@@ -119,7 +106,7 @@ class CompiledFlow:
     def shape(self, t: float, y: Array) -> Array:
         """Return the shape (m,) in a reduced state."""
         out = self.kernel.evaluate_outputs(t, y, self.parameters, self._line)
-        return np.asarray(out[self.kernel.where.x])
+        return np.asarray(out[self.kernel.where.fields["x"]])
 
     def entry_name(self, entry: int) -> str:
         """Return what an entry of the reduced state is, for messages."""
@@ -233,8 +220,8 @@ class CompiledFlows:
                 self.line[:, 2 * k :] = own.fall
             if own.numbers is not None:
                 numbers = own.numbers
-        self.parameters[:, after : after + layout.line] = self.line[:, : layout.line]
-        self.parameters[:, after + layout.line :] = numbers
+        self.parameters[:, after : after + layout.com_path] = self.line[:, : layout.com_path]
+        self.parameters[:, after + layout.com_path :] = numbers
         finite_start(self.y0, self.parameters, self.line)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ...common.memo import once
 from ...kernels.build import build_kernel
 from ...kernels.kernel import Kernel
-from ...system.other_inertias import nominal
+from ...system.variants import nominal
 from ..plan import Kind, Plan
 
 

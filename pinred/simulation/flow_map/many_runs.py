@@ -9,8 +9,8 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import InputError, IntegrationError
 from ...kernels.evaluate import evaluate_each
-from ...kernels.flow_functions import Outcome
-from ...system.system import Indices
+from ...system.coordinates import Indices
+from ...system.state_fields import Outcome
 from ..compiled.compiled_flow import CompiledFlows
 from ..compiled.integrate_members import integrate_members
 from .runs import OVERFLOWS, Course
@@ -18,18 +18,9 @@ from .runs import OVERFLOWS, Course
 
 def entries(course: Course, rows: Iterable[Outcome]) -> Indices:
     """Return where fields of State stand in the outputs of the kernel."""
-    where, r = course.kernel.where, course.plan.system.r
-    places = {
-        "x": where.x,
-        "xdot": where.xdot,
-        "pose": where.pose,
-        "xi": slice(where.v.start, where.v.start + r),
-        "body_momentum": where.body_momentum,
-        "spatial_momentum": where.spatial_momentum,
-        "energy": slice(where.size - 1, where.size),
-    }
+    where = course.kernel.where
     every = np.arange(where.size)
-    return np.concatenate([every[places[row]] for row in rows])
+    return np.concatenate([every[where.fields[row]] for row in rows])
 
 
 def outputs_of_many(course: Course, state: Array, constants: Array, threads: int | None) -> Array:

@@ -1,4 +1,4 @@
-"""heyoka's Taylor integrator on pinred's own reduced equations, in double precision."""
+"""heyoka's Taylor integrator on pinred's reduced equations, in double precision."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import numpy as np
 from ....common.errors import IntegrationError
 from ....system.state_fields import with_base
 from ..problems import Problem
-from ..solver import End, Prepared, Solver, decades
+from ..solver import End, PreparedRun, Solver, decades
 from ..taylor import has_heyoka, reduced_graph, taylor_integrator
 from .equality import INSTALL
 
-MOST_UNROLLED = 300  # instructions that heyoka unrolls in seconds
+MOST_UNROLLED = 300  # instructions; heyoka unrolls up to these within seconds
 
 
-def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> Prepared:
+def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> PreparedRun:
     from ....simulation.compiled.compiled_flow import CompiledFlow
     from ....simulation.plan import plan_of
 
@@ -44,7 +44,7 @@ def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> Prepared:
         states = with_base(reduced, scene.system.name)
         return End(states.x[0], states.q[0], states.v[0], int(steps))
 
-    return Prepared(run, end, build)
+    return PreparedRun(run, end, build)
 
 
 def _not_installed(_: Problem) -> str:
@@ -54,8 +54,8 @@ def _not_installed(_: Problem) -> str:
 def _long_to_unroll(problem: Problem) -> str:
     if has_heyoka() and (size := reduced_graph(problem).n_instructions()) > MOST_UNROLLED:
         return (
-            f"heyoka-unrolled is left out: {size} instructions take it minutes to compile; "
-            "--full takes it in"
+            f"heyoka-unrolled is left out: compiling {size} instructions takes minutes; "
+            "--full includes it"
         )
     return _not_installed(problem)
 
