@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ...common.arrays import Array
-from ...integrators.derivatives import run_back
+from ...integrators.run_derivatives import run_back
 from ...kernels.reduced_graph import ReducedGraph
 from ...simulation.flow_map.flow import Flow
 from .timing import alternating, repeated
