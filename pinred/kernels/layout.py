@@ -1,4 +1,4 @@
-"""The structure of a kernel, and the places of things in its state, parameters and outputs."""
+"""The structure of a kernel, and the layout of its state, parameters and outputs."""
 
 from __future__ import annotations
 
@@ -17,15 +17,21 @@ from ..system.system import System
 
 @dataclass(frozen=True)
 class Structure:
-    """The structure of a kernel: it decides, with the forces, which terms there are.
+    """The structure of a kernel, which decides with the forces which terms exist.
 
-    zero_momentum: of the base.  cyclic: indices of the cyclic joints.  gravity: which axes of the
-    root joint's fixed frame the part of it has that acts on the shape or turns a pivoted base.
-    base: whether the base is asked for.  freed: bodies whose inertias, and whose steps from their
-    parents, are parameters.  lifted: whether a quaternion of any length
-    stands for the angular momentum, μ = q̄ J q, which grows as the square of that length.
-    Under this map (Cayley and Klein's) of ℝ⁴ to so(3)* the canonical bracket becomes that of
-    Lie and Poisson, so that a symplectic method for (x, π, q) is a Poisson map of (x, π, μ).
+    With `lifted`, a quaternion q of any norm represents the angular momentum, μ = q̄ J q, which
+    grows with the square of the norm.  Under this map of Cayley and Klein from ℝ⁴ to so(3)*, the
+    canonical bracket becomes the Lie–Poisson bracket.  A symplectic method for (x, π, q) is then
+    a Poisson map of (x, π, μ).
+
+    Attributes:
+        zero_momentum: Whether the momentum of the base is exactly zero.
+        cyclic: Indices of the cyclic joints.
+        gravity: Axes of the root joint's fixed frame along which gravity acts on the shape or
+            rotates a pivoted base.
+        base: Whether the state of the base is requested.
+        lifted: Whether a quaternion of any norm represents the angular momentum.
+        freed: Variable body parameters: inertias, joint placements and link placements.
     """
 
     zero_momentum: bool = True
@@ -38,30 +44,38 @@ class Structure:
 
 @dataclass(frozen=True)
 class Layout:
-    """The places of things in y and in the parameters.
+    """The order of the entries in the reduced state y and in the parameters.
 
-    active, cyclic, prescribed: indices of shape joints.  base: the parts of the base that
-    are integrated, and its constants.  clock: 1 if the time is the last number of y, else 0.
-    gravity: axes along which gravity is a parameter.  freed: bodies whose numbers are.  line: how
-    many numbers say where the centre of mass begins, how fast, and how it falls, where forces see
-    that.  numbers: how many numbers the forces have.
+    Attributes:
+        active: Indices of the shape joints whose positions and momenta are integrated.
+        cyclic: Indices of the cyclic joints.
+        prescribed: Indices of the prescribed joints.
+        base: Numbers of integrated and constant entries of the base.
+        base_requested: Whether the outputs contain the state of the base.
+        gravity_on_base: Whether gravity rotates a pivoted base.
+        clock: 1 if the time is the last entry of y, else 0.
+        gravity: Axes along which gravity is a parameter.
+        freed: Variable body parameters.
+        com_path: Number of parameters for the centre-of-mass path: 3k if forces depend on it,
+            else 0.
+        numbers: Number of force parameters.
     """
 
     active: tuple[int, ...]
     cyclic: tuple[int, ...]
     prescribed: tuple[int, ...]
     base: BaseParts
-    wanted: bool
-    heavy: bool
+    base_requested: bool
+    gravity_on_base: bool
     clock: int
     gravity: tuple[int, ...]
     freed: Freed
-    line: int
+    com_path: int
     numbers: int
 
     @cached_property
     def base_at(self) -> int:
-        """Index in y of the first number of the base."""
+        """Index in y of the first base entry."""
         return 2 * len(self.active) + len(self.cyclic)
 
     @cached_property
@@ -72,31 +86,31 @@ class Layout:
     @cached_property
     def parameters(self) -> int:
         """Number of parameters."""
-        return self.line_at + self.line + self.numbers
+        return self.com_path_at + self.com_path + self.numbers
 
     @property
     def bodies_at(self) -> int:
-        """Index in the parameters of the first number of a body."""
+        """Index in the parameters of the first body parameter."""
         return self.gravity_at + len(self.gravity)
 
     @property
     def gravity_at(self) -> int:
-        """Index in the parameters of the first number of gravity."""
+        """Index in the parameters of the first gravity component."""
         return self.base.spin + len(self.cyclic)
 
     @property
-    def line_at(self) -> int:
-        """Index in the parameters of the first number of the centre of mass's path."""
+    def com_path_at(self) -> int:
+        """Index in the parameters of the first centre-of-mass path entry."""
         return self.bodies_at + self.freed.size
 
     @property
     def quaternion(self) -> int:
-        """Index of the first of four quaternion entries in y, or −1."""
+        """Index in y of the first quaternion entry, or −1 without a quaternion."""
         return self.base_at if self.base.attitude == 4 else -1
 
     @property
     def canonical(self) -> tuple[int, int]:
-        """Number of positions with momenta behind them, and of constant angular momenta."""
+        """Number of positions with conjugate momenta, and of constant angular momenta."""
         return len(self.active), self.base.spin
 
 
@@ -159,26 +173,41 @@ def separate_fields(*, base: bool) -> list[str]:
 
 
 def outputs_of(system: System, layout: Layout) -> Outputs:
-    """Return the slices of the outputs of a kernel."""
+    """Compute the slices of a kernel's outputs.
+
+    Args:
+        system: The system.
+        layout: Layout of the kernel.
+    Returns:
+        The slices.
+    """
     m, r, k = system.m, system.r, len(layout.prescribed)
-    names, lengths = separate_fields(base=layout.wanted), axis_lengths(system)
-    relative = [r, m, 3, r, 3 * layout.heavy, k, k]
+    names, lengths = separate_fields(base=layout.base_requested), axis_lengths(system)
+    relative = [r, m, 3, r, 3 * layout.gravity_on_base, k, k]
     ends = list(accumulate([*relative, *(lengths[FIELDS[name].axis] for name in names)], initial=0))
     xi, xdot, com, mu, weight, driven_x, driven_pi, *slices = starmap(slice, pairwise(ends))
     fields = {**dict(zip(names, slices, strict=True)), "xdot": xdot}
-    if layout.wanted:
+    if layout.base_requested:
         fields["xi"] = slice(fields["v"].start, fields["v"].start + r)
     return Outputs(xi, xdot, com, mu, weight, driven_x, driven_pi, fields, ends[-1])
 
 
 def layout_of(system: System, structure: Structure, forces: ForceModel | None) -> Layout:
-    """Return where things stand in y and in the parameters of a kernel of this structure."""
+    """Compute the layout of the reduced state and of the parameters.
+
+    Args:
+        system: The system.
+        structure: Structure of the kernel.
+        forces: Forces on the system, or None.
+    Returns:
+        The layout.
+    """
     prescribed = forces.joints if forces is not None else ()
     heavy = system.group.is_pivot and bool(structure.gravity)
-    sees = forces is not None and (forces.sees_attitude or forces.sees_place)
-    parts = base_parts(
+    base_observed = forces is not None and (forces.sees_attitude or forces.sees_place)
+    base = base_parts(
         system.group,
-        wanted=structure.base or structure.lifted or sees,
+        wanted=structure.base or structure.lifted or base_observed,
         heavy=heavy,
         wrench=forces is not None and forces.has_wrench,
         zero_momentum=structure.zero_momentum,
@@ -187,12 +216,12 @@ def layout_of(system: System, structure: Structure, forces: ForceModel | None) -
         active=tuple(k for k in range(system.m) if k not in {*structure.cyclic, *prescribed}),
         cyclic=structure.cyclic,
         prescribed=prescribed,
-        base=parts,
-        wanted=structure.base,
-        heavy=heavy,
+        base=base,
+        base_requested=structure.base,
+        gravity_on_base=heavy,
         clock=int(forces is not None and forces.needs_time),
         gravity=structure.gravity,
         freed=structure.freed,
-        line=3 * system.group.linear if forces is not None and forces.sees_place else 0,
+        com_path=3 * system.group.linear if forces is not None and forces.sees_place else 0,
         numbers=len(forces.numbers) if forces is not None else 0,
     )

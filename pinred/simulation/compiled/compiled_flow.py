@@ -70,7 +70,7 @@ class CompiledFlow:
         out = self.kernel.evaluate_outputs(t, y, parameters, self._line)
         weight = out[where.weight] if where.weight.stop > where.weight.start else np.zeros(3)
         base = None
-        if self.kernel.layout.wanted:
+        if self.kernel.layout.base_requested:
             fields = ("pose", "xi", "body_momentum", "spatial_momentum")
             base = BaseInSpace(*(out[where.fields[name]] for name in fields))
         x, xdot = out[where.fields["x"]], out[where.xdot]
@@ -87,7 +87,7 @@ class CompiledFlow:
         if not kernel.layout.clock:
             rows = np.concatenate([rows, t[:, None]], axis=1)
         out = evaluate(kernel.outputs.address, parameters, rows, where.size)
-        kind = State if kernel.layout.wanted else ShapeState
+        kind = State if kernel.layout.base_requested else ShapeState
         fields = {name: where.read_field(name, out, self._system) for name in where.fields}
         return kind(t=t.copy(), **fields)
 
@@ -220,8 +220,8 @@ class CompiledFlows:
                 self.line[:, 2 * k :] = own.fall
             if own.numbers is not None:
                 numbers = own.numbers
-        self.parameters[:, after : after + layout.line] = self.line[:, : layout.line]
-        self.parameters[:, after + layout.line :] = numbers
+        self.parameters[:, after : after + layout.com_path] = self.line[:, : layout.com_path]
+        self.parameters[:, after + layout.com_path :] = numbers
         finite_start(self.y0, self.parameters, self.line)
 
 

@@ -1,7 +1,7 @@
-"""A flow between plain columns of numbers, as other people's languages want it.
+"""A flow as a function between plain vectors, for other libraries.
 
-Inputs are columns in the order of the flow's `inputs`; the output is one column.  A pose in it has
-its own coordinates, not those of its tangent, so that values and derivatives belong together.
+Inputs are vectors in the order of the flow's `inputs`; the output is one vector.  A pose in it
+is written by its own coordinates, not by those of its tangent, so that derivatives match values.
 """
 
 from __future__ import annotations
@@ -20,139 +20,184 @@ from .inputs import Inputs
 from .many_runs import entries, outputs_of_many
 from .runs import Course, Run
 
-_FEW = 32  # runs that one thread has done before others have begun
+# Up to this number of runs, one thread finishes before a second one has started.
+_RUNS_OF_ONE_THREAD = 32
 
 
 class Columns:
-    """A flow as a function of columns.
+    """A flow as a function of vectors.
 
-    names, sizes: of its inputs.  starts: their values in the scene.  size: of the output, of all
-    times one after another.  outputs: the places of State's fields in that of one time.
+    Attributes:
+        flow: The flow.
+        names: Names of the inputs.
+        sizes: Number of entries of each input.
+        starts: Values of the inputs in the scene, (size,) each.
+        outputs: Slices of the fields of State in the output at one time.
+        size: Number of entries of the output, of all times one after another.
     """
 
     def __init__(self, flow: Any, course: Course, inputs: Inputs, run: Callable[..., Run]) -> None:
-        """Take a Flow.  Raises InputError for inputs that are no vectors."""
+        """Prepare the vectors of a flow.
+
+        Args:
+            flow: The Flow.
+            course: Its kernels and runs.
+            inputs: Its inputs.
+            run: Function from values by name to the run with these inputs.
+        Raises:
+            InputError: The flow has no inputs, or one of them is a pose.
+        """
         if "pose0" in flow.inputs:
             raise InputError(
-                "pose0 is a point of a group, and no vector of which this could be a function; "
-                "make the flow without it among wrt"
+                "pose0 is an element of a group, and inputs must be vectors; leave it out of wrt="
             )
         if not flow.inputs:
             raise InputError("the flow has no inputs with derivatives; name some as wrt=")
         self.flow = flow
         self.names, self.sizes = tuple(flow.inputs), tuple(flow.inputs.values())
         self.starts = [flow.own(name) for name in self.names]
-        self.outputs, at = {}, 0
         self._rows: tuple[Row, ...] = tuple(
             "pose_numbers" if name == "pose" else name for name in flow.outputs
         )
         sizes = sizes_of(flow.system)
-        for name, row in zip(flow.outputs, self._rows, strict=True):
-            self.outputs[name] = slice(at, at + sizes[row])
-            at += sizes[row]
+        ends = np.cumsum([0, *(sizes[row] for row in self._rows)]).tolist()
+        self.outputs = dict(zip(flow.outputs, map(slice, ends, ends[1:]), strict=True))
         self._times = len(flow.t) if flow.over_times else 1
-        self.size = at * self._times
+        self.size = ends[-1] * self._times
         self._course, self._inputs, self._run = course, inputs, run
-        self._cuts = np.cumsum(self.sizes)[:-1]
-        ends = np.cumsum(self.sizes).tolist()
-        self._spans = [slice(end - size, end) for end, size in zip(ends, self.sizes, strict=True)]
-        self._picks = entries(self._course, self.outputs)
+        ends = np.cumsum([0, *self.sizes]).tolist()
+        self._cuts, self._spans = ends[1:-1], list(map(slice, ends, ends[1:]))
+        self._entries = entries(self._course, self.outputs)
 
     def value(self, *columns: Any) -> Array:
-        """Return the output, (size,)."""
-        return self._output(self._run(self._named(columns)))
+        """Compute the output.
+
+        Args:
+            *columns: Values of the inputs, in their order, (its size,) each.
+        Returns:
+            (size,).
+        """
+        return self._output(self._run(self._by_name(columns)))
 
     def value_of(self, column: Array) -> Array:
-        """Return the output of all inputs one after another, (size,)."""
-        return self._output(self._run(self._cut(column)))
+        """Return the output (size,) for all inputs in one vector."""
+        return self._output(self._run(self._split(column)))
 
-    def along_of(self, column: Array, direction: Array) -> Array:
-        """Return the derivative (size,) along a direction of all inputs one after another."""
-        return self._along(self._run(self._cut(column)), direction[:, None])[:, 0]
+    def jvp_of(self, column: Array, direction: Array) -> Array:
+        """Return the derivative (size,) along a direction, for all inputs in one vector."""
+        return self._jvp(self._run(self._split(column)), direction[:, None])[:, 0]
 
-    def back_of(self, column: Array, covector: Array) -> Array:
-        """Return the derivatives of covector · output by all inputs one after another."""
-        return self._back(self._run(self._cut(column), stages=True), covector)
+    def vjp_of(self, column: Array, covector: Array) -> Array:
+        """Return the derivatives of covector · output, for all inputs in one vector."""
+        return self._vjp(self._run(self._split(column), stages=True), covector)
 
     def values(self, *columns: Any, threads: int | None = None) -> Array:
-        """Return the outputs (N, size) of N inputs at once: (N, size) columns, or (1, size).
+        """Compute the outputs for N inputs at once, in SIMD lanes if the method has them.
 
-        They run in lanes where the method has them, and are those of `value` within round-off
-        times the stretch of the flow.  threads: as many as processors if None.
-        Raises IntegrationError for the first that fails.
+        They agree with `value` within round-off times the growth along the flow.
+
+        Args:
+            *columns: Values of the inputs, in their order, (N, its size) or (1, its size) each.
+            threads: Number of threads, None for the number of processors.
+        Returns:
+            (N, size).
+        Raises:
+            ShapeError: An input has another number of axes.
+            IntegrationError: A run fails; the first one is named.
         """
-        rows = [
+        batches = [
             vectors(column, size, name)
             for column, size, name in zip(columns, self.sizes, self.names, strict=True)
         ]
-        if any(row.ndim != 2 for row in rows):
+        if any(batch.ndim != 2 for batch in batches):
             raise ShapeError("inputs of many runs must have shape (N, size), or (1, size)")
-        count = _common([len(row) for row in rows])
+        count = _common_count([len(batch) for batch in batches])
         if not count:
             return np.zeros((0, self.size))
         if count == 1:
-            return self.value(*(row[0] for row in rows))[None]
-        given = [
+            return self.value(*(batch[0] for batch in batches))[None]
+        arguments = [
             self._inputs.given(
-                {name: row[k % len(row)] for name, row in zip(self.names, rows, strict=True)}
+                {
+                    name: batch[k % len(batch)]
+                    for name, batch in zip(self.names, batches, strict=True)
+                }
             )
             for k in range(count)
         ]
-        state, constants = (
-            np.array([getattr(each, part) for each in given]) for part in ("state", "constants")
-        )
-        threads = 1 if threads is None and count <= _FEW else threads
-        return self._taken(outputs_of_many(self._course, state, constants, threads))
+        state = np.array([argument.state for argument in arguments])
+        constants = np.array([argument.constants for argument in arguments])
+        threads = 1 if threads is None and count <= _RUNS_OF_ONE_THREAD else threads
+        outputs = outputs_of_many(self._course, state, constants, threads)
+        return np.ascontiguousarray(outputs[..., self._entries].reshape(count, -1))
 
     def jacobian(self, *columns: Any) -> list[Array]:
-        """Return the derivatives of the output by each input, (size, its size)."""
-        run = self._run(self._named(columns))
-        found = self._along(run, np.eye(sum(self.sizes)))
-        return np.split(found, self._cuts, axis=1)
+        """Compute the derivatives of the output with respect to each input.
+
+        Args:
+            *columns: Values of the inputs, in their order, (its size,) each.
+        Returns:
+            (size, its size) for each input.
+        """
+        run = self._run(self._by_name(columns))
+        derivatives = self._jvp(run, np.eye(sum(self.sizes)))
+        return np.split(derivatives, self._cuts, axis=1)
 
     def jvp(self, columns: Sequence[Any], along: Sequence[Any]) -> Array:
-        """Return the derivative of the output along directions of the inputs, (size,).
+        """Compute the derivative of the output along directions of the inputs.
 
-        Of directions (N, …), eight of which run at once, they are (N, size).
+        Args:
+            columns: Values of the inputs, (its size,) each.
+            along: A direction of each input, (its size,) or (N, its size); eight directions
+                are propagated at once.
+        Returns:
+            (size,), or (N, size) for N directions.
         """
-        run = self._run(self._named(columns))
+        run = self._run(self._by_name(columns))
         directions = [
-            as_floats(each, f"the direction of {name}")
-            for each, name in zip(along, self.names, strict=True)
+            as_floats(direction, f"the direction of {name}")
+            for direction, name in zip(along, self.names, strict=True)
         ]
-        many = any(each.ndim == 2 for each in directions)
-        parts = [
-            vectors(np.atleast_2d(each), size, f"the direction of {name}")
-            for each, size, name in zip(directions, self.sizes, self.names, strict=True)
+        is_batch = any(direction.ndim == 2 for direction in directions)
+        batches = [
+            vectors(np.atleast_2d(direction), size, f"the direction of {name}")
+            for direction, size, name in zip(directions, self.sizes, self.names, strict=True)
         ]
-        count = _common([len(part) for part in parts])
-        whole = np.hstack([np.broadcast_to(part, (count, part.shape[1])) for part in parts])
-        found = self._along(run, whole.T).T
-        return found if many else found[0]
+        count = _common_count([len(batch) for batch in batches])
+        stacked = np.hstack([np.broadcast_to(batch, (count, batch.shape[1])) for batch in batches])
+        derivatives = self._jvp(run, stacked.T).T
+        return derivatives if is_batch else derivatives[0]
 
     def vjp(self, columns: Sequence[Any], covector: Any) -> list[Array]:
-        """Return the derivatives of covector · output by each input, (its size,).
+        """Compute the derivatives of covector · output with respect to each input.
 
-        Of covectors (N, size) they are (N, its size).
+        Args:
+            columns: Values of the inputs, (its size,) each.
+            covector: Weights of the output's entries, (size,) or (N, size).
+        Returns:
+            (its size,) for each input, or (N, its size) for N covectors.
         """
-        run = self._run(self._named(columns), stages=True)
-        given = as_floats(covector, "the covector")
-        covectors = vectors(np.atleast_2d(given), self.size, "the covector")
-        found = np.array([self._back(run, each) for each in covectors])
-        found = found.reshape(len(covectors), sum(self.sizes))
-        return np.split(found if given.ndim == 2 else found[0], self._cuts, axis=-1)
+        run = self._run(self._by_name(columns), stages=True)
+        weights = as_floats(covector, "the covector")
+        covectors = vectors(np.atleast_2d(weights), self.size, "the covector")
+        derivatives = np.array([self._vjp(run, entry) for entry in covectors])
+        derivatives = derivatives.reshape(len(covectors), sum(self.sizes))
+        return np.split(derivatives if weights.ndim == 2 else derivatives[0], self._cuts, axis=-1)
 
     def arranged(self, columns: Sequence[Any], named: Mapping[str, Any]) -> list[Any]:
-        """Return columns in the order of the inputs; what is not given stays the scene's.
+        """Arrange inputs in their order; missing inputs get their values in the scene.
 
-        Raises InputError for more of them, and for names that there are not.
+        Args:
+            columns: Values of the first inputs.
+            named: Values of other inputs by name.
+        Returns:
+            A value for each input.
+        Raises:
+            InputError: There are too many values, an unknown name, or two values of one input.
         """
         if len(columns) > len(self.names):
-            raise InputError(
-                f"the flow has {len(self.names)} inputs, {listed(list(self.names), 200)}, and "
-                f"{len(columns)} were given"
-            )
-        out = [*columns, *self.starts[len(columns) :]]
+            raise InputError(self._describe_count(len(columns)))
+        values = [*columns, *self.starts[len(columns) :]]
         for name, value in named.items():
             if name not in self.names:
                 raise InputError(
@@ -162,56 +207,54 @@ class Columns:
             k = self.names.index(name)
             if k < len(columns):
                 raise InputError(f"the input '{name}' of a flow is given twice")
-            out[k] = value
-        return out
+            values[k] = value
+        return values
 
     def refuse_shape(self, k: int, shape: tuple[int, ...]) -> None:
-        """Raise ShapeError for an input of another shape than (its size,)."""
+        """Raise ShapeError if input k has another shape than (its size,)."""
         size = self.sizes[k]
         if shape != (size,) and not (size == 1 and shape == ()):
             raise ShapeError(f"{self.names[k]} must have shape ({size},), got {shape}")
 
-    def _named(self, columns: Sequence[Any]) -> dict[str, Array]:
+    def _describe_count(self, count: int) -> str:
+        names = listed(list(self.names), 200)
+        return f"the flow has {len(self.names)} inputs, {names}, and {count} were given"
+
+    def _by_name(self, columns: Sequence[Any]) -> dict[str, Array]:
         if len(columns) != len(self.names):
-            self.arranged(columns, {})
-            raise InputError(
-                f"the flow has {len(self.names)} inputs, {listed(list(self.names), 200)}, and "
-                f"{len(columns)} were given"
-            )
+            raise InputError(self._describe_count(len(columns)))
         arrays = [as_floats(column, name) for name, column in zip(self.names, columns, strict=True)]
         for k, array in enumerate(arrays):
-            if array.shape[1:] != (1,):  # a column of CasADi
+            if array.shape[1:] != (1,):  # CasADi passes columns of shape (size, 1).
                 self.refuse_shape(k, array.shape)
         return {name: array.reshape(-1) for name, array in zip(self.names, arrays, strict=True)}
 
-    def _taken(self, outputs: Array) -> Array:
-        """Return the output (N, size) of the outputs (N, T, ·) of kernels."""
-        return np.ascontiguousarray(outputs[..., self._picks].reshape(len(outputs), -1))
-
-    def _output(self, run: Run) -> Array:
-        return np.asarray(self._course.outputs(run)[:, self._picks].ravel())
-
-    def _cut(self, column: Array) -> dict[str, Array]:
-        """Return the inputs in a column by name."""
+    def _split(self, column: Array) -> dict[str, Array]:
+        """Return the inputs in one vector by name."""
         return {name: column[span] for name, span in zip(self.names, self._spans, strict=True)}
 
-    def _along(self, run: Run, directions: Array) -> Array:
+    def _output(self, run: Run) -> Array:
+        return np.asarray(self._course.outputs(run)[:, self._entries].ravel())
+
+    def _jvp(self, run: Run, directions: Array) -> Array:
         """Return the derivatives (size, N) of the output along directions (inputs, N)."""
         state, constants = self._inputs.basis(run.given)
-        found = self._course.along(run, self._rows, state @ directions, constants @ directions)
-        return np.asarray(found.reshape(self.size, directions.shape[1]))
+        derivatives = self._course.along(
+            run, self._rows, state @ directions, constants @ directions
+        )
+        return np.asarray(derivatives.reshape(self.size, directions.shape[1]))
 
-    def _back(self, run: Run, covector: Array) -> Array:
-        """Return the slopes (inputs,) of covector · output."""
-        whole = np.ascontiguousarray(covector).reshape(self._times, -1)
-        by_state, by_constants = self._course.back(run, self._rows, whole)
+    def _vjp(self, run: Run, covector: Array) -> Array:
+        """Return the derivatives (inputs,) of covector · output."""
+        covectors = np.ascontiguousarray(covector).reshape(self._times, -1)
+        by_state, by_constants = self._course.back(run, self._rows, covectors)
         state, constants = self._inputs.basis(run.given)
         return np.asarray(by_state @ state + by_constants @ constants)
 
 
-def _common(counts: Sequence[int]) -> int:
-    """Return how many there are if each has so many or one.  Raises ShapeError."""
-    others = {count for count in counts if count != 1}
-    if len(others) > 1:
-        raise ShapeError(f"inputs must have equally many rows, or one, got {sorted(others)}")
-    return others.pop() if others else 1
+def _common_count(counts: Sequence[int]) -> int:
+    """Return the count that all have except those with one.  Raises ShapeError if there are two."""
+    distinct = {count for count in counts if count != 1}
+    if len(distinct) > 1:
+        raise ShapeError(f"inputs must have equally many rows, or one, got {sorted(distinct)}")
+    return distinct.pop() if distinct else 1

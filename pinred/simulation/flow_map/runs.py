@@ -8,9 +8,9 @@ import numpy as np
 
 from ...common.arrays import Array, read_only
 from ...common.errors import InputError, IntegrationError
-from ...integrators.derivatives import Slopes, refuse_without_derivatives, run_along, run_back
 from ...integrators.integrate import Solution, integrate_checked
 from ...integrators.methods import AdaptiveGauss, Explicit
+from ...integrators.run_derivatives import Slopes, refuse_without_derivatives, run_along, run_back
 from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate
 from ...kernels.flow_functions import Row, initial_conditions_of, outcome_of, rate_of, sizes_of
@@ -85,8 +85,8 @@ class Course:
             adjoints=lambda count: rate.wide_adjoint(count).address,
         )
         layout, k = kernel.layout, plan.system.group.linear
-        self._clock, self._wanted = layout.clock, layout.wanted
-        self._numbers, self._path = max(layout.size, 1), layout.line_at
+        self._clock, self._wanted = layout.clock, layout.base_requested
+        self._numbers, self._path = max(layout.size, 1), layout.com_path_at
         self._backs: dict[tuple[Row, ...], OutcomesBack] = {}
         self._sizes = [layout.size, layout.gravity_at, 2 * k]
         self._falls = k
@@ -242,8 +242,8 @@ class Course:
             covector = done.by_state
             by_rest[:p] += done.by_parameters
         by_line = by_rest[p:]
-        if layout.line:
-            by_line += by_rest[at : at + layout.line]
+        if layout.com_path:
+            by_line += by_rest[at : at + layout.com_path]
         ends_of_begin = np.concatenate(
             [covector[: layout.size], by_rest[:head], by_line[: self._sizes[2]]]
         )
@@ -251,8 +251,8 @@ class Course:
             run.given.state, self._known(run.given), ends_of_begin
         )
         constants += by_rest[head:p]
-        if layout.line:
-            constants = np.delete(constants, np.s_[at - head : at - head + layout.line])
+        if layout.com_path:
+            constants = np.delete(constants, np.s_[at - head : at - head + layout.com_path])
         return state, np.concatenate([constants, by_line[self._sizes[2] :]])
 
     def _known(self, given: Given) -> Array:
@@ -262,11 +262,11 @@ class Course:
     def _with_line(self, constants: Array, line: Array | None) -> Array:
         """Return constants (…) with the path of the centre of mass where forces see that."""
         layout = self.kernel.layout
-        if not layout.line:
+        if not layout.com_path:
             return constants
-        at = layout.line_at - layout.gravity_at
+        at = layout.com_path_at - layout.gravity_at
         if line is None:
-            line = np.zeros((layout.line, *constants.shape[1:]))
+            line = np.zeros((layout.com_path, *constants.shape[1:]))
         return np.concatenate([constants[:at], line, constants[at:]])
 
     def _apart(self, constants: Array) -> tuple[Array, Array]:
