@@ -59,7 +59,8 @@ class BodyParameter:
 def body_parameter(system: System, name: str) -> BodyParameter | None:
     """Return the body parameter with a name, or None if the name has another form.
 
-    Raises InputError for an unknown body.
+    Raises:
+        InputError: The body is unknown.
     """
     kinds = [kind for kind in SIZES if isinstance(name, str) and name.endswith(f".{kind}")]
     if not kinds:
@@ -92,9 +93,13 @@ class Bodies:
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
-        """Find the parameters among names.
+        """Find the body parameters among names.
 
-        Raises InputError if two of them describe the same property of a body.
+        Args:
+            system: Robot.
+            names: Names of parameters of all kinds.
+        Raises:
+            InputError: Two of them describe the same property of a body.
         """
         self._system = system
         parameters = [body_parameter(system, name) for name in names]

@@ -48,7 +48,8 @@ class JointParameter:
 def joint_parameter(system: System, name: str) -> JointParameter | None:
     """Return the joint parameter with a name, or None if the name has another form.
 
-    Raises InputError for an unknown joint, and for the root, whose placement has no effect.
+    Raises:
+        InputError: The joint is unknown, or the root, whose placement has no effect.
     """
     word, _, kind = name.rpartition(".") if isinstance(name, str) else ("", "", "")
     if kind not in SIZES or not word:
@@ -88,9 +89,13 @@ class Joints:
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
-        """Find the parameters among names.
+        """Find the joint parameters among names.
 
-        Raises InputError if two of them describe the same placement.
+        Args:
+            system: Robot.
+            names: Names of parameters of all kinds.
+        Raises:
+            InputError: Two of them describe the same placement.
         """
         self._system = system
         parameters = [joint_parameter(system, name) for name in names]

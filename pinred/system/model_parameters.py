@@ -80,7 +80,8 @@ def joined(already: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, An
 def with_parameters(system: System, parameters: Any) -> System:
     """Return the system with other parameters, and its present ones where none are given.
 
-    Raises InputError for unknown names, and for values that no real robot has.
+    Raises:
+        InputError: A name is unknown, or no real robot has these values.
     """
     if not isinstance(parameters, Mapping):
         raise InputError(f"parameters must be {{name: value}}, got {brief(parameters)}")
