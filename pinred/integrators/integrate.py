@@ -26,8 +26,10 @@ from .stepping.run_record import (
     ENDS_KEPT,
     FIXED_POINT,
     FULL,
+    LAYOUT,
     NOT_FINITE,
     NOTHING_KEPT,
+    STAGES_KEPT,
     UNDERFLOW,
     WANTED,
     Runs,
@@ -40,37 +42,67 @@ Progress = Callable[[float], None]
 Tangent = Callable[[], int]
 Canonical = tuple[int, int]
 
+# Step ends for which there is room at first.
 _FIRST_KNOTS = 128
+# Largest size of a solution with stored stage derivatives [bytes].
+MOST_STAGE_BYTES = 1 << 25
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Solution:
-    """A run: the states at the times asked for, and what gives those at any other time.
+    """Solution of one integration: states at the report times, and at any other time.
 
-    times: (T,) [s].  y: (T, n).  steps, rejected, evaluations: what it cost.
-    knots: (K,) times of the ends of all steps [s].  states: (K, n) there; a quaternion in
-    them has the length that the step has left, `at` gives it length one.  complete: whether the
-    run came to its end, and was not stopped before by who watched it.
-    The kernel has to stay in memory as long as `at` is called.
+    The kernel must stay in memory as long as `at` is called.
+
+    Attributes:
+        method: Integrator.
+        times: Report times, (T,) sorted [s].
+        y: States at these times, (T, n); read-only.
+        complete: Whether the integration reached its end, and was not stopped by a watcher.
+        params: Parameters of the kernel, (p,).
     """
 
     method: Method
     times: Array
     y: Array
-    steps: int
-    rejected: int
-    evaluations: int
-    knots: Array
-    states: Array
     complete: bool
-    _stored: Array = field(repr=False)
-    _params: Array = field(repr=False)
+    params: Array = field(repr=False)
     _run: Runs = field(repr=False)
+    _knots: Array = field(repr=False)
+    _rows: Array = field(repr=False)
+
+    @property
+    def steps(self) -> int:
+        """Number of accepted steps."""
+        return int(self._run["steps"].item())
+
+    @property
+    def rejected(self) -> int:
+        """Number of rejected steps."""
+        return int(self._run["rejected"].item())
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations of the vector field."""
+        return int(self._run["evaluations"].item())
+
+    @property
+    def knots(self) -> Array:
+        """Times of all step ends, (K,) [s]."""
+        return read_only(self._knots[: self.steps + 1])
+
+    @property
+    def states(self) -> Array:
+        """States at the step ends, (K, n).
+
+        A quaternion in them has the length that the step has left; `at` gives it length one.
+        """
+        return read_only(self._rows[: self.steps + 1, : self.y.shape[1]])
 
     @property
     def stored(self) -> Array:
-        """The states at the knots with what is kept of the stages that led there, (K, n + …)."""
-        return self._stored
+        """States at the step ends, followed by the stored stage derivatives, (K, n + …)."""
+        return read_only(self._rows[: self.steps + 1])
 
     def at(self, times: ArrayLike) -> Array:
         """Return the states (T, n) at times (T,) in any order, as if they had been asked for.
@@ -85,12 +117,12 @@ class Solution:
         stepper, run = self.method.stepper(), copied(self._run)
         stepper.loops.recall(
             run,
-            self._params,
+            self.params,
             stepper.work(n, tangent=run["tangent"].item() > 0),
             read_only(asked[order]),
             out,
             self.knots,
-            self._stored,
+            self.stored,
         )
         lost = np.flatnonzero(np.isnan(out).any(axis=1))
         if lost.size:
@@ -140,73 +172,111 @@ def integrate(
     check_state(state, quaternion, "y0", 1)
     asked = checked_times(times, end, ordered=True)
     frozen = read_only(np.array(as_floats(params, "params")))
-    return integrate_checked(
-        method, address, frozen, state, end, asked, quaternion, progress, tangent, canonical
+    integration = Integration(
+        method, address, len(state), end, asked, quaternion, canonical, tangent
     )
+    return integration(frozen, state, progress=progress)
 
 
-def integrate_checked(
-    method: Method,
-    address: int,
-    params: Array,
-    y0: Array,
-    end: float,
-    times: Array,
-    quaternion: int,
-    progress: Progress | None,
-    tangent: Tangent | None = None,
-    canonical: Canonical = (0, 0),
-    watch: Callable[[Solution], bool] | None = None,
-) -> Solution:
-    """Integrate as `integrate` does, with arguments that are known to be right.
+class Integration:
+    """A prepared integration over one time span, for any initial state and parameters."""
 
-    params and times are not changed by anybody afterwards.  watch: is given what there is now and
-    then, and before a failure, and says whether to stop there; then the Solution is not complete.
-    """
-    n = y0.shape[0]
-    stepper = method.stepper()
-    run = begun_by(method, address, n, end, quaternion, canonical, keep=ENDS_KEPT)
-    if stepper.needs_tangent:
-        give_tangent(tangent, method, run)
-    work = stepper.work(n)
-    work[Y, :n] = y0
-    out = np.empty((len(times), n))
-    knots, states = np.empty(_FIRST_KNOTS), np.empty((_FIRST_KNOTS, stepper.kept * n))
+    def __init__(
+        self,
+        method: Method,
+        address: int,
+        n: int,
+        end: float,
+        times: Array,
+        quaternion: int = -1,
+        canonical: Canonical = (0, 0),
+        tangent: Tangent | None = None,
+    ) -> None:
+        """Prepare what all runs share; the arguments are not checked.
 
-    def so_far(*, complete: bool) -> Solution:
-        steps = run["steps"].item()
-        stored = read_only(states[: steps + 1])
-        told = len(times) if complete else run["next"].item()
-        return Solution(
-            method=method,
-            times=times[:told],
-            y=read_only(out[:told]),
-            steps=steps,
-            rejected=run["rejected"].item(),
-            evaluations=run["evaluations"].item(),
-            knots=read_only(knots[: steps + 1]),
-            states=stored[:, :n],
-            complete=complete,
-            _stored=stored,
-            _params=params,
-            _run=run,
-        )
+        Args:
+            method: Integrator.
+            address: Address of the kernel of f.
+            n: Length of the state.
+            end: End time [s].
+            times: Report times, (T,) sorted and read-only [s].
+            quaternion: As for `integrate`.
+            canonical: As for `integrate`.
+            tangent: As for `integrate`.
 
-    status = -1
-    while status != DONE:
-        status = stepper.loops.advance(run, params, work, times, out, knots, states)
-        if status != DONE and watch is not None and run["steps"] and watch(so_far(complete=False)):
-            return so_far(complete=False)
-        if status == FULL:
-            knots, states = _doubled(knots), _doubled(states)
-        elif status == WANTED:
+        Raises:
+            InputError: The method needs a derivative, and `tangent` is None.
+        """
+        self.times = times
+        self._method, self._n, self._end, self._tangent = method, n, end, tangent
+        self._stepper = stepper = method.stepper()
+        run = begun_by(method, address, n, end, quaternion, canonical, keep=ENDS_KEPT)
+        if stepper.needs_tangent:
             give_tangent(tangent, method, run)
-            work = stepper.widened(n, work)
-        elif status >= UNDERFLOW:
-            raise failure(status, run, work[Y, :n].copy())
-        if progress is not None:
-            progress(run["t"].item() / end)
-    return so_far(complete=True)
+        self._registers, self._work, self._room = run.tobytes(), stepper.work(n), _FIRST_KNOTS
+
+    def __call__(
+        self,
+        params: Array,
+        y0: Array,
+        *,
+        stages: bool = False,
+        progress: Progress | None = None,
+        watch: Callable[[Solution], bool] | None = None,
+    ) -> Solution:
+        """Return the solution from y0 (n,) at time 0.
+
+        Args:
+            params: Parameters of the kernel, (p,); nobody changes them afterwards.
+            y0: Initial state, (n,).
+            stages: Whether to store stage derivatives for the backward pass, as long as they take
+                at most MOST_STAGE_BYTES.
+            progress: Called now and then with the fraction of the time that is done.
+            watch: Called with the solution so far, now and then and before a failure; if it
+                returns True, the integration stops there and the solution is not complete.
+
+        Returns:
+            The solution.
+
+        Raises:
+            IntegrationError: The integration failed; see `integrate`.
+        """
+        n, times, room, stepper = self._n, self.times, self._room, self._stepper
+        run, work = np.frombuffer(bytearray(self._registers), LAYOUT), self._work.copy()
+        work[Y, :n] = y0
+        width = (stepper.kept + stepper.stages * stages) * n
+        if stages and 8 * room * width > MOST_STAGE_BYTES:
+            stages, width = False, stepper.kept * n
+        if stages:
+            run["keep"] = STAGES_KEPT
+        out, knots, rows = np.empty((len(times), n)), np.empty(room), np.empty((room, width))
+        advance = stepper.loops.advance
+        while True:
+            status = advance(run, params, work, times, out, knots, rows)
+            if status == DONE:
+                if progress is not None:
+                    progress(run["t"].item() / self._end)
+                return Solution(self._method, times, read_only(out), True, params, run, knots, rows)
+            if watch is not None and run["steps"]:
+                told = run["next"].item()
+                part = Solution(
+                    self._method, times[:told], read_only(out[:told]), False, params, run, knots,
+                    rows,
+                )  # fmt: skip
+                if watch(part):
+                    return part
+            if status == FULL:
+                self._room = 2 * len(knots)
+                if stages and 8 * self._room * width > MOST_STAGE_BYTES:
+                    return self(params, y0, progress=progress, watch=watch)
+                knots, rows = _doubled(knots), _doubled(rows)
+            elif status == WANTED:
+                give_tangent(self._tangent, self._method, run)
+                work = stepper.widened(n, work)
+            elif status >= UNDERFLOW:
+                raise failure(status, run, work[Y, :n].copy())
+            if progress is not None:
+                progress(run["t"].item() / self._end)
 
 
 def begun_by(

@@ -147,7 +147,9 @@ def code_alone() -> NativeCode:
 def flow_of(robot: str, method: Any, **options: Any) -> CompiledFlow:
     """Return the flow of a robot's scene."""
     system = pinred.load(robot)
-    return CompiledFlow(plan_of(pinred.Scene(system=system, times=[1.0], method=method, **options)))
+    return CompiledFlow.of_plan(
+        plan_of(pinred.Scene(system=system, times=[1.0], method=method, **options))
+    )
 
 
 def stepped(flow: CompiledFlow, method: Any, y0: Array, end: float) -> Array:
@@ -449,7 +451,7 @@ def test_code_that_two_threads_make_is_one(
 ) -> None:
     """Who is second takes what is there: the first may be running it, and nothing else holds it."""
     system = pinred.load("coupled_planar")
-    kernel = CompiledFlow(plan_of(pinred.Scene(system=system, seed=1, times=[1.0]))).kernel
+    kernel = CompiledFlow.of_plan(plan_of(pinred.Scene(system=system, seed=1, times=[1.0]))).kernel
     found: list[NativeCode] = []
 
     def load(code: bytes, name: str) -> NativeCode:

@@ -159,7 +159,7 @@ def test_derivative_by_pinocchio(robot: str) -> None:
     """Along the motion ẋ changes as ABA says, and that as ABA's derivatives say."""
     system = pinred.load(robot)
     scene = pinred.Scene(system=system, seed=4)
-    flow = CompiledFlow(plan_of(scene))
+    flow = CompiledFlow.of_plan(plan_of(scene))
     rate = flow.kernel.evaluate_rate(flow.y0, flow.parameters)
     J = jacobian_of(flow.kernel, flow.y0, flow.parameters)
     m, r, start = system.m, system.r, scene.start
@@ -194,7 +194,7 @@ def test_derivative_with_forces() -> None:
             Torque(lambda t, x, xdot, mu: {"bend": -0.1 * mu[-1] * x[0] * xdot[0] * t}),
         ],
     )
-    flow = CompiledFlow(plan_of(scene))
+    flow = CompiledFlow.of_plan(plan_of(scene))
     y = flow.y0 + 0.1
     J = jacobian_of(flow.kernel, y, flow.parameters)
     h = 1e-5
@@ -220,7 +220,9 @@ def test_a_wrong_derivative_is_refused(
         return right(ca.Function(name, [y, p, v], [value]), name, **options)
 
     monkeypatch.setattr(tangent, "compile_object", wrong)
-    kernel = CompiledFlow(plan_of(pinred.Scene(system=pinred.load("falling_cat"), seed=1))).kernel
+    kernel = CompiledFlow.of_plan(
+        plan_of(pinred.Scene(system=pinred.load("falling_cat"), seed=1))
+    ).kernel
     with pytest.raises(KernelMismatch, match="column 0 is off"):
         tangent_of(kernel)
 

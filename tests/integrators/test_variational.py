@@ -187,7 +187,9 @@ def test_momentum_and_energy() -> None:
 def test_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pauses, reports and the store change no number; later is as at once; many are as one."""
     system = pinred.load("coupled_spatial")
-    flow = CompiledFlow(plan_of(pinred.Scene(system=system, seed=1, method=Variational(0.02))))
+    flow = CompiledFlow.of_plan(
+        plan_of(pinred.Scene(system=system, seed=1, method=Variational(0.02)))
+    )
     layout = flow.kernel.layout
     assert layout.canonical == (system.m, 3)
 

@@ -12,7 +12,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.forces import Controller, Torque
 from pinred.scene.scene import ENGINES, Engine
-from pinred.simulation import events, pieces
+from pinred.simulation import events, motion
 
 BEANIE = pinred.load("elroys_beanie")
 W = np.sqrt(1.5)  # of x = sin(W t)/W: a spring of 1 N·m/rad on the shape's inertia 2/3
@@ -178,7 +178,7 @@ def test_the_base_has_to_be_there_for_them() -> None:
 def test_without_events_nothing_looks(monkeypatch: pytest.MonkeyPatch) -> None:
     """No Watch is made, and nothing is asked along the way; the motion is the same to the bit."""
     with_events = pinred.simulate(BEANIE, **SPRUNG, events=[pinred.Event("x[0] - 0.1")])
-    monkeypatch.setattr(pieces, "Watch", lambda *_: pytest.fail("nobody asked"))
+    monkeypatch.setattr(motion, "Watch", lambda *_: pytest.fail("nobody asked"))
     without = pinred.simulate(BEANIE, **SPRUNG)
     assert without.events == {}
     np.testing.assert_array_equal(without.x, with_events.x)

@@ -14,9 +14,9 @@ from ...integrators.integrate_many import Solutions, integrate_many
 from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import DOP853
 from ...kernels.wide_rate import wide_rate
-from ...simulation.compiled.compiled_flow import CompiledFlow, CompiledFlows, flows_of
-from ...simulation.compiled.integrate_members import lanes_of
-from ...simulation.members.groups import of_scenes
+from ...simulation.compiled.compiled_flow import CompiledFlow, flows_of
+from ...simulation.members.integrate_members import lanes_of
+from ...simulation.members.member_groups import of_scenes
 from ...system.state_fields import with_base
 from ...system.system import InitialState
 from .problems import Problem
@@ -70,19 +70,18 @@ def crowd(problem: Problem, count: int) -> list[Problem]:
     return members
 
 
-def flows_of_crowd(members: Sequence[Problem]) -> CompiledFlows:
+def flows_of_crowd(members: Sequence[Problem]) -> CompiledFlow:
     """Return the reduced states and parameters of a crowd, which has momentum."""
     (group,) = of_scenes([member.scene(method="DOP853") for member in members]).groups
     ((_, flows),) = flows_of(group.plan, group.given)
     return flows
 
 
-def ends_of(members: Sequence[Problem], flows: CompiledFlows, y: Any, count: int) -> list[End]:
+def ends_of(members: Sequence[Problem], flows: CompiledFlow, y: Any, count: int) -> list[End]:
     """Return the full states of the first members, from reduced ones (N, k) at their end."""
     ends = []
     for k in range(count):
-        flow = CompiledFlow.of(flows, k)
-        found = flow.states(members[k].times, np.array(y[k])[None], flow.numbers)
+        found = flows[k].states(members[k].times, np.array(y[k])[None])
         states = with_base(found, members[k].name)
         ends.append(End(states.x[0], states.q[0], states.v[0], float("nan")))
     return ends

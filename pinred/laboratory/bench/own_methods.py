@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from ...common.arrays import read_only
 from ...integrators.methods import (
     DOP853_LEAST,
     METHODS,
@@ -67,15 +68,16 @@ def _integration(problem: Problem, tolerance: float) -> Prepared:
 
     scene = problem.scene(rtol=tolerance, atol=ATOL * tolerance)
     plan = plan_of(scene)
-    flow = CompiledFlow(plan)
+    flow = CompiledFlow.of_plan(plan)
 
     def end(found: Any) -> End:
         times = scene.report_times
-        states = with_base(flow.states(times, found.at(times), flow.numbers), scene.system.name)
+        states = with_base(flow.states(times, found.at(times)), scene.system.name)
         return _end(states, found.evaluations)
 
     integrate = integrator(flow, plan, None)
-    return Prepared(lambda: integrate(0.0, scene.end, flow.y0), end)
+    parameters = read_only(flow.parameters.copy())
+    return Prepared(lambda: integrate(0.0, scene.end, flow.y0, parameters), end)
 
 
 def _explicit(name: str, kind: type[Explicit]) -> Solver:

@@ -16,8 +16,7 @@ from ...common.errors import InputError, ShapeError
 from ...common.names import nearest
 from ...common.plain_names import brief, listed
 from ...kernels.flow_functions import Row, sizes_of
-from .many_runs import entries, outputs_of_many
-from .runs import Run
+from .propagator import Run
 
 _FEW = 32  # runs that one thread has done before others have begun
 
@@ -51,27 +50,27 @@ class Columns:
             at += sizes[row]
         self._times = len(flow.t) if flow.over_times else 1
         self.size = at * self._times
-        self._course, self._inputs = flow._course, flow._inputs
+        self._propagator, self._inputs = flow.propagator, flow.input_map
         self._cuts = np.cumsum(self.sizes)[:-1]
         ends = np.cumsum(self.sizes).tolist()
         self._spans = [slice(end - size, end) for end, size in zip(ends, self.sizes, strict=True)]
-        self._picks = entries(self._course, self.outputs)
+        self._picks = self._propagator.entries(self.outputs)
 
     def value(self, *columns: Any) -> Array:
         """Return the output, (size,)."""
-        return self._output(self.flow._run(self._named(columns)))
+        return self._output(self.flow.run(self._named(columns)))
 
     def value_of(self, column: Array) -> Array:
         """Return the output of all inputs one after another, (size,)."""
-        return self._output(self.flow._run(self._cut(column)))
+        return self._output(self.flow.run(self._cut(column)))
 
     def along_of(self, column: Array, direction: Array) -> Array:
         """Return the derivative (size,) along a direction of all inputs one after another."""
-        return self._along(self.flow._run(self._cut(column)), direction[:, None])[:, 0]
+        return self._along(self.flow.run(self._cut(column)), direction[:, None])[:, 0]
 
     def back_of(self, column: Array, covector: Array) -> Array:
         """Return the derivatives of covector · output by all inputs one after another."""
-        return self._back(self.flow._run(self._cut(column), stages=True), covector)
+        return self._back(self.flow.run(self._cut(column), stages=True), covector)
 
     def values(self, *columns: Any, threads: int | None = None) -> Array:
         """Return the outputs (N, size) of N inputs at once: (N, size) columns, or (1, size).
@@ -101,11 +100,11 @@ class Columns:
             np.array([getattr(each, part) for each in given]) for part in ("state", "constants")
         )
         threads = 1 if threads is None and count <= _FEW else threads
-        return self._taken(outputs_of_many(self._course, state, constants, threads))
+        return self._taken(self._propagator.outputs_of_many(state, constants, threads))
 
     def jacobian(self, *columns: Any) -> list[Array]:
         """Return the derivatives of the output by each input, (size, its size)."""
-        run = self.flow._run(self._named(columns))
+        run = self.flow.run(self._named(columns))
         found = self._along(run, np.eye(sum(self.sizes)))
         return np.split(found, self._cuts, axis=1)
 
@@ -114,7 +113,7 @@ class Columns:
 
         Of directions (N, …), eight of which run at once, they are (N, size).
         """
-        run = self.flow._run(self._named(columns))
+        run = self.flow.run(self._named(columns))
         directions = [
             as_floats(each, f"the direction of {name}")
             for each, name in zip(along, self.names, strict=True)
@@ -134,7 +133,7 @@ class Columns:
 
         Of covectors (N, size) they are (N, its size).
         """
-        run = self.flow._run(self._named(columns), stages=True)
+        run = self.flow.run(self._named(columns), stages=True)
         given = as_floats(covector, "the covector")
         covectors = vectors(np.atleast_2d(given), self.size, "the covector")
         found = np.array([self._back(run, each) for each in covectors])
@@ -188,7 +187,7 @@ class Columns:
         return np.ascontiguousarray(outputs[..., self._picks].reshape(len(outputs), -1))
 
     def _output(self, run: Run) -> Array:
-        return np.asarray(self._course.outputs(run)[:, self._picks].ravel())
+        return np.asarray(self._propagator.outputs(run)[:, self._picks].ravel())
 
     def _cut(self, column: Array) -> dict[str, Array]:
         """Return the inputs in a column by name."""
@@ -197,13 +196,13 @@ class Columns:
     def _along(self, run: Run, directions: Array) -> Array:
         """Return the derivatives (size, N) of the output along directions (inputs, N)."""
         state, constants = self._inputs.basis(run.given)
-        found = self._course.along(run, self._rows, state @ directions, constants @ directions)
+        found = self._propagator.along(run, self._rows, state @ directions, constants @ directions)
         return np.asarray(found.reshape(self.size, directions.shape[1]))
 
     def _back(self, run: Run, covector: Array) -> Array:
         """Return the slopes (inputs,) of covector · output."""
         whole = np.ascontiguousarray(covector).reshape(self._times, -1)
-        by_state, by_constants = self._course.back(run, self._rows, whole)
+        by_state, by_constants = self._propagator.back(run, self._rows, whole)
         state, constants = self._inputs.basis(run.given)
         return np.asarray(by_state @ state + by_constants @ constants)
 

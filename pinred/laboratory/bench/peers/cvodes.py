@@ -128,7 +128,7 @@ def _reduced(problem: Problem, tolerance: float) -> Prepared:
     from ....simulation.plan import plan_of
 
     scene = problem.scene()
-    flow = CompiledFlow(plan_of(scene))
+    flow = CompiledFlow.of_plan(plan_of(scene))
     code = problem.system.workspace(
         ("reduced C", problem.name), lambda: compiled(reduced_graph(problem))
     )
@@ -137,7 +137,7 @@ def _reduced(problem: Problem, tolerance: float) -> Prepared:
 
     def end(y: Array) -> End:
         count = float(integrator.stats()["nfevals"])
-        states = with_base(flow.states(scene.report_times, y[None], flow.numbers), problem.name)
+        states = with_base(flow.states(scene.report_times, y[None]), problem.name)
         return End(states.x[0], states.q[0], states.v[0], count)
 
     return Prepared(lambda: _run(integrator, given), end, code.build)
