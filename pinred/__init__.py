@@ -5,8 +5,8 @@
     traj = pinred.simulate(system, duration=10.0)
     print(pinred.compare(traj))
 
-Names are imported when they are first used, so that `import pinred` is light; the stub beside
-this file says where each stands.
+Each name is imported at its first use, so that `import pinred` is fast.  The stub file
+`__init__.pyi` maps each name to its module.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Every public name and where it stands: for type checkers, and for the first use of a name."""
+"""The public names and their modules, for type checkers and lazy imports."""
 
 from . import equations as equations
 from . import forces as forces
@@ -107,13 +107,13 @@ from .simulation.recording import read_recording as read_recording
 from .simulation.simulate import simulate as simulate
 from .simulation.simulate_many import simulate_many as simulate_many
 from .simulation.trajectory import Trajectory as Trajectory
+from .system.coordinates import Configuration as Configuration
+from .system.coordinates import InitialState as InitialState
+from .system.coordinates import Velocity as Velocity
 from .system.load import load as load
 from .system.state_fields import ShapeState as ShapeState
 from .system.state_fields import State as State
-from .system.system import Configuration as Configuration
-from .system.system import InitialState as InitialState
 from .system.system import System as System
-from .system.system import Velocity as Velocity
 from .views.motions import play as play
 from .views.motions import plot as plot
 from .views.motions import save_film as save_film

@@ -1,4 +1,4 @@
-"""`python -m pinred` is `pinred`."""
+"""Entry point of `python -m pinred`, the same as the command `pinred`."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Figures of motions (see views/plots)."""
+"""Plots of motions, gaits and fields: the public namespace of views/plots."""
 
 import sys
 from typing import TYPE_CHECKING

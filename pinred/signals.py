@@ -1,7 +1,7 @@
 """Signals: scalar functions of time, as CasADi expressions and as numbers.
 
-A prescribed joint, the reference of a controller or a torque from a table is one of these.
-Value, rate and acceleration are the function and its first two derivatives.
+Signals prescribe joints, serve as references of controllers, and describe torques.  The value,
+rate and acceleration of a signal are the function and its first two derivatives.
 """
 
 from .forces.signals.formulas import Constant, Expression, Fourier

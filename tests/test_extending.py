@@ -56,7 +56,7 @@ def test_every_section_is_run() -> None:
     sections = re.findall(r"^## (.*)$", DOCUMENT, re.MULTILINE)
     assert sections == ["A force", "An integrator", "A group", "A figure", "A benchmark peer"]
     assert [bool(code_of(section)) for section in sections] == [True, False, True, True, True]
-    assert "A further explicit method" in (ROOT / "docs/integrators.md").read_text("utf-8")
+    assert "Add an explicit method" in (ROOT / "docs/integrators.md").read_text("utf-8")
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -78,3 +79,56 @@ def test_rooms_say_what_they_are() -> None:
 def test_the_drawing_is_of_today() -> None:
     """docs/architecture.md has the rooms as they are; tests/helpers/rooms.py draws them."""
     assert rooms.drawing() in rooms.DOCUMENT.read_text("utf-8")
+
+
+def imports_at_load(node: ast.AST) -> Iterator[int]:
+    """Yield the lines of imports that run when a module is loaded."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.Import | ast.ImportFrom):
+            yield child.lineno
+        elif isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING":
+            yield from imports_at_load(ast.Module(child.orelse, []))
+        elif not isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield from imports_at_load(child)
+
+
+def misplaced_laboratory_imports() -> list[str]:
+    """Return the imports of `laboratory` from outside, except those inside functions of `cli`."""
+    modules = rooms.modules()
+    misplaced = []
+    for each in rooms.imports():
+        by, of = each.rooms
+        if of == "laboratory" and by != "laboratory":
+            loaded = imports_at_load(ast.parse(modules[each.by].read_text("utf-8")))
+            if by != "cli" or each.line in loaded:
+                misplaced.append(f"{each.by}, line {each.line}: {each.of}")
+    return misplaced
+
+
+def test_laboratory_is_imported_by_cli_functions_only() -> None:
+    """Neither the library nor the start of the command line loads the laboratory."""
+    assert misplaced_laboratory_imports() == []
+
+
+@pytest.mark.parametrize(
+    ("module", "code", "misplaced"),
+    [
+        ("cli.extra", "from ..laboratory import bench", True),
+        ("cli.extra", "try:\n    import pinred.laboratory.bench\nexcept ImportError: pass", True),
+        ("cli.extra", "class A:\n    from ..laboratory import bench", True),
+        ("cli.extra", "def run():\n    from ..laboratory import bench", False),
+        ("cli.extra", "if TYPE_CHECKING:\n    from ..laboratory import bench", False),
+        ("views.extra", "def run():\n    from ..laboratory import bench", True),
+        ("views.extra", "if TYPE_CHECKING:\n    from ..laboratory import bench", True),
+    ],
+)
+def test_misplaced_laboratory_import_is_detected(
+    module: str, code: str, misplaced: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only imports inside functions of `cli`, or for types there, are accepted."""
+    path = tmp_path / "extra.py"
+    path.write_text(code, "utf-8")
+    modules = {**rooms.modules(), f"pinred.{module}": path}
+    monkeypatch.setattr(rooms, "modules", lambda: modules)
+    lines = [line for line in misplaced_laboratory_imports() if f"pinred.{module}," in line]
+    assert bool(lines) is misplaced

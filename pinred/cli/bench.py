@@ -67,7 +67,7 @@ def _kernels(options: argparse.Namespace) -> int:
 
 def _forces(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
-    from ..laboratory.bench.forces_in_space import ForcesTiming, bench_forces
+    from ..laboratory.bench.force_timing import ForcesTiming, bench_forces
 
     timings = bench_forces(options.robots, progress=True)
     print(ForcesTiming.header())
@@ -128,7 +128,7 @@ def _scaling(options: argparse.Namespace) -> int:
 
 def _floquet(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
-    from ..laboratory.bench.floquet import ROUTES, bench_floquet
+    from ..laboratory.bench.floquet_timing import ROUTES, bench_floquet
 
     found = bench_floquet(progress=True)
     print("\n\n".join(map(str, found)))
@@ -143,7 +143,7 @@ def _floquet(options: argparse.Namespace) -> int:
 
 def _many(options: argparse.Namespace) -> int:
     folder = _folder(options.out)
-    from ..laboratory.bench.many import bench_many
+    from ..laboratory.bench.batch_timing import bench_many
 
     found = bench_many(options.scenes or None, members=options.members, progress=True)
     print("\n\n".join(map(str, found)))

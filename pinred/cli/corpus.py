@@ -10,7 +10,7 @@ import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ..laboratory.corpus.entry import Entry
+    from ..laboratory.corpus.corpus_entry import Entry
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Try all and print the table.  Returns 0, or 1 if a judgement failed or there is a defect."""
     from ..common.files import check_path
-    from ..laboratory.corpus.suite import corpus
+    from ..laboratory.corpus.run_corpus import corpus
 
     out = None if options.out is None else check_path(options.out, (".csv",))
     found = corpus(

@@ -108,10 +108,12 @@ def _title(scene: Scene) -> str:
 
 
 def _balances(traj: Trajectory) -> list[tuple[str, str]]:
-    from ..judge.full_state import FullState
+    from ..judge.audit import audit_states
+    from ..judge.reference_solution import FullState
 
     energy, momentum = traj.energy_balance, traj.momentum_balance
-    audit = FullState(traj.scene).audit(traj.states, energy.work.sum(axis=1), momentum.impulse)
+    work = energy.work.sum(axis=1)
+    audit = audit_states(FullState(traj.scene), traj.states, work, momentum.impulse)
     rows = [("energy [J]", f"{energy.energy[0]:.6g} → {energy.energy[-1]:.6g}")]
     rows += [
         (f"work of {label} [J]", f"{work:.6g}")

@@ -24,7 +24,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command.  Returns 0, or 1 if a check fails."""
     from ..laboratory.stress.check import Trial
-    from ..laboratory.stress.suite import chosen, run_checks, table
+    from ..laboratory.stress.run_stress import chosen, run_checks, table
 
     checks = chosen(options.only.split(",") if options.only else ())
     trial = Trial(effort="full" if options.full else "usual")

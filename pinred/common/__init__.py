@@ -1,4 +1,4 @@
-"""The ground floor: arrays, errors, files written whole, progress, cards for notebooks.
+"""Shared tools: arrays, errors, atomic files, progress bars, and HTML cards for notebooks.
 
-Imports nothing of pinred.
+Imports no other package of pinred.
 """

@@ -1,4 +1,4 @@
-"""Checked, read-only arrays: the form in which numbers enter and leave pinred."""
+"""Conversion of arguments to arrays of floats, and read-only arrays."""
 
 from __future__ import annotations
 
@@ -19,10 +19,19 @@ _LARGEST = float(np.finfo(float).max)
 
 
 def as_floats(value: ArrayLike, what: str) -> Array:
-    """Return `value` as an array of floats.  Raises ShapeError naming `what`."""
+    """Convert a value to an array of floats.
+
+    Args:
+        value: Numbers of any shape.
+        what: Name of the argument, for messages.
+    Returns:
+        The array; it may share memory with `value`.
+    Raises:
+        ShapeError: The value is not an array of numbers, or a number is too large.
+    """
     try:
         array = np.asarray(value)
-        if array.dtype.kind in "bcmMSU":  # NumPy reads numbers in texts, truths and durations
+        if array.dtype.kind in "bcmMSU":  # NumPy would convert text, booleans and durations
             raise TypeError
         return np.asarray(array, dtype=float)
     except OverflowError:
@@ -32,7 +41,7 @@ def as_floats(value: ArrayLike, what: str) -> Array:
 
 
 def entries_of(value: Any) -> list[Any] | None:
-    """Return the entries of a list of any kind; None for text, mappings and what has no entries."""
+    """Return the entries of any iterable as a list; None for text, mappings and non-iterables."""
     if isinstance(value, (str, bytes, Mapping)):
         return None
     try:
@@ -42,7 +51,7 @@ def entries_of(value: Any) -> list[Any] | None:
 
 
 def dimensions(value: Any) -> int:
-    """Return how many axes an array has, or would have; −1 for lists that no array can hold."""
+    """Return the number of array axes of a value; −1 for ragged lists."""
     try:
         return np.ndim(value)
     except (TypeError, ValueError):
@@ -50,10 +59,17 @@ def dimensions(value: Any) -> int:
 
 
 def vector(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -> Array:
-    """Return `value` as a finite vector of length `size`.
+    """Convert a value to a finite vector.
 
-    `what` names the argument in the message and `labels`, if given, its entries.
-    Raises ShapeError if the length is wrong or an entry is not finite.
+    Args:
+        value: Numbers, (size,).
+        size: Required length.
+        what: Name of the argument, for messages.
+        labels: Names of the entries, for messages.
+    Returns:
+        (size,): the vector.
+    Raises:
+        ShapeError: The length is wrong, or an entry is not finite.
     """
     array = as_floats(value, what)
     if array.shape != (size,):
@@ -62,7 +78,18 @@ def vector(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -
 
 
 def vectors(value: ArrayLike, size: int, what: str, labels: Sequence[str] = ()) -> Array:
-    """Return `value` as finite vectors of length `size`, (..., size); errors as of `vector`."""
+    """Convert a value to finite vectors along its last axis.
+
+    Args:
+        value: Numbers, (..., size).
+        size: Required length of the last axis.
+        what: Name of the argument, for messages.
+        labels: Names of the entries, for messages.
+    Returns:
+        (..., size): the vectors.
+    Raises:
+        ShapeError: The last axis has the wrong length, or an entry is not finite.
+    """
     array = as_floats(value, what)
     if array.shape[-1:] != (size,):
         raise ShapeError(f"{what} must have shape (..., {size}){_hint(labels)}, got {array.shape}")
@@ -74,7 +101,7 @@ def _hint(labels: Sequence[str]) -> str:
 
 
 def _finite(array: Array, what: str, labels: Sequence[str]) -> Array:
-    """Return an array whose last axis has labels.  Raises ShapeError unless it is finite."""
+    """Return a finite array unchanged.  Raises ShapeError that names the entry by its label."""
     finite = np.isfinite(array)
     if not finite.all():
         index = tuple(int(i) for i in np.argwhere(~finite)[0])
@@ -85,7 +112,16 @@ def _finite(array: Array, what: str, labels: Sequence[str]) -> Array:
 
 
 def positive(value: float, what: str) -> float:
-    """Return `value` as a finite float above zero.  Raises InputError naming `what`."""
+    """Convert a value to a finite, positive float.
+
+    Args:
+        value: A number.
+        what: Name of the argument, for messages.
+    Returns:
+        The float.
+    Raises:
+        InputError: The value is not a finite, positive number.
+    """
     try:
         if np.asarray(value).dtype.kind == "b":
             raise TypeError
@@ -106,7 +142,7 @@ def read_only(array: Array) -> Array:
 
 
 def freeze(value: Any) -> None:
-    """Mark every array among the fields of a dataclass as read-only."""
+    """Mark all array fields of a dataclass instance as read-only."""
     for entry in fields(value):
         array = getattr(value, entry.name)
         if isinstance(array, np.ndarray):
@@ -114,7 +150,17 @@ def freeze(value: Any) -> None:
 
 
 def whole(value: object, what: str, least: int = 1) -> int:
-    """Return a whole number, not below `least`.  Raises InputError naming `what`."""
+    """Convert a value to an integer.
+
+    Args:
+        value: A number.
+        what: Name of the argument, for messages.
+        least: Smallest allowed value.
+    Returns:
+        The integer.
+    Raises:
+        InputError: The value is not an integer, or is below `least`.
+    """
     try:
         number = int(value)  # type: ignore[call-overload]
         if not isinstance(value, bool) and number == value and number >= least:

@@ -1,4 +1,4 @@
-"""CasADi Functions called with NumPy arrays, without CasADi's own conversions."""
+"""Calls of CasADi Functions with NumPy arrays, without CasADi's type conversions."""
 
 from __future__ import annotations
 
@@ -12,33 +12,34 @@ from .arrays import Array
 
 
 class Numeric:
-    """A Function of dense inputs and outputs, which any thread may call."""
+    """A CasADi Function of dense inputs and outputs, callable from any thread."""
 
     def __init__(self, function: ca.Function) -> None:
-        """Take the Function."""
+        """Store the Function; work arrays are allocated at the first call of each thread."""
         self._function = function
         self._local = local()
 
     def __call__(self, *arguments: Array | float) -> list[Array]:
-        """Return the outputs, (rows, columns) each; they are never overwritten."""
+        """Evaluate the Function; return new arrays, (rows, columns) each."""
         if not hasattr(self._local, "run"):
             self._prepare()
-        for place, argument in zip(self._local.inputs, arguments, strict=True):
-            place[:] = argument
+        for array, argument in zip(self._local.inputs, arguments, strict=True):
+            array[:] = argument
         self._local.run()
-        return [place.copy() for place in self._local.outputs]
+        return [array.copy() for array in self._local.outputs]
 
     def _prepare(self) -> None:
-        """Give this thread its own memory, which CasADi reads and writes in place."""
-        f, mine = self._function, self._local
+        """Allocate work arrays of this thread, which CasADi reads and writes in place."""
+        f, work = self._function, self._local
         buffer: Any
         buffer, run = f.buffer()
-        mine.buffer, mine.run = buffer, run
-        mine.inputs = [np.zeros(f.nnz_in(k)) for k in range(f.n_in())]
-        mine.outputs = [np.zeros(f.size_out(k), order="F") for k in range(f.n_out())]
-        places: list[Any] = [*mine.inputs, *mine.outputs]
-        for k, place in enumerate(places):
-            if place.size:
-                view = memoryview(place.ravel(order="K"))
-                given = k < f.n_in()
-                (buffer.set_arg if given else buffer.set_res)(k if given else k - f.n_in(), view)
+        work.buffer, work.run = buffer, run
+        work.inputs = [np.zeros(f.nnz_in(k)) for k in range(f.n_in())]
+        work.outputs = [np.zeros(f.size_out(k), order="F") for k in range(f.n_out())]
+        arrays: list[Any] = [*work.inputs, *work.outputs]
+        for k, array in enumerate(arrays):
+            if array.size:
+                view = memoryview(array.ravel(order="K"))
+                is_input = k < f.n_in()
+                set_view = buffer.set_arg if is_input else buffer.set_res
+                set_view(k if is_input else k - f.n_in(), view)

@@ -1,4 +1,4 @@
-"""Numbers that hold where nobody gave one, told apart from the same numbers where somebody did."""
+"""Default values of options, distinguishable from equal values that the caller set."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from typing import Any
 
 
 class Default(float):
-    """The value of an option that was left out; as a number it is like any other."""
+    """A default value of an option; it is a normal float otherwise."""
 
     __slots__ = ()
 
 
 def is_given(value: Any) -> bool:
-    """Return whether the value of an option is not what holds where it is left out."""
+    """Return whether the caller set an option, as opposed to its default."""
     return not isinstance(value, Default)

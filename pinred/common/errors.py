@@ -1,6 +1,6 @@
-"""Every error that pinred raises on purpose, in one tree.
+"""Exceptions and warnings of pinred.
 
-A message says what was given, what was expected, and what to do about it.
+A message names the value, the expected value, and a way to fix the problem.
 """
 
 from __future__ import annotations
@@ -17,21 +17,29 @@ class PinredError(Exception):
 
 
 class LoadError(PinredError):
-    """A robot could not be found or read."""
+    """A robot does not exist or cannot be read."""
 
 
 class ModelError(PinredError, ValueError):
-    """A robot was read, but its model is outside what pinred can reduce."""
+    """A robot was read, but pinred cannot reduce its model."""
 
 
 class ChoiceError(ModelError):
-    """A robot's file leaves open what an option of load decides.
+    """A robot file is ambiguous, and an option of `load` must decide.
 
-    option: its name.  choices: values that it may have, the most likely first.
+    Attributes:
+        option: Name of the option.
+        choices: Possible values of the option, the most likely first.
     """
 
     def __init__(self, message: str, option: str, choices: tuple[str, ...]) -> None:
-        """Take the message, the option and its values."""
+        """Store the message, the option and its possible values.
+
+        Args:
+            message: The message.
+            option: Name of the option.
+            choices: Possible values of the option, the most likely first.
+        """
         super().__init__(message)
         self.option = option
         self.choices = choices
@@ -45,11 +53,11 @@ class InputError(PinredError, ValueError):
 
 
 class ShapeError(InputError):
-    """An array argument has the wrong length or holds a number that is not finite."""
+    """An array argument has the wrong length or contains a number that is not finite."""
 
 
 class SymmetryError(PinredError, ValueError):
-    """Something acts on the system that its symmetry group does not leave unchanged."""
+    """A force or torque on the system is not invariant under its symmetry group."""
 
 
 class SingularInertiaError(PinredError, ArithmeticError):
@@ -57,7 +65,7 @@ class SingularInertiaError(PinredError, ArithmeticError):
 
 
 class MissingPackageError(PinredError, ImportError):
-    """A package that only some parts of pinred need is not installed."""
+    """An optional package that this function needs is not installed."""
 
 
 class OutputError(PinredError):
@@ -69,7 +77,7 @@ class IntegrationError(PinredError, ArithmeticError):
 
 
 class NoOptimum(PinredError, ArithmeticError):  # noqa: N818
-    """An optimisation found nothing that satisfies what was asked for."""
+    """An optimisation reached no point that satisfies all constraints."""
 
 
 class UnsupportedOperationError(PinredError, NotImplementedError):
@@ -77,7 +85,7 @@ class UnsupportedOperationError(PinredError, NotImplementedError):
 
 
 class NotCopyable(PinredError, TypeError):  # noqa: N818
-    """Something lives in this process alone, and can be neither copied nor pickled."""
+    """An object exists in this process alone, and can be neither copied nor pickled."""
 
 
 class KernelMismatch(PinredError, ArithmeticError):  # noqa: N818
@@ -85,7 +93,12 @@ class KernelMismatch(PinredError, ArithmeticError):  # noqa: N818
 
 
 class _Stopped(IntegrationError):  # noqa: N818
-    """An integrator stopped.  time: the last time it reached [s].  state: (n,) there."""
+    """An integration stopped before its end time.
+
+    Attributes:
+        time: The last time that was reached [s].
+        state: The state at this time, (n,).
+    """
 
     def __init__(self, message: str, time: float, state: NDArray[np.float64]) -> None:
         super().__init__(message)
@@ -97,22 +110,33 @@ class _Stopped(IntegrationError):  # noqa: N818
 
 
 class StepSizeUnderflow(_Stopped):
-    """The tolerance asks for steps that are too short to advance the time."""
+    """The tolerance requires steps too short to advance the time."""
 
 
 class NoConvergence(_Stopped):
-    """The equations of an implicit step were not solved."""
+    """The equations of an implicit step could not be solved."""
 
 
 class TooManySteps(_Stopped):
-    """An integrator has used up the steps it was allowed."""
+    """An integration has reached its maximum number of steps."""
 
 
 class NonFiniteState(_Stopped):
-    """A state or its rate is not finite.  entry: index of the first such number."""
+    """A state or its rate is not finite.
+
+    Attributes:
+        entry: Index of the first entry that is not finite.
+    """
 
     def __init__(self, message: str, time: float, state: NDArray[np.float64], entry: int) -> None:
-        """Take the message, and where the integrator stopped and why."""
+        """Store the message, and the time, state and entry at which the integration stopped.
+
+        Args:
+            message: The message.
+            time: The last time that was reached [s].
+            state: The state at this time, (n,).
+            entry: Index of the first entry that is not finite.
+        """
         super().__init__(message, time, state)
         self.entry = entry
 
@@ -121,12 +145,12 @@ class NonFiniteState(_Stopped):
 
 
 class LeftOutWarning(UserWarning):
-    """Something acts in a robot's file that is not simulated; the motion is without it."""
+    """A robot file contains an element that pinred does not simulate."""
 
 
 class ModelWarning(UserWarning):
-    """A robot can be simulated, but its model has what no real one has, or singular shapes."""
+    """A robot can be simulated, but its model is not physical or has singular shapes."""
 
 
 class CacheWarning(UserWarning):
-    """Something is wrong with the kernels on disk; they are rebuilt."""
+    """The kernel cache on disk cannot be used; kernels are compiled again."""

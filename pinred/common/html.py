@@ -1,7 +1,7 @@
-"""Pieces of HTML for notebooks: escaped, without scripts, for light and dark themes.
+"""HTML elements for notebooks: escaped, without scripts, for light and dark themes.
 
-The only colours are two of middle brightness, so text keeps the colour of the theme; whatever
-a colour says, the words beside it say too.  Long tables stay folded until they are opened.
+Text keeps the colour of the theme; verdicts use two colours of medium brightness and also say
+the result in words.  Long tables are folded.
 """
 
 from __future__ import annotations
@@ -13,37 +13,61 @@ import numpy as np
 
 from .arrays import Array
 
-MOST_ROWS = 12  # of a table that is not folded
+MOST_ROWS = 12  # tables with more rows are folded
 _GOOD, _BAD = "#2e9e5b", "#d9534f"
 _CELL = "padding:0.1em 0.7em;vertical-align:top"
 _LEFT, _RIGHT = f"{_CELL};text-align:left", f"{_CELL};text-align:right"
 
 
 class Raw(str):
-    """Text that is HTML already."""
+    """Text that is already HTML and needs no escaping."""
 
     __slots__ = ()
 
 
 def card(title: str, about: str, *parts: str) -> str:
-    """Return a whole card: a title, a line about it, and parts that are HTML."""
+    """Format a card: a title, a short description, and further elements.
+
+    Args:
+        title: Title, as plain text.
+        about: Description, as plain text.
+        parts: Further elements, as HTML.
+    Returns:
+        The card as HTML.
+    """
     head = f"<div><strong>{escape(title)}</strong>: {escape(about)}</div>"
     return f'<div style="line-height:1.4">{head}{"".join(parts)}</div>'
 
 
 def line(*words: str) -> str:
-    """Return a line of text; words that are Raw stay as they are."""
+    """Format words as one line of HTML; words of type Raw are not escaped."""
     return f"<div>{' '.join(map(_html, words))}</div>"
 
 
 def verdict(passed: bool, good: str = "ok", bad: str = "FAILED") -> Raw:
-    """Return one of two words, in its colour."""
+    """Format the result of a check in its colour.
+
+    Args:
+        passed: The result.
+        good: Word for a passed check.
+        bad: Word for a failed check.
+    Returns:
+        The word as HTML.
+    """
     color, word = (_GOOD, good) if passed else (_BAD, bad)
     return Raw(f'<strong style="color:{color}">{escape(word)}</strong>')
 
 
 def table(title: str, head: Sequence[str], rows: Iterable[Sequence[str | float]]) -> str:
-    """Return a table under its title, or nothing if it has no rows; numbers are right-aligned."""
+    """Format a table with a title; numbers are right-aligned.
+
+    Args:
+        title: Title, as plain text.
+        head: Column names.
+        rows: Cells of each row: text, or numbers shown with six digits.
+    Returns:
+        The table as HTML, folded if it is long; empty if there are no rows.
+    """
     cells = [list(row) for row in rows]
     if not cells:
         return ""
@@ -62,9 +86,15 @@ def table(title: str, head: Sequence[str], rows: Iterable[Sequence[str | float]]
 
 
 def matrix(title: str, values: Array, rows: Sequence[str], columns: Sequence[str]) -> str:
-    """Return a matrix (k, l) as a table, with the names of its rows and columns.
+    """Format a matrix as a table.
 
-    Entries that are round-off beside the largest are shown as 0.
+    Args:
+        title: Title, as plain text.
+        values: The matrix, (k, l).  Entries at round-off of the largest entry are shown as 0.
+        rows: Names of the rows.
+        columns: Names of the columns.
+    Returns:
+        The table as HTML.
     """
     if not values.size:
         return line(f"{title}: none, there are no joints")
@@ -74,12 +104,12 @@ def matrix(title: str, values: Array, rows: Sequence[str], columns: Sequence[str
 
 
 def number(value: float) -> str:
-    """Return a number with six digits."""
+    """Format a number with six digits."""
     return f"{value:.6g}"
 
 
 def numbers(values: Array) -> str:
-    """Return a vector with six digits."""
+    """Format a vector with six digits."""
     return f"({', '.join(map(number, values))})"
 
 

@@ -1,4 +1,4 @@
-"""Ctrl-C where compiled code calls Python back, and would swallow what is raised there."""
+"""Delayed Ctrl-C for compiled code that calls Python functions and would swallow exceptions."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from types import FrameType
 
 @contextmanager
 def held_interrupt() -> Iterator[Callable[[], bool]]:
-    """Yield what tells whether Ctrl-C has been pressed; it takes effect when the context ends.
+    """Delay Ctrl-C until the end of the context.
 
-    Then whoever handled it before does so, as a rule by raising KeyboardInterrupt.  Signals come
-    to the main thread only; elsewhere, and where nobody of Python handles them, this does nothing.
+    Yields a function that reports whether Ctrl-C was pressed.  At the end of the context, the
+    previous handler runs; usually it raises KeyboardInterrupt.  Python receives signals in the main
+    thread alone.  In other threads, or without a Python handler, Ctrl-C is not delayed.
     """
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
+    previous = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(previous):
         yield lambda: False
         return
-    came: list[tuple[int, FrameType | None]] = []
-    signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
+    signals: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: signals.append((number, frame)))
     try:
-        yield lambda: bool(came)
+        yield lambda: bool(signals)
     finally:
-        signal.signal(signal.SIGINT, before)
-        if came:
-            before(*came[0])
+        signal.signal(signal.SIGINT, previous)
+        if signals:
+            previous(*signals[0])

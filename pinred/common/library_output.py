@@ -1,8 +1,8 @@
-"""Lines that C++ libraries print on standard error, kept from it; all others come through.
+"""Capture of the lines that C++ libraries print on standard error.
 
-Standard error is one for the whole process: while a library's lines are caught, those of other
-threads are caught with them.  So one thread at a time catches, and gives back what is not the
-library's as soon as it has finished.  A fork waits until then.
+A process has one standard error, so the output of other threads is captured, too.  Therefore
+one thread at a time captures, and all output of other origin is printed at the end.  A fork
+waits for that moment.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from threading import RLock
 
-EVERYTHING = re.compile(rb".+", re.DOTALL)  # of what is printed, as one text
+EVERYTHING = re.compile(rb".+", re.DOTALL)  # matches all output, as one text
 _STDERR = 2
 _LOCK = RLock()
 os.register_at_fork(
@@ -25,30 +25,34 @@ os.register_at_fork(
 
 @contextmanager
 def library_output(own: re.Pattern[bytes]) -> Iterator[list[str]]:
-    """Collect what a library prints on standard error; its texts are there at the end.
+    """Collect the output of a C++ library on standard error.
 
-    own: matches what the library prints.  What does not match is printed when this ends.
+    Yields a list that contains the texts of the library when the context ends.
+
+    Args:
+        own: Pattern that matches the library's texts.  All other output is printed at the end
+            of the context.
     """
-    said: list[str] = []
+    texts: list[str] = []
     with _LOCK:
         if sys.stderr is not None:
-            with suppress(OSError, ValueError):  # it is closed
+            with suppress(OSError, ValueError):  # standard error is closed
                 sys.stderr.flush()
         try:
-            kept = os.dup(_STDERR)
-        except OSError:  # there is no standard error
-            yield said
+            stderr = os.dup(_STDERR)
+        except OSError:  # the process has no standard error
+            yield texts
             return
         with tempfile.TemporaryFile() as file:
             os.dup2(file.fileno(), _STDERR)
             try:
-                yield said
+                yield texts
             finally:
-                os.dup2(kept, _STDERR)
-                os.close(kept)
+                os.dup2(stderr, _STDERR)
+                os.close(stderr)
                 file.seek(0)
                 text = file.read()
-                said += [found[0].decode(errors="replace").strip() for found in own.finditer(text)]
+                texts += [m[0].decode(errors="replace").strip() for m in own.finditer(text)]
                 _print(own.sub(b"", text))
 
 

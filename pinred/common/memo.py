@@ -1,4 +1,4 @@
-"""Values made once: for the object they belong to, as long as it lives, or for the process."""
+"""Cached values: stored in their owner, or for the whole process."""
 
 from __future__ import annotations
 
@@ -12,32 +12,47 @@ _P = ParamSpec("_P")
 
 
 def once(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
-    """Return the value that `make` gave when this owner and key were first asked for.
+    """Return a value that is computed at the first call for an owner and key.
 
-    It is kept in the owner, to which it may refer: a table of weak references would keep both
-    alive for ever.  Of two threads that come at once, both make a value, and the first one's
-    serves both.
+    The value is stored in the owner, because a table with weak references would keep both alive
+    if the value refers to the owner.  If two threads call at once, both compute a value and both
+    receive the first one.
+
+    Args:
+        owner: Object that stores the value.
+        key: Key of the value in this owner.
+        make: Function that computes the value.
+    Returns:
+        The value.
     """
-    kept: dict[Hashable, Any] = vars(owner).setdefault("_once", {})
-    found: _T = kept[key] if key in kept else kept.setdefault(key, make())
-    return found
+    values: dict[Hashable, Any] = vars(owner).setdefault("_once", {})
+    value: _T = values[key] if key in values else values.setdefault(key, make())
+    return value
 
 
 def once_a_thread(owner: object, key: Hashable, make: Callable[[], _T]) -> _T:
-    """Return the value made for this owner, key and thread: for values that own work space."""
+    """Return a value computed once per owner, key and thread, for values with work arrays.
+
+    Args:
+        owner: Object that stores the value.
+        key: Key of the value in this owner.
+        make: Function that computes the value.
+    Returns:
+        The value.
+    """
     return once(owner, (get_ident(), key), make)
 
 
 def once_for_all(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Make a function give the same object for the same arguments, to all threads.
+    """Cache a function's results, with one call per argument list across all threads.
 
-    functools.cache lets two threads that come at once both call the function.
+    With functools.cache, two concurrent threads may both call the function.
     """
-    kept, lock = cache(function), RLock()
+    cached, lock = cache(function), RLock()
 
     @wraps(function)
-    def found(*args: _P.args, **options: _P.kwargs) -> _T:
+    def locked(*args: _P.args, **options: _P.kwargs) -> _T:
         with lock:
-            return kept(*args, **options)  # type: ignore[arg-type]
+            return cached(*args, **options)  # type: ignore[arg-type]
 
-    return found
+    return locked

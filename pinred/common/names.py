@@ -1,4 +1,4 @@
-"""Names that are looked up, and what to say of one that is not there."""
+"""Look-up of names, with suggestions for unknown ones."""
 
 from __future__ import annotations
 
@@ -8,18 +8,28 @@ from collections.abc import Sequence
 from .errors import InputError
 from .plain_names import listed, quoted
 
-_COMPARED = 200  # characters of a name that are compared with others
-_MOST = 60  # names in a list
+_COMPARED = 200  # characters of a name that are compared
+_MOST = 60  # joints listed in a message
 
 
 def nearest(name: str, known: Sequence[str]) -> str:
-    """Return the question whether the nearest of the known names is meant; "" if none is near."""
+    """Return a question that suggests the most similar known name; empty if none is similar."""
     near = difflib.get_close_matches(name[:_COMPARED], known, n=1)
     return f"did you mean {quoted(near[0])}? " if near else ""
 
 
 def joint_index(name: str, joints: Sequence[str], what: str) -> int:
-    """Return the index of a joint.  Raises InputError naming `what` and listing the joints."""
+    """Return the index of a shape joint.
+
+    Args:
+        name: Name of the joint.
+        joints: Names of all shape joints.
+        what: Name of the argument, for messages.
+    Returns:
+        The index.
+    Raises:
+        InputError: No shape joint has this name.  The message lists the joints.
+    """
     if name in joints:
         return joints.index(name)
     raise InputError(

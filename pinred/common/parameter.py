@@ -1,4 +1,4 @@
-"""Parameters: numbers with names, which vary without another kernel and have derivatives."""
+"""Parameters: named numbers that can vary without recompilation and have derivatives."""
 
 from __future__ import annotations
 
@@ -17,23 +17,29 @@ from .plain_names import brief
 if TYPE_CHECKING:
     import casadi as ca
 
-_known: WeakValueDictionary[int, Parameter] = WeakValueDictionary()  # by the hash of the symbol
+_by_symbol: WeakValueDictionary[int, Parameter] = (
+    WeakValueDictionary()
+)  # by the hash of their symbol
 
 
 @dataclass(frozen=True, eq=False)
 class Parameter:
-    """A number with a name, in forces and signals: an input of the kernel, not a part of it.
+    """A named number in forces and signals that is an input of the compiled kernel.
 
-    It stands wherever a number does, and in the expressions of a force, where it is a CasADi
-    symbol: `-gain * x["hinge"]`, `casadi.sin(gain)`.  value: its number where a scene or flow says
-    nothing else (`parameters={"gain": 2.1}`).  Two of one name in a scene are one if they are the
-    same object, and an error if not.
+    A Parameter replaces a number in any force or signal.  In expressions it acts as a CasADi
+    symbol: `-gain * x["hinge"]`, `casadi.sin(gain)`.  Its value can change without a new
+    compilation, and flows compute derivatives with respect to it.  Two Parameters of one name in
+    a scene must be the same object.
+
+    Attributes:
+        name: Name of the parameter.
+        value: Value, unless a scene or flow sets another (`parameters={"gain": 2.1}`).
     """
 
     name: str
     value: float
 
-    __array_ufunc__ = None  # NumPy leaves arithmetic to it
+    __array_ufunc__ = None  # NumPy then uses the operators below
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():
@@ -51,12 +57,12 @@ class Parameter:
 
     @cached_property
     def symbol(self) -> ca.SX:
-        """The symbol that stands for it in expressions; its name is that of all parameters."""
+        """The CasADi symbol of this parameter in expressions."""
         import casadi as ca
 
-        # A name of its own would make another kernel of the same expressions.
+        # All symbols share one name, so that equal expressions share one kernel.
         symbol = ca.SX.sym("parameter")
-        _known[symbol.element_hash()] = self
+        _by_symbol[symbol.element_hash()] = self
         return symbol
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -104,9 +110,14 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Affine:
-    """A number that follows from parameters: base + Σ weight · parameter.
+    """A number that depends linearly on parameters: base + Σ weight · parameter.
 
-    It may have none: then it is a number of a formula, which need not make sense with others.
+    Without weights it is a constant of a formula, and the formula may be meaningless for other
+    values.
+
+    Attributes:
+        base: Constant term.
+        weights: Weight of each parameter.
     """
 
     base: float
@@ -114,27 +125,29 @@ class Affine:
 
     @property
     def value(self) -> float:
-        """The number at the parameters' own values."""
-        return self.base + sum(weight * each.value for each, weight in self.weights.items())
+        """The number at the default values of the parameters."""
+        return self.base + sum(
+            weight * parameter.value for parameter, weight in self.weights.items()
+        )
 
 
 Numbers: TypeAlias = ArrayLike | Sequence[Any]
 
 
 def value_of(number: Any) -> Any:
-    """Return the value of a number that may be a Parameter; anything else is returned as it is."""
+    """Return the value of a Parameter or Affine; return any other object unchanged."""
     return number.value if isinstance(number, (Parameter, Affine)) else number
 
 
 def values_of(numbers: Any) -> Any:
-    """Return a list with the values of the Parameters in it; anything else as it is."""
+    """Replace the Parameters in a list by their values; return any other object unchanged."""
     if isinstance(numbers, (list, tuple)) and any(isinstance(n, Parameter) for n in numbers):
         return [value_of(number) for number in numbers]
     return numbers
 
 
 def parameters_in(numbers: Any) -> Iterator[tuple[int, Parameter]]:
-    """Yield the Parameters in a list of numbers, with their places."""
+    """Yield the Parameters in a list of numbers, with their indices."""
     if isinstance(numbers, (list, tuple)):
         for k, number in enumerate(numbers):
             if isinstance(number, Parameter):
@@ -142,12 +155,19 @@ def parameters_in(numbers: Any) -> Iterator[tuple[int, Parameter]]:
 
 
 def parameter_of(symbol: ca.SX) -> Parameter | None:
-    """Return the Parameter that a symbol stands for, if it does for one."""
-    return _known.get(symbol.element_hash())
+    """Return the Parameter of a CasADi symbol, or None."""
+    return _by_symbol.get(symbol.element_hash())
 
 
 def checked_number(value: Any, check: Callable[[Any], float]) -> float | Parameter:
-    """Return a Parameter whose value passes a check, or the number that the check gives."""
+    """Check a number or the value of a Parameter.
+
+    Args:
+        value: A number or a Parameter.
+        check: Function that validates and converts a number.
+    Returns:
+        The Parameter itself, or the converted number.
+    """
     if isinstance(value, Parameter):
         check(value.value)
         return value

@@ -1,4 +1,4 @@
-"""Names that may be those of files and folders: whether there are such."""
+"""Tests whether a name is that of an existing file or folder."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def is_file(path: Path) -> bool:
-    """Return whether there is such a file; what is no name of a file at all is none."""
+    """Return whether a path is a file; False for names that no file can have."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -14,7 +14,7 @@ def is_file(path: Path) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether there is such a folder; what is no name of one at all is none."""
+    """Return whether a path is a folder; False for names that no folder can have."""
     try:
         return path.is_dir()
     except (OSError, ValueError):

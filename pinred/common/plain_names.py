@@ -1,21 +1,27 @@
-"""Names that come from outside, as messages show them: of links, joints, robots and files."""
+"""Formatting of names and values in messages: short, printable, on one line."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 
-_LONGEST = 60  # characters of a name
-_LONGEST_PATH = 200  # of the name of a file, with its folders
-_MOST = 8  # names in a list
+_LONGEST = 60  # maximum number of characters of a name
+_LONGEST_PATH = 200  # maximum number of characters of a path
+_MOST = 8  # names in a list before it is shortened
 
 
 def plain(name: str, longest: int = _LONGEST) -> str:
-    """Return a name in one short line that can be printed.
+    """Shorten a name to one printable line.
 
-    Blanks and line breaks become one blank, what cannot be printed an escape; what is too long
-    is cut in its middle.
+    Each run of whitespace becomes one space, and unprintable characters become escapes.  A long
+    name is cut in the middle.
+
+    Args:
+        name: The name.
+        longest: Maximum number of characters.
+    Returns:
+        The printable name.
     """
-    if len(name) > 8 * longest:  # however long it is, only its ends will be seen
+    if len(name) > 8 * longest:  # only both ends are shown, so skip the middle of huge names
         name = f"{name[: 4 * longest]}…{name[-4 * longest :]}"
     shown = "".join(c if c.isprintable() else _escaped(c) for c in " ".join(name.split()))
     if len(shown) <= longest:
@@ -25,35 +31,42 @@ def plain(name: str, longest: int = _LONGEST) -> str:
 
 
 def quoted(name: str) -> str:
-    """Return a name as `plain` does, in quotes."""
+    """Return a name as `plain` formats it, in quotes."""
     return f"'{plain(name)}'"
 
 
 def plain_path(path: object) -> str:
-    """Return the name of a file or folder as `plain` does; it may be longer than others."""
+    """Return a path as `plain` formats it, with a larger maximum length."""
     return plain(str(path), _LONGEST_PATH)
 
 
 def quoted_path(path: object) -> str:
-    """Return the name of a file or folder as `plain_path` does, in quotes."""
+    """Return a path as `plain_path` formats it, in quotes."""
     return f"'{plain_path(path)}'"
 
 
 def brief(value: object) -> str:
-    """Return what Python shows of a value, in one short line."""
+    """Return the repr of a value, shortened to one line."""
     try:
         return plain(repr(value), _LONGEST_PATH)
-    except Exception:  # of any type: a number of thousands of digits, somebody's own __repr__
+    except Exception:  # a custom __repr__ may raise any exception
         return f"a {type(value).__name__}"
 
 
 def one_of(value: object, choices: Collection[str]) -> bool:
-    """Return whether a value is one of some words; arrays and lists are none."""
+    """Return whether a value is a string among some choices; arrays and lists are not."""
     return isinstance(value, str) and value in choices
 
 
 def listed(names: Collection[str], most: int = _MOST) -> str:
-    """Return names in a row, the first few of many."""
+    """Join names by commas.
+
+    Args:
+        names: The names.
+        most: Maximum number of names; the message then states the number of omitted names.
+    Returns:
+        The list as text.
+    """
     shown = [plain(name) for name, _ in zip(names, range(most), strict=False)]
     more = len(names) - len(shown)
     return ", ".join([*shown, f"… ({more} more)"] if more > 0 else shown)

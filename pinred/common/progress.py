@@ -1,4 +1,4 @@
-"""A progress bar for terminals and notebooks; silent elsewhere."""
+"""A progress bar for terminals and notebooks, silent elsewhere."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ Progress: TypeAlias = Callable[[float], None]
 _T = TypeVar("_T")
 _R = TypeVar("_R")
 
-_WIDTH = 30
-_EVERY = 0.1  # s between redraws
-_PATIENCE = 0.5  # s before the first: short work shows nothing
+_WIDTH = 30  # characters
+_EVERY = 0.1  # time between redraws [s]
+_PATIENCE = 0.5  # time before the first draw [s], so that short work shows no bar
 
 
 class ProgressBar:
-    """A bar that shows how much of some work is done, and disappears at the end."""
+    """A progress bar that disappears when the work ends."""
 
     def __init__(self, title: str) -> None:
-        """Prepare a bar; nothing is drawn unless there is a notebook or a terminal."""
+        """Prepare a bar; it is drawn in terminals and notebooks alone."""
         self._title = title
         self._screen = _screen()
         self._next = time.monotonic() + _PATIENCE
@@ -45,7 +45,7 @@ class ProgressBar:
             self._screen.clear()
 
     def __call__(self, part: float) -> None:
-        """Show that `part`, from 0 to 1, is done."""
+        """Show the completed fraction `part` of the work, from 0 to 1."""
         if self._screen is None or time.monotonic() < self._next:
             return
         self._next, self._drawn = time.monotonic() + _EVERY, True
@@ -53,47 +53,63 @@ class ProgressBar:
 
 
 def shown(progress: Progress | bool | None, title: str) -> AbstractContextManager[Progress | None]:
-    """Return a context that yields the function to call with the part done, or None.
+    """Return a context that yields the function to call with the completed fraction.
 
-    progress: True for a bar, None or False for nothing, or a function of one's own.
-    Raises InputError for anything else.
+    Args:
+        progress: True for a bar, None or False for none, or a function of the fraction.
+        title: Title of the bar.
+    Returns:
+        The context; it yields None if no progress is shown.
+    Raises:
+        InputError: `progress` is none of these.
     """
     if progress is True:
         return ProgressBar(title)
     if not (progress is None or progress is False or callable(progress)):
-        raise InputError(f"progress must be True or a function of the part done, got {progress!r}")
+        raise InputError(
+            f"progress must be True or a function of the completed fraction, got {progress!r}"
+        )
     return nullcontext(progress if callable(progress) else None)
 
 
 def one_by_one(
     items: Sequence[_T], measure: Callable[[_T], _R], progress: Progress | bool | None, title: str
 ) -> list[_R]:
-    """Return what `measure` makes of each item, one after the other; progress as for `shown`."""
-    found = []
+    """Apply a function to each item and show the progress.
+
+    Args:
+        items: The items.
+        measure: Function of one item.
+        progress: See `shown`.
+        title: Title of the bar.
+    Returns:
+        The results, in the order of the items.
+    """
+    results = []
     with shown(progress, title) as bar:
         done = bar or quiet
         for k, item in enumerate(items):
-            found.append(measure(item))
+            results.append(measure(item))
             done((k + 1) / len(items))
-    return found
+    return results
 
 
 def quiet(part: float) -> None:
-    """Show nothing."""
+    """Ignore the completed fraction."""
 
 
 class _Screen(Protocol):
-    """A place where a bar is drawn."""
+    """An output device that can draw a bar."""
 
     def draw(self, title: str, part: float) -> None:
-        """Draw the bar in the place of the one before."""
+        """Draw the bar over the previous one."""
 
     def clear(self) -> None:
         """Remove the bar."""
 
 
 def _screen() -> _Screen | None:
-    # A notebook's kernel has imported IPython before anything of ours runs.
+    # A notebook kernel imports IPython before it runs any cell.
     ipython = sys.modules.get("IPython")
     if ipython is not None and hasattr(ipython.get_ipython(), "kernel"):
         return _Notebook()
@@ -101,7 +117,7 @@ def _screen() -> _Screen | None:
 
 
 class _Terminal:
-    """One line of standard error."""
+    """A bar in one line of standard error."""
 
     def draw(self, title: str, part: float) -> None:
         sys.stderr.write(f"\r\033[K{_line(title, part)}")
@@ -113,7 +129,7 @@ class _Terminal:
 
 
 class _Notebook:
-    """One output of the cell that is running, which is updated."""
+    """A bar in one output of the running notebook cell, updated in place."""
 
     _handle: Any = None
 
@@ -123,7 +139,7 @@ class _Notebook:
         self._show({"text/plain": _line(title, part), "text/html": html})
 
     def clear(self) -> None:
-        # An output cannot be taken back, and clearing the cell would take others' too.
+        # One output cannot be removed alone, so make it empty instead.
         self._show({"text/plain": "", "text/html": ""})
 
     def _show(self, bundle: dict[str, str]) -> None:

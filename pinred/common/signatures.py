@@ -1,8 +1,7 @@
-"""Signatures that show by name what a function takes as `**options`.
+"""Signatures that show the options a function accepts as `**options`.
 
-For type checkers and editors, `**options: Unpack[…]` says it; what `help` and
-`inspect.signature` show is written by the decorator here, from the dataclass that holds the
-options, so that both are told from one place.
+Type checkers and editors use `**options: Unpack[…]`.  For `help` and `inspect.signature`, the
+decorators below derive the signature from the same dataclass.
 """
 
 from __future__ import annotations
@@ -17,9 +16,13 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def shows_fields(kind: type, **defaults: Any) -> Callable[[F], F]:
-    """Return what makes a function show fields of a dataclass in the place of its **options.
+    """Create a decorator that replaces **options in a signature by dataclass fields.
 
-    Fields without a default are no options.  defaults: where the function has others.
+    Args:
+        kind: The dataclass.  Fields without a default are not shown.
+        defaults: Defaults of the function that differ from the dataclass.
+    Returns:
+        The decorator.
     """
     options = []
     for entry in fields(kind):
@@ -33,25 +36,25 @@ def shows_fields(kind: type, **defaults: Any) -> Callable[[F], F]:
                 )
             )
 
-    def shown(function: F) -> F:
-        return _showing(function, options)
+    def decorate(function: F) -> F:
+        return _set_options(function, options)
 
-    return shown
+    return decorate
 
 
 def shows_overloads(function: F) -> F:
-    """Make a function show, in the place of its **options, those of all its overloads."""
+    """Replace **options in a function's signature by the keyword arguments of its overloads."""
     options: dict[str, Parameter] = {}
     for overload in get_overloads(function):
         for parameter in inspect.signature(overload).parameters.values():
             if parameter.kind is Parameter.KEYWORD_ONLY:
                 options.setdefault(parameter.name, parameter)
-    return _showing(function, options.values())
+    return _set_options(function, options.values())
 
 
-def _showing(function: F, options: Iterable[Parameter]) -> F:
-    """Give a function the signature with options in the place of **options."""
-    own = inspect.signature(function)
-    plain = [p for p in own.parameters.values() if p.kind is not Parameter.VAR_KEYWORD]
-    function.__signature__ = own.replace(parameters=[*plain, *options])  # type: ignore[attr-defined]
+def _set_options(function: F, options: Iterable[Parameter]) -> F:
+    """Set a function's signature, with options instead of **options."""
+    signature = inspect.signature(function)
+    plain = [p for p in signature.parameters.values() if p.kind is not Parameter.VAR_KEYWORD]
+    function.__signature__ = signature.replace(parameters=[*plain, *options])  # type: ignore[attr-defined]
     return function

@@ -1,7 +1,7 @@
-"""Temporary files beside those that they become, and the removal of what killed processes left.
+"""Temporary files next to their final location, and removal of files left by killed processes.
 
-A process holds a lock on its temporary file for as long as it writes it.  The lock ends with
-the process, whatever ends that; so a file on which a lock can be taken is nobody's any more.
+A process locks its temporary file while it writes.  The lock ends with the process, so a file
+that can be locked belongs to no running process and may be removed.
 """
 
 from __future__ import annotations
@@ -20,22 +20,32 @@ _NO_LINKS = os.O_NOFOLLOW | os.O_CLOEXEC
 
 @dataclass(frozen=True)
 class Temporary:
-    """A new file with a lock on it.  folder: descriptor of its folder."""
+    """A new, locked temporary file.
+
+    Attributes:
+        folder: Descriptor of its folder.
+        name: Name in this folder.
+        descriptor: Descriptor of the open file.
+    """
 
     folder: int
     name: str
     descriptor: int
 
     def become(self, name: str) -> None:
-        """Move it to its place.  Raises OSError."""
+        """Rename the file to its final name.  Raises OSError."""
         os.replace(self.name, name, src_dir_fd=self.folder, dst_dir_fd=self.folder)
 
 
 @contextmanager
 def temporary(folder: int, mode: int = 0o666) -> Iterator[Temporary]:
-    """Make a temporary file in a folder; it is removed at the end unless it has become another.
+    """Create a temporary file in a folder, and remove it at the end unless it was renamed.
 
-    mode: its rights, of which the process's mask takes some.  Raises OSError.
+    Args:
+        folder: Descriptor of the folder.
+        mode: Permissions of the file, before the process's umask applies.
+    Raises:
+        OSError: The file cannot be created.
     """
     sweep(folder)
     while True:
@@ -43,11 +53,11 @@ def temporary(folder: int, mode: int = 0o666) -> Iterator[Temporary]:
         descriptor = os.open(
             name, os.O_RDWR | os.O_CREAT | os.O_EXCL | _NO_LINKS, mode, dir_fd=folder
         )
-        with suppress(OSError):  # a file system without locks: nobody sweeps there, either
+        with suppress(OSError):  # without file locks, no process sweeps this file system
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         if os.fstat(descriptor).st_nlink:
             break
-        os.close(descriptor)  # it was swept before it was locked
+        os.close(descriptor)  # another process removed it before it was locked
     try:
         yield Temporary(folder, name, descriptor)
     finally:
@@ -57,7 +67,7 @@ def temporary(folder: int, mode: int = 0o666) -> Iterator[Temporary]:
 
 
 def sweep(folder: int) -> None:
-    """Remove the temporary files in a folder whose processes have ended."""
+    """Remove the temporary files of ended processes in a folder."""
     with suppress(OSError):
         readable = os.open(".", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC, dir_fd=folder)
         try:
@@ -65,10 +75,10 @@ def sweep(folder: int) -> None:
         finally:
             os.close(readable)
         for name in names:
-            _remove_if_left(folder, name)
+            _remove_if_unlocked(folder, name)
 
 
-def _remove_if_left(folder: int, name: str) -> None:
+def _remove_if_unlocked(folder: int, name: str) -> None:
     with suppress(OSError):
         descriptor = os.open(name, os.O_RDWR | os.O_NONBLOCK | _NO_LINKS, dir_fd=folder)
         try:

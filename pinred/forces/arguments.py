@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 
 from ..common.errors import InputError
 from ..common.plain_names import brief
-from ..system.force import Symbols
+from ..system.force_interface import Symbols
 from .force import of_time, scalar
 
 Action: TypeAlias = Callable[..., Any]

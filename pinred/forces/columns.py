@@ -9,7 +9,7 @@ import casadi as ca
 
 from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..system.coupling import following
-from ..system.force import Load, SeenState
+from ..system.force_interface import Load, SeenState
 from ..system.system import System
 from .by_name import Column
 from .force import Symbols, Terms

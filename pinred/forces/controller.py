@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, as_floats, positive
 from ..common.errors import InputError
 from ..common.plain_names import brief
-from ..system.force import SeenState
+from ..system.force_interface import SeenState
 from .arguments import takes_state
 from .force import Limit, Named, Symbols, Terms, checked, limited
 

@@ -12,11 +12,11 @@ import numpy as np
 from ..common.arrays import positive
 from ..common.errors import InputError
 from ..common.parameter import Parameter, checked_number
-from ..system.force import Force as Force
-from ..system.force import Symbols as Symbols
-from ..system.force import Terms as Terms
-from ..system.force import entries as entries
-from ..system.force import finite as finite
+from ..system.force_interface import Force as Force
+from ..system.force_interface import Symbols as Symbols
+from ..system.force_interface import Terms as Terms
+from ..system.force_interface import entries as entries
+from ..system.force_interface import finite as finite
 from .signals import Signal
 
 PerJoint: TypeAlias = float | Parameter | Mapping[str, float | Parameter]

@@ -17,7 +17,7 @@ from ..common.casadi_calls import Numeric
 from ..common.errors import InputError
 from ..common.parameter import Affine, Parameter, parameter_of
 from ..reduction.tree.free_bodies import NOTHING, Freed
-from ..system.force import Load
+from ..system.force_interface import Load
 from ..system.system import System
 from .acting import Acting, BaseInSpace, Prescribed
 from .columns import load_column, seen_of_base, symbols_of, through, torque_column, wrench_column

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 from ..common.errors import InputError
 from ..common.parameter import Parameter
-from ..system.force import SeenState as SeenState
+from ..system.force_interface import SeenState as SeenState
 from ..system.passive import Damper as Damper
 from ..system.passive import Friction as Friction
 from ..system.passive import Spring as Spring

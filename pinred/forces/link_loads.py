@@ -23,7 +23,7 @@ from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..reduction.tree.articulated_sweep import step_of
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.scalars import Scalar, Turn, Vec, add, cross, dot, mul, plus
-from ..system.force import Load, Symbols
+from ..system.force_interface import Load, Symbols
 from ..system.system import System
 from .robot_symbols import RobotSymbols
 

@@ -12,8 +12,8 @@ from ..common.plain_names import brief
 from ..reduction.potential import spring_pair
 from ..reduction.tree.free_bodies import NOTHING, freed_of
 from ..system.model_parameters import ModelParameters
-from ..system.other_inertias import nominal
 from ..system.system import System
+from ..system.variants import nominal
 from .force import Force
 from .force_model import ForceModel
 from .kinds import Damper, Friction, Spring

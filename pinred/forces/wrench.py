@@ -12,7 +12,7 @@ from ..common.arrays import as_floats
 from ..common.errors import InputError
 from ..common.parameter import Parameter, values_of
 from ..common.plain_names import brief, one_of
-from ..system.force import Load
+from ..system.force_interface import Load
 from .arguments import Action, acting_value, called
 from .force import Named, Symbols, Terms, checked, entries, scalar, signals_in
 from .signals import Signal

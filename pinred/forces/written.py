@@ -12,7 +12,7 @@ import casadi as ca
 
 from ..common.errors import InputError, PinredError
 from ..common.plain_names import plain
-from ..system.force import Force, Symbols, Terms
+from ..system.force_interface import Force, Symbols, Terms
 
 _SOURCE = re.compile(r"^\S*\.[ch]pp:\d+: ")  # where in CasADi
 _INSTEAD = (

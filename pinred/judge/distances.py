@@ -1,4 +1,4 @@
-"""Motions of the full system, and how far two of them are apart."""
+"""Motions of the full system, and distances between two of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ from ..common.arrays import Array
 
 @dataclass(frozen=True)
 class FullMotion:
-    """A motion in Pinocchio's coordinates.  x: (T, M) unwrapped, of all joints.  q: (T, nq)."""
+    """A motion in Pinocchio's coordinates.
+
+    Attributes:
+        x: Unwrapped values of all joints, (T, M) [rad | m].
+        q: Pinocchio's configurations, (T, nq).
+    """
 
     x: Array
     q: Array
@@ -19,11 +24,14 @@ class FullMotion:
 
 @dataclass(frozen=True)
 class Size:
-    """The units in which errors of a motion are measured.
+    """Units in which errors of a motion are measured.
 
-    joints: (M,) the largest |x| of each joint, at least 1 rad, or the radius of gyration of what
-    slides [rad | m].  position: the distance travelled by the base, at least the radius of
-    gyration and what round-off leaves of its distance from the origin [m].  away: that distance.
+    Attributes:
+        joints: Largest |x| of each joint, (M,); at least 1 rad, or the radius of gyration for
+            prismatic joints [rad | m].
+        position: Distance travelled by the base; at least the radius of gyration, and at least
+            a small fraction of `away`, because round-off grows with it [m].
+        away: Largest distance of the base from the origin [m].
     """
 
     joints: Array
@@ -33,10 +41,12 @@ class Size:
 
 @dataclass(frozen=True)
 class Distance:
-    """Distances of two motions.
+    """Distances between two motions over time.
 
-    joints: (T, M) |Δx| of each joint [rad | m].  rotation [rad] and position [m]: (T,) norms of
-    the parts of log(g⁻¹ĝ) of the base.
+    Attributes:
+        joints: |Δx| of each joint, (T, M) [rad | m].
+        rotation: Norm of the rotational part of log(g⁻¹ĝ) of the base, (T,) [rad].
+        position: Norm of its translational part, (T,) [m].
     """
 
     joints: Array
@@ -45,14 +55,17 @@ class Distance:
 
     @property
     def shape(self) -> Array:
-        """Largest |Δx| over time, (T,) [rad | m]."""
+        """Largest |Δx| of any joint over time, (T,) [rad | m]."""
         return np.asarray(self.joints.max(axis=1, initial=0.0))
 
     def relative(self, size: Size) -> Array:
-        """Return the largest of all over time, (T,), in units of the motion's size; NaN stays."""
+        """Return the largest distance of all kinds over time, (T,), in units of `size`.
+
+        A NaN in any of them stays NaN.
+        """
         shape = (self.joints / size.joints).max(axis=1, initial=0.0)
         return np.asarray(np.max([shape, self.rotation, self.position / size.position], axis=0))
 
     def worst(self, size: Size) -> float:
-        """Return the largest of all, in units of the motion's size; NaN if there is one."""
+        """Return the largest distance at any time in units of `size`; NaN if one is NaN."""
         return float(self.relative(size).max())

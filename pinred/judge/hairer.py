@@ -1,12 +1,12 @@
-"""Hairer's integrators through SciPy, out of which everything comes that is raised within them.
+"""Hairer's integrators through SciPy, with exceptions and step lengths kept across calls.
 
-SciPy's compiled loop swallows what its callbacks raise, Ctrl-C included, and goes on with what
-happens to be in its memory, perhaps for ever.  So nothing is raised there: a failure is kept, the
-loop is told to stop after its step, and the failure is raised behind it.
+SciPy's compiled loop swallows exceptions of its callbacks, Ctrl-C included, and continues with
+undefined values, possibly forever. So callbacks raise nothing here. An exception is stored, the
+loop is asked to stop after its step, and the exception is raised afterwards.
 
-That loop begins anew at each time that is asked for, and its own guess of a first step is some ten
-times too short, which doubles the evaluations where times are close.  So it is told what has
-passed before.
+The loop restarts at each requested time. Its guess of the first step is about ten times too short,
+which doubles the number of evaluations where times are close. So the length of earlier accepted
+steps is passed on as the first step.
 """
 
 from __future__ import annotations
@@ -20,15 +20,16 @@ from scipy.integrate import ode
 from ..common.arrays import Array
 from ..common.interrupts import held_interrupt
 
-_GO, _STOP = 1, -1  # what the loop is told after a step
+_CONTINUE, _STOP = 1, -1  # return values of the callback after each step
 _MOST_STEPS = 10_000_000
-_EVALUATIONS = {"dop853": 12, "dopri5": 6}  # of a step that passes
-_CALM = 8  # spans without a rejected step, after which longer steps are tried
-_LEAST = 1e-120  # change over a run; of the squares of less, Hairer's error estimate makes 0/0
+_EVALUATIONS = {"dop853": 12, "dopri5": 6}  # evaluations of an accepted step
+_CALM = 8  # spans without a rejected step, after which longer first steps are tried
+# Hairer's error estimate squares changes: smaller ones over a run would give 0/0.
+_LEAST = 1e-120
 
 
 class Hairer:
-    """An initial value problem under "dop853" or "dopri5".  t: the time reached [s]."""
+    """An initial value problem dy/dt = rate(t, y) under "dop853" or "dopri5"."""
 
     def __init__(
         self,
@@ -40,71 +41,81 @@ class Hairer:
         atol: float,
         end: float,
     ) -> None:
-        """Take the vector field dy/dt = rate(t, y), and y (n,) at the time t.
+        """Set up the problem.
 
-        end: the last time that is asked for; rates that move nothing until then are none.
+        Args:
+            rate: Vector field (t, y) → dy/dt, (n,).
+            method: "dop853" (order 8) or "dopri5" (order 5).
+            y: Initial state, (n,).
+            t: Initial time [s].
+            rtol: Relative tolerance.
+            atol: Absolute tolerance.
+            end: Last requested time [s]. Rates that change nothing until then count as zero.
         """
         self._rate = rate
         self._least = _LEAST / max(end - t, 1.0)
         self._raised: BaseException | None = None
-        self._stopped: Callable[[], bool] = bool
+        self._is_interrupted: Callable[[], bool] = bool
         self._method, self._options = method, {"rtol": rtol, "atol": atol, "nsteps": _MOST_STEPS}
-        self._solver = ode(self._kept).set_integrator(method, **self._options)
+        self._solver = ode(self._safe_rate).set_integrator(method, **self._options)
         self._solver.set_initial_value(y, t)
-        self._passed, self._calm = 0.0, 0  # the length of steps that pass, and for how many spans
-        self._patience = 0  # spans after which longer ones are tried: at once, until that fails
-        self._evaluations, self._ends = 0, [t]
+        self._first_step, self._calm_spans = 0.0, 0  # length of accepted steps; spans since reject
+        self._patience = 0  # spans before a longer first step is tried: none until that once fails
+        self._evaluations, self._step_ends = 0, [t]
 
     @property
     def t(self) -> float:
-        """The time reached [s]."""
+        """Time reached [s]."""
         return float(self._solver.t)
 
     def integrate(self, t: float) -> Array | None:
-        """Return y (n,) at a time, or None if it cannot be reached.
+        """Integrate to time t [s]; re-raise exceptions of the vector field and KeyboardInterrupt.
 
-        Raises what the vector field raises, and KeyboardInterrupt.
+        Returns the state (n,), or None if the time cannot be reached.
         """
-        self._begin()
-        with held_interrupt() as self._stopped, warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # its failures are the caller's to tell
+        self._restart()
+        with held_interrupt() as self._is_interrupted, warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # the caller reports failures
             y = self._solver.integrate(t)
         if self._raised is not None:
             raise self._raised
-        self._learn()
+        self._update_first_step()
         return y if self._solver.successful() and np.isfinite(y).all() else None
 
-    def _begin(self) -> None:
-        """Begin with a step as long as those that pass; at first, as the loop guesses it (0)."""
-        options = {**self._options, "first_step": self._passed}
+    def _restart(self) -> None:
+        """Set the first step to the length of accepted steps; 0 lets the loop guess it."""
+        options = {**self._options, "first_step": self._first_step}
         self._solver.set_integrator(self._method, **options)
-        self._solver.set_solout(self._after_a_step)
-        self._evaluations, self._ends = 0, []
+        self._solver.set_solout(self._after_step)
+        self._evaluations, self._step_ends = 0, []
 
-    def _learn(self) -> None:
-        """Take note of how long steps may be."""
-        lengths = np.diff(self._ends)
+    def _update_first_step(self) -> None:
+        """Learn the first step of the next span from the steps of this one."""
+        lengths = np.diff(self._step_ends)
         if not len(lengths):
             return
-        # One evaluation at the begin, and a second where the loop guesses.
+        # The loop evaluates once at its initial state, and a second time where it guesses a step.
         if self._evaluations > _EVALUATIONS[self._method] * len(lengths) + 2:
-            self._passed, self._calm, self._patience = float(lengths.max()), 0, _CALM
+            self._first_step, self._calm_spans = float(lengths.max()), 0
+            self._patience = _CALM
             return
-        self._passed, self._calm = max(self._passed, float(lengths.max())), self._calm + 1
-        if self._calm > self._patience:
-            self._passed, self._calm = 2.0 * min(self._passed, float(lengths.sum())), 0
+        self._first_step = max(self._first_step, float(lengths.max()))
+        self._calm_spans += 1
+        if self._calm_spans > self._patience:
+            self._first_step = 2.0 * min(self._first_step, float(lengths.sum()))
+            self._calm_spans = 0
 
-    def _kept(self, t: float, y: Array) -> Array:
-        """Return dy/dt; zero, with which any step succeeds, once the run is to stop."""
+    def _safe_rate(self, t: float, y: Array) -> Array:
+        """Return dy/dt, or zero, with which every step is accepted, once the run shall stop."""
         rate = np.zeros_like(y)
-        if self._raised is None and not self._stopped():
+        if self._raised is None and not self._is_interrupted():
             self._evaluations += 1
             try:
                 rate = self._rate(t, y)
-            except BaseException as error:  # whatever it is, it is raised again outside
+            except BaseException as error:  # any exception is raised again outside the loop
                 self._raised = error
         return np.where(np.abs(rate) < self._least, 0.0, rate)
 
-    def _after_a_step(self, t: float, _y: Array) -> int:
-        self._ends.append(t)
-        return _STOP if self._raised is not None or self._stopped() else _GO
+    def _after_step(self, t: float, _y: Array) -> int:
+        self._step_ends.append(t)
+        return _STOP if self._raised is not None or self._is_interrupted() else _CONTINUE

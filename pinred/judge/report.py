@@ -1,4 +1,4 @@
-"""The report of a comparison: what was judged, by which bounds, and the verdict."""
+"""The report of a comparison: compared values, their bounds, and the verdict."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from enum import StrEnum
 import numpy as np
 
 from ..common.arrays import Array, freeze
-
-JUDGEABLE = 0.1  # rad, or part of the motion's size; a bound above it says nothing
 
 
 class Verdict(StrEnum):
@@ -25,23 +23,44 @@ EXIT_CODES = {Verdict.PASSED: 0, Verdict.FAILED: 1, Verdict.CANNOT_TELL: 3}
 
 @dataclass(frozen=True, repr=False)
 class Report:
-    """The distance of a reduced trajectory from the full simulation, and its bounds.
+    """Errors of a reduced trajectory against the full simulation, and the bounds on them.
 
-    t: (T,) the times judged [s].  shape_errors: (T, M) |Δx| of each joint of the file
-    [rad | m].  rotation_errors [rad] and position_errors [m]: (T,) norms of the parts of
-    log(g⁻¹ĝ).  *_bounds: what passes, of the same shapes.
-    equations: the largest error of the equations of motion by ABA at the trajectory's states,
-    relative.  defect: the largest defect of a step by ABA, relative.  energy_drift: largest
-    |E − E0| over the kinetic energy.  momentum_drift: the same of the conserved momentum, angular
-    about the centre of mass, over √(2mT) (times the radius of gyration).  field_error: largest
-    difference of pose, twist, momenta and energy from what Pinocchio makes of q and v.
-    reference_error: how far two references, of order 8 and 5, are apart [relative to the
-    motion's size].  *_bound: what passes.  growth: (T,) factor by which a small perturbation of
-    the initial state has grown.  told: how many of the times, from the first on, have ends of
-    which something can be told.  reasons: why nothing can be told of what is left; empty if all
-    of the motion is judged.  wall_reduced, wall_full: seconds of integration at the same
-    tolerance.  left_out: a sentence on springs, dampers and friction in the robot's file that
-    neither side has, or nothing.
+    Attributes:
+        robot: Name of the robot.
+        engine: Engine of the reduced simulation.
+        group: Name of the symmetry group.
+        joints: Number of shape coordinates m.
+        duration: Duration of the motion [s].
+        rtol: Relative tolerance of the scene.
+        atol: Absolute tolerance of the scene.
+        t: Times of the comparison, (T,) [s].
+        shape_errors: |Δx| of each joint of the file, (T, M) [rad | m].
+        rotation_errors: Norm of the rotational part of log(g⁻¹ĝ), (T,) [rad].
+        position_errors: Norm of its translational part, (T,) [m].
+        shape_bounds: Largest shape errors that pass, (T, M) [rad | m].
+        rotation_bounds: Largest rotation errors that pass, (T,) [rad].
+        position_bounds: Largest position errors that pass, (T,) [m].
+        equations: Largest relative error of the equations of motion by ABA.
+        defect: Largest relative defect of a step by ABA.
+        energy_drift: Largest |E − E₀ − work| relative to the kinetic energy.
+        momentum_drift: Largest change of conserved momentum relative to √(2mT), times the radius
+            of gyration for angular momentum, which is taken about the centre of mass.
+        field_error: Largest relative difference of pose, twist, momenta and energy from
+            Pinocchio's values at q and v.
+        reference_error: Distance between the two reference solutions of order 8 and 5, relative
+            to the motion's size.
+        equations_bound: Largest `equations` that passes.
+        defect_bound: Largest `defect` that passes.
+        drift_bound: Largest drift of energy or momentum that passes.
+        field_bound: Largest `field_error` that passes.
+        reference_bound: Largest `reference_error` that passes.
+        growth: Factor by which a small perturbation of the initial state has grown, (T,).
+        told: Number of leading times at which errors can be judged.
+        reasons: Why the motion cannot be judged completely; empty if it can.
+        wall_reduced: Wall time of the reduced integration [s].
+        wall_full: Wall time of the full integration at the same tolerance [s].
+        left_out: Sentence on springs, dampers and friction of the robot's file that neither side
+            simulates, or empty.
     """
 
     robot: str
@@ -96,9 +115,9 @@ class Report:
 
     @property
     def checks(self) -> dict[str, tuple[float, float]]:
-        """Judged numbers: name to (value, largest value that passes).
+        """Name → (value, largest value that passes) of each check.
 
-        Of errors over time, and of joints, those that come closest to what passes.
+        Errors over time and joints are represented by the entry closest to its bound.
         """
         n = self.told
         return {
@@ -115,30 +134,27 @@ class Report:
 
     @property
     def verdict(self) -> Verdict:
-        """Whether all is within its bounds, or something is not, or that cannot be told.
-
-        What is not a number is within no bound.
-        """
+        """FAILED if a value exceeds its bound or is NaN; CANNOT TELL if there are reasons."""
         if not all(value <= bound for value, bound in self.checks.values()):
             return Verdict.FAILED
         return Verdict.CANNOT_TELL if self.reasons else Verdict.PASSED
 
     @property
     def passed(self) -> bool:
-        """Whether all of the motion was judged, and every value is within its bound."""
+        """Whether the whole motion was judged and every value is within its bound."""
         return self.verdict is Verdict.PASSED
 
     def __bool__(self) -> bool:
         return self.passed
 
     def __repr__(self) -> str:
-        """Return one line."""
+        """Summarise the verdict and the value closest to its bound in one line."""
         values, bounds = np.array(list(self.checks.values())).T
         k = _worst(values, bounds)
         worst, value, bound = list(self.checks)[k], values[k], bounds[k]
-        told = f": {self.reasons[0]}" if self.verdict is Verdict.CANNOT_TELL else ""
+        reason = f": {self.reasons[0]}" if self.verdict is Verdict.CANNOT_TELL else ""
         return (
-            f"<Report of {self.robot}, {self.duration:g} s: {self.verdict}{told}; "
+            f"<Report of {self.robot}, {self.duration:g} s: {self.verdict}{reason}; "
             f"closest to its bound: {worst} {value:.1e} of {bound:.1e}>"
         )
 
@@ -189,7 +205,7 @@ class Report:
 
 
 def _closest(errors: Array, bounds: Array) -> tuple[float, float]:
-    """Return the error and the bound of which it is the largest part; zeros if there is none."""
+    """Return the error that is closest to its bound, and that bound; zeros if there is none."""
     if not errors.size:
         return 0.0, 0.0
     k = _worst(errors, bounds)
@@ -197,6 +213,7 @@ def _closest(errors: Array, bounds: Array) -> tuple[float, float]:
 
 
 def _worst(errors: Array, bounds: Array) -> int:
-    """Return where the error is the largest part of its bound; what is no number wins."""
-    parts = np.divide(errors, bounds, out=np.where(errors > 0.0, np.inf, 0.0), where=bounds > 0.0)
-    return int(np.argmax(np.where(np.isfinite(errors), parts, np.inf)))
+    """Return the flat index of the largest ratio of error to bound; a non-finite error wins."""
+    unbounded = np.where(errors > 0.0, np.inf, 0.0)
+    ratios = np.divide(errors, bounds, out=unbounded, where=bounds > 0.0)
+    return int(np.argmax(np.where(np.isfinite(errors), ratios, np.inf)))

@@ -1,5 +1,5 @@
-"""Machine code made for one robot and one structure: its expressions, its judge, its store.
+"""Machine code for one robot and structure: expressions, compilation, validation, cache.
 
-Knows no Scene: what a scene decides comes as a Structure.  Imports `integrators`, `forces`
-and what lies below them.
+A kernel depends on a Structure instead of a Scene.  This package imports `integrators`, `forces`
+and the packages below them.
 """

@@ -1,9 +1,10 @@
-"""The adjoint of a vector field whose limbs are lanes: a sweep back over its instructions.
+"""The adjoint of a vector field with identical branches in SIMD lanes, by a backward sweep.
 
-CasADi's own reverse mode knows nothing of marks.  Here every instruction is gone through once more,
-from the last to the first, and hands the slope of its value on to its operands; in lanes where it
-is in lanes.  What one number for all lanes gets from lanes is summed over them once, at its end; a
-number taken out of a lane gives its slope back to that lane, and a sum gives its own to all.
+CasADi's reverse mode does not support the marks of lanes.  This sweep visits every instruction
+from the last to the first and propagates the adjoint of its value to its operands, in lanes where
+the instruction is in lanes.  Adjoints that a single number receives from lanes are summed over the
+lanes once, at its end.  A number extracted from a lane returns its adjoint to that lane, and a sum
+passes its adjoint to all lanes.
 """
 
 from __future__ import annotations
@@ -19,48 +20,60 @@ from ..reduction.tree.scalars import Scalar, add, mul
 
 @dataclass
 class _Node:
-    """A number or lanes of numbers on the way.
+    """A value of the instruction sequence, one number or several in lanes.
 
-    value: its expression.  parents: nodes it is made of, with ∂value/∂parent each.  mark: how it
-    came into being, if by a mark.  slope: what it has got so far; from_lanes: of that, what is in
-    lanes though it is one number; taken: what single lanes have got.
+    Attributes:
+        value: Expression.
+        width: Number of lanes.
+        parents: Operands, with the derivative of the value with respect to each.
+        mark: The mark that created the value, or None.
+        adjoint: Adjoint accumulated so far.
+        from_lanes: Adjoint of a single number that is still distributed over lanes.
+        lanes: Number of lanes of `from_lanes`.
+        from_extracts: Adjoints of single lanes that were extracted from the value.
     """
 
     value: Scalar
     width: int = 1
     parents: list[tuple[_Node, Any]] = field(default_factory=list)
     mark: Mark | None = None
-    slope: Scalar = 0.0
+    adjoint: Scalar = 0.0
     from_lanes: Scalar = 0.0
     lanes: int = 1
-    taken: list[Scalar] | None = None
+    from_extracts: list[Scalar] | None = None
 
 
 def adjoint_in_lanes(rate: ca.Function, marks: list[Mark], lanes: Lanes, name: str) -> ca.Function:
-    """Return (y, parameters, λ) → slopes of λᵀ ẏ by y, then by the parameters, marked in `lanes`.
+    """Build the adjoint of a vector field whose identical branches are in lanes.
 
-    rate: (y, parameters, symbols) → (operands, ẏ), of other Lanes, with its marks.
+    Args:
+        rate: Vector field (y, parameters, symbols) → (operands, ẏ), built by other Lanes.
+        marks: Marks of `rate`.
+        lanes: Lanes that mark the adjoint.
+        name: Name of the adjoint.
+    Returns:
+        Function (y, parameters, λ) → derivatives of λᵀ ẏ with respect to y, then parameters.
     """
     y, p = ca.SX.sym("y", rate.numel_in(0)), ca.SX.sym("p", rate.numel_in(1))
     covector = ca.SX.sym("l", rate.numel_out(1))
-    tape, inputs, outputs = _recorded(rate, marks, lanes, y, p)
+    tape, inputs, outputs = _record(rate, marks, lanes, y, p)
     for row, node in outputs.items():
-        node.slope = add(node.slope, covector[row])
+        node.adjoint = add(node.adjoint, covector[row])
     for node in reversed(tape):
-        _hand_on(node, lanes)
-    slopes = [_finished(inputs[which, k], lanes) if (which, k) in inputs else 0.0
+        _propagate(node, lanes)
+    adjoints = [_total_adjoint(inputs[which, k], lanes) if (which, k) in inputs else 0.0
               for which, column in ((0, y), (1, p)) for k in range(column.numel())]  # fmt: skip
-    return lanes.function(name, [y, p, covector], ca.vertcat(ca.SX(0, 1), *slopes))
+    return lanes.function(name, [y, p, covector], ca.vertcat(ca.SX(0, 1), *adjoints))
 
 
-def _recorded(
+def _record(
     rate: ca.Function, marks: list[Mark], lanes: Lanes, y: ca.SX, p: ca.SX
 ) -> tuple[list[_Node], dict[tuple[int, int], _Node], dict[int, _Node]]:
-    """Return all nodes in order, those of the inputs, and those of the outputs by row."""
+    """Return all nodes in order, the input nodes, and the output nodes by row."""
     tape: list[_Node] = []
     inputs: dict[tuple[int, int], _Node] = {}
     outputs: dict[int, _Node] = {}
-    here: dict[int, _Node] = {}  # by register, as of the current instruction
+    registers: dict[int, _Node] = {}  # contents at the current instruction
     marked: list[_Node] = []
     operands: list[_Node] = []
     for k in range(rate.n_instructions()):
@@ -78,46 +91,45 @@ def _recorded(
         elif op == ca.OP_OUTPUT:
             which, row = rate.instruction_output(k)
             if which == 1:
-                outputs[row] = here[arguments[0]]
+                outputs[row] = registers[arguments[0]]
                 continue
-            operands.append(here[arguments[0]])
+            operands.append(registers[arguments[0]])
             mark = marks[len(marked)]
             if len(operands) == len(mark.operands):
-                marked.append(_of_mark(mark, operands, lanes))
+                marked.append(_mark_node(mark, operands, lanes))
                 tape.append(marked[-1])
                 operands = []
             continue
         else:
-            node = _of_operation(op, [here[i] for i in arguments])
+            node = _operation_node(op, [registers[i] for i in arguments])
             tape.append(node)
-        here[rate.instruction_output(k)[0]] = node
+        registers[rate.instruction_output(k)[0]] = node
     return tape, inputs, outputs
 
 
-def _of_operation(op: int, parents: list[_Node]) -> _Node:
+def _operation_node(op: int, parents: list[_Node]) -> _Node:
     values = [ca.SX(parent.value) for parent in parents]
-    made = ca.SX.unary(op, values[0]) if len(values) == 1 else ca.SX.binary(op, *values)
-    slopes = _slopes(op, values)
-    pairs = list(zip(parents, slopes, strict=True))
-    return _Node(made, max(parent.width for parent in parents), pairs)
+    result = ca.SX.unary(op, values[0]) if len(values) == 1 else ca.SX.binary(op, *values)
+    pairs = list(zip(parents, _local_derivatives(op, values), strict=True))
+    return _Node(result, max(parent.width for parent in parents), pairs)
 
 
-def _slopes(op: int, values: list[ca.SX]) -> list[Scalar]:
+def _local_derivatives(op: int, values: list[ca.SX]) -> list[Scalar]:
     """Return the derivatives of an operation by its operands, constants as floats."""
     if op not in _RULES:
         symbols = [ca.SX.sym("a"), ca.SX.sym("b")][: len(values)]
-        made = ca.SX.unary(op, *symbols) if len(values) == 1 else ca.SX.binary(op, *symbols)
-        rules = [ca.densify(ca.jacobian(made, symbol)) for symbol in symbols]
+        result = ca.SX.unary(op, *symbols) if len(values) == 1 else ca.SX.binary(op, *symbols)
+        rules = [ca.densify(ca.jacobian(result, symbol)) for symbol in symbols]
         _RULES[op] = ca.Function("rule", symbols, rules)
-    found = _RULES[op](*values)
-    each = [found] if len(values) == 1 else list(found)
-    return [float(slope) if slope.is_constant() else slope for slope in each]
+    results = _RULES[op](*values)
+    derivatives = [results] if len(values) == 1 else list(results)
+    return [float(entry) if entry.is_constant() else entry for entry in derivatives]
 
 
-_RULES: dict[int, ca.Function] = {}
+_RULES: dict[int, ca.Function] = {}  # derivatives of each operation
 
 
-def _of_mark(mark: Mark, operands: list[_Node], lanes: Lanes) -> _Node:
+def _mark_node(mark: Mark, operands: list[_Node], lanes: Lanes) -> _Node:
     if mark.kind == "pack":
         value = lanes.pack([operand.value for operand in operands])
         width = mark.width
@@ -128,38 +140,38 @@ def _of_mark(mark: Mark, operands: list[_Node], lanes: Lanes) -> _Node:
     return _Node(value, width, [(operand, 1.0) for operand in operands], mark)
 
 
-def _hand_on(node: _Node, lanes: Lanes) -> None:
-    """Give the slope of a node to those it is made of."""
-    slope = _finished(node, lanes)
-    if isinstance(slope, float) and slope == 0.0:
+def _propagate(node: _Node, lanes: Lanes) -> None:
+    """Add the adjoint of a node to the adjoints of its operands."""
+    adjoint = _total_adjoint(node, lanes)
+    if isinstance(adjoint, float) and adjoint == 0.0:
         return
     mark = node.mark
     if mark is None:
         for parent, rule in node.parents:
-            part = mul(slope, rule)
+            product = mul(adjoint, rule)
             if node.width > 1 and parent.width == 1:
-                parent.from_lanes = add(parent.from_lanes, part)
+                parent.from_lanes = add(parent.from_lanes, product)
                 parent.lanes = node.width
             else:
-                parent.slope = add(parent.slope, part)
+                parent.adjoint = add(parent.adjoint, product)
     elif mark.kind == "pack":
         for lane, (parent, _) in enumerate(node.parents):
-            parent.slope = add(parent.slope, lanes.lane(slope, lane, mark.width))
+            parent.adjoint = add(parent.adjoint, lanes.lane(adjoint, lane, mark.width))
     else:
         ((parent, _),) = node.parents
         if mark.kind == "sum":
-            parent.slope = add(parent.slope, slope)
+            parent.adjoint = add(parent.adjoint, adjoint)
         else:
-            if parent.taken is None:
-                parent.taken = [0.0] * mark.width
-            parent.taken[mark.lane] = add(parent.taken[mark.lane], slope)
+            if parent.from_extracts is None:
+                parent.from_extracts = [0.0] * mark.width
+            parent.from_extracts[mark.lane] = add(parent.from_extracts[mark.lane], adjoint)
 
 
-def _finished(node: _Node, lanes: Lanes) -> Scalar:
-    """Return the whole slope of a node."""
-    slope = node.slope
+def _total_adjoint(node: _Node, lanes: Lanes) -> Scalar:
+    """Return the total adjoint of a node."""
+    adjoint = node.adjoint
     if not (isinstance(node.from_lanes, float) and node.from_lanes == 0.0):
-        slope = add(slope, lanes.sum(node.from_lanes, node.lanes))
-    if node.taken is not None:
-        slope = add(slope, lanes.pack(node.taken))
-    return slope
+        adjoint = add(adjoint, lanes.sum(node.from_lanes, node.lanes))
+    if node.from_extracts is not None:
+        adjoint = add(adjoint, lanes.pack(node.from_extracts))
+    return adjoint

@@ -1,4 +1,4 @@
-"""The base in the reduced graph: its symbols, its momentum, its rates (see base_parts.py)."""
+"""The base in the reduced graph: symbols, momentum and rates (see base_parts.py)."""
 
 from __future__ import annotations
 
@@ -12,8 +12,16 @@ from ..system.system import System
 
 
 @dataclass(frozen=True)
-class Full:
-    """The base's full state, as in State.  energy: of the motion and fall of the centre of mass."""
+class FullBase:
+    """The full state of the base, as in State.
+
+    Attributes:
+        pose: Pose.
+        xi: Body twist.
+        body_momentum: Body momentum.
+        spatial_momentum: Spatial momentum.
+        energy: Kinetic and potential energy of the centre-of-mass motion.
+    """
 
     pose: list[Scalar]
     xi: list[Scalar]
@@ -25,8 +33,14 @@ class Full:
 class BaseGraph:
     """The base of one system as expressions.
 
-    b: its integrated numbers.  spin: the constant angular momentum.  weight: (3,) m g in the
-    root joint's fixed frame where it turns the base, else None.
+    Attributes:
+        parts: Numbers of integrated and constant entries (see BaseParts).
+        attitude: Angle or quaternion.
+        down: Direction of gravity in the body frame.
+        momentum: Angular momentum in the body frame, about the centre of mass.
+        push: Displacement and momentum of the centre of mass caused by a wrench.
+        b: All integrated entries of the base, in this order.
+        spin: Constant angular momentum in the fixed frame.
     """
 
     def __init__(
@@ -38,7 +52,15 @@ class BaseGraph:
         lifted: bool = False,
         mass: Scalar = None,
     ) -> None:
-        """Make the symbols.  lifted: see Structure.  mass: of the system, if it is not its own."""
+        """Create the symbols.
+
+        Args:
+            system: The system.
+            parts: Numbers of integrated and constant entries of the base.
+            weight: Gravity force m g in the root joint's fixed frame, (3,), if it rotates the base.
+            lifted: See Structure.
+            mass: Mass of the system, if it is a variable parameter.
+        """
         self._lifted = lifted
         self._k, self._r = system.group.linear, system.r
         self._mass = system.mass if mass is None else mass
@@ -54,40 +76,46 @@ class BaseGraph:
         self.spin = [ca.SX.sym(f"spin{i}") for i in range(parts.spin)]
 
     def body_momentum(self) -> list[Scalar]:
-        """Return μ in the frame of the centre of mass: without linear part, in the body's axes."""
+        """Return μ relative to the centre of mass, in body axes; its linear part is zero."""
         if self.parts.momentum:
             angular: list[Scalar] = list(self.momentum)
         elif self.parts.spin:
             lifted = self._lifted and self.parts.attitude == 4
-            angular = _lift(self.attitude, self.spin) if lifted else self._turned_back(self.spin)
+            angular = _lift(self.attitude, self.spin) if lifted else self._to_body(self.spin)
         else:
             return [0.0] * self._r
         return [0.0] * self._k + angular
 
     def body_weight(self) -> Vec | None:
-        """Return the weight that turns the base, (3,) in its frame."""
+        """Return the gravity force that rotates the base, (3,) in the body frame, or None."""
         if self._weight is None:
             return None
         if self.parts.down:
-            size = ca.sqrt(total([mul(w, w) for w in self._weight]))
-            return [mul(size, d) for d in self.down]
-        return self._turned_back(self._weight)
+            norm = ca.sqrt(total([mul(w, w) for w in self._weight]))
+            return [mul(norm, d) for d in self.down]
+        return self._to_body(self._weight)
 
     def rates(
         self, xi: list[Scalar], com: Vec, wrench: list[Scalar], weight: Vec | None
     ) -> list[Scalar]:
-        """Return the rates of b for the relative body twist ξ (r,).
+        """Compute the rates of the base entries b.
 
-        com: (3,) in the body's frame.  wrench: (r,) at its origin, or none at all.
+        Args:
+            xi: Body twist relative to the centre of mass, (r,).
+            com: Centre of mass in the body frame, (3,).
+            wrench: Wrench at the base's origin, (r,), or empty.
+            weight: Gravity force in the body frame, (3,), or None.
+        Returns:
+            The rates, as many as b has entries.
         """
-        out: list[Scalar] = []
+        rates: list[Scalar] = []
         omega = xi[self._k :]
         if self.parts.attitude == 1:
-            out += omega
+            rates += omega
         elif self.parts.attitude:
-            out += _quaternion_rate(self.attitude, omega)
+            rates += _quaternion_rate(self.attitude, omega)
         if self.parts.down:
-            out += cross(self.down, omega)
+            rates += cross(self.down, omega)
         if self.parts.momentum:
             moment: list[Scalar] = [0.0] * self.parts.momentum
             if self.parts.momentum == 3:
@@ -96,14 +124,14 @@ class BaseGraph:
                 moment = plus(moment, self.about(com, wrench))
             if weight is not None:
                 moment = plus(moment, cross(com, weight))
-            out += moment
+            rates += moment
         if self.parts.push:
-            out += [mul(1.0 / self._mass, P) for P in self.push[self._k :]]
-            out += self.turned(wrench[: self._k])
-        return out
+            rates += [mul(1.0 / self._mass, P) for P in self.push[self._k :]]
+            rates += self.turned(wrench[: self._k])
+        return rates
 
     def along(self, com: Vec) -> list[Scalar]:
-        """Return the part of the centre of mass along the group's translations, (k,)."""
+        """Return the components of the centre of mass along the group's translations, (k,)."""
         axes = self._root.axes.T.tolist()
         return [dot(axis, com) for axis in axes]
 
@@ -113,91 +141,105 @@ class BaseGraph:
         return [sub(a, b) for a, b in zip(wrench[self._k :], moment, strict=True)]
 
     def turned_angular(self, v: list[Scalar]) -> list[Scalar]:
-        """Return an angular part in the fixed frame."""
+        """Rotate an angular part to the fixed frame."""
         return rotated(self.attitude, v, 1.0) if len(v) == 3 else list(v)
 
     def full(
-        self, xi: list[Scalar], mu: list[Scalar], com: Vec, t: Scalar, line: list[Scalar]
-    ) -> Full:
-        """Return the base's full state at a time from what is relative to the centre of mass.
+        self, xi: list[Scalar], mu: list[Scalar], com: Vec, t: Scalar, com_path: list[Scalar]
+    ) -> FullBase:
+        """Compute the full state of the base from quantities relative to the centre of mass.
 
-        xi, mu: (r,).  line: (3k,) where the centre of mass begins, how fast, and how it falls.
+        Args:
+            xi: Body twist relative to the centre of mass, (r,).
+            mu: Body momentum relative to the centre of mass, (r,).
+            com: Centre of mass in the body frame, (3,).
+            t: Time.
+            com_path: Centre-of-mass path (c0, v0, g), (3k,).
+        Returns:
+            The full state.
         """
         k, m = self._k, self._mass
-        c0, v0, g = line[:k], line[k : 2 * k], line[2 * k :]
+        c0, v0, g = com_path[:k], com_path[k : 2 * k], com_path[2 * k :]
         c = [c0[i] + v0[i] * t + 0.5 * g[i] * t * t for i in range(k)]
         P = [m * (v0[i] + g[i] * t) for i in range(k)]
         if self.push:
             c = plus(c, self.push[:k])
             P = plus(P, self.push[k:])
         shift, about = self.along(com), mu[k:]
-        size = ca.sqrt(sum(a * a for a in self.attitude)) if len(self.attitude) == 4 else 1.0
-        moved = self.turned(shift)
-        place = [sub(a, b) for a, b in zip(c, moved, strict=True)]
-        carried = self._linear_back(P)
+        norm = ca.sqrt(sum(a * a for a in self.attitude)) if len(self.attitude) == 4 else 1.0
+        position = [sub(a, b) for a, b in zip(c, self.turned(shift), strict=True)]
+        body_P = self._linear_to_body(P)
         origin = (self._root.origin @ self._root.axes).tolist()
         spatial = self.turned_angular(about)
-        return Full(
-            pose=place + [a / size for a in self.attitude],
-            xi=[add(a, mul(1.0 / m, b)) for a, b in zip(xi, carried, strict=False)] + xi[k:],
-            body_momentum=carried + plus(self._moment(self._in_space(shift), carried), about),
+        return FullBase(
+            pose=position + [a / norm for a in self.attitude],
+            xi=[add(a, mul(1.0 / m, b)) for a, b in zip(xi, body_P, strict=False)] + xi[k:],
+            body_momentum=body_P + plus(self._moment(self._in_space(shift), body_P), about),
             spatial_momentum=P + plus(self._moment(self._in_space(c), P), spatial),
             energy=0.5 / m * dot(P, P) - m * dot(g, plus(c, origin)),
         )
 
     def _in_space(self, v: list[Scalar]) -> Vec:
-        """Return a linear part, (k,), as a vector of space."""
-        out: Vec = [0.0, 0.0, 0.0]
+        """Return a linear part, (k,), as a vector of three components."""
+        vector: Vec = [0.0, 0.0, 0.0]
         for axis, entry in zip(self._group.axes, v, strict=False):
-            out[axis] = entry
-        return out
+            vector[axis] = entry
+        return vector
 
     def _moment(self, c: Vec, P: list[Scalar]) -> list[Scalar]:
-        """Return c × P about the group's axes.  c: (3,).  P: (k,)."""
+        """Return the moment c × P about the group's axes, for c (3,) and P (k,)."""
         moment = cross(c, self._in_space(P))
         return [moment[axis - 3] for axis in self._group.axes[self._k :]]
 
-    def _turned_back(self, v: list[Scalar]) -> list[Scalar]:
-        """Return an angular part, or any (3,), in the body's frame."""
+    def _to_body(self, v: list[Scalar]) -> list[Scalar]:
+        """Rotate an angular part, or any (3,), to the body frame."""
         return rotated(self.attitude, v, -1.0) if len(v) == 3 else list(v)
 
     def turned(self, v: list[Scalar]) -> list[Scalar]:
-        """Return a linear part in the fixed frame."""
+        """Rotate a linear part to the fixed frame."""
         if self._group.plane:
-            *rest, x, y = v
+            *normal, x, y = v
             c, s = ca.cos(self.attitude[0]), ca.sin(self.attitude[0])
-            return [*rest, sub(mul(c, x), mul(s, y)), add(mul(s, x), mul(c, y))]
+            return [*normal, sub(mul(c, x), mul(s, y)), add(mul(s, x), mul(c, y))]
         return self.turned_angular(v) if self._group.turns == 3 else list(v)
 
-    def _linear_back(self, v: list[Scalar]) -> list[Scalar]:
-        """Return a linear part in the body's frame."""
+    def _linear_to_body(self, v: list[Scalar]) -> list[Scalar]:
+        """Rotate a linear part to the body frame."""
         if self._group.plane:
-            *rest, x, y = v
+            *normal, x, y = v
             c, s = ca.cos(self.attitude[0]), ca.sin(self.attitude[0])
-            return [*rest, add(mul(c, x), mul(s, y)), sub(mul(c, y), mul(s, x))]
-        return self._turned_back(v) if self._group.turns == 3 else list(v)
+            return [*normal, add(mul(c, x), mul(s, y)), sub(mul(c, y), mul(s, x))]
+        return self._to_body(v) if self._group.turns == 3 else list(v)
 
 
 def rotated(q: list[Scalar], v: list[Scalar], sign: float) -> list[Scalar]:
-    """Return R v, or Rᵀ v for sign −1, by a quaternion (x, y, z, w) of any length."""
+    """Rotate a vector by a quaternion of any norm.
+
+    Args:
+        q: Quaternion (x, y, z, w).
+        v: Vector, (3,).
+        sign: 1 for R v, −1 for Rᵀ v.
+    Returns:
+        The rotated vector, (3,).
+    """
     u, w = [mul(sign, c) for c in q[:3]], q[3]
     scale = 2.0 / (sum(c * c for c in u) + w * w)
     t = cross(u, v)
-    turned = cross(u, t)
-    return [add(v[i], mul(scale, add(mul(w, t[i]), turned[i]))) for i in range(3)]
+    u_t = cross(u, t)
+    return [add(v[i], mul(scale, add(mul(w, t[i]), u_t[i]))) for i in range(3)]
 
 
 def _lift(q: list[Scalar], v: list[Scalar]) -> list[Scalar]:
-    """Return q̄ v q, which is |q|² Rᵀ v, by a quaternion (x, y, z, w)."""
+    """Return q̄ v q = |q|² Rᵀ v for a quaternion (x, y, z, w)."""
     u, w = [mul(-1.0, c) for c in q[:3]], q[3]
     square = add(dot(u, u), mul(w, w))
     t = cross(u, v)
-    turned = cross(u, t)
-    return [add(mul(square, v[i]), mul(2.0, add(mul(w, t[i]), turned[i]))) for i in range(3)]
+    u_t = cross(u, t)
+    return [add(mul(square, v[i]), mul(2.0, add(mul(w, t[i]), u_t[i]))) for i in range(3)]
 
 
 def _quaternion_rate(q: list[Scalar], omega: list[Scalar]) -> list[Scalar]:
-    """Return ½ q ω."""
+    """Return the quaternion rate ½ q ω."""
     x, y, z, w = q
     a, b, c = omega
     return [

@@ -1,4 +1,4 @@
-"""The building of kernels: compiled or taken from the cache, and judged."""
+"""Construction of kernels: load from the cache or compile, then validate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..forces.force_model import ForceModel
 from ..reduction.tree.limbs import Lanes
 from ..system.system import System
 from .fingerprint import model_bytes
-from .kernel import Kernel, KernelStore
+from .kernel import Kernel
 from .layout import Structure, layout_of
 from .machine.native import compile_object, load_object
 from .object_cache import ObjectCache, cache_key
@@ -23,26 +23,34 @@ def build_kernel(
     system: System,
     structure: Structure,
     forces: ForceModel | None = None,
-    cache: KernelStore | None = None,
+    cache: ObjectCache | None = None,
 ) -> Kernel:
-    """Return the kernel of a system and structure: from the cache, or compiled and cached.
+    """Load the kernel of a system and structure from the cache, or compile it; then validate it.
 
-    Raises KernelMismatch if it disagrees with Pinocchio, ModelError if that
-    is because the system is ill-scaled; then nothing runs.
+    Args:
+        system: The system.
+        structure: Structure of the reduced equations.
+        forces: Forces on the system, or None.
+        cache: Cache of machine code; by default that of the user.
+    Returns:
+        The validated kernel.
+    Raises:
+        KernelMismatch: The kernel disagrees with Pinocchio.
+        ModelError: The kernel disagrees because the system is ill-scaled.
     """
     cache = ObjectCache() if cache is None else cache
-    kind = asdict(structure) | {"forces": None if forces is None else forces.key}
-    key = cache_key(model_bytes(system, structure.freed), json.dumps(kind))
-    stored = cache.get(key)
-    if stored is None:
+    settings = asdict(structure) | {"forces": None if forces is None else forces.key}
+
+    def compile_code() -> bytes:
         lanes = Lanes()
         graph = ReducedGraph(system, structure, forces, lanes)
         rate, outputs = graph.rate(), graph.outputs()
         meta = {"instructions": rate.n_instructions()}
         codes = [compile_object(f, f.name(), lanes.marks[f.name()]) for f in (rate, outputs)]
-        stored = _pack(json.dumps(meta).encode(), *codes)
-        cache.put(key, stored)
-    head, rate_code, outputs_code = _unpack(stored)
+        return _pack(json.dumps(meta).encode(), *codes)
+
+    key = cache_key(model_bytes(system, structure.freed), json.dumps(settings))
+    head, rate_code, outputs_code = _unpack(cache.get_or_compile(key, compile_code))
     meta = json.loads(head)
     kernel = Kernel(
         system=system,
@@ -55,21 +63,21 @@ def build_kernel(
     )
     with explain_ill_scaling(system):
         validate_kernel(kernel)
-        if structure.freed:  # with other numbers, too
+        if structure.freed:  # validate with other parameter values, too
             other = perturb_parameters(system, structure.freed, structure.cyclic)
-            moved = None if forces is None else forces.on(other)
-            validate_kernel(replace(kernel, system=other, forces=moved))
+            other_forces = None if forces is None else forces.on(other)
+            validate_kernel(replace(kernel, system=other, forces=other_forces))
     return kernel
 
 
-def _pack(*parts: bytes) -> bytes:
-    return b"".join(struct.pack("<Q", len(part)) + part for part in parts)
+def _pack(*blocks: bytes) -> bytes:
+    return b"".join(struct.pack("<Q", len(block)) + block for block in blocks)
 
 
 def _unpack(packed: bytes) -> list[bytes]:
-    parts, at = [], 0
+    blocks, at = [], 0
     while at < len(packed):
         (size,) = struct.unpack_from("<Q", packed, at)
-        parts.append(packed[at + 8 : at + 8 + size])
+        blocks.append(packed[at + 8 : at + 8 + size])
         at += 8 + size
-    return parts
+    return blocks

@@ -1,4 +1,4 @@
-"""CasADi Functions of the reduction, for users' own optimal-control problems."""
+"""CasADi Functions of the reduction, for optimal-control problems of users."""
 
 from __future__ import annotations
 
@@ -16,11 +16,16 @@ from .reduced_graph import ReducedGraph
 class CasadiFunctions:
     """The reduction as CasADi Functions of the shape x, (m,).
 
-    mass_matrix: (n, n).  locked_inertia: (r, r).  local_connection: (r, m).
-    reduced_metric: (m, m).  curvature: (r, m²), column α m + β is B_αβ.
-    vector_field: (y, parameters) → dy/dt, the reduced equations with momentum and without
-    forces; vector_field_jacobian: its exact derivative by y.  layout: where things stand in
-    y and the parameters.
+    Attributes:
+        mass_matrix: Mass matrix H(x), (n, n).
+        locked_inertia: Locked inertia I(x), (r, r).
+        local_connection: Local connection A(x), (r, m).
+        reduced_metric: Reduced metric M(x), (m, m).
+        curvature: Curvature, (r, m²); column α m + β is B_αβ.
+        vector_field: Reduced equations (y, parameters) → dy/dt, with momentum and without
+            forces.
+        vector_field_jacobian: Jacobian of the vector field with respect to y.
+        layout: Layout of y and of the parameters.
     """
 
     mass_matrix: ca.Function
@@ -34,7 +39,13 @@ class CasadiFunctions:
 
 
 def casadi_functions(system: System) -> CasadiFunctions:
-    """Return the CasADi Functions of a system."""
+    """Build the CasADi Functions of a system.
+
+    Args:
+        system: The system.
+    Returns:
+        The Functions.
+    """
     terms = casadi_reduction(system)
     graph = ReducedGraph(system, Structure(zero_momentum=False))
     field = graph.rate()

@@ -1,4 +1,4 @@
-"""Further machine code of a kernel: made when first asked for, kept on disk, and judged."""
+"""Further machine code of a kernel: compiled on demand, cached on disk, and validated."""
 
 from __future__ import annotations
 
@@ -21,26 +21,28 @@ def derived_code(
     make: Callable[[ReducedGraph], bytes],
     judge: Callable[[NativeCode], None],
 ) -> NativeCode:
-    """Return machine code of a kernel's equations, made once.
+    """Return further machine code of a kernel's equations, compiled and validated once.
 
-    name: of its function.  kind: sets it apart from other code of the same equations.  make:
-    gives the object code.  judge: raises an error if it disagrees with the kernel, which
-    Pinocchio has judged.
+    Args:
+        kernel: The kernel, already validated against Pinocchio.
+        name: Name of the compiled function.
+        kind: Key that distinguishes this code from other code of the same equations.
+        make: Function that compiles the object code from the graph.
+        judge: Function that raises an error if the code disagrees with the kernel.
+    Returns:
+        The machine code.
     """
 
-    def native() -> NativeCode:
+    def load() -> NativeCode:
         forces = None if kernel.forces is None else kernel.forces.key
-        whole = asdict(kernel.structure) | {"forces": forces} | kind
-        cache, key = (
-            ObjectCache(),
-            cache_key(model_bytes(kernel.system, kernel.structure.freed), json.dumps(whole)),
-        )
-        code = cache.get(key)
-        if code is None:
-            code = make(ReducedGraph(kernel.system, kernel.structure, kernel.forces))
-            cache.put(key, code)
-        made = load_object(code, name)
-        judge(made)
-        return made
+        settings = asdict(kernel.structure) | {"forces": forces} | kind
+        key = cache_key(model_bytes(kernel.system, kernel.structure.freed), json.dumps(settings))
 
-    return once(kernel, (derived_code, json.dumps(kind)), native)
+        def compile_code() -> bytes:
+            return make(ReducedGraph(kernel.system, kernel.structure, kernel.forces))
+
+        native = load_object(ObjectCache().get_or_compile(key, compile_code), name)
+        judge(native)
+        return native
+
+    return once(kernel, (derived_code, json.dumps(kind)), load)

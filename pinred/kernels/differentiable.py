@@ -1,7 +1,8 @@
-"""Functions with their derivatives as machine code: values, tangents in lanes, adjoints.
+"""Functions of a kernel's equations with derivatives, as machine code.
 
-A function here takes two columns, a and b.  Its tangent takes directions of both, SEEDS of them at
-once as lanes; its adjoint takes a covector λ of the output and gives λᵀ∂/∂a and λᵀ∂/∂b.
+A function takes two columns a and b.  Its tangent takes directions of both columns, SEEDS
+directions at once in SIMD lanes.  Its adjoint takes a covector λ of the result and returns
+λᵀ∂/∂a and λᵀ∂/∂b.
 """
 
 from __future__ import annotations
@@ -25,19 +26,23 @@ from .kernel import Kernel
 from .machine.native import NativeCode, compile_object
 from .reduced_graph import ReducedGraph
 
-_STEP = 1e-3  # of differences, for states of size one
-_TOLERANCE = 1e-7  # of slopes along a direction
-_LEAST = 1e-3  # of a direction's entries
-_TRIALS, _NEEDED = 40, 2
-_SIZES = np.arange(1.0, SEEDS + 1.0)  # of the directions in lanes
+_STEP = 1e-3  # step of the differences, for columns of size one
+_TOLERANCE = 1e-7  # relative tolerance of directional derivatives
+_SMALLEST = 1e-3  # smallest magnitude of a direction's entries
+_TRIALS, _REQUIRED = 40, 2  # random points, and comparisons that must succeed
 
 
 @dataclass(frozen=True)
 class Differentiable:
-    """A function (a, b) → out of a kernel's equations.
+    """A function (a, b) → result of a kernel's equations.
 
-    name: of its machine code.  write: gives its expressions, as a Function.
-    sample: random (a, b) at which it is tried.  limbs: whether limbs are lanes of its adjoint.
+    Attributes:
+        kernel: The kernel, already validated against Pinocchio.
+        name: Name of the function and prefix of its machine code.
+        write: Builds the expressions from the graph, as a Function.
+        sample: Draws random columns (a, b) for the validation.
+        judge: Validates the machine code of the value.
+        limbs: Whether the adjoint computes identical branches in SIMD lanes.
     """
 
     kernel: Kernel
@@ -49,166 +54,196 @@ class Differentiable:
 
     @cached_property
     def value(self) -> NativeCode:
-        """Machine code (a, b, out)."""
-        return self._made(
-            f"{self.name}_value",
-            lambda f: compile_object(_value(f), f"{self.name}_value"),
-            self.judge,
-        )
+        """Machine code (a, b, result)."""
+        name = f"{self.name}_value"
+        return self._code(name, lambda f: compile_object(_value(f), name), self.judge)
 
     @cached_property
     def tangent(self) -> NativeCode:
-        """Machine code (a, b, directions of a, of b, out); entry i of direction j at 8 i + j."""
-
-        def make(f: ca.Function) -> bytes:
-            return compile_object(
-                _tangent(f), f"{self.name}_tangent", wide=SEEDS, wide_inputs=(2, 3)
-            )
-
-        def judge(native: NativeCode) -> None:
-            def slope(a: Array, b: Array, da: Array, db: Array, covector: Array) -> float:
-                out = np.empty(len(covector) * SEEDS)
-                seeds = [np.outer(part, _SIZES).ravel() for part in (da, db)]
-                _call_forward(native.address, a, b, seeds[0], seeds[1], out)
-                return _of_lanes(covector @ out.reshape(-1, SEEDS) / _SIZES)
-
-            self._judge_slopes(slope)
-
-        return self._made(f"{self.name}_tangent", make, judge)
+        """Machine code (a, b, directions of a, of b, result); entry i of direction j at 8 i + j."""
+        # Direction j is j times the first one, so that exchanged lanes are detected.
+        sizes = np.arange(1.0, SEEDS + 1.0)
+        return self._tangent_code(f"{self.name}_tangent", sizes, (2, 3))
 
     @cached_property
     def adjoint(self) -> NativeCode:
-        """Machine code (a, b, λ, out); out holds the slopes by a, then those by b."""
+        """Machine code (a, b, λ, result); the result is λᵀ∂/∂a, then λᵀ∂/∂b."""
         name = f"{self.name}_adjoint"
-
-        def make(f: ca.Function) -> bytes:
-            return compile_object(_adjoint(f), name)
-
-        def make_in_lanes(_: ca.Function) -> bytes:
-            of_rate, own = Lanes(), Lanes()
-            kernel = self.kernel
-            graph = ReducedGraph(kernel.system, kernel.structure, kernel.forces, of_rate)
-            rate = self.write(graph)
-            whole = adjoint_in_lanes(rate, of_rate.marks[rate.name()], own, name)
-            return compile_object(whole, name, own.marks[name])
-
-        def judge(native: NativeCode) -> None:
-            def slope(a: Array, b: Array, da: Array, db: Array, covector: Array) -> float:
-                out = np.empty(len(a) + len(b))
-                _call_reverse(native.address, a, b, covector, out)
-                return float(out @ np.concatenate([da, db]))
-
-            self._judge_slopes(slope)
-
-        return self._made(name, make_in_lanes if self.limbs else make, judge)
+        return self._adjoint_code(name, 1, self._compile_in_lanes if self.limbs else None)
 
     def wide_tangent(self, lanes: int) -> NativeCode:
-        """Return (a, b, direction of a, of b, out) for so many a at once, each along one direction.
+        """Return the tangent for several columns a at once, each along one direction.
 
-        Of a and its direction, and of the output, entry i of lane j stands at i lanes + j.
+        Entry i of lane j has index i · lanes + j in a, its direction and the result; b and its
+        direction are common to all lanes.
+
+        Args:
+            lanes: Number of columns a.
+        Returns:
+            Machine code (a, b, direction of a, of b, result).
         """
-        name = f"{self.name}_tangents{lanes}"
-
-        def make(f: ca.Function) -> bytes:
-            return compile_object(_tangent(f), name, wide=lanes, wide_inputs=(0, 2))
-
-        def judge(native: NativeCode) -> None:
-            def slope(a: Array, b: Array, da: Array, db: Array, covector: Array) -> float:
-                out = np.empty(len(covector) * lanes)
-                wide = (np.repeat(part, lanes) for part in (a, da))
-                _call_forward(native.address, next(wide), b, next(wide), db, out)
-                return _of_lanes(covector @ out.reshape(-1, lanes))
-
-            self._judge_slopes(slope)
-
-        return self._made(name, make, judge)
+        return self._tangent_code(f"{self.name}_tangents{lanes}", np.ones(lanes), (0, 2))
 
     def wide_adjoint(self, lanes: int) -> NativeCode:
-        """Return (a, b, λ, out) for so many a and λ at once; see wide_tangent."""
-        name = f"{self.name}_adjoints{lanes}"
+        """Return the adjoint for several columns a and covectors at once; see wide_tangent.
 
-        def make(f: ca.Function) -> bytes:
-            return compile_object(_adjoint(f), name, wide=lanes, wide_inputs=(0, 2))
-
-        def judge(native: NativeCode) -> None:
-            def slope(a: Array, b: Array, da: Array, db: Array, covector: Array) -> float:
-                out = np.empty((len(a) + len(b)) * lanes)
-                wide = [np.repeat(part, lanes) for part in (a, covector)]
-                _call_reverse(native.address, wide[0], b, wide[1], out)
-                return _of_lanes(np.concatenate([da, db]) @ out.reshape(-1, lanes))
-
-            self._judge_slopes(slope)
-
-        return self._made(name, make, judge)
+        Args:
+            lanes: Number of columns a.
+        Returns:
+            Machine code (a, b, λ, result).
+        """
+        return self._adjoint_code(f"{self.name}_adjoints{lanes}", lanes)
 
     def at(self, a: Array, b: Array, size: int) -> Array:
-        """Return the value, (size,)."""
-        out = np.empty(size)
-        call_value(self.value.address, a, b, out)
-        return out
+        """Evaluate the function.
+
+        Args:
+            a: First column.
+            b: Second column.
+            size: Length of the result.
+        Returns:
+            (size,): the result.
+        """
+        result = np.empty(size)
+        call_value(self.value.address, a, b, result)
+        return result
 
     def forward(self, a: Array, b: Array, da: Array, db: Array, size: int) -> Array:
-        """Return the derivatives (size, N) along directions (…, N) of a and b."""
+        """Compute directional derivatives.
+
+        Args:
+            a: First column.
+            b: Second column.
+            da: N directions of a, (…, N).
+            db: N directions of b, (…, N).
+            size: Length of the result.
+        Returns:
+            (size, N): the derivatives.
+        """
         count = da.shape[1]
-        out = np.empty((size, count))
+        result = np.empty((size, count))
         batches = -(-count // SEEDS)
-        along_a, along_b, slopes = (np.zeros((batches, k * SEEDS)) for k in (len(a), len(b), size))
+        seeds_a, seeds_b, lanes = (np.zeros((batches, k * SEEDS)) for k in (len(a), len(b), size))
         _call_in_batches(
             self.tangent.address if count else 0, a, b, np.ascontiguousarray(da),
-            np.ascontiguousarray(db), along_a, along_b, slopes, out,
+            np.ascontiguousarray(db), seeds_a, seeds_b, lanes, result,
         )  # fmt: skip
-        return out
+        return result
 
     def reverse(self, a: Array, b: Array, covector: Array) -> tuple[Array, Array]:
-        """Return the slopes of λᵀ out by a and by b."""
-        out = np.empty(len(a) + len(b))
-        _call_reverse(self.adjoint.address, a, b, covector, out)
-        return out[: len(a)], out[len(a) :]
+        """Compute the derivatives of λᵀ f with respect to a and to b.
 
-    def _made(
+        Args:
+            a: First column.
+            b: Second column.
+            covector: λ, as long as the result of the function.
+        Returns:
+            λᵀ∂f/∂a and λᵀ∂f/∂b.
+        """
+        derivatives = np.empty(len(a) + len(b))
+        _call_reverse(self.adjoint.address, a, b, covector, derivatives)
+        return derivatives[: len(a)], derivatives[len(a) :]
+
+    def _code(
         self,
         name: str,
-        make: Callable[[ca.Function], bytes],
-        judge: Callable[[NativeCode], None],
+        compile_code: Callable[[ca.Function], bytes],
+        validate: Callable[[NativeCode], None],
     ) -> NativeCode:
         return derived_code(
-            self.kernel, name, {name: SEEDS}, lambda graph: make(self.write(graph)), judge
+            self.kernel,
+            name,
+            {name: SEEDS},
+            lambda graph: compile_code(self.write(graph)),
+            validate,
         )
 
-    def _judge_slopes(self, slope: Callable[..., float]) -> None:
-        """Compare λᵀ(∂f/∂a δa + ∂f/∂b δb) with differences of λᵀf, where these agree.
+    def _tangent_code(self, name: str, sizes: Array, wide_inputs: tuple[int, ...]) -> NativeCode:
+        """Return forward-mode code.  sizes: factor of the test direction in each lane."""
+        lanes = len(sizes)
 
-        slope: of (a, b, δa, δb, λ).  Raises KernelMismatch.
+        def compile_code(f: ca.Function) -> bytes:
+            return compile_object(_tangent(f), name, wide=lanes, wide_inputs=wide_inputs)
+
+        def validate(native: NativeCode) -> None:
+            def derivative(a: Array, b: Array, da: Array, db: Array, covector: Array) -> float:
+                result = np.empty(len(covector) * lanes)
+                wide_a, wide_b, wide_da, wide_db = (
+                    np.outer(column, sizes).ravel() if k in wide_inputs else column
+                    for k, column in enumerate((a, b, da, db))
+                )
+                _call_forward(native.address, wide_a, wide_b, wide_da, wide_db, result)
+                return _common_value(covector @ result.reshape(-1, lanes) / sizes)
+
+            self._validate_derivative(derivative)
+
+        return self._code(name, compile_code, validate)
+
+    def _adjoint_code(
+        self, name: str, lanes: int, compile_code: Callable[[ca.Function], bytes] | None = None
+    ) -> NativeCode:
+        """Return reverse-mode code.  compile_code: replaces the default compilation."""
+
+        def compile_default(f: ca.Function) -> bytes:
+            return compile_object(_adjoint(f), name, wide=lanes, wide_inputs=(0, 2))
+
+        def validate(native: NativeCode) -> None:
+            def derivative(a: Array, b: Array, da: Array, db: Array, covector: Array) -> float:
+                result = np.empty((len(a) + len(b)) * lanes)
+                wide_a, wide_covector = (np.repeat(column, lanes) for column in (a, covector))
+                _call_reverse(native.address, wide_a, b, wide_covector, result)
+                return _common_value(np.concatenate([da, db]) @ result.reshape(-1, lanes))
+
+            self._validate_derivative(derivative)
+
+        return self._code(name, compile_code or compile_default, validate)
+
+    def _compile_in_lanes(self, _: ca.Function) -> bytes:
+        """Compile the adjoint with identical branches in SIMD lanes."""
+        rate_lanes, adjoint_lanes, kernel = Lanes(), Lanes(), self.kernel
+        graph = ReducedGraph(kernel.system, kernel.structure, kernel.forces, rate_lanes)
+        rate, name = self.write(graph), f"{self.name}_adjoint"
+        adjoint = adjoint_in_lanes(rate, rate_lanes.marks[rate.name()], adjoint_lanes, name)
+        return compile_object(adjoint, name, adjoint_lanes.marks[name])
+
+    def _validate_derivative(self, derivative: Callable[..., float]) -> None:
+        """Compare λᵀ(∂f/∂a δa + ∂f/∂b δb) with differences of λᵀf, where these are accurate.
+
+        Args:
+            derivative: Function of (a, b, δa, δb, λ).
+        Raises:
+            KernelMismatch: The derivatives differ.
+            InputError: The differences are inaccurate at most points.
         """
-        rng, size, judged = np.random.default_rng(0), self._size_of_output(), 0
+        rng, size, compared = np.random.default_rng(0), self._result_size(), 0
         address = (self.kernel.rate if self.name == "rate" else self.value).address
         for _ in range(_TRIALS):
             a, b = self.sample(rng)
-            # Small inertias are moved by less than they are.
-            da, db = (rng.normal(size=len(v)) * np.clip(np.abs(v), _LEAST, 1.0) for v in (a, b))
+            # Steps relative to the entries keep small inertias positive.
+            da, db = (rng.normal(size=len(v)) * np.clip(np.abs(v), _SMALLEST, 1.0) for v in (a, b))
             covector = rng.normal(size=size)
             with np.errstate(all="ignore"):
                 rough, expected = (
                     _difference(address, a, b, da, db, covector, h) for h in (2.0 * _STEP, _STEP)
                 )
-                found = slope(a, b, da, db, covector)
-            most = _TOLERANCE * max(1.0, abs(expected))
-            if not (abs(rough - expected) <= most and np.isfinite(found)):
-                continue  # where a force has a kink, or is not defined, differences say nothing
-            if not abs(found - expected) <= 10.0 * most:
+                value = derivative(a, b, da, db, covector)
+            bound = _TOLERANCE * max(1.0, abs(expected))
+            if not (abs(rough - expected) <= bound and np.isfinite(value)):
+                continue  # differences are inaccurate where a force has a kink or is undefined
+            if not abs(value - expected) <= 10.0 * bound:
                 raise KernelMismatch(
                     f"a derivative of '{self.name}' of '{self.kernel.system.name}' disagrees with "
-                    f"its differences: {found:.12g}, and not {expected:.12g}"
+                    f"its differences: got {value:.12g}, expected {expected:.12g}"
                 )
-            judged += 1
-            if judged == _NEEDED:
+            compared += 1
+            if compared == _REQUIRED:
                 return
         raise InputError(
             f"the forces on '{self.kernel.system.name}' have no derivatives at "
-            f"{_TRIALS - judged} of {_TRIALS} random states"
+            f"{_TRIALS - compared} of {_TRIALS} random states"
         )
 
-    def _size_of_output(self) -> int:
+    def _result_size(self) -> int:
         graph = ReducedGraph(self.kernel.system, self.kernel.structure, self.kernel.forces)
         return int(self.write(graph).numel_out(0))
 
@@ -216,20 +251,21 @@ class Differentiable:
 def _difference(
     address: int, a: Array, b: Array, da: Array, db: Array, covector: Array, h: float
 ) -> float:
-    """Return the derivative of λᵀf along a direction by central differences of order 6."""
-    total, out = 0.0, np.empty(len(covector))
+    """Compute the derivative of λᵀf along a direction by central differences of order 6."""
+    total, result = 0.0, np.empty(len(covector))
     for k, weight in ((1, 45.0), (2, -9.0), (3, 1.0)):
         for sign in (1.0, -1.0):
             step = sign * k * h
-            call_value(address, a + step * da, b + step * db, out)
-            total += sign * weight * float(covector @ out)
+            call_value(address, a + step * da, b + step * db, result)
+            total += sign * weight * float(covector @ result)
     return total / (60.0 * h)
 
 
-def _of_lanes(found: Array) -> float:
-    """Return what all lanes give alike; NaN where they do not."""
-    same = np.abs(found - found[0]).max() <= _TOLERANCE * max(1.0, abs(float(found[0])))
-    return float(found[0]) if same else np.nan
+def _common_value(values: Array) -> float:
+    """Return the value of all lanes, or NaN if the lanes differ."""
+    first = float(values[0])
+    equal = np.abs(values - first).max() <= _TOLERANCE * max(1.0, abs(first))
+    return first if equal else np.nan
 
 
 def _symbols(f: ca.Function) -> tuple[ca.SX, ca.SX]:
@@ -244,22 +280,29 @@ def _value(f: ca.Function) -> ca.Function:
 def _tangent(f: ca.Function) -> ca.Function:
     a, b = _symbols(f)
     da, db = ca.SX.sym("da", f.numel_in(0)), ca.SX.sym("db", f.numel_in(1))
-    out = f(a, b)
-    slope = ca.jtimes(out, a, da) + ca.jtimes(out, b, db)
-    return ca.Function("tangent", [a, b, da, db], [ca.densify(slope)], {"cse": True})
+    result = f(a, b)
+    derivative = ca.jtimes(result, a, da) + ca.jtimes(result, b, db)
+    return ca.Function("tangent", [a, b, da, db], [ca.densify(derivative)], {"cse": True})
 
 
 def _adjoint(f: ca.Function) -> ca.Function:
     a, b = _symbols(f)
     covector = ca.SX.sym("l", f.numel_out(0))
     both = ca.vertcat(a, b)
-    slopes = ca.jtimes(f(a, b), both, covector, True)
-    return ca.Function("adjoint", [a, b, covector], [ca.densify(slopes)], {"cse": True})
+    derivatives = ca.jtimes(f(a, b), both, covector, True)
+    return ca.Function("adjoint", [a, b, covector], [ca.densify(derivatives)], {"cse": True})
 
 
 @compiled
 def call_value(address: int, a: Array, b: Array, out: Array) -> None:
-    """Let machine code of a value fill `out`."""
+    """Evaluate machine code (a, b, result) into `out`.
+
+    Args:
+        address: Address of the machine code.
+        a: First column.
+        b: Second column.
+        out: Receives the result.
+    """
     call(address, a, b, out)
 
 
@@ -267,7 +310,16 @@ def call_value(address: int, a: Array, b: Array, out: Array) -> None:
 def repeat_adjoint(
     address: int, a: Array, b: Array, covector: Array, out: Array, count: int
 ) -> None:
-    """Evaluate an adjoint `count` times, to be timed."""
+    """Evaluate an adjoint repeatedly, for timing.
+
+    Args:
+        address: Address of the machine code.
+        a: First column.
+        b: Second column.
+        covector: λ.
+        out: Receives the derivatives.
+        count: Number of evaluations.
+    """
     for _ in range(count):
         call_adjoint(address, a, b, covector, out)
 
@@ -284,17 +336,17 @@ def _call_in_batches(
     b: Array,
     da: Array,
     db: Array,
-    along_a: Array,
-    along_b: Array,
-    slopes: Array,
+    seeds_a: Array,
+    seeds_b: Array,
+    lanes: Array,
     out: Array,
 ) -> None:
-    """Fill out (size, N) with the slopes along directions (…, N), SEEDS at once."""
-    to_lanes(da, along_a)
-    to_lanes(db, along_b)
-    for k in range(slopes.shape[0]):
-        call_slopes(address, a, b, along_a[k], along_b[k], slopes[k])
-    from_lanes(slopes, out)
+    """Compute derivatives (size, N) along directions (…, N), SEEDS directions at once."""
+    to_lanes(da, seeds_a)
+    to_lanes(db, seeds_b)
+    for k in range(lanes.shape[0]):
+        call_slopes(address, a, b, seeds_a[k], seeds_b[k], lanes[k])
+    from_lanes(lanes, out)
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Evaluation of a kernel at many states."""
+"""Evaluation of machine code at many states."""
 
 from __future__ import annotations
 
@@ -10,37 +10,62 @@ from ..integrators.stepping.kernel_call import call
 
 
 def evaluate(address: int, parameters: Array, y: Array, size: int) -> Array:
-    """Return a kernel's values, (T, size), at states y (T, k) and parameters (p,)."""
-    out = np.empty((len(y), size))
-    _rows(address, np.ascontiguousarray(parameters), np.ascontiguousarray(y), out)
-    return out
+    """Evaluate a kernel at several states with common parameters.
+
+    Args:
+        address: Address of the machine code.
+        parameters: Parameters, (p,).
+        y: States, (T, k).
+        size: Number of values at each state.
+    Returns:
+        (T, size): the values.
+    """
+    values = np.empty((len(y), size))
+    _evaluate_all(address, np.ascontiguousarray(parameters), np.ascontiguousarray(y), values)
+    return values
 
 
 def evaluate_each(address: int, y: Array, parameters: Array, size: int) -> Array:
-    """Return a kernel's values, (N, size), at states y (N, k), each with parameters of its own."""
-    out = np.empty((len(y), size))
-    _pairs(address, np.ascontiguousarray(y), np.ascontiguousarray(parameters), out)
-    return out
+    """Evaluate a kernel at several states with separate parameters.
+
+    Args:
+        address: Address of the machine code.
+        y: States, (N, k).
+        parameters: Parameters of each state, (N, p).
+        size: Number of values at each state.
+    Returns:
+        (N, size): the values.
+    """
+    values = np.empty((len(y), size))
+    _evaluate_pairs(address, np.ascontiguousarray(y), np.ascontiguousarray(parameters), values)
+    return values
 
 
 def repeat(address: int, parameters: Array, y: Array, count: int) -> None:
-    """Evaluate a kernel `count` times at one state y (k,), to be timed."""
-    _again(address, parameters, y, np.empty(len(y)), count)
+    """Evaluate a kernel repeatedly at one state, for timing.
+
+    Args:
+        address: Address of the machine code.
+        parameters: Parameters, (p,).
+        y: State, (k,).
+        count: Number of evaluations.
+    """
+    _repeat(address, parameters, y, np.empty(len(y)), count)
 
 
 @compiled
-def _again(address: int, parameters: Array, y: Array, out: Array, count: int) -> None:
+def _repeat(address: int, parameters: Array, y: Array, out: Array, count: int) -> None:
     for _ in range(count):
         call(address, y, parameters, out)
 
 
 @compiled
-def _rows(address: int, parameters: Array, y: Array, out: Array) -> None:
+def _evaluate_all(address: int, parameters: Array, y: Array, out: Array) -> None:
     for k in range(len(y)):
         call(address, y[k], parameters, out[k])
 
 
 @compiled
-def _pairs(address: int, y: Array, parameters: Array, out: Array) -> None:
+def _evaluate_pairs(address: int, y: Array, parameters: Array, out: Array) -> None:
     for k in range(len(y)):
         call(address, y[k], parameters[k], out[k])

@@ -1,8 +1,8 @@
-"""The start of a flow from initial states, as machine code: one kernel for a robot.
+"""The map from initial states to reduced initial conditions, as machine code for one robot.
 
-From pose, shape, its rate, and body twist or momentum come the canonical momenta π in the
-frame of the centre of mass, the angular momentum about it in the body's frame and in the
-fixed one, and where the centre of mass begins and how fast it moves.
+An initial state consists of pose, shape, shape rate, and body twist or momentum.  The result
+contains canonical momenta π in the frame of the centre of mass, the angular momentum about the
+centre of mass in the body frame and in the fixed frame, and the initial centre-of-mass path.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.free_bodies import NOTHING, Freed, free_numbers, total_mass, with_free
 from ..reduction.tree.momenta import centre_of_mass, momenta
 from ..reduction.tree.scalars import Scalar
-from ..system.other_inertias import nominal
 from ..system.system import System
+from ..system.variants import nominal
 from .base_graph import BaseGraph
-from .evaluate import evaluate
+from .evaluate import evaluate, evaluate_each
 from .fingerprint import model_bytes
 from .machine.native import NativeCode, compile_object, load_object
 from .object_cache import ObjectCache, cache_key
@@ -36,16 +36,19 @@ from .reference_state import perturb_parameters
 from .validation import explain_ill_scaling, require_agreement
 
 TwistOrMomentum = Literal["xi", "mu"]
-_NAME = "start"
+_NAME = "initial_conditions"
 
 
 @dataclass(frozen=True)
 class InitialConditions:
-    """The starts of flows from N initial states.
+    """Reduced initial conditions of N flows.
 
-    pi: (N, m) canonical momenta.  about: (N, a) angular momenta about the centre of mass, in
-    the body's frame, and fixed: (N, a) in the fixed frame.  c0, v0: (N, k) centre of mass
-    and its velocity in the root joint's fixed frame.
+    Attributes:
+        pi: Canonical momenta in the frame of the centre of mass, (N, m).
+        about: Angular momenta about the centre of mass in the body frame, (N, a) [kg·m²/s].
+        fixed: The same angular momenta in the fixed frame, (N, a) [kg·m²/s].
+        c0: Centres of mass in the root joint's fixed frame, (N, k) [m].
+        v0: Their velocities, (N, k) [m/s].
     """
 
     pi: Array
@@ -57,9 +60,12 @@ class InitialConditions:
 
 @dataclass(frozen=True)
 class InitialConditionsKernel:
-    """Machine code from initial states to the starts of flows.
+    """Machine code that maps initial states to reduced initial conditions.
 
-    system: whose numbers it takes where none are given.  freed: which of them are inputs.
+    Attributes:
+        system: The system; its parameters are used unless others are passed.
+        freed: Variable body parameters.
+        code: The machine code.
     """
 
     system: System
@@ -69,64 +75,84 @@ class InitialConditionsKernel:
     def __call__(
         self, pose: Array, x: Array, xdot: Array, motion: Array, numbers: Array | None = None
     ) -> InitialConditions:
-        """Return the starts for poses (N, size), x and ẋ (N, m), body twists or momenta (N, r).
+        """Compute the reduced initial conditions of N initial states.
 
-        numbers: of freed bodies, (freed.size,) of all, or (N, freed.size).
+        Args:
+            pose: Poses, (N, size).
+            x: Shapes, (N, m) [rad | m].
+            xdot: Shape rates, (N, m).
+            motion: Body twists or body momenta, (N, r).
+            numbers: Values of the variable body parameters, (freed.size,) or (N, freed.size).
+        Returns:
+            The initial conditions.
         """
         m, r, k = self.system.m, self.system.r, self.system.group.linear
-        rows = np.concatenate([pose, x, xdot, motion], axis=1)
+        states = np.concatenate([pose, x, xdot, motion], axis=1)
         if numbers is None:
             numbers = free_numbers(self.system, self.freed) if self.freed else np.zeros(1)
         address, size = self.code.address, m + 2 * r
         if numbers.ndim == 1:
-            out = evaluate(address, numbers, rows, size)
+            values = evaluate(address, numbers, states, size)
         else:
-            each = zip(numbers, rows[:, None], strict=True)
-            out = np.concatenate([evaluate(address, own, row, size) for own, row in each])
+            values = evaluate_each(address, states, numbers, size)
         about, fixed, c0, v0 = m, m + r - k, m + 2 * (r - k), m + 2 * (r - k) + k
         return InitialConditions(
-            pi=out[:, :about],
-            about=out[:, about:fixed],
-            fixed=out[:, fixed:c0],
-            c0=out[:, c0:v0],
-            v0=out[:, v0:],
+            pi=values[:, :about],
+            about=values[:, about:fixed],
+            fixed=values[:, fixed:c0],
+            c0=values[:, c0:v0],
+            v0=values[:, v0:],
         )
 
 
 def initial_conditions_kernel(
     system: System, given: TwistOrMomentum, freed: Freed = NOTHING
 ) -> InitialConditionsKernel:
-    """Return the kernel for initial states with a body twist ("xi") or a body momentum ("mu").
+    """Return the validated kernel of initial conditions.
 
-    freed: the numbers of bodies that are inputs.
-
-    Raises KernelMismatch if it disagrees with Pinocchio, ModelError if the system is ill-scaled.
+    Args:
+        system: The system.
+        given: Whether initial states contain a body twist ("xi") or a body momentum ("mu").
+        freed: Variable body parameters.
+    Returns:
+        The kernel, compiled once.
+    Raises:
+        KernelMismatch: The kernel disagrees with Pinocchio.
+        ModelError: The kernel disagrees because the system is ill-scaled.
     """
 
     def make() -> InitialConditionsKernel:
-        cache = ObjectCache()
-        key = cache_key(model_bytes(system, freed), f"start from {given}{freed.steps or ''}")
-        code = cache.get(key)
-        if code is None:
-            code = compile_object(initial_conditions_graph(system, given, freed), _NAME)
-            cache.put(key, code)
+        key = cache_key(
+            model_bytes(system, freed), f"initial conditions from {given}{freed.steps or ''}"
+        )
+        code = ObjectCache().get_or_compile(
+            key, lambda: compile_object(initial_conditions_graph(system, given, freed), _NAME)
+        )
         kernel = InitialConditionsKernel(system, freed, load_object(code, _NAME))
         with explain_ill_scaling(system):
-            _judge(kernel, given)
-            if freed:  # with other numbers, too
-                _judge(replace(kernel, system=perturb_parameters(system, freed)), given)
+            _validate(kernel, given)
+            if freed:  # validate with other parameter values, too
+                _validate(replace(kernel, system=perturb_parameters(system, freed)), given)
         return kernel
 
-    found = once(
+    kernel = once(
         nominal(system) if freed else system, (InitialConditionsKernel, given, freed), make
     )
-    return replace(found, system=system) if freed else found
+    return replace(kernel, system=system) if freed else kernel
 
 
 def initial_conditions_graph(
     system: System, given: TwistOrMomentum, freed: Freed = NOTHING
 ) -> ca.Function:
-    """Return the start as a Function of (pose, x, ẋ, ξ or μ) and of the numbers of freed bodies."""
+    """Build the map from initial states to reduced initial conditions.
+
+    Args:
+        system: The system.
+        given: Whether initial states contain a body twist ("xi") or a body momentum ("mu").
+        freed: Variable body parameters.
+    Returns:
+        Function of (pose, x, ẋ, ξ or μ) and of the variable body parameters.
+    """
     numbers = ca.SX.sym("numbers", freed.size)
     bodies = with_free(bodies_of(system), freed, ca.vertsplit(numbers) if freed else [])
     mass = total_mass(bodies) if freed.inertias else system.mass
@@ -150,26 +176,29 @@ def initial_conditions_graph(
         )
     else:
         armature = float(system.model.armature[0])
-        found = sweep(
+        result = sweep(
             bodies, joints, [0.0] * m, [0.0] * k + about, group.axes, armature,
             dict(enumerate(ca.vertsplit(xdot))) if m else {}, coupled=system.coupled,
         )  # fmt: skip
-        pi = found.pi
-    fixed, moved, velocity = (
+        pi = result.pi
+    fixed, offset, velocity = (
         base.turned_angular(about), base.turned(base.along(com)), base.turned(velocity)
     )  # fmt: skip
-    c0 = [a + b for a, b in zip(ca.vertsplit(pose)[:k], moved, strict=True)]
-    out = ca.vertcat(ca.SX(0, 1), *pi, *about, *fixed, *c0, *velocity)
+    c0 = [a + b for a, b in zip(ca.vertsplit(pose)[:k], offset, strict=True)]
+    conditions = ca.vertcat(ca.SX(0, 1), *pi, *about, *fixed, *c0, *velocity)
     attitude = ca.vertsplit(pose)[k:]
     if attitude:
-        out = ca.substitute(out, ca.vertcat(*base.attitude), ca.vertcat(*attitude))
+        conditions = ca.substitute(conditions, ca.vertcat(*base.attitude), ca.vertcat(*attitude))
     inputs = ca.vertcat(pose, x, xdot, motion)
     return ca.Function(
-        _NAME, [inputs, numbers if freed else ca.SX.sym("none")], [ca.densify(out)], {"cse": True}
+        _NAME,
+        [inputs, numbers if freed else ca.SX.sym("none")],
+        [ca.densify(conditions)],
+        {"cse": True},
     )
 
 
-def _judge(kernel: InitialConditionsKernel, given: TwistOrMomentum) -> None:
+def _validate(kernel: InitialConditionsKernel, given: TwistOrMomentum) -> None:
     """Compare a kernel with Pinocchio's mass matrix at a random state."""
     system, rng = kernel.system, np.random.default_rng(0)
     group, r = system.group, system.r
@@ -180,7 +209,7 @@ def _judge(kernel: InitialConditionsKernel, given: TwistOrMomentum) -> None:
     H = mass_matrix_at(system, system.model, data, group.identity(), x)
     mu = H[:r] @ np.concatenate([xi, xdot])
     motion = xi if given == "xi" else mu
-    found = kernel(*(row[None] for row in (pose, x, xdot, motion)))
+    values = kernel(*(column[None] for column in (pose, x, xdot, motion)))
     relative = xi.copy()
     relative[:k] -= mu[:k] / system.mass
     v = np.concatenate([relative, xdot])
@@ -188,22 +217,26 @@ def _judge(kernel: InitialConditionsKernel, given: TwistOrMomentum) -> None:
     pin.centerOfMass(system.model, data, q, system.model_v(xi, xdot))
     root = system.model.jointPlacements[1]
     c = translations(system).T @ root.actInv(pin.centerOfMass(system.model, data, q))
-    about = H[k:r] @ v
-    # If a momentum is given, what it is a sum of has moved the twist that it is made into.
-    whole = np.concatenate([xi, xdot])
-    terms = np.abs(H) @ np.abs(whole)
-    moved = np.abs(whole)
-    moved[:r] += np.abs(np.linalg.inv(H[:r, :r])) @ np.full(r, terms[:r].max())
-    terms = np.abs(H) @ moved
-    far, turning, push = np.abs(c).sum() + np.abs(pose[:k]).sum(), terms[k:r].sum(), terms[:k].sum()
+    angular_momentum = H[k:r] @ v
+    # A given momentum has the round-off of its terms, which also affects the twist.
+    velocity = np.abs(np.concatenate([xi, xdot]))
+    terms = np.abs(H) @ velocity
+    velocity[:r] += np.abs(np.linalg.inv(H[:r, :r])) @ np.full(r, terms[:r].max())
+    terms = np.abs(H) @ velocity
+    distance = np.abs(c).sum() + np.abs(pose[:k]).sum()
+    angular, linear = terms[k:r].sum(), terms[:k].sum()
     expected = {
-        "canonical momenta": (found.pi[0], H[r:] @ v, terms[r:]),
-        "angular momentum": (found.about[0], about, turning),
-        "spatial angular momentum": (found.fixed[0], group.Ad(pose)[k:, k:] @ about, turning),
-        "centre of mass": (found.c0[0], c, far),
+        "canonical momenta": (values.pi[0], H[r:] @ v, terms[r:]),
+        "angular momentum": (values.about[0], angular_momentum, angular),
+        "spatial angular momentum": (
+            values.fixed[0], group.Ad(pose)[k:, k:] @ angular_momentum, angular,
+        ),
+        "centre of mass": (values.c0[0], c, distance),
         "momentum": (
-            found.v0[0], group.Ad(pose)[:k, :k] @ mu[:k] / system.mass, push / system.mass,
+            values.v0[0], group.Ad(pose)[:k, :k] @ mu[:k] / system.mass, linear / system.mass,
         ),
     }  # fmt: skip
-    for what, (value, true, size) in expected.items():
-        require_agreement(f"the start kernel of '{system.name}'", what, value, true, size)
+    for what, (value, reference, size) in expected.items():
+        require_agreement(
+            f"the initial conditions of '{system.name}'", what, value, reference, size
+        )

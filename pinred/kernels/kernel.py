@@ -1,4 +1,4 @@
-"""Kernels: one robot and one kind of scene, compiled, judged against Pinocchio, kept on disk."""
+"""Kernels: compiled reduced equations of one robot and structure."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -21,23 +20,18 @@ _POINTER = ctypes.POINTER(ctypes.c_double)
 _SIGNATURE = ctypes.CFUNCTYPE(None, _POINTER, _POINTER, _POINTER)
 
 
-class KernelStore(Protocol):
-    """A store of kernels: an ObjectCache, or something like it."""
-
-    def get(self, key: str) -> bytes | None:
-        """Return the code of `key`, if it is there."""
-
-    def put(self, key: str, code: bytes) -> None:
-        """Keep the code of `key`."""
-
-
 @dataclass(frozen=True)
 class Kernel:
     """Machine code of a reduced vector field and of its outputs.
 
-    layout: the places of things in y and in the parameters.  rate: (y, parameters) → dy/dt.
-    outputs: ((y, t), (parameters, c0, v0, g)) → everything of Outputs.  instructions:
-    arithmetic operations of `rate`.
+    Attributes:
+        system: The system.
+        structure: Structure of the reduced equations.
+        forces: Forces on the system, or None.
+        layout: Layout of the reduced state y and of the parameters.
+        rate: Machine code (y, parameters) → dy/dt.
+        outputs: Machine code ((y, t), (parameters, c0, v0, g)) → all fields of Outputs.
+        instructions: Number of arithmetic operations of `rate`.
     """
 
     system: System
@@ -57,36 +51,55 @@ class Kernel:
         return _SIGNATURE(self.outputs.address)
 
     def random_parameters(self, rng: np.random.Generator) -> Array:
-        """Return parameters (p,) with which code made of this kernel is compared with it."""
+        """Draw random parameters for the comparison of derived code with this kernel.
+
+        Args:
+            rng: Random number generator.
+        Returns:
+            (p,): spin, gravity and force parameters are random; body parameters are those of the
+            robot.
+        """
         layout = self.layout
         parameters = rng.normal(size=layout.parameters)
         bodies = free_numbers(self.system, layout.freed)
         parameters[layout.bodies_at : layout.bodies_at + len(bodies)] = bodies
         if self.forces is not None:
-            first = self.layout.parameters - self.layout.numbers
-            parameters[first:] = self.forces.random_numbers(rng)
+            parameters[layout.parameters - layout.numbers :] = self.forces.random_numbers(rng)
         return parameters
 
     def evaluate_rate(self, y: Array, parameters: Array) -> Array:
-        """Return dy/dt, (size,)."""
+        """Evaluate the reduced vector field.
+
+        Args:
+            y: Reduced state, (size,).
+            parameters: Parameters, (p,).
+        Returns:
+            (size,): dy/dt.
+        """
         return self._call(self._rate, y, parameters, self.layout.size)
 
-    def evaluate_outputs(self, t: float, y: Array, parameters: Array, line: Array) -> Array:
-        """Return everything of Outputs, (where.size,), at a time.
+    def evaluate_outputs(self, t: float, y: Array, parameters: Array, com_path: Array) -> Array:
+        """Evaluate the outputs at a time.
 
-        line: (3k,) start, velocity and fall of the centre of mass.
+        Args:
+            t: Time [s].
+            y: Reduced state, (size,).
+            parameters: Parameters, (p,).
+            com_path: Centre-of-mass path (c0, v0, g), (3k,) [m, m/s, m/s²].
+        Returns:
+            (where.size,): all fields of Outputs.
         """
         y = y if self.layout.clock else np.append(y, t)
-        return self._call(self._outputs, y, np.append(parameters, line), self.where.size)
+        return self._call(self._outputs, y, np.append(parameters, com_path), self.where.size)
 
     @cached_property
     def where(self) -> Outputs:
-        """The places of things in the outputs."""
+        """Slices of the outputs."""
         return outputs_of(self.system, self.layout)
 
     @staticmethod
     def _call(function: Callable[..., None], y: Array, parameters: Array, size: int) -> Array:
         y, parameters = np.ascontiguousarray(y), np.ascontiguousarray(parameters)
-        out = np.empty(size)
-        function(*(array.ctypes.data_as(_POINTER) for array in (y, parameters, out)))
-        return out
+        values = np.empty(size)
+        function(*(array.ctypes.data_as(_POINTER) for array in (y, parameters, values)))
+        return values

@@ -1,10 +1,10 @@
-"""Compiled objects on disk, so that a robot is compiled once and not once a day.
+"""Compiled objects on disk, so that each robot is compiled once.
 
-The machine code kept here runs with the rights of whoever loads it.  So nothing is read from
-a folder or a file that anyone else could have written, no link is followed, and an entry
-counts only if its header and its key agree and the user's own secret has signed all of it: what
-somebody else has put there is compiled anew, never run.  A fault of the cache leads to a
-CacheWarning and a recompilation, never to an error.
+The cached machine code runs with the rights of the user who loads it.  Therefore the cache reads
+no folder or file that another user could have written, and follows no links.  An entry is valid
+only if its header and key agree and the user's signing key has signed all of it.  Foreign
+entries are compiled again and never run.  A fault of the cache causes a CacheWarning and a
+recompilation, never an error.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import re
 import stat
 import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
@@ -31,23 +31,29 @@ from ..common.temporary import sweep, temporary
 from ..common.version import __version__
 from .signing_key import signing_key
 
-LIMIT = 256 * 2**20  # bytes
-_WRITERS = 8  # as many processes may fill what is free before any of them looks again
+LIMIT = 256 * 2**20  # default maximum size of all entries [bytes]
+_WRITERS = 8  # processes that may write at once without exceeding the limit
 
 _VERSION = 2
 _MAGIC = b"pinred\x00\n"
 _HEADER = struct.Struct("<8sI64sQ")  # magic, version, key, length of the payload
-_SIGNATURE = 32  # bytes: HMAC-SHA256 of header and payload, between them
+_SIGNATURE = 32  # bytes of the HMAC-SHA256 of header and payload, stored between them
 _KEY = re.compile(r"[0-9a-f]{64}")
 _ENTRY = re.compile(r"([0-9a-f]{64})\.o")
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
-_said: set[tuple[str, str]] = set()  # folders, and what has been said about them once
-_room: dict[tuple[Path, int], int] = {}  # by folder and limit: to be written before the next look
+_warned: set[tuple[str, str]] = set()  # folders and kinds of warnings already issued
+_room: dict[tuple[Path, int], int] = {}  # by folder and limit: bytes until the next listing
 
 
 class CacheEntry(NamedTuple):
-    """One object on disk.  size: of its file [bytes].  last_use: [s] since the epoch."""
+    """One object on disk.
+
+    Attributes:
+        key: Key of the object.
+        size: Size of its file [bytes].
+        last_use: Time of its last use [s] since the epoch.
+    """
 
     key: str
     size: int
@@ -55,17 +61,22 @@ class CacheEntry(NamedTuple):
 
 
 class _DistrustError(Exception):
-    """The reason why something in the cache is not used."""
+    """A cache entry must not be used; the message states the reason."""
 
 
 def cache_key(*parts: bytes | str) -> str:
-    """Return the key, 64 hexadecimal digits, of an object that depends on `parts`.
+    """Compute the key of an object.
 
-    It also depends on everything that decides what they are compiled to: the sources of the
-    engine, the versions of pinred, CasADi and llvmlite, and the CPU.
+    The key also depends on the environment of the compilation: the sources of the engine, the
+    versions of pinred, CasADi and llvmlite, and the CPU.
+
+    Args:
+        parts: Values that the object depends on.
+    Returns:
+        64 hexadecimal digits.
     """
     digest = sha256()
-    for part in (*parts, *_surroundings()):
+    for part in (*parts, *_environment()):
         data = part.encode() if isinstance(part, str) else part
         digest.update(b"s" if isinstance(part, str) else b"b")
         digest.update(struct.pack("<Q", len(data)) + data)
@@ -73,8 +84,8 @@ def cache_key(*parts: bytes | str) -> str:
 
 
 @cache
-def _surroundings() -> tuple[str | bytes, ...]:
-    package = Path(__file__).parent.parent  # all that decides what is compiled, and nothing else
+def _environment() -> tuple[str | bytes, ...]:
+    package = Path(__file__).parent.parent  # the sources that determine the compiled code
     folders = (package / "lie", package / "kernels", package / "reduction" / "tree")
     files = sorted(path for folder in folders for path in folder.rglob("*.py"))
     sources = sha256(b"".join(path.read_bytes() for path in files))
@@ -90,16 +101,26 @@ def _surroundings() -> tuple[str | bytes, ...]:
 
 
 class ObjectCache:
-    """Objects in one folder; the least recently used are removed when they exceed a limit.
+    """A cache of objects in one folder, with a limit on the total size.
 
-    folder: by default that of the environment variable PINRED_CACHE_DIR, or else the user's
-    own for caches; made when it is first needed.  limit: of all entries together [bytes].
+    The least recently used objects are removed first.  Any number of threads and processes may use
+    a folder at once.
 
-    Any number of threads and processes may use a folder at once.
+    Attributes:
+        folder: The folder: by default the environment variable PINRED_CACHE_DIR, else the cache
+            folder of the user.  It is created at the first write.
+        limit: Maximum total size of all entries [bytes].
     """
 
     def __init__(self, folder: Path | None = None, limit: int = LIMIT) -> None:
-        """Name the folder; touch nothing yet.  Raises InputError if limit is negative."""
+        """Set the folder and the limit without any access to the disk.
+
+        Args:
+            folder: The folder, or None for the default.
+            limit: Maximum total size of all entries [bytes].
+        Raises:
+            InputError: The limit is negative.
+        """
         if limit < 0:
             raise InputError(f"limit must be a number of bytes, zero or more, got {limit}")
         named = os.environ.get("PINRED_CACHE_DIR")
@@ -107,9 +128,14 @@ class ObjectCache:
         self.limit = limit
 
     def get(self, key: str) -> bytes | None:
-        """Return the object of a key, or None if there is none that can be trusted.
+        """Read an object.
 
-        An entry that cannot be trusted is removed, with a CacheWarning.
+        An entry that cannot be trusted is removed with a CacheWarning.
+
+        Args:
+            key: Key of the object.
+        Returns:
+            The object, or None if there is no trusted entry.
         """
         name = _file_name(key)
         with self._open(make=False) as folder:
@@ -126,10 +152,14 @@ class ObjectCache:
         return None
 
     def put(self, key: str, code: bytes) -> None:
-        """Keep an object.  If that cannot be done, there is one CacheWarning and no error.
+        """Write an object.
 
-        Readers see the entry that was there before or this one, never a part.  An object
-        larger than the limit is not kept.
+        Readers see the previous entry or the new one, never a fraction.  An object larger than the
+        limit is not written.  A failure causes one CacheWarning and no error.
+
+        Args:
+            key: Key of the object.
+            code: The object.
         """
         name = _file_name(key)
         header = _HEADER.pack(_MAGIC, _VERSION, key.encode(), len(code))
@@ -142,7 +172,22 @@ class ObjectCache:
                     _write(folder, name, entry)
                     self._trim(folder, len(entry))
         except OSError as error:
-            self._say_once("write", f"compiled code is not kept in '{self.folder}': {error}")
+            self._warn_once("write", f"compiled code is not kept in '{self.folder}': {error}")
+
+    def get_or_compile(self, key: str, compile_code: Callable[[], bytes]) -> bytes:
+        """Read an object; if it is missing, compile and write it.
+
+        Args:
+            key: Key of the object.
+            compile_code: Function that compiles the object.
+        Returns:
+            The object.
+        """
+        code = self.get(key)
+        if code is None:
+            code = compile_code()
+            self.put(key, code)
+        return code
 
     def entries(self) -> list[CacheEntry]:
         """Return the entries, the least recently used first."""
@@ -150,7 +195,7 @@ class ObjectCache:
             return [] if folder is None else _entries(folder)
 
     def clear(self) -> int:
-        """Remove every entry and return how many there were."""
+        """Remove all entries and return their number."""
         with self._open(make=False) as folder:
             if folder is None:
                 return 0
@@ -158,28 +203,32 @@ class ObjectCache:
             return sum(_remove(folder, f"{entry.key}.o") for entry in _entries(folder))
 
     def _trim(self, folder: int, written: int) -> None:
-        """Remove entries above the limit; look at the folder only where it could be exceeded."""
-        place = (self.folder, self.limit)
-        _room[place] = _room.get(place, 0) - written
-        if _room[place] >= 0:
+        """Remove entries above the limit; list the folder only when the limit may be exceeded."""
+        folder_limit = (self.folder, self.limit)
+        _room[folder_limit] = _room.get(folder_limit, 0) - written
+        if _room[folder_limit] >= 0:
             return
         entries = _entries(folder)
         total = sum(entry.size for entry in entries)
-        # More than must go goes at once: a full folder is not listed at every put.
-        enough = self.limit if total <= self.limit else self.limit - self.limit // 16
+        # Remove more than necessary, so that a full folder is not listed at every put.
+        target = self.limit if total <= self.limit else self.limit - self.limit // 16
         for entry in entries:
-            if total <= enough:
+            if total <= target:
                 break
             if _remove(folder, f"{entry.key}.o"):
                 total -= entry.size
-        _room[place] = (self.limit - total) // _WRITERS
+        _room[folder_limit] = (self.limit - total) // _WRITERS
 
     @contextmanager
     def _open(self, *, make: bool) -> Iterator[int | None]:
-        """Yield a descriptor of the folder, so that the folder checked is the folder used.
+        """Open the folder, so that the checked folder is also the used one.
 
-        None if there is no folder or it cannot be trusted.  make: make it if it is missing,
-        and raise OSError if that fails.
+        Args:
+            make: Whether to create a missing folder.
+        Yields:
+            A descriptor of the folder, or None if it is missing or cannot be trusted.
+        Raises:
+            OSError: The folder cannot be created.
         """
         if make:
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -189,32 +238,32 @@ class ObjectCache:
             yield None
             return
         except OSError as error:
-            self._say_once("open", f"the cache '{self.folder}' is not used: {error}")
+            self._warn_once("open", f"the cache '{self.folder}' is not used: {error}")
             yield None
             return
         try:
             why = _distrust(os.fstat(folder))
             if why:
-                self._say_once(
+                self._warn_once(
                     "trust",
                     f"the cache '{self.folder}' is not used, it {why}; machine code is only "
                     "read where nobody else can write: chmod go-w, or set PINRED_CACHE_DIR",
                 )
-            elif above := _open_above(self.folder):
-                self._say_once("above", f"the cache '{self.folder}' lies in {above}")
+            elif above := _find_open_parent(self.folder):
+                self._warn_once("above", f"the cache '{self.folder}' lies in {above}")
             yield None if why else folder
         finally:
             os.close(folder)
 
-    def _say_once(self, kind: str, text: str) -> None:
+    def _warn_once(self, kind: str, text: str) -> None:
         about = (str(self.folder), kind)
-        if about not in _said:
-            _said.add(about)
+        if about not in _warned:
+            _warned.add(about)
             _warn(text)
 
 
 def _warn(text: str) -> None:
-    """Warn whoever called the cache."""
+    """Issue a CacheWarning at the caller of the cache."""
     warnings.warn(text, CacheWarning, stacklevel=4)
 
 
@@ -225,7 +274,7 @@ def _file_name(key: str) -> str:
 
 
 def _distrust(status: os.stat_result) -> str:
-    """Return why a file or folder could be someone else's work; nothing if it cannot be."""
+    """Return why others could have written a file or folder, or an empty text."""
     if status.st_uid != os.geteuid():
         return f"belongs to user {status.st_uid}"
     if status.st_mode & _OTHERS:
@@ -233,30 +282,38 @@ def _distrust(status: os.stat_result) -> str:
     return ""
 
 
-def _open_above(folder: Path) -> str:
-    """Return which folder above could be put in another's place by others, or nothing.
+def _find_open_parent(folder: Path) -> str:
+    """Return a warning about a parent folder that others can replace, or an empty text.
 
-    Where a folder is sticky, as /tmp is, others cannot move what is not theirs.
+    In a sticky folder such as /tmp, users cannot move the files of others.
     """
     for above in folder.absolute().parents:
         with suppress(OSError):
             status = above.stat()
-            everyone = status.st_mode & stat.S_IWOTH and not status.st_mode & stat.S_ISVTX
-            if everyone:
+            if status.st_mode & stat.S_IWOTH and not status.st_mode & stat.S_ISVTX:
                 return (
                     f"'{above}', where everyone can write (mode "
-                    f"{stat.S_IMODE(status.st_mode):04o}): others can put a folder of theirs in "
-                    "its place, whose entries are not used; set PINRED_CACHE_DIR to one of your own"
+                    f"{stat.S_IMODE(status.st_mode):04o}): others can replace the cache "
+                    "folder, and its entries are then not used; set PINRED_CACHE_DIR to a "
+                    "private folder"
                 )
     return ""
 
 
 def _read(folder: int, name: str, key: str) -> bytes:
-    """Return the payload of an entry, and note its use.
+    """Read the payload of an entry and update its time of use.
 
-    Raises FileNotFoundError, or _DistrustError or OSError if it must not be used.
+    Args:
+        folder: Descriptor of the folder.
+        name: Name of the entry's file.
+        key: Key of the entry.
+    Returns:
+        The payload.
+    Raises:
+        FileNotFoundError: The entry does not exist.
+        _DistrustError: The entry must not be used.
     """
-    # A link is not followed; a pipe is not waited for.
+    # Do not follow links, and do not wait for pipes.
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     descriptor = os.open(name, flags, dir_fd=folder)
     try:
@@ -266,7 +323,7 @@ def _read(folder: int, name: str, key: str) -> bytes:
         if why := _distrust(status):
             raise _DistrustError(f"it {why}")
         with os.fdopen(descriptor, "rb", closefd=False) as file:
-            payload = _checked(file, status.st_size, key)
+            payload = _verify(file, status.st_size, key)
         with suppress(OSError):
             os.utime(descriptor)
     finally:
@@ -274,8 +331,8 @@ def _read(folder: int, name: str, key: str) -> bytes:
     return payload
 
 
-def _checked(file: BinaryIO, size: int, key: str) -> bytes:
-    """Return the payload of an open entry.  Raises _DistrustError unless all of it agrees."""
+def _verify(file: BinaryIO, size: int, key: str) -> bytes:
+    """Return the payload of an open entry.  Raises _DistrustError unless all checks pass."""
     head = file.read(_HEADER.size)
     if len(head) < _HEADER.size:
         raise _DistrustError("it is cut off")
@@ -299,17 +356,17 @@ def _signature(header: bytes, payload: bytes) -> bytes:
 
 
 def _write(folder: int, name: str, data: bytes) -> None:
-    """Write an entry under a temporary name, and rename it when it is complete on disk."""
-    with temporary(folder, 0o600) as made:
-        with os.fdopen(made.descriptor, "wb", closefd=False) as file:
+    """Write an entry under a temporary name, then rename it once it is complete on disk."""
+    with temporary(folder, 0o600) as file_at:
+        with os.fdopen(file_at.descriptor, "wb", closefd=False) as file:
             file.write(data)
             file.flush()
-            os.fsync(made.descriptor)
-        made.become(name)
+            os.fsync(file_at.descriptor)
+        file_at.become(name)
 
 
 def _remove(folder: int, name: str) -> bool:
-    """Remove a file unless somebody else has; return whether that succeeded."""
+    """Remove a file; return whether this process removed it."""
     try:
         os.unlink(name, dir_fd=folder)
     except OSError:
@@ -318,9 +375,9 @@ def _remove(folder: int, name: str) -> bool:
 
 
 def _files(folder: int, pattern: re.Pattern[str]) -> Iterator[tuple[str, os.stat_result]]:
-    """Yield name and status of the files of one kind; those that vanish are left out."""
-    with os.scandir(folder) as found:
-        names = [item.name for item in found if pattern.fullmatch(item.name)]
+    """Yield name and status of the files that match; skip files that vanish."""
+    with os.scandir(folder) as items:
+        names = [item.name for item in items if pattern.fullmatch(item.name)]
     for name in names:
         with suppress(OSError):
             yield name, os.stat(name, dir_fd=folder, follow_symlinks=False)

@@ -1,15 +1,14 @@
-"""The reduced vector field of a robot and a kind of scene, as CasADi expressions.
+"""The reduced vector field of a robot and a structure, as CasADi expressions.
 
-The graph contains nothing that a scene does not need.  The reduced state is
+The graph omits all terms that a scene does not need.  The reduced state is
 
-    y = (x, π) of the active joints, x of the cyclic joints, the parts of the base that are
-        integrated, and the time, if anything depends on it
+    y = (x, π) of the active joints, x of the cyclic joints, the integrated entries of the base,
+        and the time, if any term depends on it.
 
-and the parameters are the angular momentum of the base where it is a constant, the momenta
-of the cyclic joints, gravity where it acts [m/s²], the numbers of bodies that are freed, start,
-velocity and fall of the centre of mass where forces see these, and the numbers in the forces.
-A joint is cyclic if nothing depends on its angle and nothing acts on it: then its momentum is
-constant.
+The parameters are, in this order: the angular momentum of the base where it is constant, the
+momenta of the cyclic joints, gravity where it acts [m/s²], the variable body parameters, the
+centre-of-mass path where forces depend on it, and the force parameters.  A joint is cyclic if no
+term depends on its angle and no force acts on it; then its momentum is constant.
 """
 
 from __future__ import annotations
@@ -30,11 +29,23 @@ from ..reduction.tree.momenta import centre_of_mass
 from ..reduction.tree.scalars import Scalar, Vec, add, dot, mul, sub
 from ..system.system import System
 from .base_graph import BaseGraph
-from .layout import Structure, layout_of
+from .layout import Structure, layout_of, separate_fields
 
 
 class ReducedGraph:
-    """The expressions of one system under one structure, with forces on it."""
+    """The expressions of one system with one structure and its forces.
+
+    Attributes:
+        system: The system.
+        forces: Forces on the system, or None.
+        layout: Layout of the reduced state and of the parameters.
+        x: Shape, (m,).
+        pi: Canonical momenta, (m,).
+        base: Expressions of the base.
+        xi: Body twist relative to the centre of mass, (r,).
+        xdot: Shape rate, (m,).
+        pidot: Rates of the canonical momenta, (m,).
+    """
 
     def __init__(
         self,
@@ -43,18 +54,19 @@ class ReducedGraph:
         forces: ForceModel | None = None,
         lanes: Lanes | None = None,
     ) -> None:
-        """Build the sweep.
+        """Build the articulated-body sweep.
 
-        lanes: if given, limbs of one build are computed at once, and the Functions are for
-        `compile_object` with the marks of `lanes` alone.
+        Args:
+            system: The system.
+            structure: Structure of the reduced equations.
+            forces: Forces on the system, or None.
+            lanes: If given, identical branches are computed in SIMD lanes.  The Functions then
+                need `compile_object` with the marks of `lanes`.
         """
         self.system, self.forces, self._lanes = system, forces, lanes
-        self._freed, own = (
-            structure.freed,
-            [ca.SX.sym(f"Y{k}") for k in range(structure.freed.size)],
-        )
-        self._own = own  # numbers of the robot
-        self._bodies = with_free(bodies_of(system), structure.freed, own)
+        self._freed = structure.freed
+        self._body_numbers = [ca.SX.sym(f"Y{k}") for k in range(structure.freed.size)]
+        self._bodies = with_free(bodies_of(system), structure.freed, self._body_numbers)
         self._mass = total_mass(self._bodies) if structure.freed.inertias else system.mass
         group, m = system.group, system.m
         self.layout = layout_of(system, structure, forces)
@@ -62,37 +74,37 @@ class ReducedGraph:
         self._weight = self._weight_of(structure)
         self.x = [ca.SX.sym(f"x{k}") for k in range(m)]
         self.pi = [ca.SX.sym(f"pi{k}") for k in range(m)]
-        turned = self._weight if self.layout.heavy else None
+        rotating_weight = self._weight if self.layout.gravity_on_base else None
         self.base = BaseGraph(
-            system, self.layout.base, turned, lifted=structure.lifted, mass=self._mass
+            system, self.layout.base, rotating_weight, lifted=structure.lifted, mass=self._mass
         )
         self._t = ca.SX.sym("t")
         prescribed = self.layout.prescribed
-        self._line = [ca.SX.sym(f"line{k}") for k in range(self.layout.line)]
+        self._com_path = [ca.SX.sym(f"line{k}") for k in range(self.layout.com_path)]
         self._numbers = [ca.SX.sym(f"p{k}") for k in range(self.layout.numbers)]
-        self._angles = ca.vertcat(ca.SX(0, 1), *self.x)  # by which energies are differentiated
-        given = self._given()
-        for k, place in zip(prescribed, given, strict=False):
-            self.x[k] = place
+        self._angles = ca.vertcat(ca.SX(0, 1), *self.x)  # variables for the derivatives of energies
+        motion = self._prescribed()
+        for k, position in zip(prescribed, motion, strict=False):
+            self.x[k] = position
         self._mu = mu = self.base.body_momentum()
-        armature = float(system.model.armature[0])  # zero for all but one axis
-        # Nothing depends on the angle of a cyclic joint, so it may as well be zero.
+        armature = float(system.model.armature[0])  # nonzero for single-axis roots alone
+        # No term depends on the angle of a cyclic joint, so set it to zero.
         angles: list[Scalar] = [0.0 if k in structure.cyclic else self.x[k] for k in range(m)]
-        rates = dict(zip(prescribed, given[len(prescribed) :], strict=True))
-        found = sweep(
+        rates = dict(zip(prescribed, motion[len(prescribed) :], strict=True))
+        result = sweep(
             self._bodies, joint_values(system, angles), self.pi, mu, group.axes, armature, rates,
             lanes, system.coupled,
         )  # fmt: skip
         self.xi: list[Scalar] = [
-            [*found.root_linear, *found.root_angular][axis] for axis in group.axes
+            [*result.root_linear, *result.root_angular][axis] for axis in group.axes
         ]
-        self.xdot: list[Scalar] = found.xdot
-        self._driven_pi = {k: found.pi[k] for k in prescribed}
-        torque, acting = self._acting(mu)
-        pidot = [add(p, t) for p, t in zip(found.pidot, torque, strict=True)]
-        self.pidot = self._with_loads(pidot, acting)
+        self.xdot: list[Scalar] = result.xdot
+        self._prescribed_pi = {k: result.pi[k] for k in prescribed}
+        torque, wrench = self._forces(mu)
+        pidot = [add(p, t) for p, t in zip(result.pidot, torque, strict=True)]
+        self.pidot = self._add_shape_loads(pidot, wrench)
         weight = self.base.body_weight()
-        self._base_rate = self.base.rates(self.xi, self.com(), acting, weight)
+        self._base_rate = self.base.rates(self.xi, self.com(), wrench, weight)
 
     @cached_property
     def y(self) -> ca.SX:
@@ -109,12 +121,12 @@ class ReducedGraph:
     @cached_property
     def parameters(self) -> ca.SX:
         """The parameters, (parameters,)."""
-        constant = [self.pi[k] for k in self.layout.cyclic]
-        free = (*self._gravity, *self._own, *self._line)
-        return _column(self.base.spin, constant, list(free), self._numbers)
+        momenta = [self.pi[k] for k in self.layout.cyclic]
+        physical = [*self._gravity, *self._body_numbers, *self._com_path]
+        return _column(self.base.spin, momenta, physical, self._numbers)
 
     def rate(self) -> ca.Function:
-        """Return the vector field (y, parameters) → dy/dt."""
+        """Return the vector field as a Function (y, parameters) → dy/dt."""
         active, cyclic = self.layout.active, self.layout.cyclic
         rate = _column(
             [self.xdot[k] for k in active],
@@ -126,32 +138,38 @@ class ReducedGraph:
         return self._function("rate", rate, [self.y, self.parameters])
 
     def outputs(self) -> ca.Function:
-        """Return ((y, t), (parameters, c0, v0, g)) → everything of Outputs.
+        """Return the outputs as a Function ((y, t), (parameters, c0, v0, g)) → fields of Outputs.
 
-        The time is not repeated where it is the last number of y.  c0, v0, g: (k,) start,
-        velocity and fall of the centre of mass, in the root joint's fixed frame.
+        The time is an input only if it is not the last entry of y.  c0, v0 and g, (k,) each, are
+        the initial position, initial velocity and gravity of the centre of mass in the root
+        joint's fixed frame.
         """
         system, k = self.system, self.system.group.linear
-        com, places = self.com(), [self.x[j] for j in self.layout.prescribed]
-        momenta = [self._driven_pi.get(j, self.pi[j]) for j in range(system.m)]
+        com, positions = self.com(), [self.x[j] for j in self.layout.prescribed]
+        momenta = [self._prescribed_pi.get(j, self.pi[j]) for j in range(system.m)]
         about = self._mu[k:]
         energy = mul(0.5, add(dot(self.xi[k:], about), dot(self.xdot, momenta)))
         energy = add(energy, self._potential(com))
         weight: list[Scalar] = self.base.body_weight() or []
-        parts = [self.xi, self.xdot, com, self._mu, weight]
-        parts += [places, list(self._driven_pi.values()), self.x]
-        line = [ca.SX.sym(f"line{j}") for j in range(3 * k)]
-        if self.layout.wanted:
-            full = self.base.full(self.xi, self._mu, com, self._t, line)
-            parts += [full.pose, self._q(full.pose), full.xi, joint_rates(system, self.xdot)]
-            parts += [full.body_momentum, full.spatial_momentum]
+        blocks = [self.xi, self.xdot, com, self._mu, weight]
+        blocks += [positions, list(self._prescribed_pi.values())]
+        fields: dict[str, list[Scalar]] = {"x": self.x}
+        com_path = [ca.SX.sym(f"line{j}") for j in range(3 * k)]
+        if self.layout.base_requested:
+            full = self.base.full(self.xi, self._mu, com, self._t, com_path)
+            fields["pose"], fields["q"] = full.pose, self._q(full.pose)
+            fields["v"] = [*full.xi, *joint_rates(system, self.xdot)]
+            fields["body_momentum"] = full.body_momentum
+            fields["spatial_momentum"] = full.spatial_momentum
             energy = add(energy, full.energy)
+        fields["energy"] = [energy]
+        blocks += [fields[name] for name in separate_fields(base=self.layout.base_requested)]
         y = self.y if self.layout.clock else ca.vertcat(self.y, self._t)
-        inputs = [y, ca.vertcat(self.parameters, *line)]
-        return self._function("outputs", _column(*parts, [energy]), inputs)
+        inputs = [y, ca.vertcat(self.parameters, *com_path)]
+        return self._function("outputs", _column(*blocks), inputs)
 
     def _potential(self, com: Vec) -> Scalar:
-        """Return V(x), and the potential energy of a pivoted body's weight."""
+        """Return V(x) plus the gravitational energy of a pivoted body."""
         energy: Scalar = 0.0
         if self.forces is not None:
             value = self.forces.potential_function(_column(self.x), _column(self._numbers))
@@ -177,63 +195,64 @@ class ReducedGraph:
         return ca.Function(name, inputs, [ca.densify(value)], {"cse": True})
 
     def _weight_of(self, structure: Structure) -> Vec | None:
-        """Return the weight m g that acts on the shape or turns a pivoted base, if there is one."""
+        """Return the gravity force m g on the shape or on a pivoted base, or None."""
         weight: Vec = [0.0, 0.0, 0.0]
         for axis, g in zip(structure.gravity, self._gravity, strict=True):
             weight[axis] = mul(self._mass, g)
         return weight if structure.gravity else None
 
     def com(self) -> Vec:
-        """Return the centre of mass in the root body's own frame, from the joints' placements."""
+        """Return the centre of mass in the root body's frame, (3,)."""
         return centre_of_mass(self._bodies, joint_values(self.system, self.x))
 
-    def _given(self) -> list[Scalar]:
-        """Return positions and then rates of the prescribed joints."""
+    def _prescribed(self) -> list[Scalar]:
+        """Return the positions, then the rates of the prescribed joints."""
         if self.forces is None or not self.layout.prescribed:
             return []
         x, xdot, _ = self.forces.prescribed_function(self._t, _column(self._numbers))
         return _scalars(x) + _scalars(xdot)
 
-    def _acting(self, mu: list[Scalar]) -> tuple[list[Scalar], list[Scalar]]:
-        """Return torques (m,) and the wrench, (r,) or none, of the forces."""
+    def _forces(self, mu: list[Scalar]) -> tuple[list[Scalar], list[Scalar]]:
+        """Return the torques (m,) and the base wrench, (r,) or empty, of the forces."""
         if self.forces is None:
             return [0.0] * self.system.m, []
-        seen, robot = self._in_space(mu), self._robot(self.forces)
-        columns = (self.x, self.xdot, self.xi, mu, self._numbers, *seen, robot)
+        base, robot = self._observed_base(mu), self._robot_parameters(self.forces)
+        columns = (self.x, self.xdot, self.xi, mu, self._numbers, *base, robot)
         state = [_column(list(column)) for column in columns]
         torque, wrench = self.forces.acting_function(self._t, *state)
-        on_base = _scalars(wrench) if self.forces.has_wrench else []
-        return _scalars(torque), on_base
+        return _scalars(torque), _scalars(wrench) if self.forces.has_wrench else []
 
-    def _robot(self, forces: ForceModel) -> list[Scalar]:
-        """Return the numbers of the robot as forces take them; those that fold here fold there."""
-        links = {frame: self._own[self._freed.of_link(frame)] for frame in self._freed.links}
+    def _robot_parameters(self, forces: ForceModel) -> list[Scalar]:
+        """Return the robot parameters of the forces; constants stay numbers."""
+        links = {
+            frame: self._body_numbers[self._freed.of_link(frame)] for frame in self._freed.links
+        }
         gravity: Vec = [0.0, 0.0, 0.0]
         for axis, g in zip(self.layout.gravity, self._gravity, strict=True):
             gravity[axis] = g
         return [*numbers_in(self._bodies, self.system, forces.freed, links), *gravity]
 
-    def _in_space(self, mu: list[Scalar]) -> list[list[Scalar]]:
-        """Return pose, body twist, body and spatial momentum, if a force sees any of it."""
+    def _observed_base(self, mu: list[Scalar]) -> list[list[Scalar]]:
+        """Return pose, body twist, and both momenta, or zeros if no force depends on them."""
         group, forces = self.system.group, self.forces
         if forces is None or not (forces.sees_attitude or forces.sees_place):
             return [[0.0] * group.size, *([0.0] * group.dim for _ in range(3))]
-        line: list[Scalar] = [*self._line] or [0.0] * (3 * group.linear)
-        full = self.base.full(self.xi, mu, self.com(), self._t, line)
+        com_path: list[Scalar] = [*self._com_path] or [0.0] * (3 * group.linear)
+        full = self.base.full(self.xi, mu, self.com(), self._t, com_path)
         return [full.pose, full.xi, full.body_momentum, full.spatial_momentum]
 
-    def _with_loads(self, pidot: list[Scalar], acting: list[Scalar]) -> list[Scalar]:
-        """Add the forces of weight and wrench on the shape: −∂/∂x of F·c, in the body's frame.
+    def _add_shape_loads(self, pidot: list[Scalar], wrench: list[Scalar]) -> list[Scalar]:
+        """Add the generalised forces −∂(F·c)/∂x of gravity and base wrench, in the body frame.
 
-        The weight pulls at the centre of mass; a force on the base moves the frame of the
-        centre of mass, in which the shape is pushed the other way.
+        Gravity acts at the centre of mass.  A force on the base accelerates the frame of the
+        centre of mass, which exerts the opposite force on the shape.
         """
         m = self.system.m
         angles = joint_values(self.system, ca.vertsplit(self._angles) if m else [])
         com = centre_of_mass(self._bodies, angles)
-        loads: list[tuple[Scalar, Scalar]] = []  # of each coordinate of c: name and value
+        loads: list[tuple[Scalar, Scalar]] = []  # symbol and value for each coordinate of c
         energy: Scalar = 0.0
-        pairs = list(zip(acting, self.base.along(com), strict=False))  # the linear part
+        pairs = list(zip(wrench, self.base.along(com), strict=False))  # linear part alone
         weight = self.base.body_weight()
         if weight is None:
             weight = self._weight
@@ -246,18 +265,18 @@ class ReducedGraph:
                 energy = add(energy, mul(symbol, c))
         if not (isinstance(energy, ca.SX) and m):
             return pidot
-        slope = ca.gradient(energy, self._angles)
-        names, values = _column([s for s, _ in loads]), _column([v for _, v in loads])
-        (slope,) = ca.substitute([slope], [names, self._angles], [values, _column(self.x)])
-        return [add(pidot[k], mul(-1.0, slope[k])) for k in range(m)]
+        gradient = ca.gradient(energy, self._angles)
+        symbols, values = _column([s for s, _ in loads]), _column([v for _, v in loads])
+        (gradient,) = ca.substitute([gradient], [symbols, self._angles], [values, _column(self.x)])
+        return [add(pidot[k], mul(-1.0, gradient[k])) for k in range(m)]
 
 
-def _column(*parts: list[Scalar]) -> ca.SX:
-    entries = [entry for part in parts for entry in part]
+def _column(*blocks: list[Scalar]) -> ca.SX:
+    entries = [entry for block in blocks for entry in block]
     return ca.vertcat(*entries) if entries else ca.SX(0, 1)
 
 
 def _scalars(column: ca.SX) -> list[Scalar]:
-    """Return the entries of a column; constants as floats, so that zeros fold away."""
-    parts = [column[k] for k in range(column.numel())]
-    return [float(part) if part.is_constant() else part for part in parts]
+    """Return the entries of a column, constants as floats, so that zeros simplify."""
+    entries = [column[k] for k in range(column.numel())]
+    return [float(entry) if entry.is_constant() else entry for entry in entries]

@@ -1,4 +1,4 @@
-"""A random state at which a kernel is judged, with Pinocchio's numbers for it."""
+"""Random states for the validation of kernels, with Pinocchio's reference values."""
 
 from __future__ import annotations
 
@@ -16,125 +16,142 @@ from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import acting_gravity, falling, translations
 from ..reduction.tree.body_frames import bodies_of
 from ..reduction.tree.free_bodies import Freed, free_numbers, other_placement
-from ..system.in_gravity import in_gravity
-from ..system.inertias import moved_masses, radius_of_gyration
-from ..system.other_inertias import with_numbers
+from ..system.scale import moved_masses, radius_of_gyration
+from ..system.variants import in_gravity, with_numbers
 
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
     from ..system.system import System
     from .kernel import Kernel
 
-_HEAVIER = 1.3  # is the gravity in which kernels are judged again
+_GRAVITY_FACTOR = 1.3  # factor on gravity in perturbed systems
 
 
 @dataclass(frozen=True)
 class ReferenceState:
-    """A state, the kernel's arguments there, and Pinocchio's numbers.
+    """A random state, the kernel's arguments there, and Pinocchio's reference values.
 
-    system: the kernel's.  model: in the gravity that the kernel knows, which is without what
-    makes the system fall.  data: Pinocchio's work space for it, which others use, too.
-    gravity: (3,) the same in the root joint's fixed frame [m/s²].  weight: the strength of all
-    of it, of which that is a part, [m/s²].  pose: (size,).
-    q: (nq,).  x: (m,).  v: (n,) body twist and shape rate, whose momentum is of a kind that
-    the kernel has terms for.  accelerations: of the prescribed joints.  numbers: (p,) in the
-    forces.  down: (3,) direction of gravity in the body's frame, or none.  pushed: the
-    displacement and momentum that a wrench has given the centre of mass, or none.  line: (3k,)
-    start, velocity and fall of the centre of mass.  H: (n, n) mass matrix.  com: (3,)
-    centre of mass in the body's frame.  mu: (r,) body momentum.  pi: (m,) canonical momenta.
-    y, parameters: the kernel's arguments.  driven: the prescribed joints.
+    Attributes:
+        system: System of the kernel.
+        model: Its model, with the gravity that acts on shape and base but without free fall.
+        data: Pinocchio's work space of the system; other functions overwrite it.
+        gravity: Gravity of `model` in the root joint's fixed frame, (3,) [m/s²].
+        gravity_strength: Norm of the system's full gravity [m/s²].
+        time: Time [s].
+        pose: Pose of the base, (size,).
+        q: Pinocchio's configuration, (nq,).
+        x: Shape, (m,) [rad | m].
+        v: Body twist relative to the centre of mass and shape rate, (n,).  Momenta that the
+            kernel assumes to vanish are zero.
+        accelerations: Accelerations of the prescribed joints.
+        force_parameters: Parameters of the forces, (p,).
+        down: Direction of gravity in the body frame, (3,), or empty.
+        push: Displacement and momentum of the centre of mass caused by a wrench, (2k,), or
+            empty.
+        com_path: Centre-of-mass path (c0, v0, g), (3k,) [m, m/s, m/s²].
+        H: Mass matrix, (n, n).
+        com: Centre of mass in the body frame, (3,) [m].
+        mu: Body momentum, (r,).
+        pi: Canonical momenta, (m,).
+        y: Reduced state.
+        parameters: Parameters of the kernel.
+        prescribed: Indices of the prescribed joints.
     """
 
     system: System
     model: pin.Model
     data: pin.Data
     gravity: Array
-    weight: float
+    gravity_strength: float
     time: float
     pose: Array
     q: Array
     x: Array
     v: Array
     accelerations: Array
-    numbers: Array
+    force_parameters: Array
     down: Array
-    pushed: Array
-    line: Array
+    push: Array
+    com_path: Array
     H: Array
     com: Array
     mu: Array
     pi: Array
     y: Array
     parameters: Array
-    driven: tuple[int, ...]
+    prescribed: tuple[int, ...]
 
     @property
     def free(self) -> Array:
-        """Indices of the velocities that momenta decide, (f,)."""
+        """Indices of the velocities determined by momenta, (f,)."""
         r = len(self.mu)
-        return np.setdiff1d(np.arange(len(self.v)), [r + k for k in self.driven])
+        return np.setdiff1d(np.arange(len(self.v)), [r + k for k in self.prescribed])
 
     def in_space(self, v: Array) -> BaseInSpace:
-        """Return the base as seen from space, with a velocity (n,) relative to the CoM."""
-        return _in_space(
-            self.system, self.pose, self.line, self.pushed, self.time, self.com, self.H, v
+        """Return the base state in the fixed frame for a velocity (n,) about the centre of mass."""
+        return _base_in_space(
+            self.system, self.pose, self.com_path, self.push, self.time, self.com, self.H, v
         )
 
     @cached_property
     def momentum_terms(self) -> Array:
-        """Magnitude of what the momenta are sums of, |H| |v|, (n,).
+        """Magnitude of the terms of the momenta, |H| |v|, (n,).
 
-        The base's are turned into its frame from another, which mixes their components.
+        Base momenta are rotated between frames, which mixes their components, so all three
+        components get the largest magnitude.
         """
         terms = np.abs(self.H) @ np.abs(self.v)
-        linear = len(self.line) // 3
-        for part in (slice(0, linear), slice(linear, len(self.mu))):
-            terms[part] = terms[part].max(initial=0.0)
+        linear = len(self.com_path) // 3
+        for block in (slice(0, linear), slice(linear, len(self.mu))):
+            terms[block] = terms[block].max(initial=0.0)
         return np.asarray(terms)
 
     @cached_property
     def velocity_terms(self) -> Array:
-        """Magnitude of what round-off in the momenta's terms changes velocities by, (n,)."""
+        """Magnitude of the terms of velocities that solve H v = (μ, π), (n,)."""
         return self.solved_terms(self.momentum_terms) + np.abs(self.v)
 
     def solved_terms(self, terms: Array) -> Array:
-        """Return the magnitude, (n,), of what solutions a of H a = b are sums of.
+        """Compute the magnitude of the terms of solutions a of H a = b.
 
-        terms: (n,) magnitude of what b is a sum of.
+        Args:
+            terms: Magnitude of the terms of b, (n,).
+        Returns:
+            (n,): the magnitude, zero for prescribed joints.
         """
-        free, out = self.free, np.zeros(len(self.v))
-        out[free] = np.abs(np.linalg.inv(self.H[np.ix_(free, free)])) @ terms[free]
-        return out
+        free, solution = self.free, np.zeros(len(self.v))
+        solution[free] = np.abs(np.linalg.inv(self.H[np.ix_(free, free)])) @ terms[free]
+        return solution
 
     @cached_property
     def force_terms(self) -> Array:
-        """Magnitude of the inertial forces, (n,), before those of several bodies cancel.
+        """Magnitude of the inertial forces, (n,), before forces of several bodies cancel.
 
-        They are sums of products of angular rates with momenta, and of speeds among each other
-        times masses.
+        They are sums of products of angular rates with momenta, and of products of two speeds
+        with masses.
         """
-        angular, mass = self._moved
+        angular, mass = self._moved_masses
         v = np.abs(self.system.joint_rates(self.v))
-        turning = float(v[angular].sum())
-        speed = float(v[~angular].sum()) + self.reach * turning
-        moving = self.system.sizes_on_shape(mass * speed * np.where(angular, speed, turning))
-        return np.asarray(turning * self.momentum_terms + moving)
+        rate = float(v[angular].sum())
+        speed = float(v[~angular].sum()) + self.reach * rate
+        inertial = self.system.sizes_on_shape(mass * speed * np.where(angular, speed, rate))
+        return np.asarray(rate * self.momentum_terms + inertial)
 
     @cached_property
-    def weight_terms(self) -> Array:
-        """Magnitude of the forces of gravity, (n,), before the parts across an axis cancel."""
-        angular, mass = self._moved
-        weight = mass * self.weight * np.where(angular, self.reach, 1.0)
-        return np.asarray(self.system.sizes_on_shape(weight))
+    def gravity_terms(self) -> Array:
+        """Magnitude of the gravity forces, (n,), before components across an axis cancel."""
+        angular, mass = self._moved_masses
+        force = mass * self.gravity_strength * np.where(angular, self.reach, 1.0)
+        return np.asarray(self.system.sizes_on_shape(force))
 
     @cached_property
-    def _moved(self) -> tuple[NDArray[np.bool_], Array]:
-        """Which of the model's velocities turn, (nv,), and the mass that each moves, (nv,) [kg]."""
+    def _moved_masses(self) -> tuple[NDArray[np.bool_], Array]:
+        """Which velocities of the model are angular, (nv,), and their moved masses, (nv,) [kg]."""
         return moved_masses(self.model, self.data, self.q)
 
     @cached_property
     def reach(self) -> float:
-        """Largest distance of a joint from the root's, with the size of its body, [m]."""
+        """Largest distance of a joint from the root joint, plus the size of its body [m]."""
         model, data = self.model, self.data
         pin.forwardKinematics(model, data, self.q)
         root = data.oMi[1].translation
@@ -146,15 +163,23 @@ class ReferenceState:
 
 
 def _size(body: pin.Inertia) -> float:
-    """Return the distance of a body's mass from its joint, and its radius of gyration, [m]."""
+    """Return the distance of a body's mass from its joint, plus its radius of gyration [m]."""
     return float(np.linalg.norm(body.lever)) + radius_of_gyration(body)
 
 
 def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> ReferenceState | None:
-    """Return a random state of a size; None where the forces are not defined."""
+    """Draw a random state.
+
+    Args:
+        kernel: The kernel.
+        rng: Random number generator.
+        reach: Factor on shape and velocity.
+    Returns:
+        The state, or None if the forces are not finite there.
+    """
     system, layout, forces = kernel.system, kernel.layout, kernel.forces
     r, m, k = system.r, system.m, system.group.linear
-    group, parts = system.group, layout.base
+    group, counts = system.group, layout.base
     model, gravity = system.model.copy(), np.zeros(3)
     if layout.gravity:
         gravity = acting_gravity(system)
@@ -163,131 +188,152 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
     pose = pose if r > k else group.identity()
     x, v = rng.uniform(-2.0, 2.0, m), rng.normal(size=system.n)
     time = float(rng.uniform(*_span(forces)))
-    driven = list(layout.prescribed)
-    numbers, accelerations = np.empty(0), np.zeros(len(driven))
+    prescribed = list(layout.prescribed)
+    force_parameters, accelerations = np.empty(0), np.zeros(len(prescribed))
     x, v = x * reach, v * reach
     if forces is not None:
-        numbers = forces.random_numbers(rng)
-        numbers[forces.within] = time  # far beyond its piece a table means nothing
-    if forces is not None and driven:
-        given = forces.prescribed(time, numbers)
-        x[driven], v[[r + j for j in driven]], accelerations = given.x, given.xdot, given.xddot
-        if not np.isfinite([given.x, given.xdot, given.xddot]).all():
+        force_parameters = forces.random_numbers(rng)
+        force_parameters[forces.within] = time  # a table is undefined far outside its piece
+    if forces is not None and prescribed:
+        motion = forces.prescribed(time, force_parameters)
+        x[prescribed], v[[r + j for j in prescribed]] = motion.x, motion.xdot
+        accelerations = motion.xddot
+        if not np.isfinite([motion.x, motion.xdot, motion.xddot]).all():
             return None
     q, data = system.model_q(pose, x), system.data
     H = mass_matrix_at(system, model, data, pose, x)
     v, mu = _with_known_momentum(kernel, H, v)
     pi = H[r:] @ v
-    # A base with heavy arms in a fixed direction of gravity, or with its direction alone.
-    turn = group.Ad(pose)[k:, k:]
-    down = turn.T @ gravity / np.linalg.norm(gravity) if parts.down else np.zeros(0)
-    spin = turn @ mu[k:] if parts.spin else np.zeros(0)
-    pushed = rng.normal(size=parts.push)
-    b = np.concatenate([pose[len(pose) - parts.attitude :], down, mu[r - parts.momentum :], pushed])
+    R = group.Ad(pose)[k:, k:]
+    down = R.T @ gravity / np.linalg.norm(gravity) if counts.down else np.zeros(0)
+    spin = R @ mu[k:] if counts.spin else np.zeros(0)
+    push = rng.normal(size=counts.push)
+    b = np.concatenate([pose[len(pose) - counts.attitude :], down, mu[r - counts.momentum :], push])
     active, cyclic = list(layout.active), list(layout.cyclic)
-    line = np.append(rng.normal(size=2 * k), falling(system))
+    com_path = np.append(rng.normal(size=2 * k), falling(system))
     com = np.array(data.Ycrb[1].lever)
     if forces is not None:
-        base = _in_space(system, pose, line, pushed, time, com, H, v)
-        acting = forces.acting(time, x, v[r:], v[:r], mu, numbers, base)
-        potential = np.array([forces.potential(x, numbers)])
+        base = _base_in_space(system, pose, com_path, push, time, com, H, v)
+        acting = forces.acting(time, x, v[r:], v[:r], mu, force_parameters, base)
+        potential = np.array([forces.potential(x, force_parameters)])
         if not np.isfinite(np.concatenate([acting.torque, acting.wrench, potential])).all():
             return None
-    acts, bodies = gravity[list(layout.gravity)], free_numbers(system, layout.freed)
+    body_parameters = free_numbers(system, layout.freed)
+    parameters = [spin, pi[cyclic], gravity[list(layout.gravity)], body_parameters]
+    parameters += [com_path[: layout.com_path], force_parameters]
     return ReferenceState(
         system=system,
         model=model,
         data=data,
         gravity=gravity,
-        weight=float(np.linalg.norm(system.gravity)),
+        gravity_strength=float(np.linalg.norm(system.gravity)),
         time=time,
         pose=pose,
         q=q,
         x=x,
         v=v,
         accelerations=accelerations,
-        numbers=numbers,
+        force_parameters=force_parameters,
         down=down,
-        pushed=pushed,
-        line=line,
+        push=push,
+        com_path=com_path,
         H=H,
         com=com,
         mu=mu,
         pi=pi,
         y=np.concatenate([x[active], pi[active], x[cyclic], b, [time] * layout.clock]),
-        parameters=np.concatenate([spin, pi[cyclic], acts, bodies, line[: layout.line], numbers]),
-        driven=tuple(driven),
+        parameters=np.concatenate(parameters),
+        prescribed=tuple(prescribed),
     )
 
 
 def perturb_parameters(system: System, freed: Freed, cyclic: tuple[int, ...] = ()) -> System:
-    """Return the system with other numbers, inertias physical, of what is freed, in more gravity.
+    """Return a system with random physical values of its variable parameters, and more gravity.
 
-    Inertias that a cyclic joint carries are made heavier and no more: it has to stay cyclic.
+    Inertias carried by a cyclic joint are scaled and otherwise unchanged, so that the joint stays
+    cyclic.
+
+    Args:
+        system: The system.
+        freed: Variable body parameters.
+        cyclic: Indices of the cyclic joints.
+    Returns:
+        The perturbed system.
     """
-    rng, changed, model = np.random.default_rng(1), {}, system.model
-    bodies, placed = bodies_of(system), {}
+    rng, inertias, model = np.random.default_rng(1), {}, system.model
+    bodies, placements = bodies_of(system), {}
     for i, pattern in freed.steps:
-        placed[i + 1] = other_placement(bodies[bodies[i].parent], bodies[i], pattern, rng)
+        placements[i + 1] = other_placement(bodies[bodies[i].parent], bodies[i], pattern, rng)
     carried = {system.joints[k] for k in cyclic}
     for i in range(2, model.njoints):
         if model.parents[i] in carried:
             carried.add(i)
     for i in freed.inertias:
-        own = model.inertias[i + 1]
+        nominal = model.inertias[i + 1]
         if i + 1 in carried:
             factor = rng.uniform(1.2, 1.5)
-            changed[i + 1] = pin.Inertia(factor * own.mass, own.lever, factor * own.inertia)
+            inertias[i + 1] = pin.Inertia(
+                factor * nominal.mass, nominal.lever, factor * nominal.inertia
+            )
             continue
-        reach = radius_of_gyration(own) + 1e-3 * float(np.linalg.norm(own.lever))
+        reach = radius_of_gyration(nominal) + 1e-3 * float(np.linalg.norm(nominal.lever))
         A = reach * rng.normal(size=(3, 3))
-        spread = own.mass * A @ A.T
-        moments = own.inertia + np.trace(spread) * np.eye(3) - spread
-        lever = own.lever + reach * rng.normal(size=3)
-        changed[i + 1] = pin.Inertia(own.mass * rng.uniform(0.5, 1.5), lever, moments)
-    frames = {k: _elsewhere(model.frames[k].placement, rng) for k in freed.links}
-    other = with_numbers(system, changed, placed, frames)
-    return in_gravity(other, _HEAVIER * system.gravity)
+        spread = nominal.mass * A @ A.T
+        moments = nominal.inertia + np.trace(spread) * np.eye(3) - spread
+        lever = nominal.lever + reach * rng.normal(size=3)
+        inertias[i + 1] = pin.Inertia(nominal.mass * rng.uniform(0.5, 1.5), lever, moments)
+    frames = {k: _perturb_placement(model.frames[k].placement, rng) for k in freed.links}
+    other = with_numbers(system, inertias, placements, frames)
+    return in_gravity(other, _GRAVITY_FACTOR * system.gravity)
 
 
-def _elsewhere(place: pin.SE3, rng: np.random.Generator) -> pin.SE3:
-    """Return another place of a link on its body."""
-    size = 0.1 + float(np.linalg.norm(place.translation))
-    return place * pin.SE3(pin.exp3(rng.uniform(0.1, 0.4, 3)), size * rng.uniform(0.1, 0.5, 3))
+def _perturb_placement(placement: pin.SE3, rng: np.random.Generator) -> pin.SE3:
+    """Return a random placement of a link near its placement on the body."""
+    size = 0.1 + float(np.linalg.norm(placement.translation))
+    return placement * pin.SE3(pin.exp3(rng.uniform(0.1, 0.4, 3)), size * rng.uniform(0.1, 0.5, 3))
 
 
-def _in_space(
+def _base_in_space(
     system: System,
     pose: Array,
-    line: Array,
-    pushed: Array,
+    com_path: Array,
+    push: Array,
     time: float,
     com: Array,
     H: Array,
     v: Array,
 ) -> BaseInSpace:
-    """Return the base as seen from space, by Pinocchio's mass matrix and the group's own turns.
+    """Compute the base state in the fixed frame, by Pinocchio's mass matrix and group rotations.
 
-    pose: its place is not read, for it follows the centre of mass.  com: (3,) in the body's frame.
-    v: (n,) relative to the centre of mass.
+    Args:
+        system: The system.
+        pose: Pose; its position is ignored, because it follows from the centre of mass.
+        com_path: Centre-of-mass path, (3k,).
+        push: Displacement and momentum caused by a wrench, (2k,), or empty.
+        time: Time [s].
+        com: Centre of mass in the body frame, (3,).
+        H: Mass matrix, (n, n).
+        v: Velocity relative to the centre of mass, (n,).
+    Returns:
+        Pose, body twist, body momentum and spatial momentum.
     """
     group, k = system.group, system.group.linear
-    c0, v0, fall = line.reshape(3, k)
+    c0, v0, fall = com_path.reshape(3, k)
     c, velocity = c0 + v0 * time + 0.5 * fall * time**2, v0 + fall * time
-    if pushed.size:
-        c, velocity = c + pushed[:k], velocity + pushed[k:] / system.mass
-    attitude, whole = pose[k:], v.copy()
-    whole[:k] += group.turned_back(attitude, velocity)
-    place = c - group.turned(attitude, translations(system).T @ com)
-    there, mu = np.append(place, attitude), H[: system.r] @ whole
-    return BaseInSpace(there, whole[: system.r], mu, group.spatial_momentum(there, mu))
+    if push.size:
+        c, velocity = c + push[:k], velocity + push[k:] / system.mass
+    attitude, v = pose[k:], v.copy()
+    v[:k] += group.turned_back(attitude, velocity)
+    position = c - group.turned(attitude, translations(system).T @ com)
+    full_pose, mu = np.append(position, attitude), H[: system.r] @ v
+    return BaseInSpace(full_pose, v[: system.r], mu, group.spatial_momentum(full_pose, mu))
 
 
 def _with_known_momentum(kernel: Kernel, H: Array, v: Array) -> tuple[Array, Array]:
-    """Return a velocity whose momentum is of the kind that a kernel knows, and that momentum."""
-    system, parts = kernel.system, kernel.layout.base
+    """Return a velocity without momenta that the kernel lacks, and its body momentum."""
+    system, counts = kernel.system, kernel.layout.base
     r, k, v = system.r, system.group.linear, v.copy()
-    if not (parts.spin or parts.momentum):
+    if not (counts.spin or counts.momentum):
         v[:r] = -np.linalg.solve(H[:r, :r], H[:r, r:] @ v[r:])
         return v, np.zeros(r)
     v[:k] = -np.linalg.solve(H[:k, :k], H[:k, k:] @ v[k:])
@@ -297,7 +343,7 @@ def _with_known_momentum(kernel: Kernel, H: Array, v: Array) -> tuple[Array, Arr
 
 
 def _span(forces: ForceModel | None) -> tuple[float, float]:
-    """Return a span of time on which every function of time in the forces is defined."""
+    """Return a time interval in which all time functions of the forces are defined."""
     signals = () if forces is None else (*forces.signals, *forces.references)
     first = max([0.0, *(signal.span[0] for signal in signals)])
     return first, min([1.0, *(signal.span[1] for signal in signals)])

@@ -1,7 +1,7 @@
-"""A secret of the user's own, with which entries of the cache are signed.
+"""The user's signing key for entries of the kernel cache.
 
-Who can write into a cache can write a checksum as well, but not a signature: the key for it
-stands in the user's folder for data, not in the cache, and nobody else can read it.
+A user who can write into the cache can forge a checksum but not a signature.  The key is stored
+in the user's data folder, which no other user can read.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from ..common.temporary import temporary
 
 _NAME = "cache_key"
 _LOCK = Lock()
-_SIZE = 32  # bytes
+_SIZE = 32  # bytes of the key
 _NOT_OWNERS = stat.S_IRWXG | stat.S_IRWXO
 
 
 def signing_key() -> bytes:
-    """Return the user's key, made when it is first needed.
+    """Return the user's signing key, created at the first use.
 
-    A file that others can read or write is no secret: it is replaced, with a CacheWarning.
-    Where none can be kept, there is one for this process alone, and a CacheWarning.
+    A key file that others can read or write is replaced with a CacheWarning.  If no key can be
+    stored, this process uses a temporary key, with a CacheWarning.
     """
     with _LOCK:
-        return _secret(user_data_path("pinred"))
+        return _load_key(user_data_path("pinred"))
 
 
 @cache
-def _secret(path: Path) -> bytes:
+def _load_key(path: Path) -> bytes:
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
-            return _kept(folder) or _made(folder, path)
+            return _read_key(folder) or _create_key(folder, path)
         finally:
             os.close(folder)
     except OSError as error:
@@ -53,14 +53,14 @@ def _secret(path: Path) -> bytes:
         return secrets.token_bytes(_SIZE)
 
 
-def _kept(folder: int) -> bytes | None:
-    """Return the key in a folder; None if there is none, or if it is no secret."""
+def _read_key(folder: int) -> bytes | None:
+    """Return the key in a folder; None if there is no private one."""
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
         descriptor = os.open(_NAME, flags, dir_fd=folder)
     except FileNotFoundError:
         return None
-    except OSError:  # a link
+    except OSError:  # the name is a symbolic link
         return None
     try:
         status = os.fstat(descriptor)
@@ -72,20 +72,20 @@ def _kept(folder: int) -> bytes | None:
         os.close(descriptor)
 
 
-def _made(folder: int, path: Path) -> bytes:
-    """Return a new key that is kept in a folder, or the one that another process has just made."""
+def _create_key(folder: int, path: Path) -> bytes:
+    """Create a key in a folder; return the key of another process that was faster."""
     if os.access(_NAME, os.F_OK, dir_fd=folder, follow_symlinks=False):
-        _warn(f"'{path / _NAME}' was no secret: it is replaced, and kernels are compiled anew")
+        _warn(f"'{path / _NAME}' was not private: it is replaced, and kernels are compiled again")
         os.unlink(_NAME, dir_fd=folder)
-    with temporary(folder, 0o600) as made:
-        os.write(made.descriptor, secrets.token_bytes(_SIZE))
-        os.fsync(made.descriptor)
-        with suppress(FileExistsError):  # of two that come at once, the first one's is everyone's
-            os.link(made.name, _NAME, src_dir_fd=folder, dst_dir_fd=folder)
-    found = _kept(folder)
-    if found is None:
-        raise OSError(f"'{_NAME}' there is not private")
-    return found
+    with temporary(folder, 0o600) as file:
+        os.write(file.descriptor, secrets.token_bytes(_SIZE))
+        os.fsync(file.descriptor)
+        with suppress(FileExistsError):  # of two processes, the first one's key is used by both
+            os.link(file.name, _NAME, src_dir_fd=folder, dst_dir_fd=folder)
+    key = _read_key(folder)
+    if key is None:
+        raise OSError(f"'{_NAME}' in this folder is not private")
+    return key
 
 
 def _warn(text: str) -> None:

@@ -1,7 +1,7 @@
 """The derivative of the vector field along several directions at once, for Newton's method.
 
-Forward mode at one state, with the directions as lanes: the whole Jacobian of a state of n
-numbers takes n/8 evaluations, and is exact to round-off.
+Forward mode at one state with the directions in SIMD lanes: the Jacobian of a state of size n
+needs n/8 evaluations and is exact to round-off.
 """
 
 from __future__ import annotations
@@ -20,18 +20,25 @@ from .machine.native import NativeCode, compile_object
 from .reduced_graph import ReducedGraph
 from .validation import ROUND_OFF, require_agreement
 
-_TRIALS, _NEEDED = 40, 2
-_STEP = 2e-3  # of the differences, for states of size one
-_TOLERANCE = 1e-7  # of the largest entry in a column
-_NOISE = 1e-13  # of the largest rate; what its round-off is to differences
-_SAFELY = 10.0  # times the round-off that is seen
+_TRIALS, _REQUIRED = 40, 2  # random states, and comparisons that must succeed
+_STEP = 2e-3  # step of the differences, for states of size one
+_TOLERANCE = 1e-7  # relative to the largest entry of a column
+_NOISE = 1e-13  # round-off of rates, relative to the largest rate
+_SAFETY = 10.0  # factor on the observed round-off of rates
 
 
 def tangent_of(kernel: Kernel) -> NativeCode:
-    """Return machine code (y, parameters, directions) → ∂ẏ/∂y directions, built once.
+    """Return machine code (y, parameters, directions) → ∂ẏ/∂y · directions, compiled once.
 
-    Entry i of direction j stands at 8 i + j, of the directions and of the output.  Raises
-    KernelMismatch if it disagrees with differences of the kernel, which Pinocchio has judged.
+    Entry i of direction j has index 8 i + j, in the directions and in the result.
+
+    Args:
+        kernel: The kernel, already validated against Pinocchio.
+    Returns:
+        The machine code.
+    Raises:
+        KernelMismatch: The code disagrees with differences of the kernel.
+        InputError: The forces are not differentiable at most random states.
     """
     return derived_code(
         kernel,
@@ -40,77 +47,87 @@ def tangent_of(kernel: Kernel) -> NativeCode:
         lambda graph: compile_object(
             _graph(graph, kernel), "tangent", wide=SEEDS, wide_inputs=(2,)
         ),
-        lambda native: _judge(kernel, native),
+        lambda native: _validate(kernel, native),
     )
 
 
 def _graph(graph: ReducedGraph, kernel: Kernel) -> ca.Function:
     y, parameters = ca.SX.sym("y", kernel.layout.size), ca.SX.sym("p", kernel.layout.parameters)
-    along = ca.SX.sym("v", kernel.layout.size)
-    slope = ca.jtimes(graph.rate()(y, parameters), y, along)
-    return ca.Function("tangent", [y, parameters, along], [ca.densify(slope)], {"cse": True})
+    direction = ca.SX.sym("v", kernel.layout.size)
+    derivative = ca.jtimes(graph.rate()(y, parameters), y, direction)
+    return ca.Function(
+        "tangent", [y, parameters, direction], [ca.densify(derivative)], {"cse": True}
+    )
 
 
 def jacobian_of(kernel: Kernel, y: Array, parameters: Array) -> Array:
-    """Return ∂ẏ/∂y, (size, size)."""
+    """Compute the Jacobian of the vector field.
+
+    Args:
+        kernel: The kernel.
+        y: Reduced state, (size,).
+        parameters: Parameters, (p,).
+    Returns:
+        (size, size): ∂ẏ/∂y.
+    """
     return _jacobian(tangent_of(kernel), y, parameters)
 
 
 def _jacobian(native: NativeCode, y: Array, parameters: Array) -> Array:
     n = len(y)
-    seeds, slopes = np.zeros((2, n * SEEDS))
-    rows = np.zeros((n, -(-n // SEEDS) * SEEDS))
-    jacobian(native.address, y, parameters, seeds, slopes, rows, 0, n)
-    return rows[:, :n].copy()
+    seeds, derivatives = np.zeros((2, n * SEEDS))
+    padded = np.zeros((n, -(-n // SEEDS) * SEEDS))
+    jacobian(native.address, y, parameters, seeds, derivatives, padded, 0, n)
+    return padded[:, :n].copy()
 
 
-def _judge(kernel: Kernel, native: NativeCode) -> None:
-    """Compare with differences of the kernel's rates, where these agree among each other."""
-    rng, size, judged = np.random.default_rng(0), kernel.layout.size, 0
+def _validate(kernel: Kernel, native: NativeCode) -> None:
+    """Compare the derivative with differences of the rates, where these are accurate."""
+    rng, size, compared = np.random.default_rng(0), kernel.layout.size, 0
     who = f"the derivative of the kernel of '{kernel.system.name}'"
     for trial in range(_TRIALS):
-        reach = 0.9 ** max(0, trial - _NEEDED)
+        reach = 0.9 ** max(0, trial - _REQUIRED)
         y = reach * rng.normal(size=size)
         parameters = kernel.random_parameters(rng)
-        found = _jacobian(native, y, parameters)
+        values = _jacobian(native, y, parameters)
         rough, expected = (_differences(kernel, y, parameters, h) for h in (2.0 * _STEP, _STEP))
         rate = kernel.evaluate_rate(y, parameters)
-        # Where a force has a kink or is not defined, differences say nothing.
+        # Differences are inaccurate where a force has a kink or is undefined.
         with np.errstate(invalid="ignore"):
             noise = max(_NOISE * np.abs(rate).max(initial=0.0), _round_off(kernel, y, parameters))
             noise /= _STEP
-            most = _TOLERANCE * np.abs(expected).max(axis=0, initial=0.0) + noise
-            smooth = np.abs(rough - expected).max(axis=0, initial=0.0) <= most
-        smooth &= np.isfinite(found).all(axis=0)
+            bound = _TOLERANCE * np.abs(expected).max(axis=0, initial=0.0) + noise
+            smooth = np.abs(rough - expected).max(axis=0, initial=0.0) <= bound
+        smooth &= np.isfinite(values).all(axis=0)
         for j in np.flatnonzero(smooth):
             terms = noise / ROUND_OFF
             require_agreement(
-                who, f"column {j}", found[:, j], expected[:, j], terms, 10.0 * _TOLERANCE
+                who, f"column {j}", values[:, j], expected[:, j], terms, 10.0 * _TOLERANCE
             )
-        judged += bool(2 * smooth.sum() >= size)
-        if judged == _NEEDED:
+        compared += bool(2 * smooth.sum() >= size)
+        if compared == _REQUIRED:
             return
     raise InputError(
-        f"the forces on '{kernel.system.name}' have no derivatives at {_TRIALS - judged} of "
+        f"the forces on '{kernel.system.name}' have no derivatives at {_TRIALS - compared} of "
         f"{_TRIALS} random states; an implicit method needs them"
     )
 
 
 def _round_off(kernel: Kernel, y: Array, parameters: Array) -> float:
-    """Return how far rates a few last digits beside y are apart; where all cancels, all of them."""
-    beside = y * (1.0 + np.finfo(float).eps * np.arange(-4.0, 5.0)[:, None])
-    rates = evaluate(kernel.rate.address, parameters, beside, len(y))
-    return _SAFELY * float(np.ptp(rates, axis=0).max(initial=0.0))
+    """Estimate the round-off of rates at y from states that differ in their last digits."""
+    neighbours = y * (1.0 + np.finfo(float).eps * np.arange(-4.0, 5.0)[:, None])
+    rates = evaluate(kernel.rate.address, parameters, neighbours, len(y))
+    return _SAFETY * float(np.ptp(rates, axis=0).max(initial=0.0))
 
 
 def _differences(kernel: Kernel, y: Array, parameters: Array, h: float) -> Array:
-    """Return ∂ẏ/∂y by central differences of order 6."""
-    out = np.zeros((len(y), len(y)))
+    """Compute ∂ẏ/∂y by central differences of order 6 with step h."""
+    derivative = np.zeros((len(y), len(y)))
     steps = h * np.arange(1, 4)
     for j in range(len(y)):
-        moved = np.tile(y, (6, 1))
-        moved[:3, j] += steps
-        moved[3:, j] -= steps
-        rates = evaluate(kernel.rate.address, parameters, moved, len(y))
-        out[:, j] = np.array([45.0, -9.0, 1.0]) / (60.0 * h) @ (rates[:3] - rates[3:])
-    return out
+        states = np.tile(y, (6, 1))
+        states[:3, j] += steps
+        states[3:, j] -= steps
+        rates = evaluate(kernel.rate.address, parameters, states, len(y))
+        derivative[:, j] = np.array([45.0, -9.0, 1.0]) / (60.0 * h) @ (rates[:3] - rates[3:])
+    return derivative

@@ -1,4 +1,7 @@
-"""The symmetry groups: poses, twists, momenta, rotations.  Imports `common`."""
+"""The symmetry groups, with operations on poses, twists, momenta and rotations.
+
+Imports `common` alone.
+"""
 
 from .group import Group as Group
 from .group import PoseError as PoseError

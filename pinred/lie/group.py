@@ -1,4 +1,4 @@
-"""Group: what a symmetry group knows of itself, and the operations on poses, twists, momenta."""
+"""The base class of all symmetry groups: operations on poses, twists and momenta."""
 
 from __future__ import annotations
 
@@ -12,14 +12,19 @@ from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, ShapeError
 from .rotations import apply, hat, plane_rotation, rotation
 
-_UNIT = 1e-3  # by how much a quaternion may miss length one, as one of few decimals does
+# Allowed deviation of a quaternion's norm from 1, so that quaternions with few decimals pass.
+_NORM_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
 class PoseError:
-    """Distance of two poses: the norms of the two parts of log(g⁻¹ĝ).
+    """Distance between two poses g and h: the norms of the two parts of log(g⁻¹h).
 
-    rotation: (...,) rad.  translation: (...,) m.  A part the group lacks is zero.
+    A part that the group lacks is zero.
+
+    Attributes:
+        rotation: Norm of the angular part, (...,) [rad].
+        translation: Norm of the linear part, (...,) [m].
     """
 
     rotation: Array
@@ -30,19 +35,29 @@ class PoseError:
 class Group(ABC):
     """A Lie group that moves the base: a subgroup of SE(3), in the frame of its root joint.
 
-    name: what it is called.  axes: where the entries of a twist stand among the six of space,
-    (v1, v2, v3, ω1, ω2, ω3): translations first, and last of these the two that a single
-    rotation turns into each other, in its sense.  Where there is but one, it may be any axis,
-    and z stands for it.  pose_names: of the coordinates of a pose: lengths, then an angle or a
-    quaternion.  root: its root joint, in words.  joints: Pinocchio's joints that move so,
-    without "JointModel", the parts of a composite one joined by "+"; a body floats on the
-    first.  conserved: the momentum that it keeps, in words.
+    Twists are body twists ξ = g⁻¹ġ, and momenta are body momenta μ.  Both are ordered
+    [linear; angular], as in Pinocchio.  Every method accepts leading axes: poses have shape
+    (..., size), twists and momenta (..., dim).
 
-    dim, linear, turns: how many entries a twist has, how many of them are translations, and
-    how many rotations: 0, 1 or 3.  size: how many coordinates a pose has.  plane: which two
-    translations a single rotation turns into each other, or none.  turns_about_com: whether
-    the centre of mass is free to stay where it is in all rotations, as it translates across
-    their axes.
+    Attributes:
+        name: Name of the group, as in `GROUPS`.
+        axes: Position of each twist entry among (v1, v2, v3, ω1, ω2, ω3).  Translations come
+            first.  With a single rotation, the last two translations are the pair that it
+            rotates into each other, in its positive sense.  A group with a single axis uses z
+            for every direction of that axis.
+        pose_names: Names of the pose coordinates: lengths, then an angle or a quaternion.
+        root: The root joint in words, for messages.
+        joints: Pinocchio's joint types with this motion, without the prefix "JointModel".
+            Parts of a composite joint are joined by "+".  A floating body gets the first type.
+        conserved: The conserved momentum in words.
+        dim: Dimension r of the group: the number of twist entries.
+        linear: Number of translations.
+        turns: Number of rotations: 0, 1 or 3.
+        size: Number of pose coordinates.
+        plane: Indices of the two translations that a single rotation rotates into each other,
+            or empty.
+        turns_about_com: Whether every rotation can leave the centre of mass at rest.  This
+            needs translations in all directions across the rotation axes.
     """
 
     name: str
@@ -84,12 +99,12 @@ class Group(ABC):
 
     @property
     def is_pivot(self) -> bool:
-        """Whether a point of the base stays where it is, and the base turns about it freely."""
+        """Whether the group is all rotations about one fixed point of the base."""
         return self.turns == 3 and not self.linear
 
     @property
     def twist_names(self) -> tuple[str, ...]:
-        """Names of a twist's entries: v of translations, ω of rotations, with their axes."""
+        """Names of the twist entries: v for translations, ω for rotations, with axis numbers."""
         v, w = self.axes[: self.linear], self.axes[self.linear :]
         return (
             *(f"v{axis + 1}" if len(v) > 1 else "v" for axis in v),
@@ -97,27 +112,45 @@ class Group(ABC):
         )
 
     def turned(self, attitude: Array, v: Array) -> Array:
-        """Return translations (..., linear) along the fixed axes from those along the body's.
+        """Rotate linear components from body axes to fixed axes.
 
-        attitude: (..., size − linear), angle or unit quaternion.
+        Args:
+            attitude: Angle [rad] or unit quaternion, (..., size − linear).
+            v: Linear components along the body axes, (..., linear).
+
+        Returns:
+            (..., linear): the components along the fixed axes.
         """
         if not self.turns_about_com:
             return v
         if self.turns == 3:
             return apply(rotation(attitude), v)
-        turned = apply(plane_rotation(attitude[..., 0]), v[..., self.linear - 2 :])
-        return turned if self.linear == 2 else np.concatenate([v[..., :-2], turned], axis=-1)
+        planar = apply(plane_rotation(attitude[..., 0]), v[..., self.linear - 2 :])
+        return planar if self.linear == 2 else np.concatenate([v[..., :-2], planar], axis=-1)
 
     def turned_back(self, attitude: Array, v: Array) -> Array:
-        """Return translations (..., linear) along the body's axes from those along the fixed."""
+        """Rotate linear components from fixed axes to body axes, the inverse of `turned`.
+
+        Args:
+            attitude: Angle [rad] or unit quaternion, (..., size − linear).
+            v: Linear components along the fixed axes, (..., linear).
+
+        Returns:
+            (..., linear): the components along the body axes.
+        """
         if self.turns < 3 or not self.linear:
             return self.turned(-attitude, v)
         return apply(np.swapaxes(rotation(attitude), -1, -2), v)
 
     def about(self, c: Array, mu: Array) -> Array:
-        """Return the angular part about a point, N − c × F, (..., turns).
+        """Compute the angular part of a wrench or momentum about a point, N − c × F.
 
-        c: (..., 3) in the frame of mu.  mu: (..., dim) a wrench or momentum (F, N).
+        Args:
+            c: The point, (..., 3) [m], in the frame of mu.
+            mu: Wrench or momentum [F; N] about the origin, (..., dim).
+
+        Returns:
+            (..., turns): the angular part about c.
         """
         F, N = mu[..., : self.linear], mu[..., self.linear :]
         if not self.turns_about_com:
@@ -125,8 +158,8 @@ class Group(ABC):
         if self.turns == 3:
             return np.asarray(N - apply(hat(c), F))
         (i, j), (x, y) = self.plane, self.axes[-3:-1]
-        arm = c[..., x, None] * F[..., j, None] - c[..., y, None] * F[..., i, None]
-        return np.asarray(N - arm)
+        moment = c[..., x, None] * F[..., j, None] - c[..., y, None] * F[..., i, None]
+        return np.asarray(N - moment)
 
     @abstractmethod
     def identity(self) -> Array:
@@ -134,62 +167,165 @@ class Group(ABC):
 
     @abstractmethod
     def compose(self, g: Array, h: Array) -> Array:
-        """Return the product g h."""
+        """Compute the product g h.
+
+        Args:
+            g: Pose, (..., size).
+            h: Pose, (..., size).
+
+        Returns:
+            (..., size): the pose g h.
+        """
 
     @abstractmethod
     def inverse(self, g: Array) -> Array:
-        """Return g⁻¹."""
+        """Compute the inverse g⁻¹.
+
+        Args:
+            g: Pose, (..., size).
+
+        Returns:
+            (..., size): the pose g⁻¹.
+        """
 
     @abstractmethod
     def exp(self, xi: Array) -> Array:
-        """Return the pose exp ξ, reached by moving with body twist ξ for unit time."""
+        """Compute the pose exp ξ, reached in unit time with constant body twist ξ.
+
+        Args:
+            xi: Body twist, (..., dim).
+
+        Returns:
+            (..., size): the pose.
+        """
 
     @abstractmethod
     def log(self, g: Array) -> Array:
-        """Return the twist ξ with exp(ξ) = g and the smallest rotation (at most π)."""
+        """Compute the twist ξ with exp ξ = g and the smallest rotation, at most π.
+
+        Args:
+            g: Pose, (..., size).
+
+        Returns:
+            (..., dim): the twist.
+        """
 
     @abstractmethod
     def Ad(self, g: Array) -> Array:
-        """Return Ad_g, (..., r, r): body twists at g to spatial twists."""
+        """Compute Ad_g, the matrix that maps body twists to spatial twists.
+
+        Args:
+            g: Pose, (..., size).
+
+        Returns:
+            (..., dim, dim): the matrix.
+        """
 
     @abstractmethod
     def ad(self, xi: Array) -> Array:
-        """Return ad_ξ, (..., r, r): ad_ξ η = [ξ, η].
+        """Compute the matrix ad_ξ of the Lie bracket: ad_ξ η = [ξ, η].
 
-        On se(3), [(v,ω), (v',ω')] = (ω×v' − ω'×v, ω×ω').
+        On se(3), [(v, ω), (v', ω')] = (ω × v' − ω' × v, ω × ω').
+
+        Args:
+            xi: Twist, (..., dim).
+
+        Returns:
+            (..., dim, dim): the matrix.
         """
 
     @abstractmethod
     def rate(self, g: Array, xi: Array) -> Array:
-        """Return ġ, the rate of the pose coordinates for body twist ξ: ġ = g ξ."""
+        """Compute the rate ġ = g ξ of the pose coordinates for a body twist ξ.
+
+        Args:
+            g: Pose, (..., size).
+            xi: Body twist, (..., dim).
+
+        Returns:
+            (..., size): the rate.
+        """
 
     @abstractmethod
     def matrix(self, g: Array) -> Array:
-        """Return the homogeneous matrix of g (a rotation matrix where nothing translates)."""
+        """Compute the homogeneous matrix of a pose.
+
+        Args:
+            g: Pose, (..., size).
+
+        Returns:
+            The homogeneous matrix; for a group without translations, the rotation matrix.
+        """
 
     @abstractmethod
     def from_matrix(self, matrix: Array) -> Array:
-        """Return the pose whose homogeneous matrix is given."""
+        """Compute the pose of a matrix, the inverse of `matrix`.
+
+        Args:
+            matrix: Matrix of an element of the group, with the shape that `matrix` returns.
+
+        Returns:
+            (..., size): the pose.
+        """
 
     def normalize(self, g: Array) -> Array:
-        """Return g with round-off removed (unit quaternions)."""
+        """Scale the quaternion of a pose to unit norm.
+
+        Args:
+            g: Pose, (..., size).
+
+        Returns:
+            (..., size): the normalised pose.
+        """
         return g
 
     def bracket(self, xi: Array, eta: Array) -> Array:
-        """Return the Lie bracket [ξ, η]."""
+        """Compute the Lie bracket [ξ, η].
+
+        Args:
+            xi: Twist, (..., dim).
+            eta: Twist, (..., dim).
+
+        Returns:
+            (..., dim): the bracket.
+        """
         return np.asarray(self.ad(xi) @ eta[..., None])[..., 0]
 
     def coadjoint(self, xi: Array, mu: Array) -> Array:
-        """Return ad*_ξ μ = ad_ξᵀ μ; a free body's momentum obeys μ̇ = ad*_ξ μ."""
+        """Compute ad*_ξ μ = ad_ξᵀ μ.  The momentum of a free body obeys μ̇ = ad*_ξ μ.
+
+        Args:
+            xi: Body twist, (..., dim).
+            mu: Body momentum, (..., dim).
+
+        Returns:
+            (..., dim): ad*_ξ μ.
+        """
         return np.asarray(np.swapaxes(self.ad(xi), -1, -2) @ mu[..., None])[..., 0]
 
     def spatial_momentum(self, g: Array, mu: Array) -> Array:
-        """Return J = Ad*_{g⁻¹} μ, the momentum in the fixed frame, about its origin."""
+        """Compute the spatial momentum J = Ad*_{g⁻¹} μ.
+
+        Args:
+            g: Pose, (..., size).
+            mu: Body momentum, (..., dim).
+
+        Returns:
+            (..., dim): the momentum in the fixed frame, about its origin.
+        """
         Ad = self.Ad(self.inverse(g))
         return np.asarray(np.swapaxes(Ad, -1, -2) @ mu[..., None])[..., 0]
 
     def error(self, g: Array, h: Array) -> PoseError:
-        """Return how far h is from g, ‖log(g⁻¹h)‖, rotation and translation apart."""
+        """Compute the distance between two poses, the norms of the parts of log(g⁻¹h).
+
+        Args:
+            g: Pose, (..., size).
+            h: Pose, (..., size).
+
+        Returns:
+            The rotational and the translational distance.
+        """
         xi = self.log(self.compose(self.inverse(g), h))
         return PoseError(
             rotation=np.linalg.norm(xi[..., self.linear :], axis=-1),
@@ -197,12 +333,18 @@ class Group(ABC):
         )
 
     def pose(self, value: Any) -> Array:
-        """Return `value` as a pose of this group, (size,).
+        """Convert a value to a pose of this group.
 
-        Takes pose coordinates, Pinocchio's joint coordinates (cosine and sine in the
-        place of a planar angle), a homogeneous matrix, or a pin.SE3 for SE3.
-        Raises ShapeError for another shape or a number that is not finite,
-        InputError if the value is not in the group.
+        Args:
+            value: Pose coordinates (size,), Pinocchio's joint coordinates (cosine and sine
+                instead of a planar angle), a homogeneous matrix, or a pin.SE3 for SE3.
+
+        Returns:
+            (size,): the pose, with a unit quaternion.
+
+        Raises:
+            ShapeError: The shape is none of these, or an entry is not finite.
+            InputError: The value is not an element of the group.
         """
         array = as_floats(getattr(value, "homogeneous", value), f"a pose of {self.name}")
         if not np.isfinite(array).all():
@@ -213,7 +355,7 @@ class Group(ABC):
         elif array.shape == (self.size + 1,) and self.turns == 1:
             pose = np.append(array[:-2], np.arctan2(array[-1], array[-2]))
             array = np.append(array[:-2], np.hypot(array[-1], array[-2]))
-            if abs(array[-1] - 1.0) > _UNIT:
+            if abs(array[-1] - 1.0) > _NORM_TOLERANCE:
                 raise InputError(f"cosine and sine in a pose of {self.name} must have norm 1")
         elif array.shape == self.matrix(self.identity()).shape:
             pose = self.from_matrix(array)
@@ -226,7 +368,7 @@ class Group(ABC):
             )
         with np.errstate(over="ignore"):
             norm = float(np.linalg.norm(pose[-4:]))
-        if self.turns == 3 and abs(norm - 1.0) > _UNIT:
+        if self.turns == 3 and abs(norm - 1.0) > _NORM_TOLERANCE:
             raise InputError(
                 f"the quaternion of a pose of {self.name} must have norm 1, got {norm:g}"
             )

@@ -1,6 +1,6 @@
-"""The groups by name.
+"""The symmetry groups by name, with their coordinates.
 
-A pose g is a vector of coordinates, a twist ξ = g⁻¹ġ a body velocity:
+A pose g is a vector of coordinates, and a twist ξ = g⁻¹ġ is a body velocity:
 
     group   pose                        twist               root joint
     R       (s,)          m             (v,)                prismatic
@@ -10,15 +10,15 @@ A pose g is a vector of coordinates, a twist ξ = g⁻¹ġ a body velocity:
     SE3     (x, y, z, qx, qy, qz, qw)   (v, ω)              free flyer
     RxSE2   (z, x, y, θ)  m, m, m, rad  (v3, v1, v2, ω)     prismatic with planar across it
 
-Twists and momenta are [linear; angular], quaternions end with the real part, both
-as in Pinocchio.  Planar angles are not wrapped: a pose that has turned twice says
-so, and `log` returns the principal value.  Every function takes leading axes:
-poses (..., size) and twists (..., dim).
+Twists and momenta are ordered [linear; angular], and quaternions end with the real part, as in
+Pinocchio.  Planar angles are not wrapped, so a pose keeps its number of full turns; `log`
+returns the principal value.  All functions accept leading axes: poses (..., size) and twists
+(..., dim).
 
-All that pinred knows of a group stands in its file: another one is a file beside these, found
-by itself.  Source of the closed forms: J. Solà, J. Deray, D. Atchuthan, "A micro Lie
-theory for state estimation in robotics", 2018, appendices; written here so that no formula
-loses digits near the identity or near a half turn.
+Each group is defined in one module of this folder.  A new module with a `Group` instance is
+registered automatically.  The closed forms follow J. Solà, J. Deray, D. Atchuthan, "A micro Lie
+theory for state estimation in robotics", 2018, appendices.  They are arranged so that no
+formula loses digits near the identity or near half a turn.
 """
 
 from __future__ import annotations
@@ -38,24 +38,31 @@ from .so3 import SO3 as SO3
 
 
 def _groups() -> dict[str, Group]:
-    """Return the groups that the files beside this one define, by name, small ones first."""
-    found: list[Group] = []
+    """Return the groups defined in this folder, by name, in order of dimension."""
+    groups: list[Group] = []
     for module in iter_modules([str(Path(__file__).parent)]):
-        known = vars(import_module(f"{__package__}.{module.name}"))
-        found += [each for each in known.values() if isinstance(each, Group)]
-    return {group.name: group for group in sorted(found, key=lambda each: (each.dim, each.name))}
+        contents = vars(import_module(f"{__package__}.{module.name}"))
+        groups += [value for value in contents.values() if isinstance(value, Group)]
+    return {group.name: group for group in sorted(groups, key=lambda g: (g.dim, g.name))}
 
 
 GROUPS = _groups()
 
 
 def group_named(name: str) -> Group:
-    """Return the group called `name`, in small or large letters.
+    """Return the group with a name.
 
-    Raises InputError listing the valid names.
+    Args:
+        name: Name of the group; upper and lower case are equivalent.
+
+    Returns:
+        The group.
+
+    Raises:
+        InputError: No group has this name.  The message lists the valid names.
     """
     if isinstance(name, str):
-        for known, group in GROUPS.items():
-            if known.lower() == name.lower():
+        for group_name, group in GROUPS.items():
+            if group_name.lower() == name.lower():
                 return group
     raise InputError(f"unknown group {name!r}; the groups are {', '.join(GROUPS)}")

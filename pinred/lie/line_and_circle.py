@@ -1,4 +1,4 @@
-"""ℝ and SO(2): one coordinate under addition."""
+"""ℝ and SO(2): groups with one coordinate, composed by addition."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .rotations import homogeneous, plane_rotation, wrap
 
 
 class _Additive(Group):
-    """One coordinate under addition."""
+    """A group with one coordinate, composed by addition."""
 
     def identity(self) -> Array:
         return np.zeros(1)
@@ -38,6 +38,12 @@ class _Additive(Group):
 
 
 class _R(_Additive):
+    """ℝ: translations along one axis.
+
+    Pose: displacement (s,) [m].  Twist: speed (v,) [m/s].  Momentum: linear momentum along the
+    axis, (1,) [kg·m/s].  The group is commutative, so body and spatial quantities are equal.
+    """
+
     def matrix(self, g: Array) -> Array:
         return homogeneous(np.ones((1, 1)), g)
 
@@ -46,6 +52,13 @@ class _R(_Additive):
 
 
 class _SO2(_Additive):
+    """SO(2): rotations about one fixed axis.
+
+    Pose: unwrapped angle (θ,) [rad].  Twist: angular rate (ω,) [rad/s].  Momentum: angular
+    momentum about the axis, (1,) [kg·m²/s].  The group is commutative, so body and spatial
+    quantities are equal.
+    """
+
     def log(self, g: Array) -> Array:
         return wrap(g)
 
@@ -65,7 +78,7 @@ R = _R(
     conserved="momentum along the root's axis",
 )
 
-# "RUB" is Pinocchio's name for a revolute joint without limits: its coordinates are (cos, sin).
+# "RUB" is Pinocchio's revolute joint without limits, whose coordinates are (cos, sin).
 SO2 = _SO2(
     name="SO2",
     axes=(5,),

@@ -1,9 +1,7 @@
-"""ℝ × SE(2): motions of a plane that climbs along its normal, known as Schoenflies's.
+"""ℝ × SE(2): planar motions with a translation along the normal (Schoenflies motions).
 
-What is held upright moves so: a ship in heave, a drone or a blimp that keeps its attitude, a
-load on a crane, the hand of a SCARA robot.  The climb comes first, as ℝ does in the product:
-a pose is (z, x, y, θ), a twist (v3, v1, v2, ω).  (Pinocchio has v1, v2, ω in a row, and only
-before them is a climb among the translations.)
+Bodies that stay upright move this way: a ship in heave, a drone or blimp that keeps its
+attitude, a crane load, the hand of a SCARA robot.
 """
 
 from __future__ import annotations
@@ -15,50 +13,58 @@ from .group import Group
 from .se2 import SE2
 
 
-def _both(climb: Array, planar: Array) -> Array:
-    return np.concatenate([climb, planar], axis=-1)
+def _join(vertical: Array, planar: Array) -> Array:
+    return np.concatenate([vertical, planar], axis=-1)
 
 
 class _RxSE2(Group):
+    """ℝ × SE(2): translations in space and rotations about the z-axis.
+
+    Pose: (z, x, y, θ) [m, m, m, rad], θ unwrapped.  Twist: (v3, v1, v2, ω) in the body frame
+    [m/s, rad/s].  Momentum: (p3, p1, p2, L) in the body frame, L about its origin
+    [kg·m/s, kg·m²/s].  The vertical entry is first, as in the product ℝ × SE(2).  Pinocchio
+    keeps v1, v2, ω of a planar joint together, so translations stay first only in this order.
+    """
+
     def identity(self) -> Array:
         return np.zeros(4)
 
     def compose(self, g: Array, h: Array) -> Array:
-        return _both(g[..., :1] + h[..., :1], SE2.compose(g[..., 1:], h[..., 1:]))
+        return _join(g[..., :1] + h[..., :1], SE2.compose(g[..., 1:], h[..., 1:]))
 
     def inverse(self, g: Array) -> Array:
-        return _both(-g[..., :1], SE2.inverse(g[..., 1:]))
+        return _join(-g[..., :1], SE2.inverse(g[..., 1:]))
 
     def exp(self, xi: Array) -> Array:
-        return _both(xi[..., :1], SE2.exp(xi[..., 1:]))
+        return _join(xi[..., :1], SE2.exp(xi[..., 1:]))
 
     def log(self, g: Array) -> Array:
-        return _both(g[..., :1], SE2.log(g[..., 1:]))
+        return _join(g[..., :1], SE2.log(g[..., 1:]))
 
     def Ad(self, g: Array) -> Array:
-        out = np.zeros((*g.shape[:-1], 4, 4))
-        out[..., 0, 0], out[..., 1:, 1:] = 1.0, SE2.Ad(g[..., 1:])
-        return out
+        matrix = np.zeros((*g.shape[:-1], 4, 4))
+        matrix[..., 0, 0], matrix[..., 1:, 1:] = 1.0, SE2.Ad(g[..., 1:])
+        return matrix
 
     def ad(self, xi: Array) -> Array:
-        out = np.zeros((*xi.shape[:-1], 4, 4))
-        out[..., 1:, 1:] = SE2.ad(xi[..., 1:])
-        return out
+        matrix = np.zeros((*xi.shape[:-1], 4, 4))
+        matrix[..., 1:, 1:] = SE2.ad(xi[..., 1:])
+        return matrix
 
     def rate(self, g: Array, xi: Array) -> Array:
-        return _both(xi[..., :1], SE2.rate(g[..., 1:], xi[..., 1:]))
+        return _join(xi[..., :1], SE2.rate(g[..., 1:], xi[..., 1:]))
 
     def matrix(self, g: Array) -> Array:
-        """Return the homogeneous matrix of space, (..., 4, 4), its axes x, y, z in order."""
+        """Compute the homogeneous matrix, (..., 4, 4), with axes in the order x, y, z."""
         planar = SE2.matrix(g[..., 1:])
-        out = np.zeros((*g.shape[:-1], 4, 4))
-        out[..., :2, :2], out[..., :2, 3] = planar[..., :2, :2], planar[..., :2, 2]
-        out[..., 2, 2], out[..., 2, 3], out[..., 3, 3] = 1.0, g[..., 0], 1.0
-        return out
+        matrix = np.zeros((*g.shape[:-1], 4, 4))
+        matrix[..., :2, :2], matrix[..., :2, 3] = planar[..., :2, :2], planar[..., :2, 2]
+        matrix[..., 2, 2], matrix[..., 2, 3], matrix[..., 3, 3] = 1.0, g[..., 0], 1.0
+        return matrix
 
     def from_matrix(self, matrix: Array) -> Array:
         planar = np.delete(np.delete(matrix, 2, axis=-1), 2, axis=-2)
-        return _both(matrix[..., 2, 3:], SE2.from_matrix(planar))
+        return _join(matrix[..., 2, 3:], SE2.from_matrix(planar))
 
 
 RxSE2 = _RxSE2(

@@ -1,6 +1,6 @@
-"""Rotations in the plane and in space: closed forms that keep every digit.
+"""Rotations in the plane and in space, as closed forms accurate to round-off.
 
-Quaternions are (x, y, z, w), real part last.  Every function takes leading axes.
+Quaternions are (x, y, z, w), real part last.  All functions accept leading axes.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ TAU = 2.0 * np.pi
 
 
 def wrap(angle: Array) -> Array:
-    """Return `angle` less the whole turns in it; small angles keep every digit."""
+    """Reduce an angle [rad] to [−π, π]; angles already in this range stay exact."""
     return np.asarray(angle - TAU * np.rint(angle / TAU))
 
 
 def hat(w: Array) -> Array:
-    """Return the matrix of w × (…), (..., 3, 3)."""
-    out = np.zeros((*w.shape[:-1], 3, 3))
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -w[..., 2], w[..., 1], -w[..., 0]
-    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = w[..., 2], -w[..., 1], w[..., 0]
-    return out
+    """Return the skew-symmetric matrix of the cross product w × (…), (..., 3, 3)."""
+    matrix = np.zeros((*w.shape[:-1], 3, 3))
+    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -w[..., 2], w[..., 1], -w[..., 0]
+    matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = w[..., 2], -w[..., 1], w[..., 0]
+    return matrix
 
 
 def rotation(q: Array) -> Array:
-    """Return the rotation matrix of unit quaternions (x, y, z, w), (..., 3, 3)."""
+    """Return the rotation matrices of unit quaternions (x, y, z, w), (..., 3, 3)."""
     u, w = q[..., :3], q[..., 3, None, None]
     H = hat(u)
     return np.asarray(np.eye(3) + 2.0 * (w * H + H @ H))
@@ -46,12 +46,12 @@ def conjugate(q: Array) -> Array:
 
 
 def unit(q: Array) -> Array:
-    """Return quaternions of any length as unit ones."""
+    """Scale quaternions to unit norm."""
     return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
 
 
 def sinc(angle: Array) -> Array:
-    """Return sin(a)/a, exact at zero."""
+    """Return sin(a)/a, with the limit 1 at zero."""
     return np.asarray(np.sinc(angle / np.pi))
 
 
@@ -62,8 +62,8 @@ def quaternion_exp(w: Array) -> Array:
 
 
 def quaternion_log(q: Array) -> Array:
-    """Return the rotation vector of unit quaternions, of length at most π."""
-    q = np.where(q[..., 3:] < 0.0, -q, q)  # q and −q are the same rotation; take the short way
+    """Return the rotation vectors of unit quaternions, with norm at most π [rad]."""
+    q = np.where(q[..., 3:] < 0.0, -q, q)  # q and −q are the same rotation; use the shorter one
     n = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
     w = q[..., 3:]
     small = n < 1e-4
@@ -76,13 +76,13 @@ def quaternion_log(q: Array) -> Array:
     return np.asarray(factor * q[..., :3])
 
 
-def turning_matrix(w: Array) -> Array:
-    """Return V(ω) of SE(3): exp(v, ω) has translation V v."""
+def left_jacobian(w: Array) -> Array:
+    """Return the left Jacobian V(ω) of SO(3): exp(v, ω) in SE(3) has translation V v."""
     theta = np.linalg.norm(w, axis=-1)[..., None, None]
     t2 = theta**2
     small = theta < 0.1
     safe = np.where(small, 1.0, theta)
-    # The series is at round-off below 0.1; the closed form loses digits there.
+    # Below 0.1 rad the series is accurate to round-off, and the closed form loses digits.
     c2 = np.where(
         small,
         1 / 6 - t2 / 120 * (1 - t2 / 42 * (1 - t2 / 72)),
@@ -92,8 +92,8 @@ def turning_matrix(w: Array) -> Array:
     return np.asarray(np.eye(3) + 0.5 * sinc(0.5 * theta) ** 2 * H + c2 * (H @ H))
 
 
-def turning_inverse(w: Array) -> Array:
-    """Return V(ω)⁻¹ of SE(3), for |ω| ≤ π."""
+def left_jacobian_inverse(w: Array) -> Array:
+    """Return the inverse of the left Jacobian of SO(3), V(ω)⁻¹, for |ω| ≤ π."""
     theta = np.linalg.norm(w, axis=-1)[..., None, None]
     t2 = theta**2
     small = theta < 0.1
@@ -108,26 +108,26 @@ def turning_inverse(w: Array) -> Array:
 
 
 def plane_rotation(theta: Array) -> Array:
-    """Return the matrix of a turn by θ in the plane, (..., 2, 2)."""
+    """Return the matrix of a plane rotation by θ [rad], (..., 2, 2)."""
     c, s = np.cos(theta), np.sin(theta)
     return np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
 
 
 def apply(matrix: Array, vector: Array) -> Array:
-    """Return matrix @ vector for stacks of both."""
+    """Return matrix @ vector for arrays with equal leading axes."""
     return np.asarray(matrix @ vector[..., None])[..., 0]
 
 
 def homogeneous(R: Array, p: Array) -> Array:
-    """Return [[R, p], [0, 1]]."""
+    """Return the homogeneous matrix [[R, p], [0, 1]]."""
     k = p.shape[-1]
-    out = np.zeros((*p.shape[:-1], k + 1, k + 1))
-    out[..., :k, :k], out[..., :k, k], out[..., k, k] = R, p, 1.0
-    return out
+    matrix = np.zeros((*p.shape[:-1], k + 1, k + 1))
+    matrix[..., :k, :k], matrix[..., :k, k], matrix[..., k, k] = R, p, 1.0
+    return matrix
 
 
-def quaternion_of(matrix: Array) -> Array:
+def quaternion_from_matrix(matrix: Array) -> Array:
     """Return the quaternions of rotation matrices."""
-    from scipy.spatial.transform import Rotation  # heavy to import, used only for matrices
+    from scipy.spatial.transform import Rotation  # a slow import, needed for matrices alone
 
     return np.asarray(Rotation.from_matrix(matrix).as_quat())

@@ -1,4 +1,4 @@
-"""SE(2): motions of the plane."""
+"""SE(2): rigid motions of the plane."""
 
 from __future__ import annotations
 
@@ -10,6 +10,13 @@ from .rotations import apply, homogeneous, plane_rotation, sinc, wrap
 
 
 class _SE2(Group):
+    """SE(2): translations in a plane and rotations about its normal.
+
+    Pose: (x, y, θ) [m, m, rad], θ unwrapped.  Twist: (v1, v2, ω) in the body frame
+    [m/s, m/s, rad/s].  Momentum: (p1, p2, L) in the body frame, L about its origin
+    [kg·m/s, kg·m/s, kg·m²/s].
+    """
+
     def identity(self) -> Array:
         return np.zeros(3)
 
@@ -35,15 +42,15 @@ class _SE2(Group):
         return np.concatenate([a * x + b * y, a * y - b * x, w], axis=-1)
 
     def Ad(self, g: Array) -> Array:
-        out = homogeneous(plane_rotation(g[..., 2]), g[..., :2])
-        out[..., 0, 2], out[..., 1, 2] = g[..., 1], -g[..., 0]
-        return out
+        matrix = homogeneous(plane_rotation(g[..., 2]), g[..., :2])
+        matrix[..., 0, 2], matrix[..., 1, 2] = g[..., 1], -g[..., 0]
+        return matrix
 
     def ad(self, xi: Array) -> Array:
-        out = np.zeros((*xi.shape[:-1], 3, 3))
-        out[..., 0, 1], out[..., 1, 0] = -xi[..., 2], xi[..., 2]
-        out[..., 0, 2], out[..., 1, 2] = xi[..., 1], -xi[..., 0]
-        return out
+        matrix = np.zeros((*xi.shape[:-1], 3, 3))
+        matrix[..., 0, 1], matrix[..., 1, 0] = -xi[..., 2], xi[..., 2]
+        matrix[..., 0, 2], matrix[..., 1, 2] = xi[..., 1], -xi[..., 0]
+        return matrix
 
     def rate(self, g: Array, xi: Array) -> Array:
         return np.concatenate([apply(plane_rotation(g[..., 2]), xi[..., :2]), xi[..., 2:]], axis=-1)

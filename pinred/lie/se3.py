@@ -1,4 +1,4 @@
-"""SE(3): motions of space."""
+"""SE(3): rigid motions of space."""
 
 from __future__ import annotations
 
@@ -11,19 +11,26 @@ from .rotations import (
     conjugate,
     hat,
     homogeneous,
+    left_jacobian,
+    left_jacobian_inverse,
     quaternion_exp,
+    quaternion_from_matrix,
     quaternion_log,
-    quaternion_of,
     quaternion_product,
     rotation,
-    turning_inverse,
-    turning_matrix,
     unit,
 )
 from .so3 import SO3
 
 
 class _SE3(Group):
+    """SE(3): translations and rotations of space.
+
+    Pose: (x, y, z, qx, qy, qz, qw), position [m] and unit quaternion from body to fixed axes,
+    real part last.  Twist: (v, ω) in the body frame [m/s, rad/s].  Momentum: (p, L) in the body
+    frame, L about its origin [kg·m/s, kg·m²/s].
+    """
+
     def identity(self) -> Array:
         return np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
@@ -37,25 +44,25 @@ class _SE3(Group):
 
     def exp(self, xi: Array) -> Array:
         w = xi[..., 3:]
-        p = apply(turning_matrix(w), xi[..., :3])
+        p = apply(left_jacobian(w), xi[..., :3])
         return np.concatenate([p, quaternion_exp(w)], axis=-1)
 
     def log(self, g: Array) -> Array:
         w = quaternion_log(g[..., 3:])
-        return np.concatenate([apply(turning_inverse(w), g[..., :3]), w], axis=-1)
+        return np.concatenate([apply(left_jacobian_inverse(w), g[..., :3]), w], axis=-1)
 
     def Ad(self, g: Array) -> Array:
         R = rotation(g[..., 3:])
-        out = np.zeros((*g.shape[:-1], 6, 6))
-        out[..., :3, :3] = out[..., 3:, 3:] = R
-        out[..., :3, 3:] = hat(g[..., :3]) @ R
-        return out
+        matrix = np.zeros((*g.shape[:-1], 6, 6))
+        matrix[..., :3, :3] = matrix[..., 3:, 3:] = R
+        matrix[..., :3, 3:] = hat(g[..., :3]) @ R
+        return matrix
 
     def ad(self, xi: Array) -> Array:
-        out = np.zeros((*xi.shape[:-1], 6, 6))
-        out[..., :3, :3] = out[..., 3:, 3:] = hat(xi[..., 3:])
-        out[..., :3, 3:] = hat(xi[..., :3])
-        return out
+        matrix = np.zeros((*xi.shape[:-1], 6, 6))
+        matrix[..., :3, :3] = matrix[..., 3:, 3:] = hat(xi[..., 3:])
+        matrix[..., :3, 3:] = hat(xi[..., :3])
+        return matrix
 
     def rate(self, g: Array, xi: Array) -> Array:
         q = g[..., 3:]
@@ -66,7 +73,9 @@ class _SE3(Group):
         return homogeneous(rotation(g[..., 3:]), g[..., :3])
 
     def from_matrix(self, matrix: Array) -> Array:
-        return np.concatenate([matrix[..., :3, 3], quaternion_of(matrix[..., :3, :3])], axis=-1)
+        return np.concatenate(
+            [matrix[..., :3, 3], quaternion_from_matrix(matrix[..., :3, :3])], axis=-1
+        )
 
     def normalize(self, g: Array) -> Array:
         return np.concatenate([g[..., :3], unit(g[..., 3:])], axis=-1)

@@ -1,4 +1,4 @@
-"""SO(3): turns about a point."""
+"""SO(3): rotations about a fixed point."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from .rotations import (
     conjugate,
     hat,
     quaternion_exp,
+    quaternion_from_matrix,
     quaternion_log,
-    quaternion_of,
     quaternion_product,
     rotation,
     unit,
@@ -19,6 +19,13 @@ from .rotations import (
 
 
 class _SO3(Group):
+    """SO(3): rotations about a fixed point of the base.
+
+    Pose: unit quaternion (qx, qy, qz, qw) from body to fixed axes, real part last.
+    Twist: angular velocity (ω1, ω2, ω3) in the body frame [rad/s].  Momentum: angular momentum
+    about the fixed point, (3,) in the body frame [kg·m²/s].
+    """
+
     def identity(self) -> Array:
         return np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -48,7 +55,7 @@ class _SO3(Group):
         return rotation(g)
 
     def from_matrix(self, matrix: Array) -> Array:
-        return quaternion_of(matrix)
+        return quaternion_from_matrix(matrix)
 
     def normalize(self, g: Array) -> Array:
         return unit(g)

@@ -21,7 +21,8 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, vector, vectors
 from ..common.errors import InputError, SymmetryError
 from ..lie.group import Group
-from ..system.system import System, Velocity, checked_system
+from ..system.coordinates import Velocity
+from ..system.system import System, checked_system
 from .inertia_split import InertiaSplit, mass_matrix_at, split_inertia
 from .levi_civita import (
     christoffel_symbols,

@@ -12,8 +12,8 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
-from ..system.inertias import radius_of_gyration
 from ..system.joints import axes_of
+from ..system.scale import radius_of_gyration
 from ..system.system import System
 from .at_a_shape import Reduction
 from .potential import pivot_weight

@@ -16,8 +16,9 @@ import pinocchio as pin
 from ..common.arrays import Array, as_floats, read_only
 from ..common.errors import InputError, SymmetryError
 from ..common.memo import once
+from ..system.coordinates import Indices
 from ..system.joints import axes_of
-from ..system.system import Indices, System
+from ..system.system import System
 
 Springs: TypeAlias = Mapping[str, tuple[float, float]]
 

@@ -24,8 +24,9 @@ from ..common.parameter import Parameter
 from ..common.plain_names import brief, quoted
 from ..forces.signals import Constant, Expression, Signal
 from ..integrators.methods import METHODS, Method
+from ..system.coordinates import Configuration, Velocity
 from ..system.coupling import following
-from ..system.system import Configuration, System, Velocity
+from ..system.system import System
 
 _UNIT = 1e-3  # by how much a cosine and sine may miss norm 1, as those of few decimals do
 

@@ -12,8 +12,8 @@ from ..common.arrays import Array, as_floats, vector
 from ..common.errors import InputError
 from ..common.plain_names import brief, listed
 from ..system.model_parameters import ModelParameters, joined, kinds_near, plain_value, requested
-from ..system.other_inertias import nominal
 from ..system.system import System
+from ..system.variants import nominal
 
 
 @dataclass(frozen=True, eq=False)

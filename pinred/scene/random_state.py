@@ -8,8 +8,9 @@ import numpy as np
 
 from ..common.arrays import Array, read_only
 from ..common.memo import once
+from ..system.coordinates import InitialState
 from ..system.joints import is_prismatic
-from ..system.system import InitialState, System
+from ..system.system import System
 
 DURATION = 2.0  # s, where neither scene nor robot says
 

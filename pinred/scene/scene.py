@@ -19,8 +19,8 @@ from ..forces.force import Force
 from ..forces.signals import Signal
 from ..integrators.methods import Method
 from ..system.model_parameters import ModelParameters
-from ..system.other_inertias import nominal
 from ..system.system import System, checked_system
+from ..system.variants import nominal
 from . import forms
 from .angles import refuse_vague
 from .checked import checked_keyframe, checked_seed, listed_forces

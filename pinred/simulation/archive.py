@@ -1,6 +1,6 @@
-"""An archive of plain arrays (.npz), whose sizes are read before any of its contents are.
+"""Archives of plain arrays (.npz), whose sizes are checked before their contents are read.
 
-A few bytes of an archive can stand for gigabytes, and so can the header of an array.
+A few bytes of an archive, or of the header of an array, can stand for gigabytes.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from ..common.errors import LoadError
 from ..common.paths import is_file
 from ..common.plain_names import plain_path, quoted, quoted_path
 
-MOST_BYTES = 1_000_000_000  # of all arrays together
+MOST_BYTES = 1_000_000_000  # Largest accepted size of all arrays together [bytes].
 _MOST_ARRAYS = 100
-_UNREADABLE = (
+_READ_ERRORS = (
     ValueError, OSError, EOFError, KeyError, TypeError, NotImplementedError, SyntaxError,
     AttributeError, MemoryError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error,
     struct.error,
@@ -28,12 +28,20 @@ _UNREADABLE = (
 
 
 def read_arrays(path: Path) -> dict[str, Any]:
-    """Return the arrays in a .npz file by name.  Raises LoadError for anything else."""
+    """Return the arrays of a .npz file by name.
+
+    Args:
+        path: Path of the file.
+    Returns:
+        The arrays; Python objects are never read.
+    Raises:
+        LoadError: The file is missing, unreadable, too large, or contains other data.
+    """
     name = quoted_path(path)
     if not is_file(path):
         raise LoadError(f"no such file: {plain_path(path)}")
     if not os.access(path, os.R_OK):
-        raise LoadError(f"{name} cannot be read; you have no right to")
+        raise LoadError(f"{name} cannot be read: permission denied")
     if path.stat().st_size > MOST_BYTES:
         raise LoadError(f"{name} is larger than {MOST_BYTES // 10**6} MB")
     if not zipfile.is_zipfile(path):
@@ -43,18 +51,22 @@ def read_arrays(path: Path) -> dict[str, Any]:
             _check_sizes(name, archive)
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {key: file[key] for key in file.files}
-    except _UNREADABLE:  # its words are about numpy's options
+    except _READ_ERRORS:  # NumPy's messages advise options that users of pinred do not have.
         raise LoadError(
-            f"{name} is no .npz file of plain arrays: what is in it is damaged, "
+            f"{name} is no .npz file of plain arrays: its contents are damaged, "
             "or made of Python objects, which are not read"
         ) from None
 
 
 def _check_sizes(name: str, archive: zipfile.ZipFile) -> None:
-    """Raise LoadError for an archive that is too large, or holds what is no array."""
+    """Check the stated sizes of an archive.
+
+    Raises LoadError for an archive that is too large or has other members than arrays, and
+    ValueError for an array whose header does not match its size.
+    """
     members = archive.infolist()
     if len(members) > _MOST_ARRAYS:
-        raise LoadError(f"{name} holds {len(members)} arrays, more than {_MOST_ARRAYS}")
+        raise LoadError(f"{name} has {len(members)} arrays, more than {_MOST_ARRAYS}")
     for member in members:
         if not member.filename.endswith(".npy"):
             raise LoadError(
@@ -68,12 +80,12 @@ def _check_sizes(name: str, archive: zipfile.ZipFile) -> None:
         )
     for member in members:
         with archive.open(member) as stream:
-            made = np.lib.format.read_magic(stream)
-            header = {
+            version = np.lib.format.read_magic(stream)
+            read_header = {
                 (1, 0): np.lib.format.read_array_header_1_0,
                 (2, 0): np.lib.format.read_array_header_2_0,
-            }[made]
-            shape, _, dtype = header(stream)
+            }[version]
+            shape, _, dtype = read_header(stream)
             size = dtype.itemsize
             for length in shape:
                 size *= length

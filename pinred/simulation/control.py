@@ -16,7 +16,7 @@ import numpy as np
 from ..common.arrays import Array, read_only
 from ..forces.by_name import Vector
 from ..scene.scene import Scene
-from ..system.force import SeenState
+from ..system.force_interface import SeenState
 from .sample import Sample
 
 _ONE = 1e-12  # of the whole time: what round-off holds apart is one stop

@@ -8,7 +8,7 @@ is left is the error of the motion itself.  Scenes without events pay nothing fo
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from ..common.arrays import Array, freeze
 from ..common.errors import IntegrationError
 from ..forces.watched import Watched
 from ..scene.scene import Scene
-from ..system.state_fields import ShapeState, State
+from ..system.state_fields import ShapeState, State, map_arrays
 from .reduced_flow import Integrate, ReducedFlow, Segment
 
 _PARTS = 4  # of a step, at whose ends the expressions are looked at
@@ -186,5 +186,4 @@ def crossings(
 
 def _none(states: Callable[[Array], State | ShapeState]) -> State | ShapeState:
     """Return states at no times."""
-    one = states(np.zeros(1))
-    return type(one)(**{f.name: getattr(one, f.name)[:0] for f in fields(one)})
+    return map_arrays(lambda values: values[:0], states(np.zeros(1)))

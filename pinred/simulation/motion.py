@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.arrays import Array, read_only
+from ..system.coordinates import Indices
 from ..system.state_fields import ShapeState, State, map_arrays
-from ..system.system import Indices
 from .control import Control, ControlAction, Replay
 from .events import Found, Watch, ended
 from .plan import Plan

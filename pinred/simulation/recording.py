@@ -1,13 +1,13 @@
-"""Recording: a motion read back from the .npz file that `Trajectory.save` wrote.
+"""Recording: a motion read from a .npz file that `Trajectory.save` wrote.
 
-Reading executes nothing: only plain arrays are taken from the file.  The robot is loaded when
-something needs it, from where the file says, or from where one says.
+Reading executes no code: only plain arrays are taken from the file.  The robot is loaded when it
+is first needed, from the source that the file states or that the user names.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,7 @@ from ..common.plain_names import plain_path, quoted_path
 from ..lie.groups import GROUPS
 from ..system.catalogue import bundled_robots
 from ..system.load import is_path
-from ..system.state_fields import ShapeState, State
+from ..system.state_fields import FIELDS, Axis, ShapeState, State
 from .archive import read_arrays
 from .over_time import OverTime
 from .trajectory_files import parameters_in, save
@@ -34,17 +34,23 @@ _ORIGIN = (
     "source", "lock_joints", "lock_values", "gravity", "root",
     "parameter_names", "parameter_sizes", "parameter_values",
 )  # fmt: skip
-_AGREE = 1e-6  # rad | m; how far q may be from pose and shape
+# Largest accepted difference between q and the configuration of pose and shape [rad | m].
+_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Recording(OverTime):
-    """States at the times of a file, increasing, and the names of robot, group and joints.
+    """A motion read from a file: states at increasing times, and the names of robot and joints.
 
-    content: a State, or a ShapeState where the base was left out; time first, read-only.
-    origin: what the file says about where its robot comes from.  confirmed: whether it is not the
-    file that says so, but the user: else only a robot known by name, or one in the same folder,
-    is loaded.
+    Attributes:
+        path: Path of the file.
+        robot: Name of the robot.
+        group: Name of its symmetry group, such as "SE3".
+        joints: Names of the shape joints, m of them.
+        content: State, or ShapeState if the base was left out; time first, read-only arrays.
+        origin: Arrays of the file that state how the robot was loaded.
+        confirmed: Whether the user named the robot.  Otherwise only a robot known by name or a
+            file in the folder of the recording is loaded.
     """
 
     path: Path
@@ -61,7 +67,7 @@ class Recording(OverTime):
 
     @property
     def outputs(self) -> State | ShapeState:
-        """Contents of the file, time first."""
+        """The states in the file, time first."""
         return self.content
 
     @property
@@ -75,12 +81,14 @@ class Recording(OverTime):
 
     @cached_property
     def system(self) -> System:
-        """The robot, loaded when first looked at.
+        """The robot, loaded at first access.
 
-        Raises LoadError if it cannot be loaded, InputError if it and the file do not belong
-        together.
+        Raises LoadError if the robot cannot be loaded, and InputError if it does not match the
+        recorded states.
         """
-        system = _loaded(self.path, self.robot, self.group, self.origin, confirmed=self.confirmed)
+        system = _load_robot(
+            self.path, self.robot, self.group, self.origin, confirmed=self.confirmed
+        )
         if system.shape_names != self.joints or system.group.name != self.group:
             raise InputError(
                 f"{plain_path(self.path)} was written for group {self.group} and the joints "
@@ -88,54 +96,62 @@ class Recording(OverTime):
                 f"{', '.join(system.shape_names)}; name the right robot"
             )
         if isinstance(self.content, State):
-            _belong(self.path, self.content, system)
+            _require_same_robot(self.path, self.content, system)
         return system
 
     def save(self, path: str | Path) -> None:
-        """Write the states to a .npz, .csv or .zarr file, as `Trajectory.save` does."""
+        """Write the states to a .npz, .csv or .zarr file, as `Trajectory.save` does.
+
+        Args:
+            path: Path of the file; its suffix selects the format.
+        """
         save(self, path)
 
 
 def read_recording(path: str | Path, robot: str | None = None) -> Recording:
-    """Return the motion in a .npz file that `Trajectory.save` wrote.
+    """Read a motion from a .npz file that `Trajectory.save` wrote.
 
-    robot: a name or a file to take instead of what the file says; it is loaded at once.
-    Raises LoadError if the file cannot be read or holds something else, and for the robot as
-    `Recording.system`.
+    Args:
+        path: Path of the file.
+        robot: Name or file of a robot that replaces the one stated in the file.  It is loaded at
+            once, with the errors of `Recording.system`.
+    Returns:
+        The recorded states.
+    Raises:
+        LoadError: The file cannot be read, or contains something else.
     """
     path = Path(path)
     content = read_arrays(path)
-    missing = {"robot", "group", "joints", "t", "x", "xdot", "energy"} - content.keys()
+    missing = {"robot", "group", "joints", *ShapeState.__dataclass_fields__} - content.keys()
     if missing:
         raise LoadError(
             f"{quoted_path(path)} is not a motion that pinred wrote: it has no array "
             f"'{min(missing)}'"
         )
     origin: dict[str, Any] = {name: content[name] for name in _ORIGIN if name in content}
-    found = Recording(
+    recording = Recording(
         path, str(content["robot"]), str(content["group"]),
-        tuple(map(str, np.atleast_1d(content["joints"]))), _outputs(path, content),
+        tuple(map(str, np.atleast_1d(content["joints"]))), _read_states(path, content),
         origin if robot is None else origin | {"source": str(robot)}, robot is not None,
     )  # fmt: skip
     if robot is not None:
-        _ = found.system  # what was asked for by name is not refused only later
-    return found
+        _ = recording.system  # Report errors of a robot that the user named at once.
+    return recording
 
 
-def _outputs(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
+def _read_states(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
     """Return the states in a file.  Raises LoadError if they are not states over time."""
     if str(content["group"]) not in GROUPS:
         raise LoadError(f"{quoted_path(path)}: unknown group '{content['group']}'")
     group, m = GROUPS[str(content["group"])], np.size(content["joints"])
-    widths = {"x": m, "xdot": m, "pose": group.size}
-    widths |= dict.fromkeys(("xi", "body_momentum", "spatial_momentum"), group.dim)
-    kind = State if {field.name for field in fields(State)} <= content.keys() else ShapeState
+    lengths: dict[Axis, int] = {"joint": m, "twist": group.dim, "coordinate": group.size}
+    kind = State if State.__dataclass_fields__.keys() <= content.keys() else ShapeState
     count, arrays = np.size(content["t"]), {}
-    for name in (field.name for field in fields(kind)):
-        array = content[name]
-        # Joints that follow others are in q and v besides.
-        is_full = name in ("q", "v")
-        width = np.shape(array)[1:] if is_full else (widths[name],) if name in widths else ()
+    for name in kind.__dataclass_fields__:
+        array, axis = content[name], FIELDS[name].axis
+        # q and v include follower joints, and the file does not state how many there are.
+        is_full = axis in ("nq", "nv")
+        width = np.shape(array)[1:] if is_full else () if axis is None else (lengths[axis],)
         shape = (count, *width)
         if array.shape != shape or (is_full and array.ndim != 2):
             raise LoadError(
@@ -147,14 +163,26 @@ def _outputs(path: Path, content: Mapping[str, Any]) -> State | ShapeState:
             )
         arrays[name] = np.array(array, dtype=float)
     if count == 0 or (np.diff(arrays["t"]) <= 0.0).any():
-        raise LoadError(f"{quoted_path(path)}: 't' must hold increasing times")
+        raise LoadError(f"{quoted_path(path)}: 't' must be increasing times, at least one")
     return kind(**arrays)
 
 
-def _loaded(
+def _load_robot(
     path: Path, robot: str, group: str, origin: Mapping[str, Any], *, confirmed: bool
 ) -> System:
-    """Return the system that a file names.  confirmed: by the user.  Raises LoadError."""
+    """Load the robot of a recording.
+
+    Args:
+        path: Path of the recording.
+        robot: Name of the robot.
+        group: Name of the symmetry group.
+        origin: Arrays of the recording that state how the robot was loaded.
+        confirmed: Whether the user named the source.
+    Returns:
+        The system with the recorded gravity, locked joints and parameters.
+    Raises:
+        LoadError: No source is stated, it must not be opened, or the robot cannot be loaded.
+    """
     from ..system.load import load
 
     source = str(origin.get("source", ""))
@@ -164,7 +192,7 @@ def _loaded(
             "(--robot, or robot=)"
         )
     if not confirmed:
-        source = _not_elsewhere(path, source)
+        source = _find_trusted_source(path, source)
     try:
         names = map(str, origin.get("lock_joints", ()))
         values = map(float, origin.get("lock_values", ()))
@@ -180,10 +208,13 @@ def _loaded(
         ) from None
 
 
-def _not_elsewhere(path: Path, source: str) -> str:
-    """Return the name of a robot that a file may have loaded unasked: a known one, or one beside.
+def _find_trusted_source(path: Path, source: str) -> str:
+    """Return a source that may be loaded without confirmation by the user.
 
-    A file from somebody else could name anything on this machine.  Raises LoadError.
+    A recording from somebody else could name any file on this machine.  Trusted sources are
+    robots known by name, bundled files, and files in the folder of the recording.
+
+    Raises LoadError for all other files.
     """
     if not is_path(source):
         return source
@@ -198,8 +229,8 @@ def _not_elsewhere(path: Path, source: str) -> str:
     )
 
 
-def _belong(path: Path, states: State, system: System) -> None:
-    """Raise InputError if the states are not those of a system."""
+def _require_same_robot(path: Path, states: State, system: System) -> None:
+    """Raise InputError if recorded states cannot be states of a system."""
     q, shape = states.q, (len(states.t), system.model.nq)
     if q.shape != shape:
         raise InputError(f"{path}: 'q' has shape {q.shape}, but '{system.name}' has {shape}")
@@ -208,7 +239,7 @@ def _belong(path: Path, states: State, system: System) -> None:
             f"{path}: 'v' has shape {states.v.shape}, but '{system.name}' has {system.model.nv} "
             "velocities"
         )
-    wanted = system.q(system.configuration(q).pose, states.x)
-    rotations = all(pin.isNormalized(system.model, row, _AGREE) for row in system.sorted_q(q))
-    if not rotations or np.abs(wanted - q).max() > _AGREE:
+    expected = system.q(system.configuration(q).pose, states.x)
+    normalised = all(pin.isNormalized(system.model, q_t, _TOLERANCE) for q_t in system.sorted_q(q))
+    if not normalised or np.abs(expected - q).max() > _TOLERANCE:
         raise InputError(f"{path}: 'q' is not the configuration of '{system.name}' at shape 'x'")

@@ -23,9 +23,8 @@ from ..reduction.tree.free_bodies import (
     step_slopes,
 )
 from ..scene.scene import Scene
-from ..system.in_gravity import in_gravity
 from ..system.model_parameters import ModelParameters
-from ..system.other_inertias import nominal
+from ..system.variants import in_gravity, nominal
 
 Slopes = dict[str, Array]
 

@@ -1,9 +1,8 @@
-"""Trajectories as files that other tools open: NumPy's npz, csv, and zarr."""
+"""Files of trajectories in common formats: .npz, .csv and .zarr."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from ..common.files import check_path, write_atomic
 from ..system.model_parameters import GRAVITY
+from ..system.state_fields import FIELDS, arrays_of, axis_labels
 from ..system.system import System
 from .over_time import OverTime
 from .zarr_files import write_zarr
@@ -19,16 +19,20 @@ _GREEK = str.maketrans({"θ": "theta"})
 
 
 def save(traj: OverTime, path: str | Path) -> None:
-    """Write the states of `traj` at its report times; the suffix, .npz, .csv or .zarr, decides.
+    """Write the states of a motion at its report times; nothing is left of a file that fails.
 
-    npz: one array per field of State, time first, with `robot`, `group` and `joints`, and
-    what load() needs to find the robot again: `source`, `lock_joints`, `lock_values`, `gravity`,
-    `root` if it was given, and other numbers of the robot as `parameter_names`, `parameter_sizes`
-    and `parameter_values`, one after another.
-    csv: a row per time, columns such as `pose.x`, `x.hinge`, `energy`.
-    zarr: a folder with the arrays of npz, text as its attributes; needs the package zarr.
-    Either the whole file is written or none.  Raises InputError for another suffix or a
-    folder that does not exist, OutputError if writing fails, MissingPackageError.
+    .npz contains one array for each field of State, time first, and `robot`, `group` and
+    `joints`.  The arrays `source`, `lock_joints`, `lock_values`, `gravity`, `root` and
+    `parameter_names`, `parameter_sizes`, `parameter_values` state how load() finds the robot.
+    .csv has a row for each time and columns such as `pose.x`, `x.hinge` and `energy`.
+    .zarr is a folder with the arrays of .npz, and texts as its attributes.
+
+    InputError is raised for another suffix or a folder that does not exist, OutputError if
+    writing fails, and MissingPackageError if zarr is not installed.
+
+    Args:
+        traj: A Trajectory or a Recording.
+        path: Path of the file; its suffix selects the format.
     """
     path = check_path(path, (".npz", ".csv", ".zarr"))
     if path.suffix == ".zarr":
@@ -43,24 +47,23 @@ def _write_npz(traj: OverTime, file: BinaryIO) -> None:
 
 
 def _arrays(traj: OverTime) -> dict[str, Any]:
-    arrays = {field.name: getattr(traj.outputs, field.name) for field in fields(traj.outputs)}
-    return {**about_robot(traj.system), **arrays}
+    return {**robot_arrays(traj.system), **arrays_of(traj.outputs)}
 
 
-def about_robot(system: System) -> dict[str, Any]:
-    """Return arrays that say which robot a file is of, and where load() finds it.
+def robot_arrays(system: System) -> dict[str, Any]:
+    """Return the arrays that name a robot and state how load() finds it.
 
-    Gravity and locked joints are as they are, whoever gave them: the loaded robot or parameters.
+    Gravity and locked joints are the present ones, whether the robot or a parameter gave them.
     """
     origin = system.origin
     lock = dict({} if origin is None else origin.lock)
-    others = dict(system.parameters)
+    parameters = dict(system.parameters)
     for name in system.parameters:
         if name.endswith(".lock"):
-            lock[name.removesuffix(".lock")] = float(others.pop(name))
+            lock[name.removesuffix(".lock")] = float(parameters.pop(name))
         elif name in GRAVITY:
-            del others[name]
-    chosen = {} if origin is None or origin.root is None else {"root": np.array(origin.root)}
+            del parameters[name]
+    root = {} if origin is None or origin.root is None else {"root": np.array(origin.root)}
     return {
         "robot": np.array(system.name),
         "group": np.array(system.group.name),
@@ -69,66 +72,58 @@ def about_robot(system: System) -> dict[str, Any]:
         "lock_joints": np.array(list(lock), dtype=str),
         "lock_values": np.array(list(lock.values()), dtype=float),
         "gravity": system.gravity,
-        **chosen,
-        **_parameters(others),
+        **root,
+        **_parameter_arrays(parameters),
     }
 
 
-def _parameters(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return arrays with the names of parameters, how many numbers each has, and all of these."""
+def _parameter_arrays(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the names of parameters, the number of entries of each, and all entries."""
     if not values:
         return {}
-    rows = [np.ravel(value) for value in values.values()]
+    entries = [np.ravel(value) for value in values.values()]
     return {
         "parameter_names": np.array(list(values), dtype=str),
-        "parameter_sizes": np.array([len(row) for row in rows]),
-        "parameter_values": np.concatenate(rows).astype(float),
+        "parameter_sizes": np.array([len(array) for array in entries]),
+        "parameter_values": np.concatenate(entries).astype(float),
     }
 
 
 def parameters_in(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parameters, {name: value}, in arrays that were read.
+    """Return the robot parameters in the arrays of a file, {name: values}.
 
-    Raises ValueError if these do not belong together.
+    Args:
+        content: Arrays of a file by name.
+    Returns:
+        The values of each parameter, (size,).
+    Raises:
+        ValueError: The lengths of the names, sizes and values do not match.
     """
     names = [str(name) for name in np.atleast_1d(content.get("parameter_names", ()))]
     sizes = [int(size) for size in np.atleast_1d(content.get("parameter_sizes", ()))]
     values = np.ravel(np.asarray(content.get("parameter_values", ()), dtype=float))
     if len(names) != len(sizes) or min(sizes, default=1) < 1 or sum(sizes) != len(values):
         raise ValueError("the names, sizes and values of its parameters do not belong together")
-    rows = np.split(values, np.cumsum(sizes)[:-1]) if names else []
-    return dict(zip(names, rows, strict=True))
+    arrays = np.split(values, np.cumsum(sizes)[:-1]) if names else []
+    return dict(zip(names, arrays, strict=True))
 
 
 def _write_csv(traj: OverTime, file: BinaryIO) -> None:
-    system = traj.system
-    twist = ("s",) if system.r == 1 else tuple(str(k + 1) for k in range(system.r))
-    labels = {
-        "x": system.shape_names,
-        "xdot": system.shape_names,
-        "pose": [name.translate(_GREEK) for name in system.group.pose_names],
-        "xi": twist,
-        "body_momentum": twist,
-        "spatial_momentum": twist,
-    }
+    labels, r = axis_labels(traj.system), traj.system.r
+    labels["coordinate"] = [name.translate(_GREEK) for name in labels["coordinate"]]
+    labels["twist"] = ["s"] if r == 1 else range(1, r + 1)
     names, columns = [], []
-    for field in fields(traj.outputs):
-        values = getattr(traj.outputs, field.name)
-        if values.ndim == 1:
-            names.append(field.name)
-            columns.append(values)
-            continue
-        for k in range(values.shape[1]):
-            label = labels[field.name][k] if field.name in labels else str(k)
-            names.append(f"{field.name}.{label}")
-            columns.append(values[:, k])
+    for name, values in arrays_of(traj.outputs).items():
+        axis = FIELDS[name].axis
+        names += [name] if axis is None else [f"{name}.{label}" for label in labels[axis]]
+        columns.append(values)
+    header = ",".join(map(_quote_for_csv, names))
     table = np.column_stack(columns)
-    header = ",".join(map(_quoted, names))
     np.savetxt(file, table, fmt="%.17g", delimiter=",", header=header, comments="")
 
 
-def _quoted(name: str) -> str:
-    """Return a column's name as csv has it: in quotes if it would not be one field."""
+def _quote_for_csv(name: str) -> str:
+    """Return a column name, in quotes if it contains a separator, quote or line break."""
     if not any(mark in name for mark in ',"\r\n'):
         return name
     return '"' + name.replace('"', '""') + '"'

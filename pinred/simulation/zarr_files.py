@@ -1,4 +1,4 @@
-"""Arrays as a folder of zarr, where that is installed."""
+"""Folders of arrays in the format of zarr, if that package is installed."""
 
 from __future__ import annotations
 
@@ -12,9 +12,14 @@ from ..common.plain_names import quoted_path
 
 
 def write_zarr(path: Path, arrays: dict[str, Any]) -> None:
-    """Write a folder of arrays, text as its attributes, under another name until it is whole.
+    """Write arrays to a zarr folder, which gets its name when it is complete.
 
-    Raises MissingPackageError without zarr, OutputError if writing fails.
+    Args:
+        path: Path of the folder, which must not exist.
+        arrays: Arrays by name; texts become attributes of the folder.
+    Raises:
+        MissingPackageError: zarr is not installed.
+        OutputError: Writing fails.
     """
     try:
         zarr = import_module("zarr")
@@ -23,14 +28,14 @@ def write_zarr(path: Path, arrays: dict[str, Any]) -> None:
             f"{quoted_path(path)}: files of zarr need the package zarr: pip install 'pinred[zarr]'"
         ) from None
     try:
-        with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
-            whole = Path(folder) / "whole"
-            root = zarr.open_group(str(whole), mode="w")
+        with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as parent:
+            folder = Path(parent) / "complete"
+            root = zarr.open_group(str(folder), mode="w")
             for name, array in arrays.items():
                 if array.ndim and array.dtype.kind == "f":
                     root.create_array(name, data=array)
-                else:  # text and what it is of
+                else:  # Texts and their sizes.
                     root.attrs[name] = array.tolist()
-            whole.rename(path)
+            folder.rename(path)
     except OSError as error:
         raise OutputError(f"cannot write {quoted_path(path)}: {error.strerror or error}") from error

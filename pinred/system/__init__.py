@@ -1,5 +1,5 @@
-"""A robot file becomes a System: a group of the base times shape coordinates, read exactly.
+"""Systems from robot files: a symmetry group of the base times shape coordinates.
 
-Loading, the catalogue of robots, what is refused and why; `mjcf` reads what MuJoCo compiles.
-Imports `common` and `lie`.
+This subpackage loads files, lists known robots, and refuses models that cannot be reduced.  Its
+subpackage `mjcf` reads MJCF through MuJoCo's compiler.  It imports `common` and `lie`.
 """

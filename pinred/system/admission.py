@@ -1,7 +1,9 @@
-"""Admission: the models that pinred reduces, and the refusal, by name, of all others.
+"""Admission of models: pinred reduces trees with a symmetric root, and refuses others by name.
 
-A tree of revolute and prismatic joints hangs on a root that moves in one of five groups; its
-mass matrix is regular at nearly all shapes.
+A tree has revolute and prismatic joints behind a root that moves in one of the groups.  Refused
+are numbers without meaning (infinite ones, negative masses and moments) and mass matrices that
+are singular at every shape.  Inertias that no real body has, and matrices that are singular at
+single shapes, become doubts.
 """
 
 from __future__ import annotations
@@ -11,25 +13,33 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from ..common.arrays import Array
 from ..common.errors import ModelError
 from ..common.plain_names import listed, quoted
 from ..lie.group import Group
 from ..lie.groups import GROUPS
 from .coupling import Coupled
-from .inertias import check_inertias
-from .joints import axes_of, is_shape_joint, joint_kind, motion_group
+from .joints import axes_of, is_prismatic, is_shape_joint, joint_kind, motion_group
+from .massless_motions import largest_step, no_moment
+from .singular_mass_matrix import SingularShape, singular_shapes
 
-_UNIT = 1e-9  # by how much an axis may miss length one
-_MOST = 400  # degrees of freedom
-_CUBE = 33.0  # bytes of Pinocchio's work space, over the cube of the degrees of freedom
+_UNIT = 1e-9  # tolerance on the length of an axis and on the orthogonality of a rotation
+_MOST_FREEDOMS = 400
+# Bytes of one work space of Pinocchio, over the cube of the degrees of freedom.
+WORKSPACE_BYTES = 33.0
+_HUGE = 1e100  # kg, kg m², m; products of larger numbers overflow
+# A flat body satisfies the triangle inequality with equality, up to this relative round-off.
+_TRIANGLE_SLACK = 1e-9
 
 
 @dataclass(frozen=True)
 class Admission:
-    """The findings when a model is let in.
+    """The result of admitting a model.
 
-    group: the symmetry.  doubts: sentences about what only no real robot has, or what makes the
-    mass matrix singular at single shapes.
+    Attributes:
+        group: Symmetry group.
+        doubts: Sentences about inertias that no real body has, and about shapes at which the
+            mass matrix is singular.
     """
 
     group: Group
@@ -37,20 +47,36 @@ class Admission:
 
 
 def admit(model: pin.Model, coupled: Coupled | None = None) -> Admission:
-    """Return the symmetry group of a model whose joint 1 is the root, and what is doubtful.
+    """Return the symmetry group of a model, and doubts about it.
 
-    The joints are in depth-first order.  coupled: how they follow each other, if some do.  Raises
-    ModelError, naming the joint or link and the way out, if pinred cannot reduce it.
+    Args:
+        model: Model whose joint 1 is the root, with joints in depth-first order.
+        coupled: Dependence of follower joints on the others, if there are followers.
+
+    Returns:
+        Group and doubts.
+
+    Raises:
+        ModelError: pinred cannot reduce the model.  The message names the joint or link and the
+            way out.
     """
     group = _root_group(model)
-    _admit_size(model)
-    _admit_names(model)
+    if model.nv > _MOST_FREEDOMS:
+        raise ModelError(
+            f"the model has {model.nv} degrees of freedom, more than {_MOST_FREEDOMS}: each work "
+            "space of Pinocchio for it, of which a run needs several, would take "
+            f"{WORKSPACE_BYTES * float(model.nv) ** 3 / 1e9:.3g} GB; lock joints that need not move"
+        )
+    names = list(model.names)
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ModelError(f"several joints are called {quoted(twice)}; give each a name of its own")
     for i in range(2, model.njoints):
         _admit_shape_joint(model, i)
     for i in range(1, model.njoints):
         _admit_geometry(model, i)
     _admit_numbers(model, group)
-    return Admission(group, check_inertias(model, coupled))
+    return Admission(group, _check_inertias(model, coupled))
 
 
 def _root_group(model: pin.Model) -> Group:
@@ -70,33 +96,17 @@ def _root_group(model: pin.Model) -> Group:
     return group
 
 
-def _admit_size(model: pin.Model) -> None:
-    if model.nv > _MOST:
-        raise ModelError(
-            f"the model has {model.nv} degrees of freedom, more than {_MOST}: each work space of "
-            f"Pinocchio for it, of which a run needs several, would take "
-            f"{_CUBE * float(model.nv) ** 3 / 1e9:.3g} GB; lock joints that need not move"
-        )
-
-
-def _admit_names(model: pin.Model) -> None:
-    names = list(model.names)
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ModelError(f"several joints are called {quoted(twice)}; give each a name of its own")
-
-
 def _admit_shape_joint(model: pin.Model, i: int) -> None:
     name, joint = model.names[i], model.joints[i]
     if model.parents[i] == 0:
         raise ModelError(
-            f"joint {quoted(name)} hangs on the fixed world beside the root "
+            f"joint {quoted(name)} is attached to the fixed world, not to root "
             f"{quoted(model.names[1])}, so moving the root does not move the whole system; "
-            "hang it on a moving link or lock it"
+            "attach it to a moving link or lock it"
         )
     if not is_shape_joint(joint):
         kind = joint_kind(joint)
-        split = "split it into such joints with bodies without mass between, "
+        split = "split it into such joints with massless bodies between them, "
         raise ModelError(
             f"joint {quoted(name)} is of kind {kind} with {joint.nv} degrees of freedom; shape "
             f"joints are revolute or prismatic: {split if joint.nv > 1 else ''}or lock it"
@@ -104,7 +114,7 @@ def _admit_shape_joint(model: pin.Model, i: int) -> None:
 
 
 def _admit_geometry(model: pin.Model, i: int) -> None:
-    """Refuse a joint without a unit axis, or at a place that is not finite."""
+    """Refuse a joint whose axis is not of length one, or whose placement is not finite."""
     name = model.names[i]
     R = model.jointPlacements[i].rotation
     if not np.isfinite(model.jointPlacements[i].homogeneous).all():
@@ -119,11 +129,14 @@ def _admit_geometry(model: pin.Model, i: int) -> None:
 
 
 def _admit_numbers(model: pin.Model, group: Group) -> None:
+    """Refuse gravity or armature that is not finite or breaks the symmetry."""
     for name, values in (("gravity", model.gravity.vector), ("armature", model.armature)):
         if not np.isfinite(values).all():
             raise ModelError(f"the model's {name} is not finite: {values}")
     if model.gravity.angular.any():
-        raise ModelError(f"the model's gravity turns: {model.gravity.vector}; it must be linear")
+        raise ModelError(
+            f"the model's gravity has an angular part: {model.gravity.vector}; it must be linear"
+        )
     if (model.armature < 0.0).any():
         raise ModelError(f"armature must not be negative: {model.armature}")
     rotor = model.armature[: group.dim]
@@ -133,3 +146,135 @@ def _admit_numbers(model: pin.Model, group: Group) -> None:
             "turns about one axis (SO2) can have; set it to zero, or add it to the inertia of the "
             "root link"
         )
+
+
+def _check_inertias(model: pin.Model, coupled: Coupled | None) -> tuple[str, ...]:
+    """Return doubts about the inertias of a model.  Raises ModelError for useless ones."""
+    unit = largest_step(model)
+    for i in range(1, model.njoints):
+        _check_body(model, i, unit)
+    if not sum(model.inertias[i].mass for i in range(1, model.njoints)) > 0.0:
+        raise ModelError(f"{_body_words(model, 1)} has no mass, nor has any body behind it")
+    singular = singular_shapes(model, coupled)
+    if singular.everywhere:
+        raise ModelError(_refusal(model, singular.everywhere))
+    doubts = (
+        _triangle_doubt(model, unit),
+        _nearly_singular_doubt(model, singular.nearly),
+        _isolated_shapes_doubt(model, singular.isolated),
+    )
+    return tuple(doubt for doubt in doubts if doubt)
+
+
+def _body_words(model: pin.Model, i: int) -> str:
+    """Return a description of the body that joint i moves: its links and the joint."""
+    links = [f.name for f in model.frames if f.parentJoint == i and f.type == pin.FrameType.BODY]
+    words = f"link {quoted(links[0])}" if links else "the body"
+    if len(links) > 1:
+        words += f" (with {listed(links[1:], 3)})"
+    return f"{words} moved by joint {quoted(model.names[i])}"
+
+
+def _check_body(model: pin.Model, i: int, unit: float) -> None:
+    """Refuse an inertia that is not finite, negative, or so large that products overflow."""
+    body = model.inertias[i]
+    mass, inertia = body.mass, body.inertia
+    if not all(np.isfinite(a).all() for a in (mass, inertia, body.lever)):
+        raise ModelError(f"{_body_words(model, i)} has an inertia that is not finite")
+    largest = max(mass, float(np.abs(inertia).max()), float(np.abs(body.lever).max()))
+    if largest > _HUGE:
+        raise ModelError(
+            f"{_body_words(model, i)} has a mass, a moment of inertia or a lever of {largest:.1e}, "
+            f"above {_HUGE:g}, so that products overflow; use other units"
+        )
+    if mass < 0.0:
+        raise ModelError(
+            f"{_body_words(model, i)} has negative mass {mass:g}; give it a positive one, or none"
+        )
+    moments = np.linalg.eigvalsh(inertia)
+    if moments[0] < -no_moment(body, unit):
+        raise ModelError(
+            f"{_body_words(model, i)} has principal moments of inertia {_shown(moments)}; "
+            "none may be negative"
+        )
+
+
+def _refusal(model: pin.Model, joints: tuple[str, ...]) -> str:
+    """Return why a model with joints that move no mass at any shape is refused."""
+    i = model.getJointId(joints[0])
+    body, behind = model.inertias[i], len(model.children[i]) > 0
+    lacks = "no mass"
+    if body.mass > 0.0:
+        moments = np.linalg.eigvalsh(body.inertia)
+        is_point = moments[2] <= no_moment(body, largest_step(model))
+        lacks = f"its mass in one {'point' if is_point else 'line'}"
+        if not is_point:
+            lacks += f" (principal moments of inertia {_shown(moments)})"
+    text = f"{_body_words(model, i)} has {lacks}"
+    if behind:
+        text += ", and the joints behind it can undo the joint's motion"
+    text += ": at no shape does the joint move any mass, so the mass matrix is singular; "
+    text += "give it a mass" if body.mass == 0.0 else "give it moments of inertia"
+    if i > 1:
+        return f"{text}, give the joint armature, or lock it: lock={list(joints)}"
+    return f"{text}, or choose a smaller group"
+
+
+def _triangle_doubt(model: pin.Model, unit: float) -> str:
+    """Return which bodies break the triangle inequality of moments of inertia, and by how much."""
+    bodies = []
+    for i in range(1, model.njoints):
+        body = model.inertias[i]
+        moments = np.linalg.eigvalsh(body.inertia)
+        others = float(moments[0] + moments[1])
+        if moments[2] > others * (1.0 + _TRIANGLE_SLACK) + no_moment(body, unit):
+            excess = f"{100.0 * (moments[2] / others - 1.0):.3g} %" if others > 0.0 else "all of it"
+            bodies.append(f"{_body_words(model, i)} by {excess} ({_shown(moments)})")
+    if not bodies:
+        return ""
+    return (
+        "no distribution of mass has these principal moments of inertia, the largest above the "
+        f"sum of the others (triangle inequality): {_some(bodies)}"
+    )
+
+
+def _nearly_singular_doubt(model: pin.Model, joints: tuple[str, ...]) -> str:
+    if not joints:
+        return ""
+    body = _body_words(model, model.getJointId(joints[0]))
+    return (
+        f"the mass matrix is nearly singular at every shape: joint {listed(joints)} moves hardly "
+        f"any mass ({body}); lock={list(joints)} locks these joints"
+    )
+
+
+def _isolated_shapes_doubt(model: pin.Model, shapes: tuple[SingularShape, ...]) -> str:
+    """Return at which single shapes joints move no mass."""
+    if not shapes:
+        return ""
+    values: dict[tuple[str, str], list[str]] = {}  # values of the last joint, for joint and others
+    for shape in shapes:
+        *others, last = [_joint_value_words(model, *entry) for entry in shape.at.items()]
+        name, _, value = last.rpartition(" = ")
+        values.setdefault((shape.joint, ", ".join([*others, name])), []).append(value)
+    sentences = [
+        f"joint {quoted(joint)} moves no mass at {names} = {' or '.join(listing)}"
+        for (joint, names), listing in values.items()
+    ]
+    return (
+        f"the mass matrix is singular at single shapes, where a simulation ends: {_some(sentences)}"
+    )
+
+
+def _joint_value_words(model: pin.Model, name: str, value: float) -> str:
+    unit = "m" if is_prismatic(model.joints[model.getJointId(name)]) else "rad"
+    return f"{quoted(name)} = {value:.6g} {unit}"
+
+
+def _some(sentences: list[str], most: int = 6) -> str:
+    more = [f"and {len(sentences) - most} more"] if len(sentences) > most else []
+    return "; ".join([*sentences[:most], *more])
+
+
+def _shown(moments: Array) -> str:
+    return ", ".join(f"{moment:.6g}" for moment in moments)

@@ -1,4 +1,4 @@
-"""Contents of a robot's file beside bodies and joints: keyframes, couplings, springs and more."""
+"""The origin of a robot, and the contents of its file besides bodies and joints."""
 
 from __future__ import annotations
 
@@ -9,17 +9,38 @@ from typing import Any
 
 from ..common.arrays import Array, freeze
 from ..common.plain_names import plain
-from .force import Force
+from .force_interface import Force
 from .locked_joints import LockedJoints
 from .visuals import Visuals
 
 
+@dataclass(frozen=True)
+class Origin:
+    """The file or name from which a system was loaded.
+
+    Attributes:
+        source: Name of the robot, or absolute path of its file.
+        lock: Locked joints with their values [rad | m].
+        root: Body of an MJCF file that was chosen as the root, if any.
+        meshes: Folders in which meshes are looked for, besides those above the file.
+    """
+
+    source: str
+    lock: Mapping[str, float]
+    root: str | None = None
+    meshes: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """A state that the file has a name for; arrays are read-only.
+    """A named state in a file.  The arrays are read-only.
 
-    pose: (size,) of the base.  x, xdot: (m,) shape [rad | m] and its rate.  xi: (r,) body
-    twist of the base [linear; angular].  time: s.
+    Attributes:
+        pose: Pose of the base, (size,).
+        x: Shape, (m,) [rad | m].
+        xi: Body twist of the base [linear; angular], (r,).
+        xdot: Shape rate, (m,) [rad/s | m/s].
+        time: Time [s].
     """
 
     pose: Array
@@ -36,7 +57,13 @@ class Keyframe:
 class Coupling:
     """A joint that follows another: x_follower = ratio · x_leader + offset.
 
-    Coordinates are those of the shape [rad | m], not relative to a reference position.
+    Coordinates are shape coordinates, not displacements from a reference position.
+
+    Attributes:
+        follower: Name of the joint that follows.
+        leader: Name of the joint that it follows.
+        ratio: Ratio of the rates.
+        offset: Value of the follower where the leader is at zero [rad | m].
     """
 
     follower: str
@@ -51,9 +78,11 @@ class Coupling:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Things of one kind that act in the file and are not part of the reduction.
+    """Actions of one kind in a file that are not part of the reduction.
 
-    what: the kind, as "actuators".  names: what they are called.
+    Attributes:
+        what: Kind of action, such as "actuators".
+        names: Names of the actions.
     """
 
     what: str
@@ -65,32 +94,33 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Contents:
-    """Contents of a file beside bodies and joints.
+    """Contents of a file besides bodies and joints.
 
-    left_out: what acts in it and is not simulated.  passive: springs, dampers and dry friction
-    at joints of the shape, which act where a scene asks for them.  keyframes: states by name.
-    couplings: joints that follow others.  freed: the body that the file fixes to the world and
-    that floats here, or "".
-    visuals: shapes to draw that were given along with the model.  locked: the joints that were
-    locked, if some were.
+    Attributes:
+        left_out: Actions that are not simulated, by kind.
+        passive: Springs, dampers and dry friction at shape joints.  A scene switches them on.
+        keyframes: Named states.
+        couplings: Joints that follow others.
+        freed: Name of the body that the file fixes to the world and that floats here, or "".
+        visuals: Shapes to draw that were passed in along with the model.
+        locked: Joints that were locked, if any.
     """
 
     left_out: tuple[LeftOut, ...] = ()
     passive: tuple[Force, ...] = ()
     keyframes: Mapping[str, Keyframe] = field(default_factory=lambda: MappingProxyType({}))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Read-only views of mappings cannot be pickled.
-        parts = [getattr(self, entry.name) for entry in fields(self)]
-        return type(self), tuple(dict(p) if isinstance(p, MappingProxyType) else p for p in parts)
-
     couplings: tuple[Coupling, ...] = ()
     freed: str = ""
     visuals: Visuals | None = None
     locked: LockedJoints | None = None
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Read-only views of mappings cannot be pickled.
+        values = [getattr(self, entry.name) for entry in fields(self)]
+        return type(self), tuple(dict(v) if isinstance(v, MappingProxyType) else v for v in values)
+
 
 def shortened(names: tuple[str, ...], most: int = 6) -> str:
-    """Return names in a list, of which the last are left out where there are many."""
+    """Return names in a list that ends after the first `most`, with the total count."""
     shown = ", ".join(map(plain, names[:most]))
     return shown if len(names) <= most else f"{shown}, … ({len(names)} in all)"

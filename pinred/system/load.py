@@ -28,19 +28,19 @@ from ..lie.group import Group
 from ..lie.groups import GROUPS, group_named
 from ..lie.se3 import SE3
 from . import catalogue
-from .contents import Contents, Coupling
+from .contents import Contents, Coupling, Origin
+from .coordinates import InitialState
 from .coupling import locked_by, with_followers
 from .joints import motion_group, root_joint
 from .locked_joints import LockedJoints, Tie
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
-from .model_passive import passive_contents
-from .pinocchio_mimics import plain_joints
-from .rerooting import rebuild
+from .passive import passive_contents
+from .rebuild import rebuild, without_mimics
 from .robot_files import is_mjcf, read_description, read_text, read_xml
 from .root_chain import RootChain, places_on_root, root_chain
-from .system import InitialState, Origin, System
+from .system import System
 from .urdf import mimic_couplings
 from .visuals import mesh_folders, with_visuals
 
@@ -122,7 +122,7 @@ def load(
     origin: Origin | None = Origin(name, locked, meshes=folders)
     couplings: tuple[Coupling, ...]
     if isinstance(source, pin.Model):
-        raw, couplings = plain_joints(source)
+        raw, couplings = without_mimics(source)
         name, origin = source.name, None
     elif (robot := catalogue.bundled_robots().get(name)) is not None:
         raw, couplings = read_description(robot.path)
@@ -138,7 +138,7 @@ def load(
         raw, couplings = _example(name)
     every = couplings
     locked, couplings = with_followers(locked, every, list(raw.names))
-    bare = rebuild(raw, _frozen(raw, locked))
+    bare = rebuild(raw, frozen=_frozen(raw, locked))
     chain = root_chain(bare)
     model = _on_root(bare, wanted, chain)
     contents = passive_contents(raw, list(model.names)[2:], locked)
@@ -250,7 +250,7 @@ def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
     if robot.build is None:
         model, couplings = read_description(robot.urdf)
     else:
-        model, couplings = plain_joints(robot.build().robot.model)
+        model, couplings = without_mimics(robot.build().robot.model)
         if not couplings:
             found = mimic_couplings(read_xml(robot.urdf))
             couplings = tuple(each for each in found if model.existJointName(each.follower))
@@ -311,9 +311,9 @@ def _on_root(raw: pin.Model, wanted: Group | None, chain: RootChain | None) -> p
     if own is None:
         if wanted is None and raw.njoints > 1 and raw.inertias[0].mass == 0.0:
             raise ChoiceError(_unclear(raw), "group", ("SE3",))
-        return rebuild(raw, {}, root_joint(wanted or SE3))
+        return rebuild(raw, root=root_joint(wanted or SE3))
     if wanted in (None, own):
-        return raw if chain is None else rebuild(raw, {}, root_joint(own), chain)
+        return raw if chain is None else rebuild(raw, root=root_joint(own), chain=chain)
     joints = list(raw.names)[1 : 2 if chain is None else chain.last + 1]
     locked = "' or '".join(joints)
     way_out = f"load it with group='{own}', or lock '{locked}'"

@@ -81,7 +81,7 @@ def tree_of(model: pin.Model) -> Tree:
         parents=tuple(model.parents[i] - 1 for i in count),
         axes=tuple(axes),
         placements=tuple(placements),
-        still=tuple(_still(model.inertias[i], unit) for i in count),
+        still=tuple(_energy_free_twists(model.inertias[i], unit) for i in count),
         stiff=tuple(stiff),
         unit=unit,
     )
@@ -104,7 +104,7 @@ def no_moment(inertia: pin.Inertia, unit: float) -> float:
     return _ZERO * max(float(np.abs(inertia.inertia).max()), float(inertia.mass) * reach**2)
 
 
-def _still(inertia: pin.Inertia, unit: float) -> Array:
+def _energy_free_twists(inertia: pin.Inertia, unit: float) -> Array:
     """Return an orthonormal basis (6, k) of the twists at which one body has no energy."""
     moments, directions = np.linalg.eigh(inertia.inertia)
     lever = inertia.lever if inertia.mass > 0.0 else np.zeros(3)
@@ -117,7 +117,7 @@ def _still(inertia: pin.Inertia, unit: float) -> Array:
     return _orthonormal(np.hstack([np.eye(6, 3), about_mass]))
 
 
-def undone(tree: Tree, x: Sequence[float], tolerance: float) -> list[Array]:
+def massless_twists(tree: Tree, x: Sequence[float], tolerance: float) -> list[Array]:
     """Return orthonormal bases (6, k) of N of every body at a shape.
 
     x: value of every joint [rad | units of length]; that of the root does not matter.
@@ -126,12 +126,12 @@ def undone(tree: Tree, x: Sequence[float], tolerance: float) -> list[Array]:
     for i in range(len(N) - 1, 0, -1):
         parent = tree.parents[i]
         if N[parent].shape[1]:
-            P = free_to_move(tree, i, N[i])
-            N[parent] = meet(N[parent], tree.moved(i, x[i]) @ P, tolerance)
+            P = undoing_twists(tree, i, N[i])
+            N[parent] = intersect(N[parent], tree.moved(i, x[i]) @ P, tolerance)
     return N
 
 
-def hulls(tree: Tree, tolerance: float) -> list[Array]:
+def bound_massless_twists(tree: Tree, tolerance: float) -> list[Array]:
     """Return subspaces, as orthonormal bases (6, k), that contain N of every body at every shape.
 
     What a joint carries through its angles is replaced by the least subspace that contains it
@@ -141,22 +141,22 @@ def hulls(tree: Tree, tolerance: float) -> list[Array]:
     for i in range(len(N) - 1, 0, -1):
         parent = tree.parents[i]
         if N[parent].shape[1]:
-            K = _closed(free_to_move(tree, i, N[i]), tree.axes[i][:, 0])
-            N[parent] = meet(N[parent], tree.placements[i] @ K, tolerance)
+            K = _invariant_closure(undoing_twists(tree, i, N[i]), tree.axes[i][:, 0])
+            N[parent] = intersect(N[parent], tree.placements[i] @ K, tolerance)
     return N
 
 
-def free_to_move(tree: Tree, i: int, N: Array) -> Array:
+def undoing_twists(tree: Tree, i: int, N: Array) -> Array:
     """Return P of a body, N and the axis of its joint, as an orthonormal basis (6, k)."""
-    return N if tree.stiff[i] else _join(N, tree.axes[i])
+    return N if tree.stiff[i] else _sum_of(N, tree.axes[i])
 
 
-def lost(tree: Tree, i: int, N: Array, tolerance: float) -> bool:
+def moves_no_mass(tree: Tree, i: int, N: Array, tolerance: float) -> bool:
     """Return whether joint i, or a motion of the root, moves no mass, for N of its body."""
-    return not tree.stiff[i] and meet(N, tree.axes[i], tolerance).shape[1] > 0
+    return not tree.stiff[i] and intersect(N, tree.axes[i], tolerance).shape[1] > 0
 
 
-def meet(A: Array, B: Array, tolerance: float) -> Array:
+def intersect(A: Array, B: Array, tolerance: float) -> Array:
     """Return an orthonormal basis of what the columns of both span; those of A are orthonormal.
 
     tolerance: sine of the angle between directions that are taken for one.
@@ -168,17 +168,17 @@ def meet(A: Array, B: Array, tolerance: float) -> Array:
     return np.asarray(A @ directions[sines <= tolerance].T)
 
 
-def _closed(P: Array, axis: Array) -> Array:
+def _invariant_closure(P: Array, axis: Array) -> Array:
     """Return a basis of the least subspace that contains P and that [axis, ·] maps into itself."""
     bracket, K = SE3.ad(axis), P
     while True:
-        more = _join(K, bracket @ K)
+        more = _sum_of(K, bracket @ K)
         if more.shape == K.shape:
             return K
         K = more
 
 
-def _join(A: Array, B: Array) -> Array:
+def _sum_of(A: Array, B: Array) -> Array:
     """Return an orthonormal basis of the span of both; the columns of A are orthonormal."""
     rest = _orthonormal(B - A @ (A.T @ B))
     # What was small is now of length one, and so is its round-off along A: take that off again.

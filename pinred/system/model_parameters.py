@@ -15,10 +15,9 @@ from ..common.names import nearest
 from ..common.plain_names import brief
 from .body_parameters import SIZES as BODY_SIZES
 from .body_parameters import Bodies, body_names, body_parameter, inertia_of, numbers
-from .in_gravity import in_gravity
 from .joint_parameters import PLACED, Joints, joint_parameter
-from .other_inertias import nominal, with_numbers
 from .system import System
+from .variants import in_gravity, nominal, with_numbers
 
 # Gravity in the world frame [m/s²], or its strength along the direction that it has.
 GRAVITY = {"gravity": 3, "gravity.strength": 1}

@@ -1,25 +1,38 @@
-"""Springs, dampers and dry friction at joints: forces that a robot's file can have of its own."""
+"""Springs, dampers and dry friction at joints: the forces that a robot file can contain."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..common.arrays import positive
-from ..common.errors import InputError
-from ..common.parameter import Parameter, checked_number, value_of
-from ..common.plain_names import plain
-from .force import Force, Symbols, Terms, finite, settle
+import numpy as np
+import pinocchio as pin
 
-BASE = "springs, damping and friction of the base"  # which are left out
+from ..common.arrays import positive
+from ..common.errors import InputError, ModelError
+from ..common.parameter import Parameter, checked_number, value_of
+from ..common.plain_names import plain, quoted
+from .contents import Contents, LeftOut
+from .force_interface import Force, Symbols, Terms, finite, settle
+
+# Kinds of actions that are left out.
+BASE = "springs, damping and friction of the base"
+UNEVEN = "dry friction that is not the same in both directions"
 
 
 @dataclass(frozen=True)
 class Spring(Force):
-    """A spring: V = ½ k y² of y = x − rest, or of x − x_to − rest.  k: [N·m/rad | N/m].
+    """A spring with potential V = ½ k y², where y = x − rest, or x − x_to − rest.
 
-    polynomial: coefficients k₂, k₃, … of higher powers, −τ = k y + k₂ y² + k₃ y³ + …
+    Higher powers give the force −τ = k y + k₂ y² + k₃ y³ + …
+
+    Attributes:
+        joint: Name of the joint.
+        stiffness: Stiffness k [N·m/rad | N/m].
+        rest: Rest position [rad | m].
+        to: Name of the joint at the other end, or None for the joint's own carrier.
+        polynomial: Coefficients k₂, k₃, … of higher powers.
     """
 
     joint: str
@@ -34,11 +47,22 @@ class Spring(Force):
 
     @property
     def label(self) -> str:
-        """The kind of force and the joint, or both joints."""
-        return between("spring", self.joint, self.to)
+        """Kind of force and its joint, or both joints."""
+        return _label("spring", self.joint, self.to)
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the potential."""
+        """Return the potential.
+
+        Args:
+            s: Variables of the system.
+            number: Turns a value into a symbol if it may vary.
+
+        Returns:
+            Terms with the potential.
+
+        Raises:
+            InputError: Both ends are the same joint.
+        """
         length = s.x[s.joint(self.joint, self.label)]
         if self.to is not None:
             if self.to == self.joint:
@@ -55,9 +79,15 @@ class Spring(Force):
 
 @dataclass(frozen=True)
 class Damper(Force):
-    """A damper: τ = −c v of v = ẋ, or of ẋ − ẋ_to on two joints.  c: [N·m·s/rad | N·s/m].
+    """A damper with torque τ = −c v, where v = ẋ, or ẋ − ẋ_to between two joints.
 
-    polynomial: coefficients c₂, c₃, … of higher powers, −τ = v (c + c₂ |v| + c₃ |v|² + …).
+    Higher powers give −τ = v (c + c₂ |v| + c₃ |v|² + …).
+
+    Attributes:
+        joint: Name of the joint.
+        coefficient: Coefficient c [N·m·s/rad | N·s/m].
+        to: Name of the joint at the other end, or None for the joint's own carrier.
+        polynomial: Coefficients c₂, c₃, … of higher powers.
     """
 
     joint: str
@@ -71,11 +101,22 @@ class Damper(Force):
 
     @property
     def label(self) -> str:
-        """The kind of force and the joint, or both joints."""
-        return between("damper", self.joint, self.to)
+        """Kind of force and its joint, or both joints."""
+        return _label("damper", self.joint, self.to)
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the torques."""
+        """Return the torques.
+
+        Args:
+            s: Variables of the system.
+            number: Turns a value into a symbol if it may vary.
+
+        Returns:
+            Terms with the torques.
+
+        Raises:
+            InputError: Both ends are the same joint.
+        """
         import casadi as ca
 
         k, c = s.joint(self.joint, self.label), number(self.coefficient)
@@ -86,7 +127,7 @@ class Damper(Force):
                 raise InputError(f"{self.label}: both ends are the same joint")
             v = v - s.xdot[j]
         for power, coefficient in enumerate(self.polynomial, start=1):
-            # |v| only to odd powers: what is smooth stays free of kinks.
+            # |v| is only used for odd powers, so smooth laws stay without kinks.
             size = v**power if power % 2 == 0 else ca.fabs(v) * v ** (power - 1)
             c = c + number(coefficient) * size
         torque = -c * v
@@ -97,10 +138,13 @@ class Damper(Force):
 class Friction(Force):
     """Dry friction at a joint, as the smooth law τ = −most · tanh(ẋ / width).
 
-    most: of the torque [N·m | N].  width: the rate within which it turns round [rad/s | m/s];
-    at twice that rate it is 96 % of the whole.  A joint at rest creeps under a load that dry
-    friction would hold.  None for a friction in a file, which has none: it does not act until it
-    is given one.
+    At twice the width the torque is 96 % of `most`.  A joint at rest creeps under a load that
+    dry friction would hold.  Friction in a file has no width and does not act until it gets one.
+
+    Attributes:
+        joint: Name of the joint.
+        most: Largest torque [N·m | N].
+        width: Rate within which the torque changes its sign [rad/s | m/s], or None.
     """
 
     joint: str
@@ -118,15 +162,36 @@ class Friction(Force):
 
     @property
     def label(self) -> str:
-        """The kind of force and the joint."""
-        return between("friction", self.joint, None)
+        """Kind of force and its joint."""
+        return _label("friction", self.joint, None)
 
     def smoothed(self, width: float) -> Friction:
-        """Return the same friction with a width [rad/s | m/s].  Raises InputError."""
+        """Return the same friction with a width.
+
+        Args:
+            width: Rate within which the torque changes its sign [rad/s | m/s].
+
+        Returns:
+            Friction that acts.
+
+        Raises:
+            InputError: The width is not positive.
+        """
         return replace(self, width=width)
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the torque.  Raises InputError if there is no width."""
+        """Return the torque.
+
+        Args:
+            s: Variables of the system.
+            number: Turns a value into a symbol if it may vary.
+
+        Returns:
+            Terms with the torque.
+
+        Raises:
+            InputError: The friction has no width.
+        """
         import casadi as ca
 
         if self.width is None:
@@ -138,18 +203,62 @@ class Friction(Force):
         return Terms(torque={k: -number(self.most) * ca.tanh(s.xdot[k] / number(self.width))})
 
 
-def between(kind: str, joint: str, to: str | None) -> str:
-    """Return the name of a force at a joint, or between two."""
+def _label(kind: str, joint: str, to: str | None) -> str:
+    """Return the label of a force at a joint, or between two joints."""
     ends = plain(joint) if to is None else f"{plain(joint)}–{plain(to)}"
     return f"{kind} {ends}"
 
 
 def _settle_polynomial(force: Any) -> None:
+    """Convert the polynomial of a force to finite numbers or Parameters."""
     what = f"polynomial of a {force.label}"
+    message = f"{what} must be a list of numbers, got {force.polynomial!r}"
     if isinstance(force.polynomial, str):
-        raise InputError(f"{what} must be a list of numbers, got {force.polynomial!r}")
+        raise InputError(message)
     try:
-        given = tuple(force.polynomial)
+        coefficients = tuple(force.polynomial)
     except TypeError:
-        raise InputError(f"{what} must be a list of numbers, got {force.polynomial!r}") from None
-    object.__setattr__(force, "polynomial", tuple(finite(value, what) for value in given))
+        raise InputError(message) from None
+    object.__setattr__(force, "polynomial", tuple(finite(value, what) for value in coefficients))
+
+
+def passive_contents(raw: pin.Model, shape: Sequence[str], locked: Collection[str]) -> Contents:
+    """Return the dampers and the dry friction of a model, and the actions that are left out.
+
+    Args:
+        raw: Model with all joints, as read from a URDF's <dynamics>.
+        shape: Names of the shape joints.
+        locked: Names of frozen joints.  All remaining joints belong to the base.
+
+    Returns:
+        Contents with `passive` and `left_out`.
+
+    Raises:
+        ModelError: A number is not finite.
+    """
+    forces: list[Force] = []
+    base: list[str] = []
+    uneven: list[str] = []
+    for i in range(1, raw.njoints):
+        name, joint = str(raw.names[i]), raw.joints[i]
+        entries = slice(joint.idx_v, joint.idx_v + joint.nv)
+        damping, most = raw.damping[entries], raw.upperDryFrictionLimit[entries]
+        least = raw.lowerDryFrictionLimit[entries]
+        numbers = np.concatenate([damping, most, least])
+        if name in locked or not numbers.any():
+            continue
+        if not np.isfinite(numbers).all():
+            raise ModelError(
+                f"joint {quoted(name)} has damping or friction that is not a finite number"
+            )
+        if name not in shape:
+            base.append(name)
+            continue
+        if damping[0]:
+            forces.append(Damper(name, float(damping[0])))
+        if most[0] != -least[0]:
+            uneven.append(name)
+        elif most[0]:
+            forces.append(Friction(name, float(most[0])))
+    left_out = [LeftOut(k, tuple(v)) for k, v in ((BASE, base), (UNEVEN, uneven)) if v]
+    return Contents(left_out=tuple(left_out), passive=tuple(forces))

@@ -1,8 +1,7 @@
-"""Robot description files: what kind they are; URDF is read through Pinocchio without its meshes.
+"""Robot description files: their format, and models of URDF files without their meshes.
 
-Pinocchio passes over much that changes the dynamics, or fills it in: mimic joints, links on
-two joints, axes of length zero, inertias with a part missing.  Here these are looked up in
-the file itself, so that they are honoured or refused, never dropped.
+Pinocchio ignores or fills in much that changes the dynamics: mimic joints, links on two joints,
+axes of length zero, incomplete inertias.  So these are looked up in the file, and used or refused.
 """
 
 from __future__ import annotations
@@ -23,25 +22,32 @@ from ..common.library_output import library_output
 from ..common.paths import is_file, is_folder
 from ..common.plain_names import plain_path, quoted_path
 from .contents import Coupling
-from .model_passive import keep_dynamics
-from .urdf import check_urdf, deepest, mimic_couplings, total_mass
-from .urdf_text import UNLIMITED, tidied
+from .urdf import (
+    UNLIMITED,
+    check_urdf,
+    keep_dynamics,
+    mimic_couplings,
+    reduced_text,
+    total_mass,
+    tree_depth,
+)
 
-# Two lines: what is wrong, and where in its own source the parser says so.
+# A message of the URDF parser: one line with the error, one with the position in its source.
 URDFDOM = re.compile(
     rb"^(?:Error|Warning|Info|Debug):[^\n]*\n +at line \d+ in [^\n]*\n?", re.MULTILINE
 )
-_MOST_BYTES = 256_000_000  # of a file that is read whole
-_DEEP, _STACK = 500, 65536  # links behind one another, and bytes of stack for each
-_DEEPEST = 100  # elements of a URDF within one another; the format has a few
+_MOST_BYTES = 256_000_000  # size of a file
+# From this depth of links on, the parser runs on a stack of so many bytes per link.
+_DEEP, _STACK = 500, 65536
+_DEEPEST = 100  # nested elements of a URDF; the format has a few
 _MOST_ELEMENTS = 1_000_000
-_MOST_LINKS = 20_000  # that a parser sees; it calls itself for each behind another
-_FEW = 4096  # letters that are looked at at once
+_MOST_LINKS = 20_000  # the parser recurses once per link
+_CHUNK = 4096  # characters that are parsed at once
 _ELEMENT = re.compile(r"<[^!?]")
 
 
 def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
-    """Return the model in a URDF file, on its own root, and how joints follow others.
+    """Return the model in a URDF file, on its own root, and the couplings of its joints.
 
     Raises LoadError if the file cannot be read, ModelError if its robot cannot be reduced.
     """
@@ -54,15 +60,16 @@ def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
     if (links := len(root.findall("link"))) > _MOST_LINKS:
         raise LoadError(f"{plain_path(path)} has {links} links, more than {_MOST_LINKS}")
     check_urdf(root)
+    depth = tree_depth(root)
     couplings = mimic_couplings(root)
     model, why = None, ""
-    with library_output(URDFDOM) as said:
+    with library_output(URDFDOM) as messages:
         try:
-            model = _built(tidied(root), depth=deepest(root))
-        except Exception as error:  # Pinocchio raises what its parsers raise, of any type
+            model = _parse(reduced_text(root), depth)
+        except Exception as error:  # Pinocchio passes on errors of its parsers, of any type.
             why = str(error).strip() or type(error).__name__
     if model is None:
-        reason = said[0].splitlines()[0] if said else why.splitlines()[-1]
+        reason = messages[0].splitlines()[0] if messages else why.splitlines()[-1]
         raise LoadError(
             f"Pinocchio cannot read {plain_path(path)}: {reason.removeprefix('Error:').strip()}"
         )
@@ -73,11 +80,11 @@ def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
     return model, couplings
 
 
-def _built(text: str, *, depth: int) -> pin.Model:
-    """Return Pinocchio's model of a URDF.  depth: of links behind one another."""
+def _parse(text: str, depth: int) -> pin.Model:
+    """Return Pinocchio's model of a URDF whose links form chains of a depth."""
     if depth < _DEEP:
         return pin.buildModelFromXML(text)
-    # The parser calls itself for every link, and would run out of the usual stack.
+    # The parser recurses once per link and would exhaust the usual stack.
     before = threading.stack_size(_STACK * depth)
     try:
         with ThreadPoolExecutor(1) as one:
@@ -86,18 +93,18 @@ def _built(text: str, *, depth: int) -> pin.Model:
         threading.stack_size(before)
 
 
-def _check_mass(path: Path, model: pin.Model, written: float) -> None:
-    """Refuse a model that has lost a link's inertia on the way."""
-    read = sum(inertia.mass for inertia in model.inertias)
-    if abs(read - written) > 1e-9 * max(read, written):
+def _check_mass(path: Path, model: pin.Model, file_mass: float) -> None:
+    """Refuse a model that has lost the inertia of a link."""
+    model_mass = sum(inertia.mass for inertia in model.inertias)
+    if abs(model_mass - file_mass) > 1e-9 * max(model_mass, file_mass):
         raise ModelError(
-            f"{plain_path(path)} gives its links {written:g} kg in all, but Pinocchio reads "
-            f"{read:g} kg; check the inertial elements"
+            f"{plain_path(path)} gives its links {file_mass:g} kg in all, but Pinocchio reads "
+            f"{model_mass:g} kg; check the inertial elements"
         )
 
 
 def read_text(path: Path) -> str:
-    """Return what stands in a file of XML.  Raises LoadError."""
+    """Return the text of an XML file.  Raises LoadError."""
     if not is_file(path):
         what = "is a folder" if is_folder(path) else "no such file"
         raise LoadError(f"{what}: {plain_path(path)}")
@@ -109,7 +116,8 @@ def read_text(path: Path) -> str:
             "nor MuJoCo opens; rename the file or its folder"
         ) from None
     try:
-        if path.stat().st_size == 0:  # as what the system makes up is, which may never end
+        # Files that the system generates, which may never end, have size zero.
+        if path.stat().st_size == 0:
             raise LoadError(f"{plain_path(path)} is empty, so not XML")
         with path.open("rb") as file:
             content = file.read(_MOST_BYTES + 1)
@@ -127,22 +135,22 @@ def read_text(path: Path) -> str:
 
 def is_mjcf(text: str) -> bool:
     """Return whether the outermost element of a text is MJCF's."""
-    found: list[str] = []
+    tags: list[str] = []
     parser = expat.ParserCreate()
-    parser.StartElementHandler = lambda tag, _: found.append(tag) if not found else None
+    parser.StartElementHandler = lambda tag, _: tags.append(tag) if not tags else None
     text = _without_declaration(text)
     with suppress(expat.ExpatError, ValueError):
-        for start in range(0, len(text), _FEW):
-            parser.Parse(text[start : start + _FEW])
-            if found:
+        for start in range(0, len(text), _CHUNK):
+            parser.Parse(text[start : start + _CHUNK])
+            if tags:
                 break
-    return bool(found) and found[0].lower() == "mujoco"
+    return bool(tags) and tags[0].lower() == "mujoco"
 
 
 def read_xml(path: Path) -> ElementTree.Element:
     """Return the root element of an XML file.  Raises LoadError.
 
-    Prefixes of names are part of them, whether the file declares them or not.
+    Prefixes remain in the names of elements, whether the file declares them or not.
     """
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
     count = depth = 0
@@ -171,23 +179,23 @@ def read_xml(path: Path) -> ElementTree.Element:
 
 
 def refuse_macros(path: Path, root: ElementTree.Element) -> None:
-    """Raise LoadError, saying what to run, for a template that xacro has to expand."""
+    """Refuse a template that xacro must expand.  Raises LoadError with the command to run."""
     used = next((e.tag for e in root.iter() if e.tag.startswith("xacro:")), "")
-    if used or any(mark in tidied(root) for mark in ("${", "$(")):
+    if used or any(mark in reduced_text(root) for mark in ("${", "$(")):
         name = path.name.partition(".")[0] + ("" if path.suffix == ".xacro" else "_expanded")
         shown = plain_path(path)
         raise LoadError(
             f"{shown} is a template with macros{f' (<{used}>)' if used else ''}; expand it with "
-            f"`xacro {shown} > {plain_path(Path(name))}.urdf`, and load what comes out"
+            f"`xacro {shown} > {plain_path(Path(name))}.urdf`, and load the result"
         )
 
 
 def _without_declaration(text: str) -> str:
-    """Return a text that begins with its first element or comment.
+    """Return a text from its first element or comment on.
 
-    The declaration of XML must stand at the very beginning; here it says nothing new.
+    An XML declaration must be at the very beginning of a file, but is not needed here.
     """
-    head, found, rest = text.partition("<?xml")
-    if found and not _ELEMENT.search(head):
-        text = head + rest.partition("?>")[2]
+    head, mark, tail = text.partition("<?xml")
+    if mark and not _ELEMENT.search(head):
+        text = head + tail.partition("?>")[2]
     return text.lstrip()

@@ -1,35 +1,65 @@
-"""The scale of a robot: whether its units are so extreme that numbers of 64 bits lose it."""
+"""Scales of a robot: masses moved by joints, radii of gyration, and extreme units."""
 
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
 
+from ..common.arrays import Array
+from .joints import axes_of
 from .system import System
 
-_MASS, _LENGTH = 1e12, 1e5  # kg and m; up to which, and down to one over which, scales are usual
+# Masses [kg] and lengths [m] from 1/limit to limit count as usual.
+_MASS, _LENGTH = 1e12, 1e5
 
 
 def ill_scaled(system: System) -> str:
-    """Return a sentence on extreme masses or lengths of a system, with the cure; else nothing."""
+    """Return a sentence on extreme masses or lengths of a system, with the cure, or ""."""
     model = system.model
-    bodies = [model.inertias[i] for i in range(1, model.njoints) if model.inertias[i].mass > 0.0]
-    reach = [np.linalg.norm(place.translation) for place in list(model.jointPlacements)[2:]]
-    lengths = [
-        float(np.sqrt(body.lever @ body.lever + np.trace(body.inertia) / body.mass))
-        for body in bodies
-    ]
-    said = []
+    bodies = [body for body in model.inertias[1:] if body.mass > 0.0]
+    steps = [float(np.linalg.norm(place.translation)) for place in model.jointPlacements[2:]]
+    reaches = [float(np.hypot(np.linalg.norm(b.lever), radius_of_gyration(b))) for b in bodies]
+    ranges = []
     for what, unit, most, sizes in (
         ("masses", "kg", _MASS, [body.mass for body in bodies]),
-        ("lengths", "m", _LENGTH, [*lengths, *map(float, reach)]),
+        ("lengths", "m", _LENGTH, [*reaches, *steps]),
     ):
         sizes = [size for size in sizes if size > 0.0]
         if sizes and (max(sizes) > most or min(sizes) < 1.0 / most):
-            said.append(f"{what} from {min(sizes):.1e} to {max(sizes):.1e} {unit}")
-    if not said:
+            ranges.append(f"{what} from {min(sizes):.1e} to {max(sizes):.1e} {unit}")
+    if not ranges:
         return ""
     return (
-        f"'{system.name}' is "
-        f"ill-scaled: it has {' and '.join(said)}, and its numbers round off what matters; write "
-        "it in units in which masses and lengths are near 1 (gravity and forces with them)"
+        f"'{system.name}' is ill-scaled: it has {' and '.join(ranges)}, so round-off hides small "
+        "terms; write it in units in which masses and lengths are near 1 (gravity and forces with "
+        "them)"
     )
+
+
+def moved_masses(model: pin.Model, data: pin.Data, q: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Compute the mass that each velocity moves.
+
+    Args:
+        model: Model.
+        data: Work space of the model; it is overwritten.
+        q: Configuration, (nq,).
+
+    Returns:
+        Whether each velocity is a rotation, (nv,), and the mass that it moves, (nv,) [kg].
+    """
+    pin.crba(model, data, q)
+    angular, mass = np.ones(model.nv, dtype=bool), np.empty(model.nv)
+    for i in range(1, model.njoints):
+        joint = model.joints[i]
+        entries = slice(joint.idx_v, joint.idx_v + joint.nv)
+        angular[entries] = np.abs(axes_of(joint)[3:]).sum(axis=0) > 0.0
+        mass[entries] = data.Ycrb[i].mass
+    return angular, mass
+
+
+def radius_of_gyration(body: pin.Inertia) -> float:
+    """Compute √(tr I / m) of a body about its centre of mass [m]; 0 without mass."""
+    if not body.mass > 0.0:
+        return 0.0
+    return float(np.sqrt(max(0.0, np.trace(body.inertia)) / body.mass))

@@ -11,9 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar, overload
 
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError
@@ -134,24 +132,27 @@ class State:
         freeze(self)
 
 
-class _Column(property):
-    """A field of the states of a motion, as a read-only property."""
+class _Column:
+    """A read-only attribute of motions that returns one field of their states."""
 
     def __init__(self, name: str) -> None:
-        field = FIELDS[name]
+        self._field = FIELDS[name]
+        self.__doc__ = self._field.description
 
-        def read(motion: StateArrays) -> Array:
-            states = motion.states if field.needs_base else motion.outputs
-            return np.asarray(getattr(states, name))
+    @overload
+    def __get__(self, motion: None, owner: type) -> _Column: ...
 
-        super().__init__(read, doc=field.description)
+    @overload
+    def __get__(self, motion: StateArrays, owner: type | None = None) -> Array: ...
 
-    if TYPE_CHECKING:
+    def __get__(self, motion: StateArrays | None, owner: type | None = None) -> Any:
+        if motion is None:
+            return self
+        states = motion.states if self._field.needs_base else motion.outputs
+        return getattr(states, self._field.name)
 
-        @overload
-        def __get__(self, motion: None, owner: type, /) -> _Column: ...
-        @overload
-        def __get__(self, motion: Any, owner: type | None = None, /) -> Array: ...
+    def __set__(self, motion: StateArrays, value: object) -> NoReturn:
+        raise AttributeError(f"'{self._field.name}' of a motion is read-only")
 
 
 class StateArrays(ABC):
@@ -222,4 +223,19 @@ def axis_labels(system: System) -> dict[Axis, Sequence[Any]]:
         "coordinate": system.group.pose_names,
         "nq": range(system.model.nq),
         "nv": range(system.model.nv),
+    }
+
+
+def axis_lengths(system: System) -> dict[Axis | None, int]:
+    """Return the number of entries along each axis of a system's states, 1 without an axis."""
+    return {None: 1} | {axis: len(labels) for axis, labels in axis_labels(system).items()}
+
+
+def derivative_rows(system: System) -> dict[str, int]:
+    """Return the number of derivative rows of each field that flows differentiate."""
+    lengths = axis_lengths(system)
+    return {
+        name: lengths["twist" if field.derivative == "twist" else field.axis]
+        for name, field in FIELDS.items()
+        if field.derivative != "none"
     }

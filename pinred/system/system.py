@@ -1,90 +1,58 @@
-"""System: a Pinocchio model read as symmetry group (base) times shape (joints)."""
+"""System: a Pinocchio model as symmetry group (base) times shape (joints)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, ModelError, ShapeError
 from ..common.memo import once_a_thread
 from ..lie.group import Group
 from .admission import admit
-from .contents import Contents, Coupling, Keyframe, LeftOut
-from .coordinates import coordinate_maps, in_order
+from .contents import Contents, Coupling, Keyframe, LeftOut, Origin
+from .coordinates import (
+    Configuration,
+    CoordinateMap,
+    InitialState,
+    JointOrder,
+    Velocity,
+    coordinate_map,
+    reordered,
+)
 from .coupling import Coupled, coupled, following
-from .force import Force
+from .force_interface import Force
 from .joints import joint_units
-from .rerooting import depth_first
+from .rebuild import depth_first
 
 T = TypeVar("T")
-Indices: TypeAlias = NDArray[np.intp]
-
-
-@dataclass(frozen=True)
-class InitialState:
-    """A generic state to start from, with the time over which it is interesting.
-
-    x: (m,) shape [rad | m].  xdot: (m,) its rate.  xi: (r,) body twist of the base
-    [linear; angular].  duration: s.
-    """
-
-    x: Array
-    xdot: Array
-    xi: Array
-    duration: float
-
-
-@dataclass(frozen=True)
-class Origin:
-    """The origin of a system: the file or name it was loaded from.
-
-    source: the robot's name, or the absolute path of its file.  lock: frozen joints and
-    their values [rad | m].  root: the body of an MJCF file that was chosen, if one was.
-    meshes: folders in which meshes are looked for, beside those above the file.
-    """
-
-    source: str
-    lock: Mapping[str, float]
-    root: str | None = None
-    meshes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Configuration:
-    """A point of Q = G × B: pose (..., size) of the base, shape x (..., m)."""
-
-    pose: Array
-    x: Array
-
-
-@dataclass(frozen=True)
-class Velocity:
-    """A velocity: body twist xi (..., r) of the base, shape rate xdot (..., m)."""
-
-    xi: Array
-    xdot: Array
 
 
 @dataclass(frozen=True, eq=False)
 class System:
     """A multibody system with symmetry: the root joint is the group, the others the shape.
 
-    Joints that follow others (`couplings`) are joints of the model, and of q and v, but no
+    Follower joints (`couplings`) are joints of the model and entries of q and v, but no
     coordinates of the shape.
 
-    name: the robot's.  model: the pin.Model, root joint first, in depth-first order, which is that
-    of the shape; q and v are in the order of the model that was given.  initial: a generic
-    initial state, if the robot comes with one.  origin: the name or file that was loaded, if it
-    was one.  contents: what else stands in the file.  coupled: how its joints follow those of the
-    shape, if some do.  doubts: sentences about what only no real robot has, or what makes the
-    mass matrix singular at single shapes.
+    Attributes:
+        model: Pinocchio model, root joint first, in depth-first order.  q and v keep the order
+            of the model that was passed in.
+        name: Name of the robot.
+        initial: Generic initial state, if the robot has one.
+        origin: Name or file that was loaded, if any.
+        contents: Contents of the file besides bodies and joints.
+        group: Symmetry group, the motion of the root joint.
+        coupled: Dependence of follower joints on the shape, if there are followers.
+        shape_names: Names of the shape joints, (m,), in the order of x.
+        doubts: Sentences about inertias that no real body has, and about single shapes at which
+            the mass matrix is singular.
     """
 
     model: pin.Model
@@ -96,39 +64,31 @@ class System:
     coupled: Coupled | None = field(init=False, repr=False)
     shape_names: tuple[str, ...] = field(init=False)
     doubts: tuple[str, ...] = field(init=False, repr=False)
-    # Where the entries of q and v of the given model stand in those of `model`, if elsewhere.
-    _given_q: Indices | None = field(init=False, repr=False)
-    _given_v: Indices | None = field(init=False, repr=False)
-    # Where the coordinates (pose, x) stand in Pinocchio's q: as they are, or as (cos, sin).
-    _plain: Indices = field(init=False, repr=False)
-    _plain_q: Indices = field(init=False, repr=False)
-    _angle: Indices = field(init=False, repr=False)
-    _angle_q: Indices = field(init=False, repr=False)
+    _order: JointOrder | None = field(init=False, repr=False)
+    _map: CoordinateMap = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.model.njoints < 2:
             raise ModelError(f"model '{self.model.name}' has no joint; load it with a group")
         order = depth_first(list(self.model.parents))
-        derived: dict[str, Any] = {"_given_q": None, "_given_v": None}
+        model, joint_order = self.model, None
         if order != sorted(order):
-            derived = in_order(self.model, order)
-            object.__setattr__(self, "model", derived["model"])
-        names = tuple(self.model.names[i] for i in range(2, self.model.njoints))
-        followed = coupled(names, self.couplings, self.model.names[1])
-        admitted = admit(self.model, followed)
-        group = admitted.group
-        derived |= {
-            "group": group,
-            "coupled": followed,
-            "doubts": admitted.doubts,
-            "shape_names": names if followed is None else tuple(names[j] for j in followed.leads),
-        }
-        derived |= coordinate_maps(self.model, group)
-        for key, value in derived.items():
-            object.__setattr__(self, key, value)
+            model, joint_order = reordered(model, order)
+        names = tuple(model.names[i] for i in range(2, model.njoints))
+        couplings = coupled(names, self.couplings, model.names[1])
+        admission = admit(model, couplings)
+        vars(self).update(
+            model=model,
+            group=admission.group,
+            coupled=couplings,
+            shape_names=names if couplings is None else tuple(names[j] for j in couplings.leads),
+            doubts=admission.doubts,
+            _order=joint_order,
+            _map=coordinate_map(model, admission.group),
+        )
 
     def __getstate__(self) -> dict[str, Any]:
-        # What was made for this system in this process, as kernels are, is made anew elsewhere.
+        # Work spaces and kernels belong to this process and are made again in others.
         return {name: value for name, value in vars(self).items() if name != "_once"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -144,14 +104,14 @@ class System:
             (name, "prismatic" if unit == "m" else "revolute", unit)
             for name, unit in zip(self.shape_names, self.units, strict=True)
         ]
-        about = (
+        summary = (
             f"group {self.group.name} (r = {self.r}) on joint '{self.root_name}', shape of "
             f"{self.m} joints, {self.mass:g} kg, gravity "
             f"({', '.join(f'{g:g}' for g in self.gravity)}) m/s²"
         )
         if self.couplings:
-            about += "; " + ", ".join(map(str, self.couplings))
-        return card(self.name, about, table("shape", ["joint", "kind", "unit"], rows))
+            summary += "; " + ", ".join(map(str, self.couplings))
+        return card(self.name, summary, table("shape", ["joint", "kind", "unit"], rows))
 
     @property
     def r(self) -> int:
@@ -170,32 +130,47 @@ class System:
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """Indices in the model, (m,), of the joints that are coordinates of the shape."""
-        count = range(2, self.model.njoints)
-        return tuple(count if self.coupled is None else (2 + self.coupled.leads).tolist())
+        """Indices in the model, (m,), of the shape joints."""
+        every = range(2, self.model.njoints)
+        return tuple(every if self.coupled is None else (2 + self.coupled.leads).tolist())
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Units of the shape coordinates: m of those that slide, rad of those that turn."""
-        every = joint_units(self.model)
-        return tuple(every[i - 2] for i in self.joints)
+        """Units of the shape coordinates: "m" for prismatic joints, "rad" for revolute ones."""
+        units = joint_units(self.model)
+        return tuple(units[i - 2] for i in self.joints)
 
     @property
     def couplings(self) -> tuple[Coupling, ...]:
-        """The couplings in the file, by which joints follow others."""
+        """Couplings in the file, which make joints follow others."""
         return self.contents.couplings
 
     @property
     def followers(self) -> tuple[str, ...]:
         """Names of the joints that follow others, in the order of the couplings."""
-        return tuple(each.follower for each in self.couplings)
+        return tuple(coupling.follower for coupling in self.couplings)
 
     def joint_number(self, name: str) -> int:
-        """Return which of all M joints of the model behind its root has a name."""
+        """Return the number of a joint among all M joints behind the root.
+
+        Args:
+            name: Name of the joint.
+
+        Returns:
+            Number from 0, follower joints counted.
+        """
         return int(self.model.getJointId(name)) - 2
 
     def refuse_follower(self, name: str, what: str) -> None:
-        """Raise InputError, naming `what`, if a joint follows another and is no coordinate."""
+        """Refuse a joint that follows another and is therefore no coordinate.
+
+        Args:
+            name: Name of the joint.
+            what: Beginning of the message.
+
+        Raises:
+            InputError: The joint follows another.
+        """
         if words := following(name, self.couplings):
             raise InputError(f"{what}: {words}; take the joint that it follows")
 
@@ -207,84 +182,106 @@ class System:
     @property
     def mass(self) -> float:
         """Mass of all moving bodies [kg]."""
-        return self.workspace("mass", self._mass)
-
-    def _mass(self) -> float:
-        return float(sum(self.model.inertias[i].mass for i in range(1, self.model.njoints)))
+        return self.workspace("mass", lambda: float(sum(I.mass for I in self.model.inertias[1:])))
 
     @property
     def parameters(self) -> Mapping[str, float | Array]:
-        """Numbers of the robot that it was given after loading, by name (see Scene.parameters)."""
+        """Robot parameters that were set after loading, by name (see Scene.parameters)."""
         return MappingProxyType(vars(self).get("_parameters", {}))
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """Actions in the file that are not simulated, kind by kind."""
+        """Actions in the file that are not simulated, by kind."""
         return self.contents.left_out
 
     @property
     def passive(self) -> tuple[Force, ...]:
-        """Springs, dampers and dry friction at joints of the shape in the file.
+        """Springs, dampers and dry friction at shape joints in the file.
 
-        They are forces.Spring, Damper and Friction, and act in scenes with passive=True, the
-        friction in those with a width for it.
+        They are forces.Spring, Damper and Friction.  They act in scenes with passive=True;
+        friction acts only if the scene gives it a width.
         """
         return self.contents.passive
 
     @property
     def keyframes(self) -> Mapping[str, Keyframe]:
-        """States that the file has names for."""
+        """Named states in the file."""
         return self.contents.keyframes
 
     @property
     def gravity(self) -> Array:
-        """Gravity in the world frame, (3,) [m/s²], as the model has it."""
+        """Gravity in the world frame, (3,) [m/s²]."""
         return np.array(self.model.gravity.linear)
 
     @property
     def plain(self) -> list[tuple[int, int]]:
-        """Indices, in (pose, x) and in q, of the coordinates that stand in q as they are."""
-        return list(zip(self._plain.tolist(), self._plain_q.tolist(), strict=True))
+        """Pairs of indices, in (pose, x) and in q, of the coordinates that q holds unchanged."""
+        return list(zip(self._map.plain.tolist(), self._map.plain_q.tolist(), strict=True))
 
     @property
     def angles(self) -> list[tuple[int, int]]:
-        """Indices of the coordinates that q has as cosine and sine, and of each cosine in q."""
-        return list(zip(self._angle.tolist(), self._angle_q.tolist(), strict=True))
+        """Pairs of indices of the angles in (pose, x), and of their cosines in q."""
+        return list(zip(self._map.angle.tolist(), self._map.angle_q.tolist(), strict=True))
 
     def q(self, pose: ArrayLike, x: ArrayLike) -> Array:
-        """Return Pinocchio's configuration (..., nq) of pose (..., size) and shape (..., m).
+        """Compute Pinocchio's configuration q, in the joint order of the original model.
 
-        For the model that was given, whose joints may stand in another order than `model`'s.
-        Raises ShapeError if a length is wrong.
+        Args:
+            pose: Pose of the base, (..., size).
+            x: Shape, (..., m) [rad | m].
+
+        Returns:
+            (..., nq): configuration.
+
+        Raises:
+            ShapeError: A length is wrong.
         """
         return self.given_q(self.model_q(pose, x))
 
     def v(self, xi: ArrayLike, xdot: ArrayLike) -> Array:
-        """Return Pinocchio's velocity (..., nv) of body twist (..., r) and shape rate (..., m).
+        """Compute Pinocchio's velocity v, in the joint order of the original model.
 
-        For the model that was given, as q is.  Raises ShapeError if a length is wrong.
+        Args:
+            xi: Body twist of the base [linear; angular], (..., r).
+            xdot: Shape rate, (..., m) [rad/s | m/s].
+
+        Returns:
+            (..., nv): velocity.
+
+        Raises:
+            ShapeError: A length is wrong.
         """
         return self.given_v(self.model_v(xi, xdot))
 
     def configuration(self, q: ArrayLike) -> Configuration:
-        """Return pose and shape of Pinocchio's q (..., nq); angles from (cos, sin) in (−π, π].
+        """Return pose and shape for Pinocchio's q.
 
-        Raises ShapeError if the length is wrong.
+        Args:
+            q: Configuration, (..., nq), in the joint order of the original model.
+
+        Returns:
+            Pose and shape.  Angles that q holds as cosine and sine are in (−π, π].
+
+        Raises:
+            ShapeError: The length is wrong.
         """
-        q = self.sorted_q(self._last(q, self.model.nq, "q"))
-        y = np.empty((*q.shape[:-1], self.group.size + self.model.njoints - 2))
-        y[..., self._plain] = q[..., self._plain_q]
-        # −0.0 + 0.0 is 0.0, with which half a turn is π, not −π.
-        y[..., self._angle] = np.arctan2(q[..., self._angle_q + 1] + 0.0, q[..., self._angle_q])
+        y = self._map.from_q(self.sorted_q(self._last(q, self.model.nq, "q")))
         x = y[..., self.group.size :]
         if self.coupled is not None:
             x = x[..., self.coupled.leads]
         return Configuration(pose=y[..., : self.group.size], x=x)
 
     def velocity(self, v: ArrayLike) -> Velocity:
-        """Return body twist and shape rate of Pinocchio's v (..., nv).
+        """Return body twist and shape rate for Pinocchio's v.
 
-        Raises ShapeError if the length is wrong.
+        Args:
+            v: Velocity, (..., nv), in the joint order of the original model.
+
+        Returns:
+            Body twist and shape rate.
+
+        Raises:
+            ShapeError: The length is wrong.
         """
         v = self.sorted_v(self._last(v, self.model.nv, "v").copy())
         xdot = v[..., self.r :]
@@ -293,88 +290,98 @@ class System:
         return Velocity(xi=v[..., : self.r], xdot=xdot)
 
     def joint_values(self, x: Array) -> Array:
-        """Return the values (..., M) of all joints of the model behind its root, at shape x."""
+        """Return the values (..., M) of all joints behind the root at shape x (..., m)."""
         return x if self.coupled is None else self.coupled.values(x)
 
     def joint_rates(self, v: Array) -> Array:
-        """Return the velocity (..., nv) of the model for v = (ξ, ẋ), (..., n)."""
+        """Return the velocity (..., nv) of `model` for v = (ξ, ẋ), (..., n)."""
         return v if self.coupled is None else self.coupled.rates(v, self.r)
 
     def on_shape(self, forces: Array) -> Array:
-        """Return forces (..., n) on base and shape of those on the model's joints, (..., nv)."""
+        """Project forces (..., nv) on the joints of `model` to base and shape, (..., n)."""
         return forces if self.coupled is None else self.coupled.forces(forces, self.r)
 
     def sizes_on_shape(self, sizes: Array) -> Array:
-        """Return the magnitudes (..., n) of what `on_shape` adds up, for those of its argument."""
+        """Bound the sums of `on_shape`: return (..., n) for magnitudes of forces (..., nv)."""
         return sizes if self.coupled is None else self.coupled.sizes(sizes, self.r)
 
     def coupled_matrix(self, matrix: Array) -> Array:
-        """Return the matrix (..., n, n) in (ξ, ẋ) of one in the model's velocities, (..., nv, nv).
-
-        Mass matrices and Coriolis matrices: GᵀHG.
-        """
+        """Return GᵀHG (..., n, n) in (ξ, ẋ) for a mass or Coriolis matrix H (..., nv, nv)."""
         return matrix if self.coupled is None else self.coupled.matrix(matrix, self.r)
 
     def model_q(self, pose: ArrayLike, x: ArrayLike) -> Array:
-        """Return q (..., nq) as `model` takes it; errors as of `q`."""
-        pose = self._last(pose, self.group.size, "pose")
-        x = self._last(x, self.m, "x")
-        lead = _leading(pose, x, "pose", "x")
-        x = self.joint_values(x)
-        y = np.empty((*lead, self.group.size + x.shape[-1]))
-        y[..., : self.group.size], y[..., self.group.size :] = pose, x
-        q = np.empty((*lead, self.model.nq))
-        q[..., self._plain_q] = y[..., self._plain]
-        q[..., self._angle_q] = np.cos(y[..., self._angle])
-        q[..., self._angle_q + 1] = np.sin(y[..., self._angle])
-        return q
+        """Compute q (..., nq) in the joint order of `model`; see `q`."""
+        pose, x = self._pair(pose, x, (self.group.size, self.m), ("pose", "x"))
+        return self._map.to_q(np.concatenate([pose, self.joint_values(x)], axis=-1))
 
     def model_v(self, xi: ArrayLike, xdot: ArrayLike) -> Array:
-        """Return v (..., nv) as `model` takes it; errors as of `v`."""
-        xi, xdot = self._last(xi, self.r, "xi"), self._last(xdot, self.m, "xdot")
-        lead = _leading(xi, xdot, "xi", "xdot")
-        v = np.empty((*lead, self.n))
-        v[..., : self.r], v[..., self.r :] = xi, xdot
-        return self.joint_rates(v)
+        """Compute v (..., nv) in the joint order of `model`; see `v`."""
+        xi, xdot = self._pair(xi, xdot, (self.r, self.m), ("xi", "xdot"))
+        return self.joint_rates(np.concatenate([xi, xdot], axis=-1))
 
     def given_q(self, q: Array) -> Array:
-        """Return q (..., nq) of `model` in the order of the model that was given."""
-        return q if self._given_q is None else np.ascontiguousarray(q[..., self._given_q])
+        """Reorder q (..., nq) from `model` to the original model."""
+        return q if self._order is None else np.take(q, self._order.q, axis=-1)
 
     def given_v(self, v: Array) -> Array:
-        """Return v (..., n) of `model` in the order of the model that was given."""
-        return v if self._given_v is None else np.ascontiguousarray(v[..., self._given_v])
+        """Reorder v (..., nv) from `model` to the original model."""
+        return v if self._order is None else np.take(v, self._order.v, axis=-1)
 
     def sorted_q(self, q: Array) -> Array:
-        """Return q (..., nq) of the model that was given as `model` takes it."""
-        return q if self._given_q is None else _scattered(q, self._given_q)
+        """Reorder q (..., nq) from the original model to `model`."""
+        return q if self._order is None else np.take(q, np.argsort(self._order.q), axis=-1)
 
     def sorted_v(self, v: Array) -> Array:
-        """Return v (..., n) of the model that was given as `model` takes it."""
-        return v if self._given_v is None else _scattered(v, self._given_v)
+        """Reorder v (..., nv) from the original model to `model`."""
+        return v if self._order is None else np.take(v, np.argsort(self._order.v), axis=-1)
 
     @property
     def data(self) -> pin.Data:
-        """Pinocchio's work space for `model` and its copies in other gravity, one for a thread.
+        """Pinocchio's work space for `model` and its copies in other gravity, one per thread.
 
-        Every call overwrites it, so that what it holds is read at once; it is not made twice,
-        since it grows with the cube of n.
+        Every call overwrites it, so read its values at once.  It grows with the cube of n, so
+        there is only one.
         """
         return self.workspace("data", lambda: pin.Data(self.model))
 
     def workspace(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return the value that `make` gives, made once for this system, thread and key.
+        """Return a value that is made once per system, thread and key.
 
         For values that are costly to set up and own Pinocchio work space.  They rely on the
-        model as it is; it is not changed after loading.
+        model, which is not changed after loading.
+
+        Args:
+            key: Key of the value.
+            make: Makes the value at the first call.
+
+        Returns:
+            The value.
         """
         return once_a_thread(self, key, make)
 
     def _last(self, value: ArrayLike, size: int, what: str) -> Array:
+        """Return an array after checking its last axis.  Raises ShapeError."""
         array = as_floats(value, what)
         if array.shape[-1:] != (size,):
             raise ShapeError(f"{what} of {self.name!r} must end in ({size},), got {array.shape}")
         return array
+
+    def _pair(
+        self,
+        first: ArrayLike,
+        second: ArrayLike,
+        sizes: tuple[int, int],
+        names: tuple[str, str],
+    ) -> tuple[Array, Array]:
+        """Return two arrays with the same leading axes.  Raises ShapeError."""
+        a, b = (self._last(*entry) for entry in zip((first, second), sizes, names, strict=True))
+        try:
+            lead = np.broadcast_shapes(a.shape[:-1], b.shape[:-1])
+        except ValueError:
+            raise ShapeError(
+                f"the leading axes of {names[0]} {a.shape} and {names[1]} {b.shape} do not match"
+            ) from None
+        return np.broadcast_to(a, (*lead, sizes[0])), np.broadcast_to(b, (*lead, sizes[1]))
 
 
 def checked_system(value: object, what: str) -> System:
@@ -383,18 +390,3 @@ def checked_system(value: object, what: str) -> System:
         return value
     shown = repr(value) if isinstance(value, str) else type(value).__name__
     raise InputError(f"{what} takes a System, got {shown}; pinred.load(…) makes one")
-
-
-def _leading(a: Array, b: Array, what: str, other: str) -> tuple[int, ...]:
-    try:
-        return np.broadcast_shapes(a.shape[:-1], b.shape[:-1])
-    except ValueError:
-        raise ShapeError(
-            f"the leading axes of {what} {a.shape} and {other} {b.shape} do not match"
-        ) from None
-
-
-def _scattered(values: Array, to: Indices) -> Array:
-    out = np.empty_like(values)
-    out[..., to] = values
-    return out

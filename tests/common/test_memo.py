@@ -1,4 +1,4 @@
-"""Values that are made once."""
+"""Tests of cached values."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from threading import Barrier, Thread
 from pinred.common.memo import once_for_all
 
 
-def test_threads_that_come_at_once_get_one_object() -> None:
-    """The function is called once for the same arguments, however many ask."""
+def test_once_for_all_in_parallel_threads_calls_once() -> None:
+    """The function is called once for equal arguments, however many threads call it."""
     calls = []
 
     @once_for_all
@@ -18,11 +18,11 @@ def test_threads_that_come_at_once_get_one_object() -> None:
         time.sleep(0.02)
         return object()
 
-    found, start = [], Barrier(8)
+    results, start = [], Barrier(8)
 
     def ask() -> None:
         start.wait()
-        found.append(make(1))
+        results.append(make(1))
 
     threads = [Thread(target=ask) for _ in range(8)]
     for thread in threads:
@@ -30,5 +30,5 @@ def test_threads_that_come_at_once_get_one_object() -> None:
     for thread in threads:
         thread.join()
     assert calls == [1]
-    assert len({id(entry) for entry in found}) == 1
-    assert make(2) is not found[0]
+    assert len({id(entry) for entry in results}) == 1
+    assert make(2) is not results[0]

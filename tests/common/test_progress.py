@@ -1,4 +1,4 @@
-"""Progress: a bar in a terminal and in a notebook, nothing elsewhere."""
+"""Tests of the progress bar in terminals, notebooks and pipes."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from pinred.common.progress import ProgressBar
 
 try:
     with ProgressBar("falling <b>") as bar:
-        bar(0.1)  # too early to be worth a bar
+        bar(0.1)  # too early for a bar
         time.sleep(0.6)
         bar(0.5)
-        bar(0.6)  # too soon after the one before
+        bar(0.6)  # too soon after the last redraw
         time.sleep(0.2)
         bar(0.75)
         raise KeyboardInterrupt
@@ -38,8 +38,8 @@ except KeyboardInterrupt:
 """
 
 
-def test_a_terminal_gets_a_bar_and_keeps_nothing_of_it() -> None:
-    """In a real terminal the bar is drawn in one line, and an interrupted one is cleared."""
+def test_progress_bar_in_terminal_is_cleared_at_the_end() -> None:
+    """The bar is drawn in one line of a real terminal, and an interrupt clears it."""
     ours, theirs = pty.openpty()
     try:
         done = subprocess.run(
@@ -58,8 +58,8 @@ def test_a_terminal_gets_a_bar_and_keeps_nothing_of_it() -> None:
     ]
 
 
-def test_a_file_gets_nothing() -> None:
-    """Where standard error is not a terminal, nothing is written."""
+def test_progress_bar_in_pipe_writes_nothing() -> None:
+    """If standard error is not a terminal, it receives no output."""
     done = subprocess.run(
         [sys.executable, "-c", WORK], cwd=ROOT, capture_output=True, text=True, check=True
     )
@@ -67,7 +67,7 @@ def test_a_file_gets_nothing() -> None:
 
 
 CELLS = (
-    # 0: a bar that is left open, so that this test can look at it
+    # 0: a bar that stays open, so that the test can read it
     """
     import time
     from pinred.common.progress import ProgressBar
@@ -81,7 +81,7 @@ CELLS = (
     """,
     # 1: closing it changes the output of the cell above
     "bar.__exit__(None, None, None)",
-    # 2: the functions themselves; without patience, so that short work shows too
+    # 2: public functions, without the initial delay, so that short work shows a bar
     """
     import pinred, pinred.common.progress
     pinred.common.progress._PATIENCE = pinred.common.progress._EVERY = 0.0
@@ -89,7 +89,7 @@ CELLS = (
     traj = pinred.simulate(cat, duration=0.5, progress=True)
     """,
     "pinred.compare(traj, progress=True)",
-    # 4: what is worth no bar leaves no output
+    # 4: short work leaves no output
     """
     pinred.common.progress._PATIENCE = 60.0
     traj = pinred.simulate(cat, duration=0.5, progress=True)
@@ -99,7 +99,7 @@ CELLS = (
 
 @pytest.fixture(scope="module")
 def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
-    """Run the cells in a real kernel; the outputs of the first also before the second ran."""
+    """Run the cells in a real notebook kernel; record the first cell's outputs after each cell."""
     v4: Any = nbformat.v4  # without types
     cells = [v4.new_code_cell(textwrap.dedent(text).strip()) for text in CELLS]
     client = NotebookClient(
@@ -109,22 +109,22 @@ def outputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
         resources={"metadata": {"path": str(ROOT)}},
     )
     home = str(tmp_path_factory.mktemp("jupyter"))
-    found: dict[str, list[Any]] = {}
+    outputs: dict[str, list[Any]] = {}
 
     async def run() -> None:
         async with client.async_setup_kernel(env={**os.environ, "IPYTHONDIR": home}):
             for k, cell in enumerate(cells):
                 await client.async_execute_cell(cell, k)
-                found[str(k)] = [dict(output) for output in cell.outputs]
-                found[f"first after {k}"] = [dict(output) for output in cells[0].outputs]
+                outputs[str(k)] = [dict(output) for output in cell.outputs]
+                outputs[f"first after {k}"] = [dict(output) for output in cells[0].outputs]
 
     asyncio.run(run())
-    return found
+    return outputs
 
 
 @pytest.mark.slow
-def test_a_notebook_gets_a_bar(outputs: dict[str, list[Any]]) -> None:
-    """One output of the cell, updated in place, with its title escaped."""
+def test_progress_bar_in_notebook_updates_one_output(outputs: dict[str, list[Any]]) -> None:
+    """One output of the cell is updated in place, with an escaped title."""
     before, bar, after = outputs["0"]
     assert (before["text"], after["text"]) == ("before\n", "after\n")
     assert bar["output_type"] == "display_data"
@@ -135,15 +135,15 @@ def test_a_notebook_gets_a_bar(outputs: dict[str, list[Any]]) -> None:
 
 
 @pytest.mark.slow
-def test_a_notebook_keeps_nothing_of_it(outputs: dict[str, list[Any]]) -> None:
-    """The bar's output becomes empty, and the cell's others stay."""
+def test_progress_bar_in_notebook_is_emptied_at_the_end(outputs: dict[str, list[Any]]) -> None:
+    """The bar's output becomes empty, and the cell's other outputs stay."""
     before, bar, after = outputs["first after 1"]
     assert (before["text"], after["text"]) == ("before\n", "after\n")
     assert bar["data"] == {"text/plain": "", "text/html": ""}
 
 
-def test_progress_true_in_a_notebook(outputs: dict[str, list[Any]]) -> None:
-    """Functions of pinred draw a bar and leave an empty output; a report shows as a table."""
+def test_functions_with_progress_leave_empty_output(outputs: dict[str, list[Any]]) -> None:
+    """Functions draw a bar and leave an empty output; a report shows as a table."""
     (bar,) = outputs["2"]
     assert bar["data"] == {"text/plain": "", "text/html": ""}
     bar, report = outputs["3"]
@@ -154,8 +154,8 @@ def test_progress_true_in_a_notebook(outputs: dict[str, list[Any]]) -> None:
 
 
 @pytest.mark.slow
-def test_progress_is_a_bar_or_a_function(monkeypatch: pytest.MonkeyPatch) -> None:
-    """True draws, None and False do not, a function is called, anything else is refused."""
+def test_progress_accepts_flags_and_functions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """True draws a bar, None and False do not, a function is called, others are rejected."""
     drawn: list[tuple[str, float]] = []
 
     class Screen:

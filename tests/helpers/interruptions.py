@@ -1,8 +1,7 @@
 """Ctrl-C at random times of a command: `python tests/helpers/interruptions.py 100 [seed]`.
 
-The command is a comparison of a long motion, most of it in the full simulation.  It has to end by
-the first Ctrl-C, with exit code 130 and one line.  The short form is part of the suite
-(tests/cli/test_interrupt.py).
+The command is a comparison of a long motion, most of which is the full simulation. The first Ctrl-C
+has to end it, with exit code 130 and one line. A short form is in tests/cli/test_interrupt.py.
 """
 
 from __future__ import annotations
@@ -14,23 +13,37 @@ import time
 
 import numpy as np
 
-SOON = 0.5  # s
-BEGINS = 0.1  # s in which Python itself begins, whose tracebacks are not pinred's
-COMMAND = ("-m", "pinred", "compare", "falling_cat", "--time")
+SOON = 0.5  # s, longest time from Ctrl-C to the end of the process
+PATIENCE = 60.0  # s, after which a process counts as hanging and is killed
+# The command line, which prints a line first: until then, tracebacks are Python's, not pinred's.
+BEGIN = (
+    "import sys\nfrom pinred.cli.entry import main\nprint('ready', flush=True)\nsys.exit(main())\n"
+)
+COMMAND = ("-c", BEGIN, "compare", "falling_cat", "--time")
 
 
 def interrupted(at: float, *command: str) -> tuple[int, float, str]:
-    """Return exit code, seconds to the end and standard error of a process stopped at a time."""
+    """Interrupt a Python process some time after its first line of output.
+
+    Args:
+        at: Time from the first line of output to the interrupt [s].
+        command: Arguments of the Python interpreter.
+
+    Returns:
+        The exit code, the time from the interrupt to the end [s], and the standard error.
+    """
     process = subprocess.Popen(
         [sys.executable, *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
+    assert process.stdout is not None
+    process.stdout.readline()
     try:
         process.wait(at)
     except subprocess.TimeoutExpired:
         process.send_signal(signal.SIGINT)
     began = time.monotonic()
     try:
-        _, error = process.communicate(timeout=20.0)
+        _, error = process.communicate(timeout=PATIENCE)
     except subprocess.TimeoutExpired:
         process.kill()
         _, error = process.communicate()
@@ -38,33 +51,30 @@ def interrupted(at: float, *command: str) -> tuple[int, float, str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Interrupt a command that takes a few seconds, at times from its start to its end."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # not ignored, as behind `&`
+    """Interrupt a command of a few seconds at random times; return 1 if one did not end well."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's `&` ignores it
     count, seed = int(arguments[0]), int(arguments[1]) if len(arguments) > 1 else 0
     began = time.monotonic()
     subprocess.run([sys.executable, *COMMAND, "60"], capture_output=True, check=True)
-    whole = time.monotonic() - began
-    times = BEGINS + (whole - BEGINS) * np.random.default_rng(seed).random(count)
-    took, wrong, done, early = [], 0, 0, 0
+    duration = time.monotonic() - began
+    times = duration * np.random.default_rng(seed).random(count)
+    delays, failures, finished = [], 0, 0
     for at in times.tolist():
-        code, seconds, error = interrupted(at, *COMMAND, "60")
-        if code == 0:  # it was done before
-            done += 1
+        code, delay, error = interrupted(at, *COMMAND, "60")
+        if code == 0:
+            finished += 1
             continue
-        if "KeyboardInterrupt" in error and "/pinred/" not in error:  # Python was still starting
-            early += 1
-            continue
-        took.append(seconds)
+        delays.append(delay)
         if (code, error) != (130, "pinred: interrupted\n"):
-            wrong += 1
+            failures += 1
             print(f"{at:.3f} s: exit code {code}: {error[-300:]}", flush=True)
-    late = sum(seconds > SOON for seconds in took)
+    late = sum(delay > SOON for delay in delays)
     print(
-        f"{count} times within {whole:.1f} s: {done} had ended, {early} came before "
-        f"pinred began, {len(took) - wrong} ended well, "
-        f"{wrong} not; the slowest took {max(took, default=0.0):.2f} s, {late} more than {SOON} s"
+        f"{count} interrupts within {duration:.1f} s: {finished} came after the end, "
+        f"{len(delays) - failures} ended the command well, {failures} did not; "
+        f"the slowest took {max(delays, default=0.0):.2f} s, {late} more than {SOON} s"
     )
-    return int(wrong > 0 or late > 0)
+    return int(failures > 0 or late > 0)
 
 
 if __name__ == "__main__":

@@ -46,7 +46,7 @@ class Errors:
 def read_tree(source: Any, root: str | None = None) -> Tree:
     """The robot in a path, an MjSpec or an MjModel, on the root of the file."""
     world = robot_in(compiled(source), root)
-    return tree_of(world, {}, gravity_of(world).felt)
+    return tree_of(world, {}, gravity_of(world).effective)
 
 
 class Judge:
@@ -62,7 +62,7 @@ class Judge:
         self.mujoco.opt.enableflags = 0
         self.data = mj.MjData(self.mujoco)
         self.dofs = self._dofs()
-        self.compensated = not gravity_of(tree.world).partly
+        self.compensated = not gravity_of(tree.world).is_uneven
 
     def _dofs(self) -> list[int]:
         """Where MuJoCo has the velocities of the robot: those of the root, then of the shape."""

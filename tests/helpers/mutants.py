@@ -47,10 +47,10 @@ ROOT = Path(__file__).parents[2]
 TESTS: dict[str, list[str]] = {
     "judge": [
         "judge/test_audit.py", "judge/test_compare.py",
-        "judge/test_bounds_of_compare.py", "judge/test_bounds_of_ends.py",
-        "judge/test_ties.py", "judge/test_defects.py",
-        "judge/test_distances.py", "judge/test_equations_of_motion.py",
-        "judge/test_weights.py", "simulation/test_balances.py",
+        "judge/test_bounds_of_compare.py", "judge/test_error_bounds.py",
+        "judge/test_coupling_constraints.py", "judge/test_step_defects.py",
+        "judge/test_distances.py", "judge/test_equation_errors.py",
+        "judge/test_gravity_loads.py", "simulation/test_balances.py",
         "views/test_notebook_cards.py",
     ],
     "kernels/validation": [

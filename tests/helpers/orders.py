@@ -9,7 +9,7 @@ import numpy as np
 import pinred
 from pinred.integrators.methods import Method
 from pinred.judge.distances import FullMotion
-from pinred.judge.full_state import FullState
+from pinred.judge.reference_solution import FullState
 
 # With the time over which a motion is smooth enough for its steps to be in the asymptotic range.
 ROBOTS = {

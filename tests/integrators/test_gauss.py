@@ -24,7 +24,7 @@ from pinred.integrators.integrate import Solution, integrate
 from pinred.integrators.integrate_many import integrate_many
 from pinred.integrators.stepping import run_record
 from pinred.judge.distances import FullMotion
-from pinred.judge.full_state import FullState
+from pinred.judge.reference_solution import FullState
 from pinred.kernels import derived_code
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.machine.native import NativeCode, compile_object, load_object
@@ -421,7 +421,7 @@ def test_slow_iterations_come_to_round_off(order: int, rate: float) -> None:
 @pytest.mark.slow
 def test_a_state_without_a_solution_is_an_error() -> None:
     """Nobody gets NaN for a state at a time."""
-    found = replace(run("kepler", Gauss(0.1), ORBIT, 1.0), _params=np.array([np.nan]))
+    found = replace(run("kepler", Gauss(0.1), ORBIT, 1.0), params=np.array([np.nan]))
     assert (found.at([0.0, 0.5]) == found.states[[0, 5]]).all()
     with pytest.raises(NoConvergence, match=r"t = 0.55 s, within a step.*shorter") as stopped:
         found.at([0.95, 0.55])

@@ -24,7 +24,7 @@ from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.stepping import run_record
 from pinred.judge.distances import FullMotion
-from pinred.judge.full_state import FullState
+from pinred.judge.reference_solution import FullState
 from pinred.signals import Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
 from pinred.simulation.plan import plan_of

@@ -14,9 +14,8 @@ from trees import random_model
 import pinred
 from pinred import forces
 from pinred.common.arrays import Array
-from pinred.judge.audit import Audit
-from pinred.judge.compare import audited
-from pinred.judge.full_state import FullState
+from pinred.judge.audit import Audit, audit_states, audit_trajectory
+from pinred.judge.reference_solution import FullState
 
 
 @cache
@@ -50,7 +49,7 @@ def audit(state: pinred.State, work: float = 0.0, impulse: Array | None = None) 
     """The audit, if so much had been done until the second time."""
     given = None if impulse is None else np.array([0.0 * impulse, impulse, 0.0 * impulse])
     scene = pinred.Scene(system=tree(), seed=0)
-    return FullState(scene).audit(state, np.array([0.0, work, 0.0]), given)
+    return audit_states(FullState(scene), state, np.array([0.0, work, 0.0]), given)
 
 
 def measures(state: pinred.State) -> tuple[float, float, float, float]:
@@ -173,7 +172,7 @@ def test_work_is_counted_from_the_first_state(impulse: Array | None) -> None:
     state = held()
     work = measures(state)[3] * np.array([3.0, 3.5, 3.0])
     scene = pinred.Scene(system=tree(), seed=0)
-    found = FullState(scene).audit(state, work, impulse)
+    found = audit_states(FullState(scene), state, work, impulse)
     assert found.energies == pytest.approx([0.0, -0.5, 0.0])
 
 
@@ -204,7 +203,7 @@ def test_small_angles_are_compared_in_radians() -> None:
     model.gravity.setZero()
     traj = pinred.simulate(pinred.load(model), x0=[0.02], xdot0=[0.01], xi0=[0.0], times=[0.0, 0.1])
     wrong = replace(traj.states, pose=traj.states.pose + 1e-5)
-    found = FullState(traj.scene).audit(wrong, np.zeros(2), None).fields
+    found = audit_states(FullState(traj.scene), wrong, np.zeros(2), None).fields
     assert found == pytest.approx(1e-5, rel=1e-6)
 
 
@@ -235,8 +234,8 @@ def test_work_impulse_and_fall_are_cleared(make: object) -> None:
     """What forces and gravity do is no drift; what is not theirs is."""
     assert callable(make)
     traj = make()
-    found = audited(traj, traj.states)
+    found = audit_trajectory(traj, traj.states)
     assert max(found.energy, found.momentum, found.fields) < 1e-9
     wrong = tampered(traj, offset("v", traj.system.r - 1, 1e-4))
-    found = audited(wrong, wrong(traj.t))
+    found = audit_trajectory(wrong, wrong(traj.t))
     assert min(found.energy, found.momentum) > 1e-6

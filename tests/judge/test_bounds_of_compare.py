@@ -14,7 +14,7 @@ from trees import random_model
 import pinred
 from pinred.cli.compare import judged
 from pinred.judge.distances import FullMotion
-from pinred.judge.full_state import FullState
+from pinred.judge.reference_solution import FullState
 from pinred.judge.report import EXIT_CODES, Verdict, _closest
 from pinred.system.joints import joint_units
 
@@ -117,8 +117,8 @@ def test_a_kick_is_a_millionth() -> None:
         np.full(6, 0.1),
         np.full(3, 4.0),
     )
-    kicked = np.abs(full.kick(y0, 5.0, 1e-6) - y0) / 1e-6
-    radius = full.radius(system.q(y0[:7], y0[7:10]))
+    kicked = np.abs(full.perturb(y0, 5.0, 1e-6) - y0) / 1e-6
+    radius = full.totals.radius_of_gyration(system.q(y0[:7], y0[7:10]))
     expected = (
         [max(5e-4, radius)] * 3
         + [1.0] * 4
@@ -199,7 +199,8 @@ def test_sizes_of_a_motion() -> None:
     assert size.position == pytest.approx(7.0)
     assert size.joints == pytest.approx([1.0, 3.0, 9.0])
     q[1] = q[0]
-    assert full.size(FullMotion(x=x, q=q)).position == pytest.approx(full.radius(q[0]))
+    radius = full.totals.radius_of_gyration(q[0])
+    assert full.size(FullMotion(x=x, q=q)).position == pytest.approx(radius)
 
 
 def test_slides_count_by_the_size_of_the_robot() -> None:
@@ -207,7 +208,7 @@ def test_slides_count_by_the_size_of_the_robot() -> None:
     system = pinred.load(random_model("SE3", 6, 2))
     full = FullState(pinred.Scene(system=system, seed=0))
     q = system.sorted_q(system.q(system.group.identity(), np.zeros(6)))
-    radius = full.radius(q)
+    radius = full.totals.radius_of_gyration(q)
     assert {"m", "rad"} == set(system.units)
     found = full.size(FullMotion(x=np.zeros((1, 6)), q=q[None])).joints
     sizes = {"m": radius, "rad": 1.0}
@@ -227,8 +228,8 @@ def test_places_of_small_robots(away: float) -> None:
     q = system.sorted_q(system.q(system.group.identity(), np.zeros(2)))
     q[0] = away
     size = full.size(FullMotion(x=np.zeros((1, 2)), q=q[None]))
-    assert full.radius(q) < 1e-5
-    assert size.position == pytest.approx(max(full.radius(q), 1e-5 * away))
+    assert full.totals.radius_of_gyration(q) < 1e-5
+    assert size.position == pytest.approx(max(full.totals.radius_of_gyration(q), 1e-5 * away))
     assert size.away == away
 
 

@@ -11,7 +11,7 @@ from trees import random_model
 
 import pinred
 from pinred.judge.distances import FullMotion
-from pinred.judge.full_state import FullState
+from pinred.judge.reference_solution import FullState
 from pinred.lie import GROUPS
 from pinred.system.catalogue import bundled_robots, has_example_robots
 
@@ -158,7 +158,7 @@ def test_chaos_is_not_passed_by_default() -> None:
     assert 0 < report.told < len(report.t)
     assert report.verdict == "CANNOT TELL"
     assert not report
-    assert "say something until t = " in report.reasons[0]
+    assert "can be judged until t = " in report.reasons[0]
 
 
 def test_reference_is_as_accurate_as_it_says() -> None:

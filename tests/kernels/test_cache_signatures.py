@@ -33,9 +33,9 @@ KEY = cache_key("one")
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A home of its own, where the key is `pinred/cache_key`."""
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
-    signing_keys._secret.cache_clear()
+    signing_keys._load_key.cache_clear()
     yield tmp_path / "data"
-    signing_keys._secret.cache_clear()
+    signing_keys._load_key.cache_clear()
 
 
 def entry(payload: bytes, signature: bytes) -> bytes:
@@ -71,7 +71,7 @@ def test_a_forged_kernel_is_rebuilt(tmp_path: Path) -> None:
     build_kernel(cat, structure, cache=cache)
     (kept,) = cache.entries()
     (tmp_path / "data/pinred/cache_key").unlink()
-    signing_keys._secret.cache_clear()
+    signing_keys._load_key.cache_clear()
     with pytest.warns(CacheWarning, match="signature is not this user's"):
         build_kernel(cat, structure, cache=cache)
     assert [found.key for found in cache.entries()] == [kept.key]
@@ -89,7 +89,7 @@ def test_the_key_is_private_and_stays(home: Path) -> None:
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
     assert stat.S_IMODE(file.parent.stat().st_mode) == 0o700
     assert os.listdir(file.parent) == ["cache_key"]
-    signing_keys._secret.cache_clear()
+    signing_keys._load_key.cache_clear()
     assert signing_keys.signing_key() == key
 
 
@@ -105,8 +105,8 @@ def test_a_key_that_is_no_secret_is_replaced(home: Path, fault: str) -> None:
     else:
         file.rename(home / "other")
         file.symlink_to(home / "other")
-    signing_keys._secret.cache_clear()
-    with pytest.warns(CacheWarning, match="was no secret"):
+    signing_keys._load_key.cache_clear()
+    with pytest.warns(CacheWarning, match="was not private"):
         new = signing_keys.signing_key()
     assert new != key
     assert not file.is_symlink()

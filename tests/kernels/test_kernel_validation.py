@@ -135,7 +135,7 @@ def test_a_fault_in_a_feather_is_found(where: str, name: str, words: str, ratio:
 
 @pytest.mark.parametrize(
     ("c0", "v0", "words"),
-    [(1e-9, 0.0, "place of the centre of mass"), (0.0, 1e-9, "its velocity")],
+    [(1e-9, 0.0, "position of the centre of mass"), (0.0, 1e-9, "velocity of the centre of mass")],
 )
 def test_a_wrong_path_is_found(c0: float, v0: float, words: str) -> None:
     """Base and centre of mass beside their path, all else as it should be."""
@@ -349,6 +349,6 @@ def test_a_slide_that_is_not_along_gravity(monkeypatch: pytest.MonkeyPatch) -> N
     for kernel in kernels:
         validate_kernel(kernel)
     # Scaled by what is left, that would be refused.
-    monkeypatch.setattr(ReferenceState, "weight_terms", np.zeros(1))
+    monkeypatch.setattr(ReferenceState, "gravity_terms", np.zeros(1))
     with pytest.raises(pinred.KernelMismatch, match="acceleration"):
         list(map(validate_kernel, kernels))

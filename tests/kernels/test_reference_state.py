@@ -45,7 +45,7 @@ def test_terms() -> None:
     speed = v[0] + REACH * v[1]
     moving = np.array([(CART + POLE) * speed * v[1], POLE * speed**2])
     assert at.force_terms == pytest.approx(v[1] * momentum + moving)
-    assert at.weight_terms == pytest.approx([(CART + POLE) * G, POLE * G * REACH])
+    assert at.gravity_terms == pytest.approx([(CART + POLE) * G, POLE * G * REACH])
 
 
 def test_states_are_far_apart() -> None:
@@ -140,5 +140,5 @@ def test_no_state_where_a_plan_is_not_defined() -> None:
     found = [at for at in states if at is not None]
     assert 5 < len(found) < 25
     for at in found:
-        assert at.time < at.numbers[0] if at.numbers.size else at.time < 0.3
+        assert at.time < at.force_parameters[0] if at.force_parameters.size else at.time < 0.3
         assert np.isfinite([*at.x, *at.v, *at.accelerations]).all()

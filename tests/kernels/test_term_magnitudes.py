@@ -83,7 +83,7 @@ def spinning() -> ReferenceState:
     """Return the free body's state where it turns about z, without momentum of translation."""
     line = np.array([1.0, 0.0, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0, -G])
     return replace(
-        drawn(pushed()), time=TIME, line=line, pushed=np.array([0.5, 0.0, 0.0, 0.0, 0.0, -4.0]),
+        drawn(pushed()), time=TIME, com_path=line, push=np.array([0.5, 0.0, 0.0, 0.0, 0.0, -4.0]),
         pose=np.array([0.0] * 6 + [1.0]), q=np.array([0.0] * 6 + [1.0]),
         v=np.array([0.0, -SPIN * ARM, 0.0, 0.0, 0.0, SPIN]),
     )  # fmt: skip
@@ -106,12 +106,12 @@ def test_terms_of_the_full_state(monkeypatch: pytest.MonkeyPatch) -> None:
     judged, at = pushed(), spinning()
     where = judged.where
     out = np.zeros(where.size)
-    out[where.pose] = out[where.q] = [1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0]
-    out[where.v] = speed = [0.0, 0.0, 3.0, 0.0, 0.0, SPIN]
-    found = sizes(monkeypatch, lambda: judging._judge_full_state(judged, at, out))
+    out[where.fields["pose"]] = out[where.fields["q"]] = [1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    out[where.fields["v"]] = speed = [0.0, 0.0, 3.0, 0.0, 0.0, SPIN]
+    found = sizes(monkeypatch, lambda: judging._validate_full_state(judged, at, out))
     assert found["full velocity"] == pytest.approx(VELOCITY[3:])
-    assert found["place of the centre of mass"] == pytest.approx(PARTS + REACH)
-    assert found["its velocity"] == pytest.approx(FAST)
+    assert found["position of the centre of mass"] == pytest.approx(PARTS + REACH)
+    assert found["velocity of the centre of mass"] == pytest.approx(FAST)
     whole = VELOCITY + np.array([FAST] * 3 + [0.0] * 3)
     momentum = SIZES_OF_H @ whole
     assert found["body momentum"] == pytest.approx(momentum)
@@ -133,8 +133,8 @@ def test_terms_of_a_potential(monkeypatch: pytest.MonkeyPatch) -> None:
         model.appendBodyToJoint(at, pin.Inertia.FromSphere(1.0, 0.2), pin.SE3(1))
         judged = kernel(model, forces=forces.PotentialEnergy(lambda x: value + 0.0 * x[0]))
         state = drawn(judged)
-        out = judged.evaluate_outputs(state.time, state.y, state.parameters, state.line)
-        found = sizes(monkeypatch, lambda: judging._judge_full_state(judged, state, out))
+        out = judged.evaluate_outputs(state.time, state.y, state.parameters, state.com_path)
+        found = sizes(monkeypatch, lambda: judging._validate_full_state(judged, state, out))
         return found["expected energy"], found["energy"]
 
     (first, terms), (second, more) = compared(1e-9), compared(-POTENTIAL)
@@ -146,7 +146,7 @@ def test_terms_of_what_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """As seen from the centre of mass."""
     judged, at = pushed(), spinning()
     out = np.zeros(judged.where.size)
-    found = sizes(monkeypatch, lambda: judging._judge_momentum(judged, at, out))
+    found = sizes(monkeypatch, lambda: judging._validate_momentum(judged, at, out))
     momenta = np.repeat([LINEAR, ANGULAR], 3)
     assert found["momentum of the velocity"] == pytest.approx(momenta)
     assert found["momentum"] == pytest.approx(momenta)
@@ -158,15 +158,15 @@ def test_terms_of_rates_of_the_base(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the attitude half of the twist's, of the angular momentum N, c × F and μ × ω."""
     judged, at = pushed(), spinning()
     rate, wrench = np.zeros(judged.layout.base.size), np.append(FORCE, MOMENT)
-    found = sizes(monkeypatch, lambda: judging._judge_velocity(judged, at, rate))
+    found = sizes(monkeypatch, lambda: judging._validate_velocity(judged, at, rate))
     assert found["attitude rate"] == pytest.approx([*(0.5 * VELOCITY[3:]), 0.0])
-    found = sizes(monkeypatch, lambda: judging._judge_base(judged, at, rate, at.v, wrench))
+    found = sizes(monkeypatch, lambda: judging._validate_base(judged, at, rate, at.v, wrench))
     turning = 3.0 * ANGULAR * VELOCITY[3:].sum()
     moments = MOMENT + LEVER.T @ FORCE + turning
     assert found["rate of the angular momentum"] == pytest.approx(moments)
     assert found["rate of the centre of mass"] == pytest.approx([0.0, 0.0, 2.0, *FORCE])
     turned = replace(at, pose=np.array([0.0] * 5 + [1.0, 0.0]))  # half a turn about z
-    found = sizes(monkeypatch, lambda: judging._judge_base(judged, turned, rate, at.v, wrench))
+    found = sizes(monkeypatch, lambda: judging._validate_base(judged, turned, rate, at.v, wrench))
     assert found["expected rate of the centre of mass"][3:] == pytest.approx(-FORCE)
     assert found["rate of the centre of mass"][3:] == pytest.approx(FORCE)
 
@@ -176,7 +176,7 @@ def test_terms_of_a_weight_on_a_pivot(monkeypatch: pytest.MonkeyPatch) -> None:
     judged = kernel(body(pin.JointModelSpherical()))
     at = replace(drawn(judged), v=np.array([0.0, 0.0, SPIN]))
     rate, none = np.zeros(judged.layout.base.size), np.zeros(3)
-    found = sizes(monkeypatch, lambda: judging._judge_base(judged, at, rate, at.v, none))
+    found = sizes(monkeypatch, lambda: judging._validate_base(judged, at, rate, at.v, none))
     momentum = INERTIA[2, 2] * SPIN
     fast = np.abs(np.linalg.inv(INERTIA)).sum() * momentum + SPIN
     expected = MASS * G * REACH + 3.0 * momentum * fast
@@ -193,7 +193,7 @@ def accelerated(
     scene = pinred.Scene(system=pinred.load("cartpole"), seed=0, **options)
     judged = kernel_of(plan_of(scene), zero_momentum=False)
     at = drawn(judged)
-    return judged, at, sizes(monkeypatch, lambda: judging._judge_at(judged, at))
+    return judged, at, sizes(monkeypatch, lambda: judging._validate_at(judged, at))
 
 
 def test_terms_of_accelerations(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,12 +201,12 @@ def test_terms_of_accelerations(monkeypatch: pytest.MonkeyPatch) -> None:
     torque = forces.Torque(lambda *_: [40.0])
     _, at, found = accelerated(monkeypatch, forces=torque)
     a, given = np.abs(found["expected acceleration"]), np.array([0.0, 40.0])
-    sums = at.force_terms + given + at.weight_terms + np.abs(at.H) @ a
+    sums = at.force_terms + given + at.gravity_terms + np.abs(at.H) @ a
     assert found["acceleration"] == pytest.approx(np.abs(np.linalg.inv(at.H)) @ sums)
     plan = {"pole_pivot": pinred.signals.Expression("20*t**2")}
     _, at, found = accelerated(monkeypatch, prescribed=plan)
-    a = np.abs([found["expected acceleration"][0], 2.0 * at.numbers[0]])  # of t²
-    sums = at.force_terms[0] + at.weight_terms[0] + np.abs(at.H[0]) @ a
+    a = np.abs([found["expected acceleration"][0], 2.0 * at.force_parameters[0]])  # of t²
+    sums = at.force_terms[0] + at.gravity_terms[0] + np.abs(at.H[0]) @ a
     assert found["acceleration"] == pytest.approx([sums / (CART + POLE)])
 
 
@@ -217,12 +217,12 @@ def test_accelerations_beside_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = pinred.Scene(system=system, seed=0, prescribed=plan)
     judged = kernel_of(plan_of(scene), zero_momentum=False)
     at = drawn(judged)
-    found = sizes(monkeypatch, lambda: judging._judge_at(judged, at))
+    found = sizes(monkeypatch, lambda: judging._validate_at(judged, at))
     data = at.model.createData()
     upper = np.triu(pin.crba(at.model, data, at.q))
     whole = upper + np.triu(upper, 1).T
     bias = pin.nonLinearEffects(at.model, data, at.q, at.v)
-    free, planned = [k for k in range(9) if k != 7], 2.0 * at.numbers[0]  # of t²
+    free, planned = [k for k in range(9) if k != 7], 2.0 * at.force_parameters[0]  # of t²
     a = np.linalg.solve(whole[np.ix_(free, free)], -(bias[free] + whole[free, 7] * planned))
     assert found["expected acceleration"] == pytest.approx(a)
 
@@ -233,14 +233,14 @@ def test_terms_of_inverse_dynamics(monkeypatch: pytest.MonkeyPatch) -> None:
     judged, at, found = accelerated(monkeypatch, forces=held)
     coupled, moment = -POLE * HALF * np.cos(at.x[0]), 0.09 + POLE * HALF**2
     assert judged.forces is not None
-    (((wanted,), _),) = judged.forces.required(*judging._seen(at, at.v))
+    (((wanted,), _),) = judged.forces.required(*judging._force_arguments(at, at.v))
     weight = POLE * 9.81 * HALF * np.sin(at.x[0])
     swing = POLE * HALF * np.sin(at.x[0]) * at.v[1] ** 2  # of the pole on the cart
     cart = -(coupled * wanted + swing) / (CART + POLE)
     torque = coupled * cart + moment * wanted + weight
     assert found["expected inverse dynamics"] == pytest.approx([torque])
     a = np.abs([cart, wanted])
-    sums = at.force_terms + at.weight_terms + np.abs(at.H) @ a
+    sums = at.force_terms + at.gravity_terms + np.abs(at.H) @ a
     carried = abs(coupled) / (CART + POLE) * sums[0]
     assert found["inverse dynamics"] == pytest.approx([sums[1] + carried])
 
@@ -268,7 +268,7 @@ def test_what_is_allowed(part: float, passes: bool) -> None:
 def test_where_forces_are_not_defined(monkeypatch: pytest.MonkeyPatch) -> None:
     """Smaller states are tried, down to a thousandth; the first three defined are judged."""
     tried: list[float] = []
-    judged, judge_at = pushed(), judging._judge_at
+    judged, judge_at = pushed(), judging._validate_at
     seen: list[ReferenceState] = []
 
     def smaller(_kernel: Kernel, rng: np.random.Generator, reach: float) -> ReferenceState | None:
@@ -280,7 +280,7 @@ def test_where_forces_are_not_defined(monkeypatch: pytest.MonkeyPatch) -> None:
         seen.append(at)
 
     monkeypatch.setattr(judging, "random_state", smaller)
-    monkeypatch.setattr(judging, "_judge_at", noted)
+    monkeypatch.setattr(judging, "_validate_at", noted)
     most = 0.0
     with pytest.raises(pinred.InputError, match="not finite at 80 of 80 random states"):
         judging.validate_kernel(judged)

@@ -68,12 +68,12 @@ def forces_before_they_cancel(judged: Kernel, at: ReferenceState, a: Array) -> A
     sizes = np.abs(system.on_shape(pin.nonLinearEffects(still, data, at.q, full)))
     sizes += np.abs(system.on_shape(pin.computeGeneralizedGravity(at.model, data, at.q)))
     if judged.forces is not None:
-        seen = at.time, at.x, at.v[system.r :], at.v[: system.r], at.mu, at.numbers
+        seen = at.time, at.x, at.v[system.r :], at.v[: system.r], at.mu, at.force_parameters
         given = judged.forces.acting(*seen, at.in_space(at.v))
         sizes += np.abs(np.append(given.wrench, given.torque))
     whole = np.zeros(system.n)
     whole[at.free] = np.abs(a)
-    whole[[system.r + k for k in at.driven]] = np.abs(at.accelerations)
+    whole[[system.r + k for k in at.prescribed]] = np.abs(at.accelerations)
     sizes += np.abs(at.H) @ whole
     inverse = np.linalg.inv(at.H[np.ix_(at.free, at.free)])
     return np.asarray(np.abs(inverse) @ sizes[at.free])
@@ -146,19 +146,19 @@ def test_the_base_in_space() -> None:
     judged = kernel("SE3", 5.0, forces=forces.Wrench([0.3, 0.0, 0.2, 0.0, 0.1, 0.0]))
     at = random_state(judged, np.random.default_rng(2), 1.0)
     assert at is not None
-    assert np.abs(at.pushed).min() > 0.01
+    assert np.abs(at.push).min() > 0.01
     system, base = judged.system, at.in_space(at.v)
     model, data = system.model, system.model.createData()
     q = system.model_q(base.pose, at.x)
     v = system.joint_rates(np.concatenate([base.xi, at.v[6:]]))
     pin.centerOfMass(model, data, q, v)
     root = model.jointPlacements[1]
-    c0, v0, fall = at.line.reshape(3, 3)
+    c0, v0, fall = at.com_path.reshape(3, 3)
     t, mass = at.time, sum(body.mass for body in model.inertias)
     com = root.actInv(data.com[0])
-    np.testing.assert_allclose(com, c0 + v0 * t + 0.5 * fall * t**2 + at.pushed[:3], atol=1e-12)
+    np.testing.assert_allclose(com, c0 + v0 * t + 0.5 * fall * t**2 + at.push[:3], atol=1e-12)
     velocity = root.rotation.T @ data.vcom[0]
-    np.testing.assert_allclose(velocity, v0 + fall * t + at.pushed[3:] / mass, atol=1e-12)
+    np.testing.assert_allclose(velocity, v0 + fall * t + at.push[3:] / mass, atol=1e-12)
     pin.computeCentroidalMomentum(model, data, q, v)
     linear = root.rotation.T @ data.hg.linear
     angular = root.rotation.T @ data.hg.angular + np.cross(com, linear)

@@ -21,7 +21,7 @@ def test_each_velocity_is_found(joint: int) -> None:
     """Of a light joint, too, in what is reported as Pinocchio's velocity."""
     kernel = light_tree(1e-3)
     validate_kernel(kernel)
-    where = kernel.where.v
+    where = kernel.where.fields["v"]
     first, last = where.stop + joint, where.stop + joint + 1
     with pytest.raises(pinred.KernelMismatch, match="Pinocchio: full velocity is"):
         validate_kernel(Faulty(kernel, "out", first, last, 1e-8))  # type: ignore[arg-type]
@@ -33,7 +33,7 @@ def test_velocities_of_followers_are_found() -> None:
     scene = pinred.Scene(system=system, seed=0)
     kernel = kernel_of(plan_of(scene), zero_momentum=False)
     validate_kernel(kernel)
-    where, found = kernel.where.v, []
+    where, found = kernel.where.fields["v"], []
     for k in range(where.start, where.stop):
         with pytest.raises(pinred.KernelMismatch) as told:
             validate_kernel(Faulty(kernel, "out", k, k + 1, 1e-8))  # type: ignore[arg-type]

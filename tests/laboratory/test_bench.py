@@ -23,8 +23,8 @@ from pinred.laboratory.bench import (
     bench_threads,
     timing,
 )
+from pinred.laboratory.bench.batch_timing import BATCH_SOLVERS
 from pinred.laboratory.bench.chains import chain
-from pinred.laboratory.bench.many import CROWD_SOLVERS
 
 pytestmark = pytest.mark.slow
 
@@ -98,7 +98,7 @@ def test_many() -> None:
     assert own.tolerance == other.tolerance
     assert own.error == pytest.approx(other.error, rel=1e-3)
     assert found.times("lanes") == pytest.approx(own.per_second / other.per_second)
-    assert len(found.rates) + len(found.missing) == len(CROWD_SOLVERS)
+    assert len(found.rates) + len(found.missing) == len(BATCH_SOLVERS)
     with pytest.raises(InputError, match="at least 2"):
         bench_many(["planar1"], members=1)
 

@@ -25,7 +25,7 @@ from pinred.laboratory.bench import (
     Effort,
     End,
     Point,
-    Prepared,
+    PreparedRun,
     Problem,
     Solver,
     WorkPrecision,
@@ -39,11 +39,11 @@ from pinred.laboratory.bench import (
     timing,
     write_record,
 )
-from pinred.laboratory.bench.drift import drift
+from pinred.laboratory.bench.conservation_drift import compute_drift
 from pinred.laboratory.bench.overview import overview
 from pinred.laboratory.bench.reference import _quadruple
 from pinred.laboratory.bench.solvers import solvers_named
-from pinred.system.system import InitialState
+from pinred.system.coordinates import InitialState
 
 pytestmark = pytest.mark.slow
 
@@ -108,14 +108,14 @@ def test_drift_against_closed_form() -> None:
     problem = steady()
     model, data = problem.system.model, problem.system.model.createData()
     q0, v0 = problem.q0, problem.v0
-    found = drift(problem, q0, v0)
+    found = compute_drift(problem, q0, v0)
     assert (found.energy, found.momentum) == (0.0, 0.0)
     v = v0 * 1.01
     pin.ccrba(model, data, q0, v0)
     mass, carried = data.Ig.mass, 0.5 * data.hg.linear @ data.hg.linear / data.Ig.mass
     total = pin.computeKineticEnergy(model, data, q0, v0)
     internal = total - carried
-    found = drift(problem, q0, v)
+    found = compute_drift(problem, q0, v)
     assert found.energy == pytest.approx(total * (1.01**2 - 1.0) / internal, rel=1e-12)
     radius = np.sqrt(np.trace(data.Ig.inertia) / mass)
     unit = np.sqrt(2.0 * mass * internal)
@@ -228,12 +228,12 @@ def test_what_the_reference_cannot_tell_is_not_claimed() -> None:
 def test_failures_are_kept() -> None:
     """A method that stops, or ends nowhere, has a point that says so and no time."""
 
-    def stops(_: Problem, tolerance: float) -> Prepared:
+    def stops(_: Problem, tolerance: float) -> PreparedRun:
         def run() -> Any:
             if tolerance < 1e-3:
                 raise IntegrationError("stopped at t = 0.5 s")
 
-        return Prepared(run, lambda _: End(np.array([np.nan]), np.zeros(6), np.zeros(4), 1))
+        return PreparedRun(run, lambda _: End(np.array([np.nan]), np.zeros(6), np.zeros(4), 1))
 
     broken = Solver("broken", "fails", (1e-2, 1e-4), stops)
     (found,) = bench_accuracy([short_planar()], methods=[broken, OWN[0]], effort=BRIEF)
@@ -387,7 +387,7 @@ def test_satellite_is_chaotic() -> None:
     def grown(problem: Problem) -> Array:
         full, y0 = problem.full, problem.full_start()
         there = full.run(y0, times, 1e-13, 1e-15)
-        beside = full.run(full.kick(y0, 40.0, 1e-11), times, 1e-13, 1e-15)
+        beside = full.run(full.perturb(y0, 40.0, 1e-11), times, 1e-13, 1e-15)
         return np.asarray(np.abs(beside.x - there.x).max(axis=1) / 1e-11)
 
     wild = grown(satellite)

@@ -16,12 +16,13 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.common.errors import IntegrationError, UnsupportedOperationError
 from pinred.judge.distances import FullMotion
-from pinred.judge.full_state import FullState
+from pinred.judge.reference_solution import FullState
 from pinred.kernels.layout import Structure
 from pinred.kernels.reduced_graph import ReducedGraph
 from pinred.laboratory.bench import SOLVERS, Problem, reference_of
-from pinred.laboratory.bench.full_field import full_field
+from pinred.laboratory.bench.full_vector_field import full_vector_field
 from pinred.laboratory.bench.peers.aba import ABA
+from pinred.laboratory.bench.peers.child_process import check_in_child_process
 from pinred.laboratory.bench.peers.drake import DrakeModel
 from pinred.laboratory.bench.peers.equality import EQUAL, equality, missing_unless_equal
 from pinred.laboratory.bench.peers.euler_angles import (
@@ -34,7 +35,6 @@ from pinred.laboratory.bench.peers.euler_angles import (
 from pinred.laboratory.bench.peers.exudyn import ExudynModel
 from pinred.laboratory.bench.peers.first_principles import full_graph
 from pinred.laboratory.bench.peers.mujoco import MujocoModel
-from pinred.laboratory.bench.peers.survived import survived
 from pinred.laboratory.bench.solver import Solver
 from pinred.lie import GROUPS
 from pinred.scene.random_state import random_state
@@ -123,10 +123,10 @@ def test_what_aborts_is_a_failure() -> None:
     def raises() -> None:
         raise ValueError("somebody else's")
 
-    survived(lambda: None, "It")
-    survived(raises, "It")
+    check_in_child_process(lambda: None, "It")
+    check_in_child_process(raises, "It")
     with pytest.raises(IntegrationError, match=r"It aborts \(signal 6\)"):
-        survived(os.abort, "It")
+        check_in_child_process(os.abort, "It")
 
 
 ROBOTS = ("cartpole", "elroys_beanie", "planar_chain5", "rigid_body", "satellite_two_arms")
@@ -156,7 +156,7 @@ def test_methods_come_to_the_reference(method: Solver) -> None:
             end = prepared.end(prepared.run())
             errors.append(problem.apart(truth, FullMotion(end.x[None], end.q[None])))
             energies = [
-                problem.full.kinetic_energy(q, v) + problem.full.potential_energy(q)
+                problem.full.totals.kinetic_energy(q, v) + problem.full.totals.potential_energy(q)
                 for q, v in ((problem.q0, problem.v0), (end.q, end.v))
             ]
         if not method.fixed:
@@ -221,7 +221,7 @@ def test_full_field_is_the_judge_s(group: str, seed: int) -> None:
     y = judge.state(pose, *(rng.normal(size=k) for k in (system.m, system.r, system.m)))
     expected = judge.rate(0.0, y)
     np.testing.assert_allclose(
-        full_field(system)(0.0, y), expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max()
+        full_vector_field(system)(0.0, y), expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max()
     )
 
 

@@ -15,7 +15,7 @@ from pinred import RKMK4
 from pinred.cli.main import main
 from pinred.forces import Damper, Wrench
 from pinred.laboratory.stress.check import Case, Check, Outcome, Trial
-from pinred.laboratory.stress.suite import CHECKS, chosen, run_check, table
+from pinred.laboratory.stress.run_stress import CHECKS, chosen, run_check, table
 
 pytestmark = pytest.mark.slow
 

@@ -1,4 +1,4 @@
-"""A group is one file: two more are made here, of joints that pinred does not know otherwise."""
+"""Tests of two groups defined here, with joints that pinred has no group for."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from pinred.signals import Fourier
 
 
 class _Commuting(Group):
-    """Translations, and a turn about an axis along them: coordinates are added."""
+    """A commutative group: translations, and a rotation about one of their axes."""
 
     def identity(self) -> Array:
         return np.zeros(self.size)
@@ -39,9 +39,9 @@ class _Commuting(Group):
         return np.array(xi)
 
     def log(self, g: Array) -> Array:
-        out = np.array(g)
-        out[..., self.linear :] = np.remainder(out[..., self.linear :] + np.pi, 2 * np.pi) - np.pi
-        return out
+        xi = np.array(g)
+        xi[..., self.linear :] = np.remainder(xi[..., self.linear :] + np.pi, 2 * np.pi) - np.pi
+        return xi
 
     def Ad(self, g: Array) -> Array:
         return np.broadcast_to(np.eye(self.dim), (*g.shape[:-1], self.dim, self.dim)).copy()
@@ -59,13 +59,13 @@ class _Commuting(Group):
         return np.asarray(pin.log6(matrix).vector[list(self.axes)])
 
     def _space(self, g: Array) -> Array:
-        out = np.zeros(6)
-        out[list(self.axes)] = g
-        return out
+        twist = np.zeros(6)
+        twist[list(self.axes)] = g
+        return twist
 
 
 CYLINDER = _Commuting(
-    name="C", axes=(2, 5), pose_names=("s", "θ"), root="cylindrical", joints=("PZ+RZ",),
+    name="C", axes=(2, 5), pose_names=("s", "θ"), root="cylindrical_joint", joints=("PZ+RZ",),
     conserved="momentum along the axis and angular momentum about it",
 )  # fmt: skip
 SHIFTS = _Commuting(
@@ -74,8 +74,8 @@ SHIFTS = _Commuting(
 )  # fmt: skip
 
 
-def cylindrical() -> pin.JointModel:
-    """A slide along z with a hinge about it."""
+def cylindrical_joint() -> pin.JointModel:
+    """Return a slide along z with a hinge about it."""
     joint = pin.JointModelComposite()
     joint.addJoint(pin.JointModelPZ())
     joint.addJoint(pin.JointModelRZ())
@@ -84,22 +84,22 @@ def cylindrical() -> pin.JointModel:
 
 @pytest.fixture(params=[CYLINDER, SHIFTS], ids=repr)
 def system(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> pinred.System:
-    """A tree on the group that was just made known, falling along what it translates."""
+    """Return a tree on a newly registered group, in free fall along its translations."""
     group = request.param
     monkeypatch.setitem(GROUPS, group.name, group)
-    joints = {"C": [lambda _: cylindrical()], "R3": [lambda _: pin.JointModelTranslation()]}
+    joints = {"C": [lambda _: cylindrical_joint()], "R3": [lambda _: pin.JointModelTranslation()]}
     monkeypatch.setitem(ROOTS, group.name, joints[group.name])
     model = random_model(group.name, 3, 4)
     along = np.array([0.0, 0.0, -5.0]) if group is CYLINDER else np.array([1.0, 2.0, -5.0])
     model.gravity.linear = model.jointPlacements[1].rotation @ along
-    found = pinred.load(model, group=group.name)
-    assert found.group is group
-    return found
+    tree = pinred.load(model, group=group.name)
+    assert tree.group is group
+    return tree
 
 
 @pytest.mark.slow
-def test_it_is_simulated_and_judged(system: pinred.System) -> None:
-    """Free, pushed and with a plan, by both engines, against Pinocchio's ABA on the full state."""
+def test_custom_group_motion_agrees_with_aba(system: pinred.System) -> None:
+    """Free, forced and with a prescribed joint, by both engines, against Pinocchio's ABA."""
     pose0 = system.group.exp(np.linspace(0.3, -0.9, system.r))
     acting = [Spring("joint1", 2.0, 0.3), Damper("joint2", 0.2)]
     acting.append(Wrench(np.linspace(0.4, -0.3, system.r).tolist()))
@@ -115,8 +115,8 @@ def test_it_is_simulated_and_judged(system: pinred.System) -> None:
             assert traj.momentum_balance.residual == pytest.approx(0.0, abs=1e-8)
 
 
-def test_its_reduction_is_pinocchio_s(system: pinred.System) -> None:
-    """I, A and M are those of CRBA; the curvature is that of the connection by differences."""
+def test_custom_group_reduction_agrees_with_crba(system: pinred.System) -> None:
+    """I, A and M are those of CRBA, and the curvature agrees with CasADi's."""
     red, x = pinred.Reduction(system), np.array([0.3, -0.8, 1.1])
     at, field = red.at(x), red.grid(x[None])
     for name in ("mass_matrix", "local_connection", "reduced_metric", "curvature"):
@@ -126,8 +126,8 @@ def test_its_reduction_is_pinocchio_s(system: pinred.System) -> None:
     np.testing.assert_allclose(B, at.curvature, atol=1e-12)
 
 
-def test_it_is_seen_and_kept(system: pinred.System, tmp_path: Path) -> None:
-    """Its words and names stand where those of the others do."""
+def test_custom_group_names_appear_in_outputs(system: pinred.System, tmp_path: Path) -> None:
+    """Reports, files and plots use the names of the custom group."""
     traj = pinred.simulate(system, seed=2, duration=0.5, times=np.linspace(0.0, 0.5, 6))
     group = system.group
     assert f"{group.name}: conserves {group.conserved}" in str(pinred.inspect(system))
@@ -136,8 +136,8 @@ def test_it_is_seen_and_kept(system: pinred.System, tmp_path: Path) -> None:
     names = [f"pose.{name}".replace("θ", "theta") for name in group.pose_names]
     assert [name for name in head if name.startswith("pose.")] == names
     traj.save(tmp_path / "a.npz")
-    kept = pinred.read_recording(tmp_path / "a.npz")
-    np.testing.assert_array_equal(kept.pose, traj.pose)
+    recording = pinred.read_recording(tmp_path / "a.npz")
+    np.testing.assert_array_equal(recording.pose, traj.pose)
     figure = pinred.plot(traj, "base")
     drawn = [line.get_label() for axes in figure.axes for line in axes.get_lines()]
     assert drawn == list(group.pose_names)
@@ -150,28 +150,28 @@ def test_it_is_seen_and_kept(system: pinred.System, tmp_path: Path) -> None:
     "wrong",
     [
         {"axes": (5, 2)},  # rotations first
-        {"axes": (2, 4, 5), "pose_names": ("s", "a", "b")},  # two of them
+        {"axes": (2, 4, 5), "pose_names": ("s", "a", "b")},  # two rotations
         {"pose_names": ("s", "c", "s")},
     ],
 )
-def test_facts_that_make_no_group(wrong: dict[str, Any]) -> None:
-    """They are refused where they are written."""
+def test_group_rejects_inconsistent_axes_or_names(wrong: dict[str, Any]) -> None:
+    """The constructor rejects unordered axes, two rotations, and wrong numbers of names."""
     with pytest.raises(pinred.InputError, match="C: axes are translations, then"):
         replace(CYLINDER, **wrong)
 
 
-def test_gravity_across_the_cylinder_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It turns the base: the error says about which axis."""
+def test_gravity_across_cylinder_axis_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such gravity rotates the base, and the error names the axis."""
     monkeypatch.setitem(GROUPS, "C", CYLINDER)
-    monkeypatch.setitem(ROOTS, "C", [lambda _: cylindrical()])
+    monkeypatch.setitem(ROOTS, "C", [lambda _: cylindrical_joint()])
     model = random_model("C", 1, 4)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     with pytest.raises(pinred.SymmetryError, match=r"the C symmetry .* its axis"):
         pinred.simulate(pinred.load(model), seed=0, duration=1.0)
 
 
-def test_a_group_is_one_file(tmp_path: Path) -> None:
-    """A file beside the others is a group that all of pinred knows."""
+def test_group_module_in_lie_folder_is_registered(tmp_path: Path) -> None:
+    """A new module in the folder of groups is registered automatically."""
     package = Path(pinred.__file__).parent
     shutil.copytree(package, tmp_path / "pinred", ignore=shutil.ignore_patterns("__pycache__"))
     text = (package / "lie" / "r_se2.py").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""One set of axioms for all groups, also near the identity and near half turns."""
+"""Tests of the axioms of all groups, also near the identity and near half turns."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from trees import climbing_joint
 from pinred import InputError, ShapeError
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS, SE2, SE3, SO2, SO3, Group, R, RxSE2, group_named
-from pinred.lie.rotations import hat, turning_inverse, turning_matrix
+from pinred.lie.rotations import hat, left_jacobian, left_jacobian_inverse
 
 ALL = list(GROUPS.values())
 SIZES = [0.0, 1e-300, 1e-16, 1e-12, 1e-8, 1e-5, 1e-4, 1e-3, 0.0999, 0.1001, 1.0, 3.0]
@@ -23,28 +23,28 @@ groups = st.sampled_from(ALL)
 seeds = st.integers(0, 2**32 - 1)
 
 
-def algebra(group: Group, xi: Array) -> Array:
-    """ξ as a matrix: the derivative of the homogeneous matrix at the identity."""
-    v, w = np.split(in_space(group, xi), 2)
-    out = np.zeros((4, 4))
-    out[:3, :3], out[:3, 3] = hat(w), v
-    # The matrix is that of space, without the directions in which nothing ever moves.
+def algebra_matrix(group: Group, xi: Array) -> Array:
+    """Return ξ as a matrix: the derivative of the homogeneous matrix at the identity."""
+    v, w = np.split(spatial_twist(group, xi), 2)
+    matrix = np.zeros((4, 4))
+    matrix[:3, :3], matrix[:3, 3] = hat(w), v
+    # The matrix is that of SE(3) without the directions along which the group never moves.
     moving = {axis for axis in group.axes if axis < 3}
     for axis in group.axes[group.linear :]:
         moving |= {0, 1, 2} - {axis - 3}
-    rows = [*sorted(moving), *([3] if group.linear else [])]
-    return out[np.ix_(rows, rows)]
+    kept = [*sorted(moving), *([3] if group.linear else [])]
+    return matrix[np.ix_(kept, kept)]
 
 
-def in_space(group: Group, xi: Array) -> Array:
-    """A twist of the group as one of space, (6,)."""
-    out = np.zeros(6)
-    out[list(group.axes)] = xi
-    return out
+def spatial_twist(group: Group, xi: Array) -> Array:
+    """Return the random_twist of SE(3), (6,), that a random_twist of the group is."""
+    whole = np.zeros(6)
+    whole[list(group.axes)] = xi
+    return whole
 
 
-def twist(group: Group, rng: np.random.Generator, turn: float = 1.5) -> Array:
-    """A random twist whose rotation has norm `turn` at most."""
+def random_twist(group: Group, rng: np.random.Generator, turn: float = 1.5) -> Array:
+    """Draw a random random_twist whose rotation has norm `turn` at most."""
     xi = rng.uniform(-1.0, 1.0, group.dim)
     w = xi[group.linear :]
     if w.size:
@@ -52,31 +52,31 @@ def twist(group: Group, rng: np.random.Generator, turn: float = 1.5) -> Array:
     return xi
 
 
-def same(group: Group, g: Array, h: Array, tolerance: float = 1e-13) -> bool:
-    """Whether two poses are one element of the group."""
+def is_same_pose(group: Group, g: Array, h: Array, tolerance: float = 1e-13) -> bool:
+    """Return whether two poses are the is_same_pose group element."""
     return bool(np.abs(group.matrix(g) - group.matrix(h)).max() <= tolerance)
 
 
 @given(groups, seeds)
-def test_group_axioms(group: Group, seed: int) -> None:
-    """Identity, inverse, associativity; the matrix is a homomorphism."""
+def test_group_satisfies_the_axioms(group: Group, seed: int) -> None:
+    """Identity, inverse and associativity hold, and the matrix is a homomorphism."""
     rng = np.random.default_rng(seed)
-    a, b, c = (group.exp(twist(group, rng, 3.0)) for _ in range(3))
+    a, b, c = (group.exp(random_twist(group, rng, 3.0)) for _ in range(3))
     e = group.identity()
-    assert same(group, group.compose(a, e), a)
-    assert same(group, group.compose(e, a), a)
-    assert same(group, group.compose(a, group.inverse(a)), e)
+    assert is_same_pose(group, group.compose(a, e), a)
+    assert is_same_pose(group, group.compose(e, a), a)
+    assert is_same_pose(group, group.compose(a, group.inverse(a)), e)
     left = group.compose(group.compose(a, b), c)
-    assert same(group, left, group.compose(a, group.compose(b, c)))
+    assert is_same_pose(group, left, group.compose(a, group.compose(b, c)))
     product = group.matrix(a) @ group.matrix(b)
     np.testing.assert_allclose(group.matrix(group.compose(a, b)), product, atol=1e-14)
-    assert same(group, group.from_matrix(group.matrix(a)), a)
+    assert is_same_pose(group, group.from_matrix(group.matrix(a)), a)
 
 
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("group", ALL, ids=repr)
-def test_log_undoes_exp(group: Group, size: float) -> None:
-    """Every digit of a twist comes back, however small it is."""
+def test_log_inverts_exp_to_round_off(group: Group, size: float) -> None:
+    """log(exp ξ) equals ξ to round-off, however small ξ is."""
     rng = np.random.default_rng(0)
     for _ in range(20):
         xi = rng.normal(size=group.dim)
@@ -87,87 +87,87 @@ def test_log_undoes_exp(group: Group, size: float) -> None:
 
 @pytest.mark.parametrize("turn", NEAR_HALF_TURN)
 @pytest.mark.parametrize("group", [group for group in ALL if group.turns], ids=repr)
-def test_half_turns(group: Group, turn: float) -> None:
-    """Near and at a half turn, log gives back the turn, of at most π."""
+def test_log_near_half_turn_returns_at_most_pi(group: Group, turn: float) -> None:
+    """Near and at half a turn, log returns the rotation angle, at most π."""
     rng = np.random.default_rng(1)
     for _ in range(20):
         xi = rng.normal(size=group.dim)
         w = xi[group.linear :]
         w *= turn / np.linalg.norm(w)
         back = group.log(group.exp(xi))
-        found = np.linalg.norm(back[group.linear :])
-        assert found == pytest.approx(turn, abs=1e-14)
-        assert found <= np.pi + 1e-15
-        assert same(group, group.exp(back), group.exp(xi), 1e-14)
+        angle = np.linalg.norm(back[group.linear :])
+        assert angle == pytest.approx(turn, abs=1e-14)
+        assert angle <= np.pi + 1e-15
+        assert is_same_pose(group, group.exp(back), group.exp(xi), 1e-14)
 
 
 @given(groups, seeds, st.sampled_from([1e-9, 1e-4, 0.05, 0.15, 1.0, 3.1]))
-def test_exp_is_the_matrix_exponential(group: Group, seed: int, turn: float) -> None:
-    """Exp ξ, Ad and ad against SciPy's expm and products of matrices."""
+def test_exp_equals_matrix_exponential(group: Group, seed: int, turn: float) -> None:
+    """Exp, Ad, ad and the bracket agree with SciPy's expm and matrix products."""
     rng = np.random.default_rng(seed)
-    xi, eta = twist(group, rng, turn), twist(group, rng)
+    xi, eta = random_twist(group, rng, turn), random_twist(group, rng)
     g = group.exp(xi)
-    M, X, Y = group.matrix(g), algebra(group, xi), algebra(group, eta)
+    M, X, Y = group.matrix(g), algebra_matrix(group, xi), algebra_matrix(group, eta)
     np.testing.assert_allclose(M, expm(X), atol=2e-14)
-    moved = algebra(group, group.Ad(g) @ eta)
-    np.testing.assert_allclose(moved, M @ Y @ np.linalg.inv(M), atol=1e-13)
-    bracket = algebra(group, group.bracket(xi, eta))
+    transformed = algebra_matrix(group, group.Ad(g) @ eta)
+    np.testing.assert_allclose(transformed, M @ Y @ np.linalg.inv(M), atol=1e-13)
+    bracket = algebra_matrix(group, group.bracket(xi, eta))
     np.testing.assert_allclose(bracket, X @ Y - Y @ X, atol=1e-14)
     np.testing.assert_allclose(group.ad(xi) @ eta, group.bracket(xi, eta), atol=1e-15)
     np.testing.assert_allclose(group.Ad(g), expm(group.ad(xi)), atol=1e-13)
 
 
 @pytest.mark.parametrize("turn", [1e-9, 1e-3, 0.05, 0.0999, 0.1001, 0.5, 3.0])
-def test_turning_matrices(turn: float) -> None:
-    """V(ω) = Σ ωᵏ/(k + 1)! to round-off on both sides of where its series ends, and V⁻¹."""
+def test_left_jacobian_equals_power_series(turn: float) -> None:
+    """V(ω) = Σ ωᵏ/(k + 1)! to round-off on both sides of the switch to its series, and V⁻¹."""
     w = turn * np.array([0.48, -0.6, 0.64])
     series, power = np.eye(3), np.eye(3)
     for k in range(1, 40):
         power = power @ hat(w) / (k + 1.0)
         series = series + power
-    np.testing.assert_allclose(turning_matrix(w), series, rtol=0.0, atol=2e-15)
-    np.testing.assert_allclose(turning_inverse(w) @ series, np.eye(3), rtol=0.0, atol=2e-15)
+    np.testing.assert_allclose(left_jacobian(w), series, rtol=0.0, atol=2e-15)
+    np.testing.assert_allclose(left_jacobian_inverse(w) @ series, np.eye(3), rtol=0.0, atol=2e-15)
 
 
 @pytest.mark.parametrize("group", [group for group in ALL if group.turns == 3], ids=repr)
-def test_quaternions_are_made_ones_of_length_one(group: Group) -> None:
-    """However long they are; where they point stays."""
+def test_normalize_scales_quaternion_to_unit_norm(group: Group) -> None:
+    """The direction of the quaternion stays, for any initial norm."""
     g = group.exp(np.linspace(0.2, 0.7, group.dim))
     for length in (0.5, 1.0 + 1e-7, 3.0):
         longer = g.copy()
         longer[-4:] *= length
         np.testing.assert_allclose(group.normalize(longer), g, rtol=1e-15)
     nearly = g.copy()
-    nearly[-4:] *= 1.0 + 5e-7  # as a file may have it
+    nearly[-4:] *= 1.0 + 5e-7  # a typical rounding error in files
     assert np.linalg.norm(group.pose(nearly)[-4:]) == pytest.approx(1.0, abs=1e-15)
 
 
 @given(groups, seeds)
-def test_a_group_is_a_part_of_space(group: Group, seed: int) -> None:
-    """Its axes are closed under the bracket of se(3), and its own bracket is that one."""
+def test_bracket_equals_bracket_of_se3(group: Group, seed: int) -> None:
+    """The axes are closed under the bracket of se(3), and both brackets are equal."""
     rng = np.random.default_rng(seed)
     a, b = rng.normal(size=(2, group.dim))
-    whole = pin.Motion(in_space(group, a)).cross(pin.Motion(in_space(group, b))).vector
-    np.testing.assert_allclose(in_space(group, group.bracket(a, b)), whole, atol=1e-15)
+    whole = pin.Motion(spatial_twist(group, a)).cross(pin.Motion(spatial_twist(group, b))).vector
+    np.testing.assert_allclose(spatial_twist(group, group.bracket(a, b)), whole, atol=1e-15)
 
 
 @given(groups, seeds)
-def test_parts_of_momenta(group: Group, seed: int) -> None:
-    """Translations turn as Ad says; the angular part about a point is that of space."""
+def test_linear_and_angular_parts_equal_those_of_se3(group: Group, seed: int) -> None:
+    """Linear parts rotate as Ad does; the angular part about a point is that of SE(3)."""
     rng = np.random.default_rng(seed)
-    g, k = group.exp(twist(group, rng, 3.0)), group.linear
+    g, k = group.exp(random_twist(group, rng, 3.0)), group.linear
     v = rng.normal(size=k)
     np.testing.assert_allclose(group.turned(g[k:], v), group.Ad(g)[:k, :k] @ v, atol=1e-14)
     np.testing.assert_allclose(group.turned_back(g[k:], group.turned(g[k:], v)), v, atol=1e-14)
     c, mu = rng.normal(size=3), rng.normal(size=group.dim)
-    moved = pin.SE3(np.eye(3), c).actInv(pin.Force(in_space(group, mu))).vector
-    expected = moved[list(group.axes[k:])]
+    shifted = pin.SE3(np.eye(3), c).actInv(pin.Force(spatial_twist(group, mu))).vector
+    expected = shifted[list(group.axes[k:])]
     np.testing.assert_allclose(group.about(c, mu), expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("group", ALL, ids=repr)
-def test_names_and_sizes(group: Group) -> None:
-    """Every number of a pose and of a twist has a name of its own."""
+def test_names_and_sizes_are_consistent(group: Group) -> None:
+    """Each coordinate of a pose and of a random_twist has a distinct name."""
     assert len(set(group.pose_names)) == len(group.identity()) == group.size
     assert len(set(group.twist_names)) == group.dim == group.linear + group.turns
     assert group.linear == sum(name.startswith("v") for name in group.twist_names)
@@ -177,11 +177,11 @@ def test_names_and_sizes(group: Group) -> None:
 
 
 @given(groups, seeds)
-def test_momenta_pair_with_twists(group: Group, seed: int) -> None:
+def test_momentum_pairing_is_invariant(group: Group, seed: int) -> None:
     """⟨J, Ad_g ξ⟩ = ⟨μ, ξ⟩, ⟨ad*_ξ μ, η⟩ = ⟨μ, [ξ, η]⟩, and Jacobi's identity."""
     rng = np.random.default_rng(seed)
-    g, mu = group.exp(twist(group, rng, 3.0)), rng.normal(size=group.dim)
-    x, y, z = (twist(group, rng) for _ in range(3))
+    g, mu = group.exp(random_twist(group, rng, 3.0)), rng.normal(size=group.dim)
+    x, y, z = (random_twist(group, rng) for _ in range(3))
     J = group.spatial_momentum(g, mu)
     assert J @ group.Ad(g) @ x == pytest.approx(mu @ x, abs=1e-13)
     assert group.coadjoint(x, mu) @ y == pytest.approx(mu @ group.bracket(x, y), abs=1e-14)
@@ -191,10 +191,10 @@ def test_momenta_pair_with_twists(group: Group, seed: int) -> None:
 
 
 @given(groups, seeds)
-def test_rate_is_the_derivative_of_the_pose(group: Group, seed: int) -> None:
-    """ġ = g ξ, by differences of order six of g exp(ξ t)."""
+def test_rate_equals_pose_derivative(group: Group, seed: int) -> None:
+    """ġ = g ξ, compared with differences of order six of g exp(ξ t)."""
     rng = np.random.default_rng(seed)
-    g, xi, h = group.exp(twist(group, rng)), twist(group, rng), 1e-3
+    g, xi, h = group.exp(random_twist(group, rng)), random_twist(group, rng), 1e-3
     weights = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
     slope = np.zeros(group.size)
     for k, w in weights.items():
@@ -204,10 +204,10 @@ def test_rate_is_the_derivative_of_the_pose(group: Group, seed: int) -> None:
 
 
 @given(seeds)
-def test_against_pinocchio(seed: int) -> None:
-    """exp, log and products of Pinocchio, which has its own formulas."""
+def test_exp_log_and_products_equal_pinocchio(seed: int) -> None:
+    """Pinocchio computes exp, log and products with independent formulas."""
     rng = np.random.default_rng(seed)
-    xi, eta = twist(SE3, rng, 2.5), twist(SE3, rng, 2.5)
+    xi, eta = random_twist(SE3, rng, 2.5), random_twist(SE3, rng, 2.5)
     g, h = SE3.exp(xi), SE3.exp(eta)
     M, N = pin.exp6(pin.Motion(xi)), pin.exp6(pin.Motion(eta))
     np.testing.assert_allclose(SE3.matrix(g), M.homogeneous, atol=1e-13)
@@ -227,8 +227,8 @@ def test_against_pinocchio(seed: int) -> None:
 
 
 @pytest.mark.parametrize("group", ALL, ids=repr)
-def test_stacks_are_loops(group: Group) -> None:
-    """Every operation on a stack is that operation on each element."""
+def test_operation_on_stack_equals_loop(group: Group) -> None:
+    """Each operation on a stack equals that operation on each element."""
     rng = np.random.default_rng(3)
     xi, eta = rng.uniform(-1, 1, (2, 4, 3, group.dim))
     g, h = group.exp(xi), group.exp(eta)
@@ -239,18 +239,18 @@ def test_stacks_are_loops(group: Group) -> None:
         "coadjoint": group.coadjoint(xi, eta), "spatial_momentum": group.spatial_momentum(g, xi),
         "normalize": group.normalize(g), "from_matrix": group.from_matrix(group.matrix(g)),
     }  # fmt: skip
-    taken = {
+    arguments = {
         "compose": (g, h), "rate": (g, xi), "bracket": (xi, eta), "coadjoint": (xi, eta),
         "spatial_momentum": (g, xi), "exp": (xi,), "ad": (xi,), "from_matrix": (group.matrix(g),),
     }  # fmt: skip
     for name, whole in stacked.items():
         for i in np.ndindex(4, 3):
-            one = getattr(group, name)(*(argument[i] for argument in taken.get(name, (g,))))
+            one = getattr(group, name)(*(argument[i] for argument in arguments.get(name, (g,))))
             np.testing.assert_allclose(whole[i], one, atol=1e-15, err_msg=name)
 
 
-def test_whole_turns() -> None:
-    """A planar pose counts its turns; log, being of the group, does not."""
+def test_planar_pose_counts_full_turns() -> None:
+    """A planar pose keeps its full turns, and log returns the principal value."""
     g = SE2.compose(SE2.exp(np.array([0.0, 0.0, 3.0])), np.array([1.0, 0.0, 3.0 + 4 * np.pi]))
     assert g[2] == pytest.approx(6.0 + 4 * np.pi)
     assert SE2.log(g)[2] == pytest.approx(6.0 - 2 * np.pi)
@@ -258,27 +258,27 @@ def test_whole_turns() -> None:
     assert R.log(np.array([50.0]))[0] == 50.0
 
 
-def test_error_keeps_rotation_and_translation_apart() -> None:
-    """A quarter turn about z and a shift of (3, 4, 0) along x′: by hand."""
+def test_error_separates_rotation_and_translation() -> None:
+    """A shift by (3, 4, 0) and a quarter turn about z, computed manually."""
     g = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0])
     shifted = SE3.error(g, np.array([4.0, 6.0, 3.0, 0.0, 0.0, 0.0, 1.0]))
     assert (float(shifted.rotation), float(shifted.translation)) == (0.0, 5.0)
     half = np.sqrt(0.5)
-    turned = SE3.error(g, np.array([1.0, 2.0, 3.0, 0.0, 0.0, half, half]))
-    assert float(turned.rotation) == pytest.approx(np.pi / 2, abs=1e-15)
-    assert float(turned.translation) == pytest.approx(0.0, abs=1e-15)
+    rotated = SE3.error(g, np.array([1.0, 2.0, 3.0, 0.0, 0.0, half, half]))
+    assert float(rotated.rotation) == pytest.approx(np.pi / 2, abs=1e-15)
+    assert float(rotated.translation) == pytest.approx(0.0, abs=1e-15)
 
 
 @pytest.mark.parametrize("group", ALL, ids=repr)
-def test_poses_are_taken_in_every_form(group: Group) -> None:
+def test_pose_accepts_all_input_formats(group: Group) -> None:
     """Coordinates, Pinocchio's coordinates, homogeneous matrices and pin.SE3."""
     g = group.exp(np.linspace(0.2, 0.7, group.dim))
-    assert same(group, group.pose(g.tolist()), g)
-    assert same(group, group.pose(group.matrix(g)), g)
+    assert is_same_pose(group, group.pose(g.tolist()), g)
+    assert is_same_pose(group, group.pose(group.matrix(g)), g)
     if group.turns == 1:
-        assert same(group, group.pose([*g[:-1], np.cos(g[-1]), np.sin(g[-1])]), g)
+        assert is_same_pose(group, group.pose([*g[:-1], np.cos(g[-1]), np.sin(g[-1])]), g)
     if group in (SE3, RxSE2):
-        assert same(group, group.pose(pin.SE3(group.matrix(g))), g)
+        assert is_same_pose(group, group.pose(pin.SE3(group.matrix(g))), g)
 
 
 @pytest.mark.parametrize(
@@ -295,13 +295,15 @@ def test_poses_are_taken_in_every_form(group: Group) -> None:
         (R, [[1.0]], ShapeError, "shape"),
     ],
 )
-def test_bad_poses(group: Group, value: object, error: type[Exception], words: str) -> None:
-    """What is no pose is refused."""
+def test_pose_rejects_invalid_values(
+    group: Group, value: object, error: type[Exception], words: str
+) -> None:
+    """Wrong shapes, non-finite numbers and values outside the group are rejected."""
     with pytest.raises(error, match=words):
         group.pose(value)
 
 
-def test_unknown_group() -> None:
-    """The error lists the groups there are."""
+def test_group_named_unknown_lists_valid_names() -> None:
+    """The error message lists the valid groups."""
     with pytest.raises(InputError, match="'SE4'; the groups are R, SO2, SE2, SO3, RxSE2, SE3"):
         group_named("SE4")

@@ -152,8 +152,9 @@ def test_symmetries_of_the_curvature_tensor() -> None:
     np.testing.assert_allclose(around, 0.0, atol=1e-13 * max(1.0, size))
 
 
-def test_a_quadruped_takes_no_second() -> None:
-    """Twelve joints: the tensor, and its setting up, within a second."""
+@pytest.mark.by_hand
+def test_riemann_of_a_quadruped_takes_less_than_a_second() -> None:
+    """Measure the time for twelve joints, including the set-up."""
     pytest.importorskip("example_robot_data")
     solo = pinred.load("solo12")
     start = time.perf_counter()

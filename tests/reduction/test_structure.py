@@ -15,7 +15,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.forces import PD, Damper, PotentialEnergy, Spring, Torque, Wrench
 from pinred.forces.force import Force
-from pinred.judge.full_state import FullState
+from pinred.judge.reference_solution import FullState
 from pinred.reduction.cyclic_joints import cyclic_of
 from pinred.signals import Expression, Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow

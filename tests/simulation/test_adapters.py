@@ -145,7 +145,7 @@ def test_ipopt_finds_the_kick() -> None:
 
 def test_refusals() -> None:
     """What is no function between vectors is refused, and so are packages that are not there."""
-    with pytest.raises(InputError, match="pose0 is a point of a group"):
+    with pytest.raises(InputError, match="pose0 is an element of a group"):
         flow_of(wrt=["pose0"]).columns()
     with pytest.raises(InputError, match="no inputs with derivatives"):
         flow_of(wrt=[]).columns()

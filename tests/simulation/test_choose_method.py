@@ -13,7 +13,7 @@ import pinred
 from pinred import DOP853, AdaptiveGauss, Gauss, Radau
 from pinred.forces import PD, Controller, Damper, Limit, Spring, Torque
 from pinred.judge.distances import FullMotion
-from pinred.judge.full_state import FullState
+from pinred.judge.reference_solution import FullState
 from pinred.signals import Hold
 from pinred.simulation.choose_method import Choice
 from pinred.simulation.plan import plan_of

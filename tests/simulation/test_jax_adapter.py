@@ -16,7 +16,7 @@ import pinred
 from pinred import InputError, ShapeError
 from pinred.common.arrays import Array
 from pinred.simulation.flow_map import xla_call
-from pinred.simulation.flow_map.columns import Columns
+from pinred.simulation.flow_map.flow_columns import Columns
 
 jax: Any = pytest.importorskip("jax")
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from kicked_cat import AT, BATCH, flow_of
 
 from pinred import InputError, ShapeError
-from pinred.simulation.flow_map.columns import Columns
+from pinred.simulation.flow_map.flow_columns import Columns
 
 torch: Any = pytest.importorskip("torch")
 pytestmark = [

@@ -17,7 +17,7 @@ import pinred
 from pinred import InputError, ModelError
 from pinred.system.contents import Contents, Coupling
 from pinred.system.coupling import resolved
-from pinred.system.singular_shapes import singular_shapes
+from pinred.system.singular_mass_matrix import singular_shapes
 
 AXIS = '<axis xyz="0 0 1"/>'
 

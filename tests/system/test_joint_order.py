@@ -12,8 +12,8 @@ from trees import random_model
 
 import pinred
 from pinred.forces import Damper
-from pinred.judge.full_state import FullState
-from pinred.system.rerooting import depth_first
+from pinred.judge.reference_solution import FullState
+from pinred.system.rebuild import depth_first
 
 
 def shuffled(model: pin.Model, seed: int) -> pin.Model:

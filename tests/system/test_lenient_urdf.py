@@ -14,7 +14,7 @@ from robot_texts import AXIS, FLOATING, joint, link, robot, write
 import pinred
 from pinred import LoadError, ModelError
 from pinred.lie import SE2, SE3
-from pinred.system.admission import _CUBE
+from pinred.system.admission import WORKSPACE_BYTES
 
 LIMIT = re.compile("<limit[^>]*>")
 SAME = {  # the same robot, written otherwise
@@ -123,7 +123,7 @@ def test_the_memory_that_is_told() -> None:
         "data = pin.Data(model)\n"
         "print((held() - before) / model.nv**3)"
     )
-    assert float(python(code)) == pytest.approx(_CUBE, rel=0.25)
+    assert float(python(code)) == pytest.approx(WORKSPACE_BYTES, rel=0.25)
 
 
 SLIDES = ("prismatic", "1 0 0"), ("prismatic", "0 1 0"), ("prismatic", "0 0 1")

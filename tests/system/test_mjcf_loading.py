@@ -94,7 +94,7 @@ def test_of_several_bodies_one_is_chosen(tmp_path: Path) -> None:
     path = write(tmp_path, content)
     with pytest.warns(LeftOutWarning):
         system = pinred.load(path, root="side")
-    assert system.origin == pinred.system.system.Origin(str(path), {}, "side")
+    assert system.origin == pinred.system.contents.Origin(str(path), {}, "side")
 
 
 def test_root_is_for_mjcf() -> None:

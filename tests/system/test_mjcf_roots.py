@@ -17,7 +17,7 @@ from pinred import ModelError
 from pinred.common.arrays import Array
 from pinred.lie import GROUPS
 from pinred.system.joints import motion_group
-from pinred.system.mjcf.keyframes import keyframes_of
+from pinred.system.mjcf.read import keyframes_of
 from pinred.system.mjcf.tree import Tree
 
 # the group of each root; how many joints of the carrying body are left for the shape
@@ -217,7 +217,7 @@ def test_rotors_of_the_base(name: str) -> None:
     assert len(tree.root.joints) == joints.count("<joint")
     errors = worst(tree)
     assert errors.worst < EXACT, errors
-    assert tree.root.weight != pin.Inertia.Zero() or name == "hinge"
+    assert tree.root.rotors != pin.Inertia.Zero() or name == "hinge"
 
 
 # joints of the carrying body, gravity, and what the refusal says

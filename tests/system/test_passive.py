@@ -10,8 +10,7 @@ import pytest
 
 import pinred
 from pinred.forces import Damper, Friction
-from pinred.system.model_passive import UNEVEN
-from pinred.system.passive import BASE
+from pinred.system.passive import BASE, UNEVEN
 
 _INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
 

@@ -12,11 +12,11 @@ import numpy as np
 from ...common.errors import IntegrationError, PinredError
 from ...common.progress import Progress, quiet, shown
 from ...judge.distances import FullMotion
-from .drift import drift
+from .conservation_drift import compute_drift
 from .problems import Problem
 from .reference import Reference, reference_of
 from .scenes import problems_named
-from .solver import Prepared, Solver
+from .solver import PreparedRun, Solver
 from .timing import alternating, repeated
 from .work_precision import Point, WorkPrecision
 
@@ -96,7 +96,7 @@ def bench_problem(
     truth = reference_of(problem)
     progress(0.1)
     points: list[Point] = []
-    running: list[tuple[int, Prepared]] = []
+    running: list[tuple[int, PreparedRun]] = []
     for k, method in enumerate(able):
         for point, prepared in _first_runs(problem, truth, method, tolerances, effort):
             if prepared is not None:
@@ -131,7 +131,7 @@ def _first_runs(
     method: Solver,
     tolerances: Sequence[float] | None,
     effort: Effort,
-) -> Iterator[tuple[Point, Prepared | None]]:
+) -> Iterator[tuple[Point, PreparedRun | None]]:
     """Yield the points of a method, judged but not timed, with what runs them again."""
     if tolerances is None or method.fixed:
         wanted = method.tolerances[:: effort.every]
@@ -156,7 +156,7 @@ def _first_runs(
             slow = f"not run: a coarser one took {took:.2g} s, and {effort.patience:g} s is all"
 
 
-def _timed(prepared: Prepared) -> tuple[object, float]:
+def _timed(prepared: PreparedRun) -> tuple[object, float]:
     began = time.perf_counter()
     found = prepared.run()
     return found, time.perf_counter() - began
@@ -167,7 +167,7 @@ def _judged(
     truth: Reference,
     method: str,
     tolerance: float,
-    prepared: Prepared,
+    prepared: PreparedRun,
     found: object,
 ) -> Point:
     """Return the point of a first run, without its time.  Raises IntegrationError."""
@@ -175,7 +175,7 @@ def _judged(
     if not all(np.isfinite(part).all() for part in (end.x, end.q, end.v)):
         raise IntegrationError("the end is not finite")
     apart = problem.full.distance(truth.end, FullMotion(x=end.x[None], q=end.q[None]))
-    changed = drift(problem, end.q, end.v)
+    changed = compute_drift(problem, end.q, end.v)
     return Point(
         method=method,
         tolerance=tolerance,

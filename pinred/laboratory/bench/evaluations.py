@@ -25,7 +25,7 @@ from ...common.errors import InputError, IntegrationError
 from ...common.progress import Progress, one_by_one
 from ...integrators.methods import METHODS, AdaptiveGauss, Explicit
 from ...judge.distances import FullMotion
-from ...judge.full_state import FINEST
+from ...judge.reference_solution import FINEST
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...system.state_fields import with_base

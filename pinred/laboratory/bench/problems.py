@@ -10,9 +10,10 @@ import numpy as np
 
 from ...common.arrays import Array, freeze
 from ...judge.distances import FullMotion
-from ...judge.full_state import FullState
+from ...judge.reference_solution import FullState
 from ...scene.scene import Scene
-from ...system.system import InitialState, System
+from ...system.coordinates import InitialState
+from ...system.system import System
 
 
 @dataclass(frozen=True)

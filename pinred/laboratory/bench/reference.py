@@ -17,7 +17,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...judge.distances import FullMotion
-from ...judge.full_state import FINEST
+from ...judge.reference_solution import FINEST
 from ...system.state_fields import with_base
 from .problems import Problem
 from .taylor import has_heyoka, reduced_graph, taylor_expressions

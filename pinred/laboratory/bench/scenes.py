@@ -10,8 +10,8 @@ import numpy as np
 from ...common.errors import InputError
 from ...scene.random_state import random_state
 from ...system.catalogue import INSTALL_ROBOTS, bundled_robots, has_example_robots
+from ...system.coordinates import InitialState
 from ...system.load import load
-from ...system.system import InitialState
 from .chains import chain
 from .problems import Problem
 

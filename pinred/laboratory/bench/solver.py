@@ -27,7 +27,7 @@ class End:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedRun:
     """A method ready to run a problem at a tolerance.
 
     run: what is timed, from the initial values to the end; raises IntegrationError if it
@@ -52,7 +52,7 @@ class Solver:
     name: str
     about: str
     tolerances: tuple[float, ...]
-    prepare: Callable[[Problem, float], Prepared]
+    prepare: Callable[[Problem, float], PreparedRun]
     missing: Callable[[Problem], str] = lambda _: ""
     fixed: bool = False
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ...common.errors import InputError
-from .own_methods import OWN
 from .peers.aba import ABA
 from .peers.cvodes import CVODES
 from .peers.drake import DRAKE
 from .peers.exudyn import EXUDYN
 from .peers.heyoka import HEYOKA, HEYOKA_SLOW
 from .peers.mujoco import MUJOCO
+from .pinred_methods import OWN
 from .solver import Solver
 
 SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA)

@@ -11,6 +11,7 @@ from ...common.arrays import Array
 from ...common.progress import Progress, quiet
 from ...kernels.evaluate import repeat
 from ...kernels.kernel import Kernel
+from ...kernels.object_cache import ObjectCache
 
 ROUNDS = 15  # of which the median counts
 SPAN = 0.01  # s, at least, of one action in a round
@@ -18,7 +19,7 @@ LOADING = 20.0  # s, at most, that a first call may take to compile or load what
 FEWEST = 3  # rounds in which even a slow action takes part
 
 
-class NoCache:
+class NoCache(ObjectCache):
     """A cache of kernels that keeps nothing, so that building is measured."""
 
     def get(self, key: str) -> None:

@@ -162,7 +162,7 @@ class _Pair:
         M = M[np.ix_(self._dofs, self._dofs)]
         H = symmetric(pin.crba(model, data, q))
         a, v = rng.normal(size=len(rates)), T @ rates
-        compensation = 0.0 if self._felt.partly else d.qfrc_gravcomp
+        compensation = 0.0 if self._felt.is_uneven else d.qfrc_gravcomp
         bias = (d.qfrc_bias - compensation)[self._dofs]
         still = T.T @ pin.rnea(model, data, q, v, drift)
         moved = T.T @ pin.rnea(model, data, q, v, T @ a + drift)

@@ -23,8 +23,8 @@ from ...simulation.simulate import simulate
 from ...system.load import load
 from ...system.mjcf.package import mujoco_package
 from ...system.system import System
-from .entry import Entry
-from .files import Description
+from .corpus_entry import Entry
+from .description_files import Description
 from .scope import why_not_due
 from .second_reader import Differences, differences
 

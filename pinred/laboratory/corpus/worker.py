@@ -13,8 +13,8 @@ import time
 from multiprocessing.connection import Connection
 from types import TracebackType
 
-from .entry import Entry
-from .files import Description
+from .corpus_entry import Entry
+from .description_files import Description
 from .trial import Wanted, tried
 
 _WARM = 60.0  # s in which a new process may import what it needs, beside its first trial

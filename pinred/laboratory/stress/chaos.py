@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...judge.defect import defect
+from ...judge.step_defects import largest_defect
 from ...system.load import load
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
 
@@ -35,7 +35,7 @@ def _cases(trial: Trial) -> Cases:
                     method=method,
                     **tolerance(rtol),
                 )
-                found = defect(traj, system) / rtol
+                found = largest_defect(traj, system) / rtol
                 bound = DEFECT + _ROUNDING * EPS / rtol
                 yield Case(f"{name}, {traj.run.method}, {duration:g} s, {rtol:.0e}", found, bound)
 

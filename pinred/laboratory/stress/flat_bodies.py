@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ...common.arrays import Array
-from ...judge.defect import defect
+from ...judge.step_defects import largest_defect
 from .check import DEFECT, PER_RADIAN, Case, Cases, Check, Trial, tolerance
 from .closed_forms import euler_top
-from .made_robots import TUMBLING, body, single, tumbling_arm
+from .generated_robots import TUMBLING, body, single, tumbling_arm
 
 _RTOL = 1e-10
 _TIMES = np.linspace(0.0, 10.0, 41)
@@ -33,7 +33,7 @@ def _cases(trial: Trial) -> Cases:
 def _tumbling(trial: Trial, moments: Array) -> float:
     system = tumbling_arm("flat", [body(1.0, [0.1, 0.05, 0.0], moments)] * 4)
     traj = trial.simulate(system, **TUMBLING, duration=5.0, **tolerance(_RTOL))
-    return defect(traj, system) / _RTOL
+    return largest_defect(traj, system) / _RTOL
 
 
 CHECK = Check("flat_bodies", "error of body rates, or defect of a step, per tolerance", _cases)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...judge.defect import defect
+from ...judge.step_defects import largest_defect
 from ..bench.chains import chain
 from .check import DEFECT, Case, Cases, Check, Trial, tolerance
 
@@ -23,7 +23,7 @@ def _cases(trial: Trial) -> Cases:
             duration=0.5,
             **tolerance(_RTOL),
         )
-        found = defect(traj, system, steps=trial.pick(5, 20)) / _RTOL
+        found = largest_defect(traj, system, max_steps=trial.pick(5, 20)) / _RTOL
         yield Case(f"{family}, {joints} joints", found, DEFECT)
 
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...judge.defect import defect
+from ...judge.step_defects import largest_defect
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
-from .made_robots import TUMBLING, body, tumbling_arm
+from .generated_robots import TUMBLING, body, tumbling_arm
 from .sprung_discs import SprungDiscs
 
 _RTOL = 1e-10
@@ -30,7 +30,7 @@ def _cases(trial: Trial) -> Cases:
                 )
                 traj = trial.simulate(system, **TUMBLING, duration=2.0, **tolerance(_RTOL))
                 steps = trial.pick(50, 200)
-                found = defect(traj, system, steps=steps) / _RTOL
+                found = largest_defect(traj, system, max_steps=steps) / _RTOL
                 yield Case(f"{what} {name}, 1 : {ratio:.0e}, defect", found, bound)
         for moments in ((1.0, 1.0 / ratio), (1.0 / ratio, 1.0)):
             yield _swinging(trial, np.array(moments), f"discs {moments[0]:g} : {moments[1]:g}")

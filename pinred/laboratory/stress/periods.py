@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .check import Case, Cases, Check, Trial, tolerance
-from .energy import swings
+from .energy_drift import swings
 
 _RTOL = 1e-12
 _PER_PERIOD = 10.0  # the drift of energy may be the tolerance in each step …

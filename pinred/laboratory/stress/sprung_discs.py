@@ -12,7 +12,7 @@ from ...simulation.trajectory import Trajectory
 from ...system.state_fields import State
 from ...system.system import System
 from .closed_forms import discs
-from .made_robots import disc_stack
+from .generated_robots import disc_stack
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,11 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.arrays import Array
-from ...judge.defect import defect
+from ...judge.step_defects import largest_defect
 from ...reduction.inertia_split import symmetric
 from ...system.system import System
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
-from .made_robots import body, serial
+from .generated_robots import body, serial
 
 _RTOL = 1e-10
 _ROUNDING = 10.0  # of eps times the condition of the locked inertia
@@ -32,7 +32,9 @@ def _cases(trial: Trial) -> Cases:
             condition = max(_condition(system, q) for q in traj.q[::20])
             bound = DEFECT + _ROUNDING * EPS * condition / _RTOL
             yield Case(
-                f"thin to {thin:.0e}, bent by {bend:.0e}", defect(traj, system) / _RTOL, bound
+                f"thin to {thin:.0e}, bent by {bend:.0e}",
+                largest_defect(traj, system) / _RTOL,
+                bound,
             )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from .check import PER_RADIAN, Case, Cases, Check, Trial, dop853, tolerance
 from .closed_forms import euler_top
-from .made_robots import single
+from .generated_robots import single
 from .sprung_discs import SprungDiscs
 
 _RTOL = 1e-10

@@ -10,8 +10,8 @@ from ...common.arrays import Array
 from ...judge.distances import FullMotion
 from ...scene.scene import Scene
 from ...system.load import load
+from .aba_reference import truth_of
 from .check import Case, Cases, Check, Trial, tolerance
-from .full_truth import truth_of
 
 _RTOL = 1e-10
 _DIRECTION = {

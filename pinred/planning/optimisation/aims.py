@@ -14,10 +14,10 @@ from ...common.plain_names import brief
 from ...lie.group import Group
 from ...lie.rotations import (
     conjugate,
+    left_jacobian_inverse,
     quaternion_exp,
     quaternion_log,
     quaternion_product,
-    turning_inverse,
     unit,
 )
 
@@ -66,7 +66,7 @@ class Along:
             slope[k] = self.axis[0]
             return float(self.axis[0] * pose[k]), slope
         w = quaternion_log(pose[k:])
-        slope[k:] = self.axis @ turning_inverse(-w)
+        slope[k:] = self.axis @ left_jacobian_inverse(-w)
         return float(self.axis @ w), slope
 
 
@@ -94,7 +94,7 @@ class Reach:
             else:
                 w = rotation_between(self.attitude, pose[k:])
                 parts.append(w)
-                rows[:, k:] = turning_inverse(-w)
+                rows[:, k:] = left_jacobian_inverse(-w)
             slopes.append(rows)
         if self.position is not None:
             parts.append(pose[:k] - self.position)

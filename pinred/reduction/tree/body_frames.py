@@ -18,8 +18,8 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.memo import once
 from ...system.joints import axes_of, is_prismatic
-from ...system.other_inertias import nominal
 from ...system.system import System
+from ...system.variants import nominal
 from .scalars import Scalar, Sym, Vec
 
 _SNAP = 4e-16  # relative: what is round-off of a rotation's entries

@@ -20,9 +20,9 @@ from ...kernels.wide_rate import wide_rate
 from ...reduction.base_parts import into_body, root_of
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
-from ...system.other_inertias import nominal
+from ...system.coordinates import Indices
 from ...system.state_fields import ShapeState, State
-from ...system.system import Indices
+from ...system.variants import nominal
 from ..plan import NO_DIFFERENCES, Kind, MemberParameters, Plan
 from ..reduced_flow import entry_name
 from ..sample import Sample
@@ -83,11 +83,11 @@ class CompiledFlow:
         where, out = self.kernel.where, self.kernel.evaluate_outputs(t, y, parameters, self.path)
         weight = out[where.weight] if where.weight.stop > where.weight.start else np.zeros(3)
         base = None
-        if self.kernel.layout.wanted:
-            twist = out[where.v][: self.kernel.system.r]
-            momenta = out[where.body_momentum], out[where.spatial_momentum]
-            base = BaseInSpace(out[where.pose], twist, *momenta)
-        return Sample(out[where.x], out[where.xdot], out[where.xi], out[where.mu], weight, base)
+        if self.kernel.layout.base_requested:
+            fields = ("pose", "xi", "body_momentum", "spatial_momentum")
+            base = BaseInSpace(*(out[where.fields[name]] for name in fields))
+        x, xdot = out[where.fields["x"]], out[where.xdot]
+        return Sample(x, xdot, out[where.xi], out[where.mu], weight, base)
 
     def outputs(self, t: Array, y: Array, parameters: Array | None = None) -> Array:
         """Return the kernel's outputs, (T, ·), at times (T,) and reduced states (T, k)."""
@@ -112,22 +112,9 @@ class CompiledFlow:
         """
         system, where = self.kernel.system, self.kernel.where
         out = self.outputs(t, y, parameters)
-        x, xdot, energy = out[:, where.x], out[:, where.xdot], out[:, -1]
-        if not self.kernel.layout.wanted:
-            return ShapeState(t=t.copy(), x=x, xdot=xdot, energy=energy)
-        v = out[:, where.v]
-        return State(
-            t=t.copy(),
-            x=x,
-            xdot=xdot,
-            xi=v[:, : system.r],
-            pose=out[:, where.pose],
-            q=system.given_q(out[:, where.q]),
-            v=system.given_v(v),
-            body_momentum=out[:, where.body_momentum],
-            spatial_momentum=out[:, where.spatial_momentum],
-            energy=energy,
-        )
+        kind = State if self.kernel.layout.base_requested else ShapeState
+        fields = {name: where.read_field(name, out, system) for name in where.fields}
+        return kind(t=t.copy(), **fields)
 
     def rates(self, t: Array, y: Array, parameters: Array) -> Array:  # noqa: ARG002
         """Return dy/dt, (T, k), at reduced states (T, k), which contain the time if it matters."""
@@ -144,7 +131,7 @@ class CompiledFlow:
     def shape(self, t: float, y: Array, parameters: Array) -> Array:
         """Return the shape (m,) of a reduced state (k,) at time t [s]."""
         out = self.kernel.evaluate_outputs(t, y, parameters, self.path)
-        return np.asarray(out[self.kernel.where.x])
+        return np.asarray(out[self.kernel.where.fields["x"]])
 
     def entry_name(self, entry: int) -> str:
         """Return the name of an entry of the reduced state, for messages."""
@@ -255,7 +242,7 @@ def _set_up(
     numbers = plan.numbers if own.numbers is None else own.numbers
     path = _rows(len(x), [start.c0, start.v0, fall])
     pieces = [start.fixed[:, : base.spin], start.pi[:, cyclic], gravity[..., list(layout.gravity)]]
-    parameters = _rows(len(x), [*pieces, bodies, path[:, : layout.line], numbers])
+    parameters = _rows(len(x), [*pieces, bodies, path[:, : layout.com_path], numbers])
     y0 = np.concatenate(state, axis=1)
     finite_start(y0, parameters, path)
     return CompiledFlow(kernel, y0, parameters, path)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...common.arrays import Array
-from .columns import Columns
+from .flow_columns import Columns
 
 FIRST_ORDER = "flows have derivatives of first order only, and a second was asked for"
 

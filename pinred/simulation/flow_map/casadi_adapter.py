@@ -1,4 +1,4 @@
-"""A flow as a CasADi Callback with derivatives, for optimal control by IPOPT and others."""
+"""A flow as a CasADi Callback with derivatives, for optimal control with IPOPT and others."""
 
 from __future__ import annotations
 
@@ -9,24 +9,33 @@ import casadi as ca
 import numpy as np
 
 from ...common.arrays import Array
-from .columns import Columns
+from .flow_columns import Columns
 
 _Evaluation = Callable[[Sequence[Array]], Sequence[Array]]
-_Sizes = Sequence[tuple[int, int]]
+_Shapes = Sequence[tuple[int, int]]
 
 
 class FlowCallback(ca.Callback):
-    """A flow as a Function: its inputs by name as columns, one output `y`; with derivatives.
+    """A flow as a CasADi Function with derivatives of first order.
 
-    These are its Jacobian, and its derivatives along directions and back, of first order.
-    columns: what stands where.  The Callback has to live as long as what is made of it.
+    Its inputs are those of the flow by name, as columns, and its output is the column `y`.  It has
+    a Jacobian and forward and reverse derivatives.  Keep the object alive as long as expressions
+    use it, for CasADi does not.
+
+    Attributes:
+        columns: The flow between vectors, with the order of inputs and outputs.
     """
 
     def __init__(self, columns: Columns, name: str) -> None:
-        """Take a flow between columns and the name of the Function."""
+        """Build the Function.
+
+        Args:
+            columns: The flow between vectors.
+            name: Name of the Function.
+        """
         ca.Callback.__init__(self)
         self.columns = columns
-        self._derivatives: list[Any] = []  # CasADi does not keep them alive
+        self._derivatives: list[Any] = []  # CasADi does not keep derivatives alive.
         self.construct(name, {})
 
     def get_n_in(self) -> int:
@@ -38,7 +47,7 @@ class FlowCallback(ca.Callback):
         return 1
 
     def get_name_in(self, i: int) -> str:
-        """Return the name of an input, as CasADi allows it."""
+        """Return the name of input i, with underscores for the dots that CasADi rejects."""
         return str(self.columns.names[i]).replace(".", "_")
 
     def get_name_out(self, _i: int) -> str:
@@ -46,118 +55,151 @@ class FlowCallback(ca.Callback):
         return "y"
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """Return a dense column."""
+        """Return the shape of input i, a dense column."""
         return ca.Sparsity.dense(self.columns.sizes[i], 1)
 
     def get_sparsity_out(self, _i: int) -> ca.Sparsity:
-        """Return a dense column."""
+        """Return the shape of the output, a dense column."""
         return ca.Sparsity.dense(self.columns.size, 1)
 
     def eval(self, arguments: Any) -> list[Any]:
-        """Return the output."""
+        """Compute the output."""
         return [ca.DM(self.columns.value(*map(np.array, arguments)))]
 
     def has_jacobian(self) -> bool:
-        """Return that there is a Jacobian."""
+        """Return True: there is a Jacobian."""
         return True
 
     def get_jacobian(self, name: str, inames: Any, onames: Any, _options: Any) -> ca.Function:
-        """Return the Jacobian as a Function of the inputs, and of outputs that it does not read."""
-        columns = self.columns
-        given = [(size, 1) for size in columns.sizes]
-        out = [(columns.size, size) for size in columns.sizes]
+        """Return the Jacobian as a Function of the inputs and the output.
 
-        def call(arguments: Sequence[Array]) -> Sequence[Array]:
+        Args:
+            name: Name of the Function.
+            inames: Names of its inputs.
+            onames: Names of its outputs.
+        Returns:
+            Function that does not read the output.
+        """
+        columns = self.columns
+        inputs = [(size, 1) for size in columns.sizes]
+        outputs = [(columns.size, size) for size in columns.sizes]
+
+        def evaluate(arguments: Sequence[Array]) -> Sequence[Array]:
             return columns.jacobian(*arguments)
 
-        return self._made(name, inames, onames, [given, []], out, call)
+        return self._derivative(name, inames, onames, [inputs, []], outputs, evaluate)
 
     def has_forward(self, _count: int) -> bool:
-        """Return that there are derivatives along directions."""
+        """Return True: there are forward derivatives."""
         return True
 
     def get_forward(
         self, count: int, name: str, inames: Any, onames: Any, _options: Any
     ) -> ca.Function:
-        """Return the derivatives along so many directions, which stand side by side."""
+        """Return the derivatives along `count` directions, one in each column.
+
+        Args:
+            count: Number of directions.
+            name: Name of the Function.
+            inames: Names of its inputs.
+            onames: Names of its outputs.
+        Returns:
+            Function of the inputs, the output and the directions.
+        """
         columns = self.columns
-        given = [(size, 1) for size in columns.sizes]
-        along = [(size, count) for size in columns.sizes]
+        inputs = [(size, 1) for size in columns.sizes]
+        directions = [(size, count) for size in columns.sizes]
 
-        def call(arguments: Sequence[Array]) -> Sequence[Array]:
-            own, directions = arguments[: len(given)], arguments[len(given) :]
-            return [columns.jvp(own, [each.T for each in directions]).T]
+        def evaluate(arguments: Sequence[Array]) -> Sequence[Array]:
+            values, along = arguments[: len(inputs)], arguments[len(inputs) :]
+            return [columns.jvp(values, [direction.T for direction in along]).T]
 
-        return self._made(name, inames, onames, [given, along], [(columns.size, count)], call)
+        shapes = [inputs, directions]
+        return self._derivative(name, inames, onames, shapes, [(columns.size, count)], evaluate)
 
     def has_reverse(self, _count: int) -> bool:
-        """Return that there are derivatives back."""
+        """Return True: there are reverse derivatives."""
         return True
 
     def get_reverse(
         self, count: int, name: str, inames: Any, onames: Any, _options: Any
     ) -> ca.Function:
-        """Return the derivatives of so many covectors · output, which stand side by side."""
+        """Return the derivatives of `count` products covector · output, one in each column.
+
+        Args:
+            count: Number of covectors.
+            name: Name of the Function.
+            inames: Names of its inputs.
+            onames: Names of its outputs.
+        Returns:
+            Function of the inputs, the output and the covectors.
+        """
         columns = self.columns
-        given = [(size, 1) for size in columns.sizes]
-        out = [(size, count) for size in columns.sizes]
+        inputs = [(size, 1) for size in columns.sizes]
+        outputs = [(size, count) for size in columns.sizes]
 
-        def call(arguments: Sequence[Array]) -> Sequence[Array]:
-            own, covectors = arguments[: len(given)], arguments[len(given)]
-            return [each.T for each in columns.vjp(own, covectors.T)]
+        def evaluate(arguments: Sequence[Array]) -> Sequence[Array]:
+            values, covectors = arguments[: len(inputs)], arguments[len(inputs)]
+            return [derivative.T for derivative in columns.vjp(values, covectors.T)]
 
-        return self._made(name, inames, onames, [given, [(columns.size, count)]], out, call)
+        shapes = [inputs, [(columns.size, count)]]
+        return self._derivative(name, inames, onames, shapes, outputs, evaluate)
 
-    def _made(
+    def _derivative(
         self,
         name: str,
         inames: Any,
         onames: Any,
-        given: Sequence[_Sizes],
-        out: _Sizes,
-        call: _Evaluation,
+        inputs: Sequence[_Shapes],
+        outputs: _Shapes,
+        evaluate: _Evaluation,
     ) -> ca.Function:
-        """Return a derivative, kept alive; given: the sizes before and after the output."""
-        places = [
-            *(ca.Sparsity.dense(*size) for size in given[0]),
-            ca.Sparsity(self.columns.size, 1),  # the output, which it does not read
-            *(ca.Sparsity.dense(*size) for size in given[1]),
+        """Build a derivative and keep it alive.
+
+        inputs: shapes of the arguments before and after the output.
+        """
+        sparsities = [
+            *(ca.Sparsity.dense(*shape) for shape in inputs[0]),
+            ca.Sparsity(self.columns.size, 1),  # The output, which no derivative reads.
+            *(ca.Sparsity.dense(*shape) for shape in inputs[1]),
         ]
-        unread = len(given[0])
+        unread = len(inputs[0])
 
-        def read(arguments: Any) -> list[Any]:
-            arrays = [np.array(each) for each in arguments]
-            return [ca.DM(part) for part in call(arrays[:unread] + arrays[unread + 1 :])]
+        def call(arguments: Any) -> list[Any]:
+            arrays = [np.array(argument) for argument in arguments]
+            results = evaluate(arrays[:unread] + arrays[unread + 1 :])
+            return [ca.DM(result) for result in results]
 
-        made: ca.Function = _Derivative(
-            name, [*inames], [*onames], places, [ca.Sparsity.dense(*size) for size in out], read
-        )
-        self._derivatives.append(made)
-        return made
+        derivative: ca.Function = _Derivative(
+            name, [*inames], [*onames], sparsities,
+            [ca.Sparsity.dense(*shape) for shape in outputs], call,
+        )  # fmt: skip
+        self._derivatives.append(derivative)
+        return derivative
 
 
 class _Derivative(ca.Callback):
-    """A derivative of a FlowCallback, by the names that CasADi has for its inputs and outputs."""
+    """A derivative of a FlowCallback, with the names that CasADi asks for."""
 
     def __init__(
         self,
         name: str,
         inames: list[str],
         onames: list[str],
-        given: list[ca.Sparsity],
-        out: list[ca.Sparsity],
+        inputs: list[ca.Sparsity],
+        outputs: list[ca.Sparsity],
         call: Callable[..., Any],
     ) -> None:
         ca.Callback.__init__(self)
-        self._inames, self._onames, self._given, self._out = inames, onames, given, out
+        self._inames, self._onames, self._inputs, self._outputs = inames, onames, inputs, outputs
         self._call = call
         self.construct(name, {})
 
     def get_n_in(self) -> int:
-        return len(self._given)
+        return len(self._inputs)
 
     def get_n_out(self) -> int:
-        return len(self._out)
+        return len(self._outputs)
 
     def get_name_in(self, i: int) -> str:
         return str(self._inames[i])
@@ -166,10 +208,10 @@ class _Derivative(ca.Callback):
         return str(self._onames[i])
 
     def get_sparsity_in(self, i: int) -> Any:
-        return self._given[i]
+        return self._inputs[i]
 
     def get_sparsity_out(self, i: int) -> Any:
-        return self._out[i]
+        return self._outputs[i]
 
     def eval(self, arguments: Any) -> list[Any]:
         return list(self._call(arguments))

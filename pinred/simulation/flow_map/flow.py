@@ -13,10 +13,10 @@ from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, ShapeError
 from ...common.plain_names import brief
 from ...common.signatures import shows_fields
-from ...kernels.flow_functions import Outcome, sizes_of
+from ...kernels.flow_functions import sizes_of
 from ...scene.options import SceneOptions
 from ...scene.scene import Scene
-from ...system.state_fields import ShapeState, State
+from ...system.state_fields import FIELDS, Outcome, ShapeState, State
 from ...system.system import System
 from ..plan import plan_of
 from ..simulate import as_scene
@@ -25,7 +25,7 @@ from .propagator import Propagator, Run
 
 if TYPE_CHECKING:
     from .casadi_adapter import FlowCallback
-    from .columns import Columns
+    from .flow_columns import Columns
     from .step_map import StepMap
 
 _ROWS: tuple[Outcome, ...] = get_args(Outcome)
@@ -160,9 +160,9 @@ class Flow:
 
     def columns(self) -> Columns:
         """Return the flow between plain columns of numbers, in the order of `inputs`."""
-        from .columns import Columns
+        from .flow_columns import Columns
 
-        return Columns(self)
+        return Columns(self, self.propagator, self.input_map, self.run)
 
     def casadi(self, name: str = "flow") -> FlowCallback:
         """Return the flow as a CasADi Callback with derivatives; see `columns`.
@@ -240,8 +240,8 @@ def flow(
     scene, options: as for `simulate`.  The flow gives the state at the end, or at `times`, if the
     scene has them.
     wrt: names of the inputs that are to have derivatives.
-    of: the rows of derivatives, names of State's fields: x, xdot, pose, xi (these four if None),
-        body_momentum, spatial_momentum, energy.
+    of: the rows of derivatives, names of State's fields other than t, q and v; x, xdot, pose and xi
+        if None.
 
     Raises InputError for scenes that have none: with Controllers, which are functions of Python,
     or with methods other than DOP853, Tsit5, Gauss and AdaptiveGauss.
@@ -265,7 +265,7 @@ def _stays_zero(scene: Scene, wrt: Sequence[str]) -> bool:
 
 
 def _checked_rows(of: Sequence[Outcome] | None, *, wanted: bool) -> tuple[Outcome, ...]:
-    known = _ROWS if wanted else (*_SHAPE, "energy")
+    known = [name for name in _ROWS if wanted or not FIELDS[name].needs_base]
     if of is None:
         return _ALL if wanted else _SHAPE
     rows: tuple[Any, ...] = (of,) if isinstance(of, str) else tuple(of)

@@ -29,7 +29,7 @@ class InitialMap:
         self._address = self._function.value.address
         self._cuts = [layout.size, layout.size + layout.gravity_at]
         self._size, self._fall = self._cuts[1] + 2 * k, k
-        self._hole, self._path = layout.line_at - layout.gravity_at, layout.line
+        self._hole, self._path = layout.com_path_at - layout.gravity_at, layout.com_path
 
     def __call__(self, given: Given, t: float = 0.0) -> CompiledFlow:
         """Return the flow that starts from inputs.

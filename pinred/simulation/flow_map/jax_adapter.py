@@ -1,4 +1,4 @@
-"""A flow as a function of JAX: under jit, grad, jvp and vmap, a call of XLA for each."""
+"""A flow as a JAX function: one XLA call under jit, grad, jvp and vmap."""
 
 from __future__ import annotations
 
@@ -12,105 +12,117 @@ from ...common.errors import InputError, MissingPackageError
 from ...common.memo import once_for_all
 from . import xla_call
 from .batched import FIRST_ORDER, Batched
-from .columns import Columns
+from .flow_columns import Columns
 
-_OLDEST = (0, 10, 0)
+_OLDEST = (0, 10, 0)  # Oldest version of JAX with the call frames that xla_call reads.
 
 
 def jax_function(columns: Columns) -> Callable[..., Any]:
-    """Return f(*columns, **columns) → output, with derivatives of first order in both modes.
+    """Build the JAX function of a flow, with derivatives of first order in both modes.
 
-    Numbers come and go as JAX's floats, in single precision unless jax_enable_x64 is set; between,
-    they are doubles.  It runs on the processor.  Raises MissingPackageError without JAX.
+    It takes and returns JAX's floats, in single precision unless jax_enable_x64 is set.  The flow
+    itself runs in double precision on the processor.
+
+    Args:
+        columns: The flow between vectors.
+    Returns:
+        f(*columns, **columns) → output.
+    Raises:
+        MissingPackageError: JAX is not installed, or too old.
     """
     try:
         import jax
         import jax.numpy as jnp
     except ImportError as missing:
         raise MissingPackageError("this needs JAX: pip install jax") from missing
-    if jax.__version_info__ < _OLDEST:  # whose call frames are others
+    if jax.__version_info__ < _OLDEST:
         raise MissingPackageError(f"this needs JAX 0.10 or newer, and {jax.__version__} is there")
     primitives = _primitives()
-    numbers = tuple(map(xla_call.numbered, _calls(columns)))
+    numbers = tuple(map(xla_call.numbered, _xla_functions(columns)))
 
-    def flow(*given: Any, **named: Any) -> Any:
+    def flow(*positional: Any, **named: Any) -> Any:
         arrays = []
-        for k, value in enumerate(columns.arranged(given, named)):
+        for k, value in enumerate(columns.arranged(positional, named)):
             array = jnp.asarray(value)
             if not (jnp.issubdtype(array.dtype, jnp.floating) or array.dtype.kind in "iu"):
                 raise InputError(f"{columns.names[k]} must be real numbers, got {array.dtype}")
             columns.refuse_shape(k, array.shape)
             arrays.append(jnp.reshape(array, (-1,)).astype(float))
-        (out,) = primitives.value.bind(*arrays, numbers=numbers, sizes=(columns.size,))
-        return out
+        (output,) = primitives.value.bind(*arrays, numbers=numbers, sizes=(columns.size,))
+        return output
 
     return flow
 
 
-def _calls(columns: Columns) -> list[xla_call.Function]:
-    """Return what XLA calls: value, derivatives along directions, which follow the columns, back.
+def _xla_functions(columns: Columns) -> list[xla_call.Function]:
+    """Return the functions that XLA calls: value, jvp and vjp.
 
-    Of the last, a covector follows the columns.
+    The arguments of jvp are the inputs and their directions, those of vjp the inputs and a covector
+    of the output.
     """
     batched, count, n = Batched(columns), len(columns.sizes), sum(columns.sizes)
 
     def value(inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
         outputs[0][...] = batched.value(inputs)
 
-    def along(inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
+    def jvp(inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
         outputs[0][...] = batched.along(inputs[:count], inputs[count:])
 
-    def back(inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
-        found = batched.back(inputs[:count], inputs[count])
-        for out, slope in zip(outputs, found, strict=True):
-            out[...] = slope
+    def vjp(inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
+        derivatives = batched.back(inputs[:count], inputs[count])
+        for output, derivative in zip(outputs, derivatives, strict=True):
+            output[...] = derivative
 
     return [
         xla_call.Function(columns.value_of, n, value),
-        xla_call.Function(lambda both: columns.along_of(both[:n], both[n:]), 2 * n, along),
-        xla_call.Function(lambda both: columns.back_of(both[:n], both[n:]), n + columns.size, back),
+        xla_call.Function(lambda both: columns.jvp_of(both[:n], both[n:]), 2 * n, jvp),
+        xla_call.Function(lambda both: columns.vjp_of(both[:n], both[n:]), n + columns.size, vjp),
     ]
 
 
 class _Primitives:
-    """The three functions as JAX knows them; parameters: their numbers and the sizes of outputs.
+    """The JAX primitives of value, jvp and vjp.
 
-    Batches are leading axes, and what has none there has a one, so that a call is one call.
+    Their parameters are the numbers of the three functions and the sizes of outputs.  Batch axes
+    lead; arguments without them have length one there, so that a batch is a single call.
     """
 
     def __init__(self) -> None:
         from jax.extend.core import Primitive
         from jax.interpreters import ad
 
-        self.value = self._made(Primitive("pinred_flow"), 0)
-        self.along = self._made(Primitive("pinred_flow_along"), 1)
-        self.back = self._made(Primitive("pinred_flow_back"), 2)
+        self.value = self._register(Primitive("pinred_flow"), 0)
+        self.jvp = self._register(Primitive("pinred_flow_along"), 1)
+        self.vjp = self._register(Primitive("pinred_flow_back"), 2)
 
-        def push(primals: Any, tangents: Any, *, numbers: Any, sizes: Any) -> Any:
-            out = self.value.bind(*primals, numbers=numbers, sizes=sizes)
-            along = [ad.instantiate_zeros(tangent) for tangent in tangents]
-            return out, self.along.bind(*primals, *along, numbers=numbers, sizes=sizes)
+        def differentiate_value(primals: Any, tangents: Any, *, numbers: Any, sizes: Any) -> Any:
+            output = self.value.bind(*primals, numbers=numbers, sizes=sizes)
+            directions = [ad.instantiate_zeros(tangent) for tangent in tangents]
+            return output, self.jvp.bind(*primals, *directions, numbers=numbers, sizes=sizes)
 
-        def pull(covectors: Any, *given: Any, numbers: Any, sizes: Any) -> Any:
+        def transpose_jvp(covectors: Any, *arguments: Any, numbers: Any, sizes: Any) -> Any:
             del sizes
-            columns = given[: len(given) // 2]
-            widths = tuple(a.shape[-1] for a in columns)
+            columns = arguments[: len(arguments) // 2]
+            widths = tuple(column.shape[-1] for column in columns)
             covector = ad.instantiate_zeros(covectors[0])
-            back = self.back.bind(*columns, covector, numbers=numbers, sizes=widths)
-            return [None] * len(columns) + _summed(back, given[len(columns) :])
+            cotangents = self.vjp.bind(*columns, covector, numbers=numbers, sizes=widths)
+            return [None] * len(columns) + _sum_cotangents(cotangents, arguments[len(columns) :])
 
-        def push_along(primals: Any, tangents: Any, *, numbers: Any, sizes: Any) -> Any:
-            return _linear(self.along, primals, tangents, len(primals) // 2, numbers, sizes)
+        def differentiate_jvp(primals: Any, tangents: Any, *, numbers: Any, sizes: Any) -> Any:
+            fixed = len(primals) // 2
+            return _differentiate_linear(self.jvp, primals, tangents, fixed, numbers, sizes)
 
-        def push_back(primals: Any, tangents: Any, *, numbers: Any, sizes: Any) -> Any:
-            return _linear(self.back, primals, tangents, len(primals) - 1, numbers, sizes)
+        def differentiate_vjp(primals: Any, tangents: Any, *, numbers: Any, sizes: Any) -> Any:
+            fixed = len(primals) - 1
+            return _differentiate_linear(self.vjp, primals, tangents, fixed, numbers, sizes)
 
-        ad.primitive_jvps[self.value] = push
-        ad.primitive_jvps[self.along] = push_along
-        ad.primitive_jvps[self.back] = push_back
-        ad.primitive_transposes[self.along] = pull
+        ad.primitive_jvps[self.value] = differentiate_value
+        ad.primitive_jvps[self.jvp] = differentiate_jvp
+        ad.primitive_jvps[self.vjp] = differentiate_vjp
+        ad.primitive_transposes[self.jvp] = transpose_jvp
 
-    def _made(self, primitive: Any, which: int) -> Any:
+    def _register(self, primitive: Any, index: int) -> Any:
+        """Give a primitive its evaluation and batching.  index: its place among `numbers`."""
         import jax
         from jax.core import ShapedArray
         from jax.interpreters import batching, mlir
@@ -118,28 +130,31 @@ class _Primitives:
         xla_call.register()
         primitive.multiple_results = True
 
-        def outputs(*given: Any, sizes: Any, **_: Any) -> list[Any]:
-            lead = np.broadcast_shapes(*(a.shape[:-1] for a in given))
-            return [ShapedArray((*lead, size), given[0].dtype) for size in sizes]
+        def output_shapes(*arguments: Any, sizes: Any, **_: Any) -> list[Any]:
+            leading = np.broadcast_shapes(*(a.shape[:-1] for a in arguments))
+            return [ShapedArray((*leading, size), arguments[0].dtype) for size in sizes]
 
-        def call(*given: Any, numbers: Any, sizes: Any) -> Any:
-            shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in outputs(*given, sizes=sizes)]
+        def call(*arguments: Any, numbers: Any, sizes: Any) -> Any:
+            shapes = [
+                jax.ShapeDtypeStruct(a.shape, a.dtype)
+                for a in output_shapes(*arguments, sizes=sizes)
+            ]
             if not prod(shapes[0].shape):
                 return [jax.numpy.zeros(a.shape, a.dtype) for a in shapes]
-            made = jax.ffi.ffi_call(xla_call.TARGET, shapes)
-            return made(*given, function=np.int64(numbers[which]))
+            target = jax.ffi.ffi_call(xla_call.TARGET, shapes)
+            return target(*arguments, function=np.int64(numbers[index]))
 
-        def batched(given: Any, axes: Any, **how: Any) -> Any:
-            moved = [
+        def batch(arguments: Any, axes: Any, **parameters: Any) -> Any:
+            leading = [
                 jax.numpy.expand_dims(a, 0) if axis is None else jax.numpy.moveaxis(a, axis, 0)
-                for a, axis in zip(given, axes, strict=True)
+                for a, axis in zip(arguments, axes, strict=True)
             ]
-            out = primitive.bind(*moved, **how)
-            return out, [0] * len(out)
+            outputs = primitive.bind(*leading, **parameters)
+            return outputs, [0] * len(outputs)
 
         primitive.def_impl(jax.jit(call, static_argnames=("numbers", "sizes")))
-        primitive.def_abstract_eval(outputs)
-        batching.primitive_batchers[primitive] = batched
+        primitive.def_abstract_eval(output_shapes)
+        batching.primitive_batchers[primitive] = batch
         mlir.register_lowering(primitive, mlir.lower_fun(call, multiple_results=True))
         return primitive
 
@@ -147,27 +162,40 @@ class _Primitives:
 _primitives = once_for_all(_Primitives)
 
 
-def _summed(slopes: Sequence[Any], wanted: Sequence[Any]) -> list[Any]:
-    """Return slopes summed over the axes along which their inputs were one."""
-    out = []
-    for slope, like in zip(slopes, wanted, strict=True):
+def _sum_cotangents(cotangents: Sequence[Any], inputs: Sequence[Any]) -> list[Any]:
+    """Sum cotangents over the axes along which their inputs were broadcast."""
+    sums = []
+    for cotangent, like in zip(cotangents, inputs, strict=True):
         shape = like.aval.shape
-        axes = [k for k, size in enumerate(shape) if size == 1 and slope.shape[k] != 1]
-        out.append(slope.sum(axes, keepdims=True) if axes else slope)
-    return out
+        axes = [k for k, size in enumerate(shape) if size == 1 and cotangent.shape[k] != 1]
+        sums.append(cotangent.sum(axes, keepdims=True) if axes else cotangent)
+    return sums
 
 
-def _linear(
+def _differentiate_linear(
     primitive: Any, primals: Any, tangents: Any, fixed: int, numbers: Any, sizes: Any
 ) -> Any:
-    """Return the derivative of what is linear but in its first entries.  Raises InputError."""
+    """Return value and derivative of a primitive that is linear in its last arguments.
+
+    Args:
+        primitive: The primitive.
+        primals: Its arguments.
+        tangents: Tangents of its arguments.
+        fixed: Number of first arguments in which it is not linear.
+        numbers: Numbers of the functions.
+        sizes: Sizes of the outputs.
+    Returns:
+        The value and its tangent.
+    Raises:
+        InputError: A second derivative is requested.
+    """
     from jax.interpreters import ad
 
     if not all(type(tangent) is ad.Zero for tangent in tangents[:fixed]):
         raise InputError(FIRST_ORDER)
-    along = [ad.instantiate_zeros(tangent) for tangent in tangents[fixed:]]
-    how = {"numbers": numbers, "sizes": sizes}
+    directions = [ad.instantiate_zeros(tangent) for tangent in tangents[fixed:]]
+    parameters = {"numbers": numbers, "sizes": sizes}
     return (
-        primitive.bind(*primals, **how),
-        primitive.bind(*primals[:fixed], *along, **how),
+        primitive.bind(*primals, **parameters),
+        primitive.bind(*primals[:fixed], *directions, **parameters),
     )

@@ -1,67 +1,66 @@
-"""States whose fields are made when they are looked at."""
+"""States whose fields are read from a kernel's outputs at first access."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from functools import cache
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ...common.arrays import Array, read_only
 from ...kernels.layout import Outputs
-from ...system.state_fields import ShapeState, State
+from ...system.state_fields import ShapeState, State, arrays_of
 from ...system.system import System
 
 
-class LaterState(State):
-    """A State of which each field is made of a kernel's outputs when first looked at."""
+class _ReadOnAccess:
+    """A state whose fields are computed by `read` at first access, and then kept."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def __init__(self, read: Callable[[str], Array]) -> None:
+        vars(self)["_read"] = read
 
     def __getattr__(self, name: str) -> Any:
-        return _made(self, State, name)
+        if name not in self.__dataclass_fields__ or "_read" not in vars(self):
+            raise AttributeError(name)
+        value = vars(self)[name] = read_only(vars(self)["_read"](name))
+        return value
+
+
+class LaterState(_ReadOnAccess, State):
+    """A State whose fields are computed at first access."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return State, tuple(getattr(self, name) for name in State.__dataclass_fields__)
+        return State, tuple(arrays_of(self).values())
 
 
-class LaterShapeState(ShapeState):
-    """The same without the base."""
-
-    def __getattr__(self, name: str) -> Any:
-        return _made(self, ShapeState, name)
+class LaterShapeState(_ReadOnAccess, ShapeState):
+    """A ShapeState whose fields are computed at first access."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return ShapeState, tuple(getattr(self, name) for name in ShapeState.__dataclass_fields__)
+        return ShapeState, tuple(arrays_of(self).values())
 
 
 def made_later(
     system: System, where: Outputs, t: float, outputs: Callable[[], Array], *, wanted: bool
 ) -> State | ShapeState:
-    """Return the state at time t [s] that is in outputs, (where.size,), made at the first look."""
-    state: Any = object.__new__(LaterState if wanted else LaterShapeState)
-    vars(state)["_later"] = (system, where, t, outputs)
-    return state  # type: ignore[no-any-return]
+    """Return the state at one time whose fields are computed at first access.
 
+    Args:
+        system: The system of the kernel.
+        where: Slices of the outputs.
+        t: Time [s].
+        outputs: Function that computes the kernel's outputs, (where.size,); called once.
+        wanted: Whether the outputs contain the base.
 
-def _made(state: Any, kind: type, name: str) -> Any:
-    """Return a field, and keep it."""
-    kept = vars(state)
-    if name not in kind.__dataclass_fields__ or "_later" not in kept:  # type: ignore[attr-defined]
-        raise AttributeError(name)
-    system, where, t, outputs = kept["_later"]
-    out = kept.get("_outputs")
-    if out is None:
-        out = kept["_outputs"] = outputs()
-    if name == "t":
-        value = np.array(t)
-    elif name == "energy":
-        value = out[-1:].reshape(())
-    elif name == "xi":
-        value = out[where.v][: system.r]
-    elif name == "q":
-        value = system.given_q(out[where.q])
-    elif name == "v":
-        value = system.given_v(out[where.v])
-    else:
-        value = out[getattr(where, name)]
-    kept[name] = read_only(value)
-    return value
+    Returns:
+        A State with the base, a ShapeState without it.
+    """
+    compute = cache(outputs)
+
+    def read(name: str) -> Array:
+        return np.array(t) if name == "t" else where.read_field(name, compute(), system)
+
+    return LaterState(read) if wanted else LaterShapeState(read)

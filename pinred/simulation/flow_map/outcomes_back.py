@@ -1,4 +1,4 @@
-"""Covectors of the states that a flow gives, back to the reduced states and what is constant."""
+"""The adjoint of a kernel's outcome: from covectors of states to the reduced states."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from ...kernels.kernel import Kernel
 
 
 class OutcomesBack:
-    """The adjoint of a kernel's outcome at all times of a stretch, in one call."""
+    """The adjoint of a kernel's outcome at all times of a segment, in one call."""
 
     def __init__(self, kernel: Kernel, rows: tuple[Row, ...]) -> None:
-        """Take the rows of which covectors are given."""
+        """Prepare the adjoint of these rows of the outcome."""
         layout, where = kernel.layout, kernel.where
         self._outputs, self._outcome = kernel.outputs, outcome_of(kernel, rows)
-        self._size, self._room = layout.size, where.size
-        self._pose = where.pose.start if "pose" in rows else -1
-        self._whole = layout.size + 1 + kernel.system.group.size
+        self._size, self._output_size = layout.size, where.size
+        self._pose = where.fields["pose"].start if "pose" in rows else -1
+        self._argument_size = layout.size + 1 + kernel.system.group.size
 
     def __call__(
         self,
@@ -32,21 +32,27 @@ class OutcomesBack:
         at_times: Array,
         by_constants: Array,
     ) -> None:
-        """Fill at_times (T, n) with the slopes by y, and add up those by the constants.
+        """Compute the derivatives of Σ covectors · rows.
 
-        begin: the time from which times (T,) count [s].  y: (T, n), read-only.
-        covectors: (T, rows).
+        Args:
+            begin: Start of the segment [s].
+            times: Times after the start, (T,) [s].
+            y: Reduced states at these times, (T, n), read-only.
+            constants: Constants of the kernel, (p,).
+            covectors: Covectors of the rows, (T, rows).
+            at_times: Derivatives with respect to y, (T, n), which are overwritten.
+            by_constants: Derivatives with respect to the constants, (p,), which are added to.
         """
-        whole = np.zeros(self._whole)
-        _from_outcomes(
+        argument = np.zeros(self._argument_size)
+        _propagate_covectors(
             self._outputs.address, self._outcome.adjoint.address, self._size, self._pose, begin,
-            times, y, constants, covectors, at_times, by_constants, whole, np.empty(self._room),
-            np.empty(self._whole + len(constants)),
+            times, y, constants, covectors, at_times, by_constants, argument,
+            np.empty(self._output_size), np.empty(self._argument_size + len(constants)),
         )  # fmt: skip
 
 
 @compiled
-def _from_outcomes(
+def _propagate_covectors(
     outputs: int,
     adjoint: int,
     size: int,
@@ -58,25 +64,28 @@ def _from_outcomes(
     covectors: Array,
     at_times: Array,
     by_constants: Array,
-    whole: Array,
+    argument: Array,
     out: Array,
     slopes: Array,
 ) -> None:
-    """Do as OutcomesBack.  pose: where it stands in the outputs, −1 if nobody asks for it.
+    """Compute the derivatives of OutcomesBack.
 
-    whole: (y, t, pose), of which the outputs read no more than t.
+    outputs, adjoint: addresses of the kernel.  size: length of y.
+    pose: index of the pose in the outputs, or −1 if no row needs it.
+    argument: work space for (y, t, pose); the outputs read only y and t.
+    out, slopes: work space for the outputs and for the derivatives of one time.
     """
-    head = whole.shape[0]
+    argument_size = argument.shape[0]
     for j in range(times.shape[0]):
         for k in range(size):
-            whole[k] = y[j, k]
-        whole[size] = begin + times[j]
+            argument[k] = y[j, k]
+        argument[size] = begin + times[j]
         if pose >= 0:
-            call(outputs, whole, constants, out)
-            for k in range(size + 1, head):
-                whole[k] = out[pose + k - size - 1]
-        call_adjoint(adjoint, whole, constants, covectors[j], slopes)
+            call(outputs, argument, constants, out)
+            for k in range(size + 1, argument_size):
+                argument[k] = out[pose + k - size - 1]
+        call_adjoint(adjoint, argument, constants, covectors[j], slopes)
         for k in range(size):
             at_times[j, k] = slopes[k]
         for k in range(constants.shape[0]):
-            by_constants[k] += slopes[head + k]
+            by_constants[k] += slopes[argument_size + k]

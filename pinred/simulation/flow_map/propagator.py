@@ -15,8 +15,8 @@ from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate_each
 from ...kernels.flow_functions import Row, outcome_of, rate_of, sizes_of
 from ...kernels.tangent import tangent_of
+from ...system.coordinates import Indices
 from ...system.state_fields import Outcome, ShapeState, State, map_arrays
-from ...system.system import Indices
 from ..compiled.compiled_flow import CompiledFlow, kernel_of, rate_address
 from ..compiled.integrator import explained, wild_steps
 from ..members.integrate_members import integrate_members
@@ -186,18 +186,9 @@ class Propagator:
 
     def entries(self, rows: Iterable[Outcome]) -> Indices:
         """Return the indices of fields of State among the kernel's outputs."""
-        where, r = self.kernel.where, self.plan.system.r
-        places = {
-            "x": where.x,
-            "xdot": where.xdot,
-            "pose": where.pose,
-            "xi": slice(where.v.start, where.v.start + r),
-            "body_momentum": where.body_momentum,
-            "spatial_momentum": where.spatial_momentum,
-            "energy": slice(where.size - 1, where.size),
-        }
-        every = np.arange(where.size)
-        return np.concatenate([every[places[row]] for row in rows])
+        where = self.kernel.where
+        indices = np.arange(where.size)
+        return np.concatenate([indices[where.fields[row]] for row in rows])
 
     def along(self, run: Run, rows: tuple[Row, ...], state: Array, constants: Array) -> Array:
         """Return derivatives of outputs along N directions of the inputs.
@@ -333,7 +324,7 @@ class Propagator:
             call_value(kernel.outputs.address, row, np.concatenate([parameters, flow.path]), out)
             return out
 
-        return made_later(kernel.system, kernel.where, t, outputs, wanted=layout.wanted)
+        return made_later(kernel.system, kernel.where, t, outputs, wanted=layout.base_requested)
 
     def _reported(self, run: Run) -> Iterator[tuple[Span, Solution]]:
         """Yield the spans that have report times, with their solutions."""
@@ -361,9 +352,9 @@ class Propagator:
         t, size = span.start + span.times, self.kernel.layout.size
         points = np.zeros((len(t), size + 1 + self.kernel.system.group.size))
         points[:, :size], points[:, size] = solution.y[:, :size], t
-        if self.kernel.layout.wanted:
+        if self.kernel.layout.base_requested:
             outputs = flow.outputs(t, solution.y, solution.params)
-            points[:, size + 1 :] = outputs[:, self.kernel.where.pose]
+            points[:, size + 1 :] = outputs[:, self.kernel.where.fields["pose"]]
         return points
 
     def _size(self, rows: tuple[Row, ...]) -> int:

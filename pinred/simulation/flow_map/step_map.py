@@ -10,9 +10,8 @@ import numpy as np
 from ...common.arrays import Array, freeze, positive
 from ...common.errors import InputError
 from ...common.plain_names import brief
-from ...kernels.flow_functions import Outcome
 from ...scene.scene import Scene
-from ...system.state_fields import State
+from ...system.state_fields import Outcome, State
 
 # Of each input that is a part of the state, the field of State.
 STATE: dict[str, Outcome] = {"pose0": "pose", "x0": "x", "xdot0": "xdot", "xi0": "xi"}

@@ -1,4 +1,4 @@
-"""A flow as a function of PyTorch: custom operators with autograd, for batches too."""
+"""A flow as a PyTorch function: custom operators with autograd, also for batches."""
 
 from __future__ import annotations
 
@@ -13,18 +13,25 @@ from ...common.errors import InputError, MissingPackageError, ShapeError
 from ...common.memo import once_for_all
 from ...common.plain_names import brief
 from .batched import FIRST_ORDER, Batched
-from .columns import Columns
+from .flow_columns import Columns
 
-_flows: dict[int, Batched] = {}  # by the numbers that operators know them by, for ever
+# Flows by the numbers that operators refer to them by.  They stay as long as the process lives.
+_flows: dict[int, Batched] = {}
 _numbers = count()
 
 
 def torch_function(columns: Columns) -> Callable[..., Any]:
-    """Return f(*columns, **columns) → output as tensors, with autograd, forward mode and vmap.
+    """Build the PyTorch function of a flow, with autograd, forward mode and vmap.
 
-    Columns are (…, size), whose leading axes broadcast: a batch runs in lanes.  Numbers come and
-    go in the precision of the tensors given; between, they are doubles on the processor.
-    Raises MissingPackageError without PyTorch.
+    Inputs are tensors (…, size) whose leading axes broadcast; a batch runs in SIMD lanes.  Outputs
+    have the precision of the inputs.  The flow itself runs in double precision on the processor.
+
+    Args:
+        columns: The flow between vectors.
+    Returns:
+        f(*columns, **columns) → output.
+    Raises:
+        MissingPackageError: PyTorch is not installed.
     """
     try:
         import torch
@@ -33,15 +40,15 @@ def torch_function(columns: Columns) -> Callable[..., Any]:
     apply, number = _function(), next(_numbers)
     _flows[number] = Batched(columns)
 
-    def flow(*given: Any, **named: Any) -> Any:
-        arranged = columns.arranged(given, named)
-        tensors = [each for each in arranged if isinstance(each, torch.Tensor)]
-        floats = [each.dtype for each in tensors if each.is_floating_point()]
+    def flow(*positional: Any, **named: Any) -> Any:
+        values = columns.arranged(positional, named)
+        tensors = [value for value in values if isinstance(value, torch.Tensor)]
+        floats = [tensor.dtype for tensor in tensors if tensor.is_floating_point()]
         dtype = reduce(torch.promote_types, floats) if floats else torch.float64
-        out = []
-        for name, size, value in zip(columns.names, columns.sizes, arranged, strict=True):
+        inputs = []
+        for name, size, value in zip(columns.names, columns.sizes, values, strict=True):
             try:
-                # Arrays that stay as they are may be read only, which tensors may not.
+                # Arrays of the scene are read-only, and tensors must not share their memory.
                 tensor = torch.as_tensor(value.copy() if isinstance(value, np.ndarray) else value)
             except (TypeError, ValueError, RuntimeError):
                 raise InputError(f"{name} must be numbers, got {brief(value)}") from None
@@ -51,22 +58,22 @@ def torch_function(columns: Columns) -> Callable[..., Any]:
             tensor = tensor.reshape(1) if tensor.ndim == 0 else tensor
             if tensor.shape[-1] != size:
                 raise ShapeError(f"{name} must have shape (…, {size}), got {tuple(tensor.shape)}")
-            out.append(tensor)
+            inputs.append(tensor)
         try:
-            np.broadcast_shapes(*(each.shape[:-1] for each in out))
+            np.broadcast_shapes(*(tensor.shape[:-1] for tensor in inputs))
         except ValueError:
-            shapes = ", ".join(str(tuple(each.shape)) for each in out)
+            shapes = ", ".join(str(tuple(tensor.shape)) for tensor in inputs)
             raise ShapeError(
                 f"leading axes of inputs must broadcast, got shapes {shapes}"
             ) from None
-        return apply(number, columns.size, *out).to(dtype)
+        return apply(number, columns.size, *inputs).to(dtype)
 
-    # Its tracing knows no functions of autograd with a forward mode: programs go around this.
-    unfollowed: Callable[..., Any] = torch.compiler.disable(flow)
-    return unfollowed
+    # torch.compile cannot trace autograd functions with a forward mode, so it has to skip this one.
+    untraced: Callable[..., Any] = torch.compiler.disable(flow)
+    return untraced
 
 
-def _host(tensors: Sequence[Any]) -> list[Any]:
+def _to_numpy(tensors: Sequence[Any]) -> list[Any]:
     import torch
 
     return [tensor.detach().to(dtype=torch.float64, device="cpu").numpy() for tensor in tensors]
@@ -74,118 +81,119 @@ def _host(tensors: Sequence[Any]) -> list[Any]:
 
 @once_for_all
 def _function() -> Any:
-    """Return the function of autograd, made of custom operators.
+    """Return the autograd function of all flows.
 
-    The operators are known by number, for they take tensors and numbers only.
+    Operators take only tensors and numbers, so a number states which flow they evaluate.
     """
     import torch
 
     def like(array: Any, tensor: Any) -> Any:
         return torch.from_numpy(np.ascontiguousarray(array)).to(tensor)
 
-    def lead(tensors: Sequence[Any]) -> Any:
-        return torch.broadcast_shapes(*(each.shape[:-1] for each in tensors))
+    def leading_shape(tensors: Sequence[Any]) -> Any:
+        return torch.broadcast_shapes(*(tensor.shape[:-1] for tensor in tensors))
 
     def value(number: int, _size: int, columns: Any) -> Any:
-        return like(_flows[number].value(_host(columns)), columns[0])
+        return like(_flows[number].value(_to_numpy(columns)), columns[0])
 
-    def along(number: int, _size: int, columns: Any, directions: Any) -> Any:
-        return like(_flows[number].along(_host(columns), _host(directions)), columns[0])
+    def jvp(number: int, _size: int, columns: Any, directions: Any) -> Any:
+        return like(_flows[number].along(_to_numpy(columns), _to_numpy(directions)), columns[0])
 
-    def back(number: int, columns: Any, covector: Any) -> Any:
-        found = _flows[number].back(_host(columns), _host([covector])[0])
-        return [like(each, columns[0]) for each in found]
+    def vjp(number: int, columns: Any, covector: Any) -> Any:
+        derivatives = _flows[number].back(_to_numpy(columns), _to_numpy([covector])[0])
+        return [like(derivative, columns[0]) for derivative in derivatives]
 
-    def moved(tensors: Any, axes: Any) -> list[Any]:
-        """Return tensors of one rank with their batch axis first."""
+    def move_batch_axes(tensors: Any, axes: Any) -> list[Any]:
+        """Return tensors of equal rank with their batch axis first."""
         pairs = list(zip(tensors, axes, strict=True))
-        rank = max(each.ndim - (axis is not None) for each, axis in pairs)
-        out = []
-        for each, axis in pairs:
-            first = each.unsqueeze(0) if axis is None else each.movedim(axis, 0)
-            missing = (1,) * (rank + 1 - first.ndim)
-            out.append(first.reshape(first.shape[0], *missing, *first.shape[1:]))
-        return out
+        rank = max(tensor.ndim - (axis is not None) for tensor, axis in pairs)
+        batches = []
+        for tensor, axis in pairs:
+            batch = tensor.unsqueeze(0) if axis is None else tensor.movedim(axis, 0)
+            missing = (1,) * (rank + 1 - batch.ndim)
+            batches.append(batch.reshape(batch.shape[0], *missing, *batch.shape[1:]))
+        return batches
 
-    def made(name: str, schema: str, call: Any, shapes: Any) -> Any:
-        op = torch.library.custom_op(f"pinred::{name}", call, mutates_args=(), schema=schema)
-        op.register_fake(shapes)
-        return op
+    def make_operator(name: str, schema: str, call: Any, shapes: Any) -> Any:
+        operator = torch.library.custom_op(f"pinred::{name}", call, mutates_args=(), schema=schema)
+        operator.register_fake(shapes)
+        return operator
 
-    value_op = made(
+    value_op = make_operator(
         "flow", "(int number, int size, Tensor[] columns) -> Tensor", value,
-        lambda _number, size, columns: columns[0].new_empty((*lead(columns), size)),
+        lambda _number, size, columns: columns[0].new_empty((*leading_shape(columns), size)),
     )  # fmt: skip
-    along_op = made(
+    jvp_op = make_operator(
         "flow_along",
-        "(int number, int size, Tensor[] columns, Tensor[] directions) -> Tensor", along,
+        "(int number, int size, Tensor[] columns, Tensor[] directions) -> Tensor", jvp,
         lambda _number, size, columns, directions: columns[0].new_empty(
-            (*lead([*columns, *directions]), size)
+            (*leading_shape([*columns, *directions]), size)
         ),
     )  # fmt: skip
-    back_op = made(
-        "flow_back", "(int number, Tensor[] columns, Tensor covector) -> Tensor[]", back,
+    vjp_op = make_operator(
+        "flow_back", "(int number, Tensor[] columns, Tensor covector) -> Tensor[]", vjp,
         lambda _number, columns, covector: [
-            each.new_empty((*lead([*columns, covector]), each.shape[-1])) for each in columns
+            column.new_empty((*leading_shape([*columns, covector]), column.shape[-1]))
+            for column in columns
         ],
     )  # fmt: skip
 
-    class Once(torch.autograd.Function):  # type: ignore[misc]
+    class FirstOrder(torch.autograd.Function):  # type: ignore[misc]
         """A function without derivatives; its first two arguments are numbers."""
 
         @staticmethod
         def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-            """Keep nothing."""
+            """Save nothing."""
 
         @staticmethod
         def backward(_ctx: Any, *_: Any) -> Any:
-            """Refuse."""
+            """Refuse a second derivative.  Raises InputError."""
             raise InputError(FIRST_ORDER)
 
         @staticmethod
         def jvp(_ctx: Any, *_: Any) -> Any:
-            """Refuse."""
+            """Refuse a second derivative.  Raises InputError."""
             raise InputError(FIRST_ORDER)
 
-    class Along(Once):
-        """The derivative along directions, which come after the columns."""
+    class Jvp(FirstOrder):
+        """The derivative along directions; its arguments are the columns and the directions."""
 
         @staticmethod
         def forward(number: int, size: int, *both: Any) -> Any:
-            """Return it."""
+            """Compute the derivative."""
             half = len(both) // 2
-            return along_op(number, size, list(both[:half]), list(both[half:]))
+            return jvp_op(number, size, list(both[:half]), list(both[half:]))
 
         @staticmethod
         def vmap(_info: Any, axes: Any, number: int, size: int, *both: Any) -> Any:
-            """Return those of many, in one call."""
-            return Along.apply(number, size, *moved(both, axes[2:])), 0
+            """Compute the derivatives of a batch in one call."""
+            return Jvp.apply(number, size, *move_batch_axes(both, axes[2:])), 0
 
-    class Back(Once):
-        """The slopes by the inputs; a covector comes after the columns."""
+    class Vjp(FirstOrder):
+        """The derivatives of covector · output; its last argument is the covector."""
 
         @staticmethod
         def forward(number: int, _size: int, *both: Any) -> Any:
-            """Return them."""
-            return tuple(back_op(number, list(both[:-1]), both[-1]))
+            """Compute the derivatives."""
+            return tuple(vjp_op(number, list(both[:-1]), both[-1]))
 
         @staticmethod
         def vmap(_info: Any, axes: Any, number: int, size: int, *both: Any) -> Any:
-            """Return those of many, in one call."""
-            found = Back.apply(number, size, *moved(both, axes[2:]))
-            return found, (0,) * len(found)
+            """Compute the derivatives of a batch in one call."""
+            derivatives = Vjp.apply(number, size, *move_batch_axes(both, axes[2:]))
+            return derivatives, (0,) * len(derivatives)
 
     class FlowFunction(torch.autograd.Function):  # type: ignore[misc]
-        """The flow, with what goes along it and back."""
+        """The flow with its derivatives in both modes."""
 
         @staticmethod
         def forward(number: int, size: int, *columns: Any) -> Any:
-            """Return the output."""
+            """Compute the output."""
             return value_op(number, size, list(columns))
 
         @staticmethod
         def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-            """Keep the inputs."""
+            """Save the inputs for derivatives."""
             del output
             ctx.number, ctx.size, *columns = inputs
             ctx.save_for_backward(*columns)
@@ -193,25 +201,25 @@ def _function() -> Any:
 
         @staticmethod
         def backward(ctx: Any, *covectors: Any) -> Any:
-            """Return the slopes by the inputs."""
+            """Compute the derivatives with respect to the inputs."""
             columns = ctx.saved_tensors
-            found = Back.apply(ctx.number, ctx.size, *columns, covectors[0])
-            pairs = zip(found, columns, strict=True)
-            return None, None, *(slope.sum_to_size(each.shape) for slope, each in pairs)
+            derivatives = Vjp.apply(ctx.number, ctx.size, *columns, covectors[0])
+            pairs = zip(derivatives, columns, strict=True)
+            return None, None, *(slope.sum_to_size(column.shape) for slope, column in pairs)
 
         @staticmethod
         def jvp(ctx: Any, _number: None, _size: None, *directions: Any) -> Any:
-            """Return the derivative along directions of the inputs."""
+            """Compute the derivative along directions of the inputs."""
             columns = ctx.saved_tensors
             along = [
                 torch.zeros_like(column) if direction is None else direction
                 for direction, column in zip(directions, columns, strict=True)
             ]
-            return Along.apply(ctx.number, ctx.size, *columns, *along)
+            return Jvp.apply(ctx.number, ctx.size, *columns, *along)
 
         @staticmethod
         def vmap(_info: Any, axes: Any, number: int, size: int, *columns: Any) -> Any:
-            """Return the output of many inputs, in one call."""
-            return FlowFunction.apply(number, size, *moved(columns, axes[2:])), 0
+            """Compute the outputs of a batch in one call."""
+            return FlowFunction.apply(number, size, *move_batch_axes(columns, axes[2:])), 0
 
     return FlowFunction.apply

@@ -1,9 +1,9 @@
-"""A function of arrays as XLA calls it: its foreign function interface, read without a compiler.
+"""XLA's foreign function interface: a handler that calls Python functions, without a compiler.
 
-XLA gives a handler the address of a call frame, a structure of C (xla/ffi/api/c_api.h, which
-jaxlib brings along; version 0 of it).  It is read as words of eight bytes; the places here and in
-`call_frame` are those of the fields that count, and what newer versions append is not looked at.
-One handler serves everything: an attribute of the call, a number, says which function is meant.
+XLA passes the address of a call frame, a C structure of version 0 of xla/ffi/api/c_api.h, which
+jaxlib contains.  The frame is read as words of eight bytes.  The word indices here and in
+`call_frame` are those of the fields in use; fields that newer versions append are ignored.  One
+handler serves all functions: an attribute of the call is the number of the function.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -44,8 +45,10 @@ TARGET = "pinred_function"
 class Function:
     """A function that XLA calls.
 
-    one: of a column, the inputs one after another, (size,), all outputs one after another.
-    many: of inputs with leading axes, which fills outputs.
+    Attributes:
+        one: Function from all inputs in one vector, (size,), to all outputs in one vector.
+        size: Length of that vector of inputs.
+        many: Function of lists of inputs and outputs with leading axes, which fills the outputs.
     """
 
     one: Callable[[Array], Array]
@@ -53,13 +56,13 @@ class Function:
     many: Callable[[Sequence[Any], Sequence[Any]], None]
 
 
-_FRAME_WORDS, _BUFFER_WORDS = 21, 6
-# An extension of type 1 asks for the version; its metadata, the whole of which begins with a
-# version, too, as the API does after its own two words.
+_FRAME_WORDS, _BUFFER_WORDS = 21, 6  # Lengths of the structures that are read [words].
+# An extension of type 1 asks for the version of the interface, which is copied from the API to
+# the metadata of the extension.  In both structures the version follows a few other words.
 _ASKS_FOR_VERSION, _METADATA = 1, 3
 _VERSION_IN_METADATA, _VERSION_IN_API, _VERSION_NUMBERS = 1, 2, 2
-_MAKE_ERROR = 6
-_INVALID, _INTERNAL = 3, 13  # codes of errors
+_MAKE_ERROR = 6  # Index in the API of the function that builds an error.
+_INVALID, _INTERNAL = 3, 13  # XLA's error codes.
 _FLOATS: dict[int, Any] = {FLOAT: ctypes.c_float, DOUBLE: ctypes.c_double}
 
 
@@ -78,10 +81,10 @@ _numbers = count()
 
 
 def numbered(function: Function) -> int:
-    """Return the number by which calls find a function from now on.
+    """Register a function and return its number.
 
-    It stays for as long as the process lives, for nobody says when the last program that calls it
-    is gone.
+    The function stays registered as long as the process lives, because XLA does not report when the
+    last program that calls it is deleted.
     """
     number = next(_numbers)
     _functions[number] = function
@@ -90,7 +93,10 @@ def numbered(function: Function) -> int:
 
 @once_for_all
 def register() -> None:
-    """Tell XLA of the handler, for the processor.  Calls name TARGET and `function=` a number."""
+    """Register the handler with XLA for the processor.
+
+    Calls state TARGET and, as `function`, the number of a registered function.
+    """
     import jax
 
     jax.ffi.register_ffi_target(TARGET, jax.ffi.pycapsule(_HANDLER), platform="cpu")
@@ -101,35 +107,33 @@ def _words(address: int, size: int) -> Any:
 
 
 def _arrays(size: int, where: int) -> list[Any]:
-    """Return so many buffers of a frame as arrays, in their places."""
-    out = []
+    """Return arrays that share the memory of `size` buffers, whose addresses start at `where`."""
+    arrays = []
     for address in _words(where, size):
         buffer = _words(address, _BUFFER_WORDS)
-        shape, length = _words(buffer[DIMS], buffer[RANK])[:], 1
-        for each in shape:
-            length *= each
+        shape = _words(buffer[DIMS], buffer[RANK])[:]
         number = _FLOATS[buffer[TYPE] & 0xFFFFFFFF]
-        array = np.frombuffer((number * length).from_address(buffer[DATA]), number)
-        out.append(array if len(shape) == 1 else array.reshape(shape))
-    return out
+        array = np.frombuffer((number * prod(shape)).from_address(buffer[DATA]), number)
+        arrays.append(array if len(shape) == 1 else array.reshape(shape))
+    return arrays
 
 
 def _answer(frame: Any) -> bool:
-    """Answer what XLA asks by an extension; return whether it has asked for something."""
+    """Answer a request for the version; return whether the frame contains one."""
     extension = _words(frame[EXTENSION], _METADATA + 1)
     if extension[1] & 0xFFFFFFFF != _ASKS_FOR_VERSION:
         return False
-    asked = extension[_METADATA] + 8 * (_VERSION_IN_METADATA + _VERSION_NUMBERS)
-    own = frame[API] + 8 * (_VERSION_IN_API + _VERSION_NUMBERS)
-    ctypes.memmove(asked, own, 8)
+    target = extension[_METADATA] + 8 * (_VERSION_IN_METADATA + _VERSION_NUMBERS)
+    source = frame[API] + 8 * (_VERSION_IN_API + _VERSION_NUMBERS)
+    ctypes.memmove(target, source, 8)
     return True
 
 
 def _handle(address: int) -> int | None:
-    """Do what a call frame asks for; return nothing, or an error of XLA's."""
+    """Execute a call frame; return None, or the address of an XLA error."""
     try:
-        asked = has_extension(address) and _answer(_words(address, _FRAME_WORDS))
-        if not asked:
+        is_request = has_extension(address) and _answer(_words(address, _FRAME_WORDS))
+        if not is_request:
             function = _functions[function_of(address)]
             column = np.empty(function.size)
             if not (take_column(address, column) and give_column(address, function.one(column))):
@@ -138,19 +142,19 @@ def _handle(address: int) -> int | None:
                     _arrays(frame[ARGUMENTS], frame[ARGUMENT_LIST]),
                     _arrays(frame[RESULTS], frame[RESULT_LIST]),
                 )
-    except BaseException as error:  # nothing of Python's may pass through C
+    except BaseException as error:  # No Python exception may propagate through C.
         invalid = isinstance(error, ValueError)
         text = str(error) if invalid else f"{type(error).__name__}: {error}"
-        given = _ErrorArguments(
+        arguments = _ErrorArguments(
             ctypes.sizeof(_ErrorArguments),
             None,
             text.encode(errors="replace"),
             _INVALID if invalid else _INTERNAL,
         )
-        made: int | None = _make_error(
+        xla_error: int | None = _make_error(
             _words(_words(address, _FRAME_WORDS)[API], _MAKE_ERROR + 1)[_MAKE_ERROR]
-        )(ctypes.byref(given))
-        return made
+        )(ctypes.byref(arguments))
+        return xla_error
     return None
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array
-from ...system.system import Indices
+from ...system.coordinates import Indices
 
 if TYPE_CHECKING:
     from ..compiled.compiled_flow import CompiledFlow

@@ -13,7 +13,7 @@ from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import Explicit, Method
 from ...kernels.kernel import Kernel
 from ...kernels.wide_rate import wide_rate
-from ...system.system import Indices
+from ...system.coordinates import Indices
 from ..compiled.compiled_flow import CompiledFlow
 from ..compiled.integrator import wild_steps
 from ..plan import Plan, Span

@@ -15,8 +15,8 @@ from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates
 from ...scene.scene import Scene
-from ...system.other_inertias import nominal
-from ...system.system import Indices
+from ...system.coordinates import Indices
+from ...system.variants import nominal
 from ..plan import NO_DIFFERENCES, MemberParameters, Plan, plan_of
 
 

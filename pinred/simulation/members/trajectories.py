@@ -13,7 +13,7 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...scene.scene import Scene
-from ...system.state_fields import ShapeState, State, arrays_of, map_arrays
+from ...system.state_fields import FIELDS, ShapeState, State, arrays_of, axis_lengths, map_arrays
 from ...system.system import System
 from ..over_time import OverTime
 from ..simulate import trajectory_of
@@ -139,8 +139,8 @@ class Trajectories(OverTime):
         return Trajectory(scene, None, run, again, self._states(member))
 
     def save(self, path: str | Path) -> None:
-        """Write all members to a .npz or .zarr file (see members/files.py).  Raises InputError."""
-        from .files import save
+        """Write all members to a .npz or .zarr file (see save_members.py).  Raises InputError."""
+        from .save_members import save
 
         scenes = [self._scene_of(member) for member in range(len(self))]
         save(self, scenes, {f.member: (f.time, f.reason) for f in self.failures}, path)
@@ -148,10 +148,8 @@ class Trajectories(OverTime):
     def _states(self, member: int) -> State | ShapeState:
         """Return the states of one member over the report times, those of a failed one too."""
         if "outputs" in vars(self):  # which members that came from elsewhere have
-            columns = {
-                name: rows[member] for name, rows in vars(self.outputs).items() if name != "t"
-            }
-            return type(self.outputs)(t=self.t, **columns)
+            member_outputs = replace(self.outputs, t=np.broadcast_to(self.t, self.energy.shape))
+            return map_arrays(lambda values: values[member], member_outputs)
         if member in self._single:
             return _up_to(self._single[member], self.t, self.system, wanted=self._wanted)
         if not any(member in batch.members for batch in self._batches):
@@ -174,27 +172,21 @@ def _up_to(traj: Trajectory, t: Array, system: System, *, wanted: bool) -> State
     known = traj.outputs
     if np.array_equal(known.t, t):
         return known
-    columns = {
-        name: np.array(rows) for name, rows in vars(_nothing(system, t, wanted=wanted)).items()
-    }
-    ended = t <= traj.scene.end
-    found = traj.at(t[ended])
-    for name, rows in columns.items():
-        if name != "t":
-            rows[ended] = getattr(found, name)
-    return type(known)(**columns)
+    reached = t <= traj.scene.end
+
+    def fill(missing: Array, values: Array) -> Array:
+        filled = missing.copy()
+        filled[reached] = values
+        return filled
+
+    return replace(map_arrays(fill, _nothing(system, t, wanted=wanted), traj.at(t[reached])), t=t)
 
 
 def _nothing(system: System, t: Array, *, wanted: bool) -> State | ShapeState:
     """Return states of a member that failed by itself: all NaN."""
-    m, r, group = system.m, system.r, system.group
-
-    def nan(*size: int) -> Array:
-        return np.full((len(t), *size), np.nan)
-
-    if not wanted:
-        return ShapeState(t=t, x=nan(m), xdot=nan(m), energy=nan())
-    return State(
-        t=t, x=nan(m), xdot=nan(m), xi=nan(r), pose=nan(group.size), q=nan(system.model.nq),
-        v=nan(system.model.nv), body_momentum=nan(r), spatial_momentum=nan(r), energy=nan(),
-    )  # fmt: skip
+    lengths, kind = axis_lengths(system), State if wanted else ShapeState
+    fields = {
+        name: np.full((len(t), lengths[axis]) if (axis := FIELDS[name].axis) else len(t), np.nan)
+        for name in kind.__dataclass_fields__
+    }
+    return kind(**(fields | {"t": t}))

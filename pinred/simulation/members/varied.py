@@ -20,10 +20,9 @@ from ...scene.angles import refuse_vague
 from ...scene.initial_state import GivenStates
 from ...scene.random_state import random_state
 from ...scene.scene import Scene
-from ...system.in_gravity import in_gravity
 from ...system.model_parameters import GRAVITY, kinds_near, requested, size_of
-from ...system.other_inertias import nominal
 from ...system.system import System
+from ...system.variants import in_gravity, nominal
 from ..plan import MemberParameters
 from ..robot_columns import RobotColumns, with_own
 from ..simulate import as_scene

@@ -1,4 +1,4 @@
-"""MJCF through MuJoCo's own compiler: its numbers become a pin.Model, and what else acts is listed.
+"""MJCF files, compiled by MuJoCo and converted to a pin.Model with its further contents.
 
 `mujoco` is imported when a file, an MjModel or an MjSpec is read, never before.
 """

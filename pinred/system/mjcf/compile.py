@@ -1,4 +1,4 @@
-"""From a file, a text in memory (MjSpec) or a compiled model to MuJoCo's compiled numbers."""
+"""Compilation of an MJCF file or an MjSpec by MuJoCo, and checks of the compiled numbers."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from ..robot_files import read_text
 from .package import is_mujoco, mujoco_package, warnings_kept
 from .text import check_text
 
-_OWN_LINES = re.compile(rb"^WARNING: XML contains [^\n]*\n?", re.MULTILINE)
-# What MuJoCo reserves room for, which nothing here needs: sizes as its default spec has them.
-_ROOM = (
+# Lines that MuJoCo's XML reader prints itself.
+_PRINTED = re.compile(rb"^WARNING: XML contains [^\n]*\n?", re.MULTILINE)
+# Sizes for which MuJoCo reserves memory.  None is needed here, so they are set to the defaults.
+_SIZES = (
     *("memory", "nstack", "njmax", "nconmax", "nkey", "nuserdata"),
     *("nuser_body", "nuser_jnt", "nuser_geom", "nuser_site", "nuser_cam"),
     *("nuser_tendon", "nuser_actuator", "nuser_sensor"),
 )
+# Arrays of the compiled model that must be finite.
 _FINITE = (
     *("body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia"),
     *("jnt_pos", "jnt_axis", "dof_armature", "qpos0", "key_qpos", "key_qvel"),
@@ -29,47 +31,52 @@ _FINITE = (
 
 
 def compiled(source: Any, *, shapes: bool = False) -> Any:
-    """Return the MjModel of a path, an MjSpec or an MjModel (which is itself).
+    """Compile a path or an MjSpec; return an MjModel unchanged.
 
-    shapes: whether meshes are read that carry no mass.
-    Raises LoadError in one line if MuJoCo cannot read or compile it, ModelError for numbers
-    that are not finite, MissingPackageError without mujoco.
+    Args:
+        source: Path, MjSpec or MjModel.
+        shapes: Whether to read meshes that carry no mass.
+
+    Returns:
+        The MjModel.
+
+    Raises:
+        LoadError: MuJoCo cannot read or compile the source; the message has one line.
+        ModelError: A number is not finite.
+        MissingPackageError: mujoco is not installed.
     """
     if is_mujoco(source, "MjModel"):
         model = source
     elif is_mujoco(source, "MjSpec"):
-        model = _checked("the MjSpec", lambda: _compiled(source.copy(), shapes=shapes))
+        model = _guarded("the MjSpec", lambda: _compile(source.copy(), shapes=shapes))
     else:
         path = Path(source)
         mj = mujoco_package()
         check_text(path, read_text(path))
-        model = _checked(
-            str(path), lambda: _compiled(mj.MjSpec.from_file(str(path)), shapes=shapes)
-        )
+        model = _guarded(str(path), lambda: _compile(mj.MjSpec.from_file(str(path)), shapes=shapes))
     for name in _FINITE:
         if not np.isfinite(getattr(model, name)).all():
             raise ModelError(f"the compiled model has numbers in {name} that are not finite")
     return model
 
 
-def _checked(what: str, make: Callable[[], Any]) -> Any:
-    """Return what `make` makes.  Raises LoadError for all that MuJoCo says against it."""
-    # Its reader of XML prints on its own, too; and where it writes warnings is one place for all
-    # threads.
-    with library_output(_OWN_LINES), warnings_kept() as said:
+def _guarded(what: str, compile_source: Callable[[], Any]) -> Any:
+    """Return a compiled model.  Raises LoadError for every error and bad warning of MuJoCo."""
+    # MuJoCo's XML reader prints by itself, and its warnings share one handler for all threads.
+    with library_output(_PRINTED), warnings_kept() as warnings:
         try:
-            model = make()
+            model = compile_source()
         except PinredError:
             raise
-        except Exception as error:  # MuJoCo raises ValueError, RuntimeError and its own
+        except Exception as error:  # MuJoCo raises ValueError, RuntimeError and other types.
             raise LoadError(f"MuJoCo cannot read {what}: {_one_line(error)}") from None
-    if any("NaN" in warning for warning in said):
-        raise LoadError(f"{what} holds nan where a number should stand")
+    if any("NaN" in warning for warning in warnings):
+        raise LoadError(f"{what} has nan instead of a number")
     return model
 
 
 def _one_line(error: Exception) -> str:
-    """Return what MuJoCo says, with the place in the file in brackets."""
+    """Return MuJoCo's message in one line, with the position in the file in brackets."""
     words, *place = str(error).strip().splitlines() or [type(error).__name__]
     for prefix in ("XML Error: ", "Error: "):
         words = words.removeprefix(prefix)
@@ -77,24 +84,24 @@ def _one_line(error: Exception) -> str:
     return f"{words.strip().rstrip(':')} ({where})" if where else words.strip()
 
 
-def _compiled(spec: Any, *, shapes: bool) -> Any:
-    """Compile a spec, which is changed: without what is only seen, and with all its bodies."""
+def _compile(spec: Any, *, shapes: bool) -> Any:
+    """Compile a spec with all its bodies and without pictures; the spec is changed."""
     mj = mujoco_package()
     fresh = mj.MjSpec()
-    for size in _ROOM:
+    for size in _SIZES:
         setattr(spec, size, getattr(fresh, size))
-    spec.compiler.fusestatic = False  # a base that is fixed to the world stays a body
+    spec.compiler.fusestatic = False  # A base fixed to the world stays a body.
     spec.compiler.discardvisual = False
-    # Range of muscles, found by simulating them; actuators are not simulated here.
+    # MuJoCo would simulate muscles for their ranges, but actuators are not used here.
     spec.compiler.LRopt.mode = int(mj.mjtLRMode.mjLRMODE_NONE)
     _refuse_negative(spec)
     _drop_pictures(spec)
-    needed = set()
+    needed = set()  # names of meshes
     for geom in spec.geoms:
         if geom.type == mj.mjtGeom.mjGEOM_HFIELD or (
-            geom.meshname and not (shapes or _may_weigh(mj, geom))
+            geom.meshname and not (shapes or _may_have_mass(mj, geom))
         ):
-            _make_a_point(mj, geom)
+            _replace_by_point(mj, geom)
         elif geom.meshname:
             needed.add(geom.meshname)
     for site in spec.sites:
@@ -108,7 +115,7 @@ def _compiled(spec: Any, *, shapes: bool) -> Any:
 
 
 def _refuse_negative(spec: Any) -> None:
-    """Refuse negative masses, which MuJoCo's compiler takes for zero.  Raises ModelError."""
+    """Refuse negative masses, which MuJoCo's compiler reads as zero.  Raises ModelError."""
     for body in spec.bodies:
         for what, values in (("mass", [body.mass]), ("moment of inertia", body.inertia)):
             if min(values) < 0.0:
@@ -116,7 +123,7 @@ def _refuse_negative(spec: Any) -> None:
 
 
 def _drop_pictures(spec: Any) -> None:
-    """Leave out textures and skins, for which files would be read, and what may name them."""
+    """Delete textures and skins, for which files would be read, and the elements that use them."""
     for material in spec.materials:
         material.textures = [""] * len(material.textures)
     for light in spec.lights:
@@ -125,8 +132,8 @@ def _drop_pictures(spec: Any) -> None:
         spec.delete(picture)
 
 
-def _may_weigh(mj: Any, geom: Any) -> bool:
-    """Return whether MuJoCo may take mass from a shape; if not, the shape does not matter."""
+def _may_have_mass(mj: Any, geom: Any) -> bool:
+    """Return whether MuJoCo may derive mass from a geom."""
     body, rules = geom.parent, geom.compiler
     never, always = (
         int(getattr(mj.mjtInertiaFromGeom, f"mjINERTIAFROMGEOM_{word}"))
@@ -143,8 +150,8 @@ def _may_weigh(mj: Any, geom: Any) -> bool:
     )
 
 
-def _make_a_point(mj: Any, geom: Any) -> None:
-    """Put a ball without mass in place of a shape, under the same name."""
+def _replace_by_point(mj: Any, geom: Any) -> None:
+    """Replace a geom by a massless ball of the same name."""
     geom.type = mj.mjtGeom.mjGEOM_SPHERE
     geom.size = [1.0, 0.0, 0.0]
     geom.mass = 0.0

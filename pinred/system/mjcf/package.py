@@ -1,4 +1,4 @@
-"""The package mujoco, which is installed with the extra `mjcf` and imported when needed."""
+"""The package mujoco, which the extra `mjcf` installs and which is imported only when needed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ INSTALL = 'pip install "pinred[mjcf]"'
 
 
 def mujoco_package() -> Any:
-    """Return the module mujoco.  Raises MissingPackageError that says what to install."""
+    """Return the module mujoco.  Raises MissingPackageError with the command that installs it."""
     try:
         return import_module("mujoco")
     except ImportError:
@@ -23,21 +23,21 @@ def mujoco_package() -> Any:
 
 def is_mujoco(source: object, kind: str) -> bool:
     """Return whether an object is mujoco's MjModel or MjSpec, without importing mujoco."""
-    made_by = type(source).__module__.partition(".")[0]
-    return made_by == "mujoco" and type(source).__name__ == kind
+    package = type(source).__module__.partition(".")[0]
+    return package == "mujoco" and type(source).__name__ == kind
 
 
 @contextmanager
 def warnings_kept() -> Iterator[list[str]]:
-    """Collect what MuJoCo warns of, which it would write into a file in the current folder."""
+    """Collect MuJoCo's warnings, which it would write into a file in the current folder."""
     mj = mujoco_package()
-    said: list[str] = []
+    messages: list[str] = []
     before = mj.get_mju_user_warning()
-    mj.set_mju_user_warning(said.append)
+    mj.set_mju_user_warning(messages.append)
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            yield said
-            said += [str(warning.message) for warning in caught]
+            yield messages
+            messages += [str(warning.message) for warning in caught]
     finally:
         mj.set_mju_user_warning(before)

@@ -1,8 +1,8 @@
-"""An MJCF file, an MjSpec or an MjModel becomes a pin.Model and what else is in it."""
+"""An MJCF file, an MjSpec or an MjModel, read as a pin.Model and its further contents."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,14 +12,12 @@ import pinocchio as pin
 
 from ...common.arrays import Array
 from ...lie.group import Group
-from ..contents import Contents
+from ..contents import Contents, Coupling, Keyframe
 from ..locked_joints import LockedJoints
-from .acting import acting_on, tendons_on
 from .compile import compiled
 from .constraints import constraints_of, locked_with_followers, refuse_heavy_tendons
-from .keyframes import keyframes_of
-from .passive import passive_forces
-from .tree import tree_of
+from .mujoco_forces import left_out_actions, moving_tendons, passive_forces
+from .tree import Tree, tree_of
 from .world import World, robot_in
 
 
@@ -27,8 +25,10 @@ from .world import World, robot_in
 class MujocoRobot:
     """A robot as MuJoCo compiles it.
 
-    name: the model's.  model: on the root that the file gives it; without one, its first body
-    is the world's.  contents: of the group on which it is put, what else stands in the file.
+    Attributes:
+        name: Name of the model.
+        model: Model on the root in the file; without a root, its first body is fixed.
+        contents: Returns the further contents of the file, for the group of the root.
     """
 
     name: str
@@ -41,35 +41,46 @@ def read_mujoco(
 ) -> MujocoRobot:
     """Return the robot in a path, an MjSpec or an MjModel.
 
-    root: the body of the world that carries it, where several can move.  lock: joints to
-    freeze with their values.  gravity: (3,) [m/s²] instead of the file's.
-    Raises LoadError if MuJoCo cannot read it, ModelError for what cannot be reduced,
-    InputError for a root or a joint that is not there.
+    Args:
+        source: Path, MjSpec or MjModel.
+        root: Body of the world that carries the robot, if several can move.
+        lock: Joints to freeze, with their values [rad | m].
+        gravity: Gravity instead of the file's, (3,) [m/s²].
+
+    Returns:
+        The robot.
+
+    Raises:
+        LoadError: MuJoCo cannot read the source.
+        ModelError: pinred cannot reduce the robot.
+        InputError: The root or a joint is unknown.
     """
     what = str(source) if isinstance(source, (str, Path)) else "the model"
     world = robot_in(compiled(source), root, what)
-    weight = gravity_of(world)
+    file_gravity = gravity_of(world)
     lock, ties = locked_with_followers(world, lock)
-    felt = weight.felt if gravity is None else gravity
-    tree = tree_of(world, lock, felt)
+    effective = file_gravity.effective if gravity is None else gravity
+    tree = tree_of(world, lock, effective)
     locked = None
     if lock:
         root_name = "" if tree.root is None else str(tree.model.names[1])
-        raw = tree_of(world, lock, felt, whole=True).model
+        raw = tree_of(world, lock, effective, keep_frozen=True).model
         ids = {name: joint for joint, name in enumerate(world.joint_names)}
         several = tuple(name for name in lock if world.kind(ids[name]) in ("ball", "free"))
         locked = LockedJoints(raw, lock, ties, root_name=root_name, several=several)
     constraints = constraints_of(tree)
-    refuse_heavy_tendons(tree, tendons_on(tree))
-    still = [world.body_names[body] for body in tree.still]
+    refuse_heavy_tendons(tree, moving_tendons(tree))
+    fixed = [world.body_names[body] for body in tree.fixed_bodies]
 
     def contents(group: Group) -> Contents:
         return Contents(
-            left_out=tuple(acting_on(tree, constraints.outside, gravcomp=weight.partly)),
+            left_out=tuple(
+                left_out_actions(tree, constraints.outside, gravcomp=file_gravity.is_uneven)
+            ),
             passive=passive_forces(tree),
             keyframes=keyframes_of(tree, group, constraints.couplings),
             couplings=constraints.couplings,
-            freed=still[0] if still and tree.root is None else "",
+            freed=fixed[0] if fixed and tree.root is None else "",
             locked=locked,
         )
 
@@ -81,13 +92,13 @@ def read_mujoco(
 class Gravity:
     """The gravity of a model.
 
-    felt: (3,) [m/s²]; where it is compensated for all bodies alike, what is left of it.
-    partly: whether it is compensated for some bodies otherwise than for others, which is
-    not in `felt`.
+    Attributes:
+        effective: Gravity, (3,) [m/s²], less the compensation that all bodies share.
+        is_uneven: Whether bodies differ in their compensation, which is then not subtracted.
     """
 
-    felt: Array
-    partly: bool
+    effective: Array
+    is_uneven: bool
 
 
 def gravity_of(world: World) -> Gravity:
@@ -95,9 +106,35 @@ def gravity_of(world: World) -> Gravity:
     model = world.model
     gravity = np.zeros(3) if world.disabled("GRAVITY") else np.array(model.opt.gravity)
     if not model.flg_gravcomp or world.no_passive_forces:
-        return Gravity(gravity, partly=False)
+        return Gravity(gravity, is_uneven=False)
     heavy = [body for body in world.bodies if model.body_mass[body] > 0.0]
     shares = {float(model.body_gravcomp[body]) for body in heavy}
     if len(shares) == 1:
-        return Gravity(gravity * (1.0 - shares.pop()), partly=False)
-    return Gravity(gravity, partly=bool(shares) and bool(gravity.any()))
+        return Gravity(gravity * (1.0 - shares.pop()), is_uneven=False)
+    return Gravity(gravity, is_uneven=bool(shares) and bool(gravity.any()))
+
+
+def keyframes_of(
+    tree: Tree, group: Group, couplings: Sequence[Coupling] = ()
+) -> dict[str, Keyframe]:
+    """Return the keyframes by name; those without a name are called key0, key1 and so on.
+
+    Args:
+        tree: Robot.
+        group: Group of the base.  Without motion in the file, the base rests at the identity.
+        couplings: Couplings of followers, whose values in the file are not used.
+    """
+    followers = {coupling.follower for coupling in couplings}
+    joints = [joint for joint in tree.shape if joint.name not in followers]
+    model, root = tree.world.model, tree.root
+    keyframes = {}
+    for k in range(model.nkey):
+        qpos, qvel = np.array(model.key_qpos[k]), np.array(model.key_qvel[k])
+        keyframes[tree.world.name("KEY", k).replace("key ", "key")] = Keyframe(
+            pose=group.identity() if root is None else root.pose(qpos),
+            x=np.array([qpos[joint.q_at] for joint in joints]),
+            xi=np.zeros(group.dim) if root is None else root.twist(qpos, qvel),
+            xdot=np.array([qvel[joint.v_at] for joint in joints]),
+            time=float(model.key_time[k]),
+        )
+    return keyframes

@@ -1,9 +1,8 @@
 """The joints of the body that carries all others, read as one motion of a symmetry group.
 
-MuJoCo has no planar joint, and moves a body in a plane by three joints in it; these become
-SE(2), with a slide across the plane ℝ × SE(2), and three slides with a ball, or with three
-hinges, SE(3).  All else is
-the first joint alone, with the others as shape behind it.
+MuJoCo has no planar joint: a file moves a body in a plane by three joints, which become SE(2).
+With a slide across the plane they become ℝ × SE(2).  Three slides with a ball, or with three
+hinges, become SE(3).  In all other cases the first joint alone is the root.
 """
 
 from __future__ import annotations
@@ -20,204 +19,237 @@ from ...lie.r_se2 import RxSE2
 from ...lie.se2 import SE2
 from ..joints import root_joint
 from . import rotors
-from .joints import Joint, frame
+from .mujoco_joints import Joint, frame
 
-_EXACT = 1e-12  # sines and cosines, below which they are round-off
-_SOMEWHERE = (0.7, -0.4, 1.1, 0.2)  # rad | m, from where the file has the joints
+_EXACT = 1e-12  # sines, cosines and lengths [m] below which a number is round-off
+# Displacements from the drawn position at which a plane of joints is tested [rad | m].
+_GENERIC = (0.7, -0.4, 1.1, 0.2)
 
 
 @dataclass(frozen=True, eq=False)
 class RootMotion:
     """The motion of the carrying body in the world.
 
-    joints: those that make the motion.  model: Pinocchio's joint.  before: its frame, on the
-    body's as the file has it drawn.  behind: the body's frame, on the joint's moving one.
-    fixed: whether `before` counts from the world instead.  weight: what the joints' rotors add
-    to the inertia, on the moving frame; armature: (nv,) what Pinocchio is to add itself.
-    pose: from qpos to the pose of the group.  twist: from qpos and qvel to the body twist.
+    Attributes:
+        joints: Joints that make the motion.
+        model: Pinocchio's joint.
+        before: Fixed frame of the joint, on the body as the file draws it.
+        behind: Frame of the body, on the moving frame of the joint.
+        rotors: Inertia of the joints' rotors, on the moving frame.
+        pose: Returns the pose of the group for qpos.
+        twist: Returns the body twist for qpos and qvel.
+        armature: Armature that Pinocchio adds, (nv,) [kg m² | kg]; None for zero.
+        in_world: Whether `before` is a frame of the world instead.
     """
 
     joints: tuple[Joint, ...]
     model: pin.JointModel
     before: pin.SE3
     behind: pin.SE3
-    weight: pin.Inertia
-    armature: Array
+    rotors: pin.Inertia
     pose: Callable[[Array], Array]
     twist: Callable[[Array, Array], Array]
-    fixed: bool = False
+    armature: Array | None = None
+    in_world: bool = False
 
     @property
     def name(self) -> str:
-        """The joints' names."""
+        """Names of the joints."""
         return "+".join(joint.name for joint in self.joints)
 
 
 def root_motion(joints: Sequence[Joint], gravity: Array, turn: Array) -> RootMotion:
-    """Return the motion that the joints of the carrying body make, or the first ones of them.
+    """Return the motion that the first joints of the carrying body make together.
 
-    gravity: (3,) in the world [m/s²].  turn: (3, 3) from the body's axes, where the file has
-    it drawn, to the world's.
-    Raises ModelError for rotors of which no symmetry of the base is left.
+    Args:
+        joints: Joints of the body.
+        gravity: Gravity in the world frame, (3,) [m/s²].
+        turn: Rotation from the axes of the body, as the file draws it, to the world's, (3, 3).
+
+    Returns:
+        The motion.
+
+    Raises:
+        ModelError: Rotors break the symmetry of the base.
     """
     kinds, first = [joint.kind for joint in joints], joints[0]
-    felt = turn.T @ gravity
+    in_body = turn.T @ gravity
     if kinds == ["slide"] * 3 + ["ball"] and _rank([j.axis for j in joints[:3]]) == 3:
-        return _floating(joints, felt)
+        return _slides_and_ball(joints, in_body)
     if (plane := _plane(joints)) is not None:
-        return _planar(joints, plane, felt)
+        return _planar(joints, plane, in_body)
     if _is_spatial(joints):
-        return _spatial(joints, felt)
+        return _spatial(joints, in_body)
     if first.kind == "free":
         return _free(first, gravity)
-    return _ball(first) if first.kind == "ball" else _single(first, felt)
+    return _ball(first) if first.kind == "ball" else _single(first, in_body)
 
 
 def _single(joint: Joint, gravity: Array) -> RootMotion:
     """Return the motion of a slide or a hinge, whose coordinate is MuJoCo's."""
     slides = joint.kind == "slide"
     return RootMotion(
-        joints=(joint,), model=joint.model(),
-        before=joint.at_point * joint.turned(-joint.q0), behind=joint.at_point.inverse(),
-        weight=rotors.of_slides([joint], gravity) if slides else pin.Inertia.Zero(),
-        armature=np.zeros(1) if slides else joint.armature,
+        joints=(joint,),
+        model=joint.model(),
+        before=joint.at_point * joint.displaced(-joint.q0),
+        behind=joint.at_point.inverse(),
+        rotors=rotors.of_slides([joint], gravity) if slides else pin.Inertia.Zero(),
+        armature=None if slides else joint.armature,
         pose=lambda qpos: qpos[joint.q_at : joint.q_at + 1].copy(),
         twist=lambda _, qvel: qvel[joint.v_at : joint.v_at + 1].copy(),
-    )  # fmt: skip
+    )
 
 
 def _ball(joint: Joint) -> RootMotion:
-    """Return turning about a point; MuJoCo's angular velocity is in the body's axes, too."""
+    """Return rotation about a point.  MuJoCo's angular velocity is in body axes, too."""
     return RootMotion(
-        joints=(joint,), model=pin.JointModelSpherical(), before=joint.at_point,
-        behind=joint.at_point.inverse(), weight=rotors.of_ball(joint), armature=np.zeros(3),
+        joints=(joint,),
+        model=pin.JointModelSpherical(),
+        before=joint.at_point,
+        behind=joint.at_point.inverse(),
+        rotors=rotors.of_ball(joint),
         pose=lambda qpos: _quaternion(qpos[joint.q_at :]),
         twist=lambda _, qvel: qvel[joint.v_at : joint.v_at + 3].copy(),
-    )  # fmt: skip
+    )
 
 
 def _free(joint: Joint, gravity: Array) -> RootMotion:
-    """Return free motion, whose pose is that in the world; it moves along the world's axes."""
+    """Return free motion.  Its pose is in the world, and so is its linear velocity."""
     q, v = joint.q_at, joint.v_at
 
-    def pose(qpos: Array) -> Array:
-        return np.concatenate([qpos[q : q + 3], _quaternion(qpos[q + 3 :])])
-
     def twist(qpos: Array, qvel: Array) -> Array:
-        turn = frame(np.zeros(3), _wxyz(qpos[q + 3 :])).rotation
+        turn = _rotation(qpos[q + 3 :])
         return np.concatenate([turn.T @ qvel[v : v + 3], qvel[v + 3 : v + 6]])
 
     return RootMotion(
-        joints=(joint,), model=pin.JointModelFreeFlyer(), before=pin.SE3.Identity(),
-        behind=pin.SE3.Identity(), weight=rotors.of_free(joint, gravity), armature=np.zeros(6),
-        pose=pose, twist=twist, fixed=True,
-    )  # fmt: skip
+        joints=(joint,),
+        model=pin.JointModelFreeFlyer(),
+        before=pin.SE3.Identity(),
+        behind=pin.SE3.Identity(),
+        rotors=rotors.of_free(joint, gravity),
+        pose=lambda qpos: np.concatenate([qpos[q : q + 3], _quaternion(qpos[q + 3 :])]),
+        twist=twist,
+        in_world=True,
+    )
 
 
-def _floating(joints: Sequence[Joint], gravity: Array) -> RootMotion:
+def _slides_and_ball(joints: Sequence[Joint], gravity: Array) -> RootMotion:
     """Return the motion of three slides, then a ball."""
     *slides, ball = joints
     axes = np.array([joint.axis for joint in slides]).T
 
     def pose(qpos: Array) -> Array:
-        moved = axes @ np.array([qpos[joint.q_at] - joint.q0 for joint in slides])
-        return np.concatenate([moved, _quaternion(qpos[ball.q_at :])])
+        shift = axes @ np.array([qpos[joint.q_at] - joint.q0 for joint in slides])
+        return np.concatenate([shift, _quaternion(qpos[ball.q_at :])])
 
     def twist(qpos: Array, qvel: Array) -> Array:
         v = axes @ np.array([qvel[joint.v_at] for joint in slides])
-        turn = frame(np.zeros(3), _wxyz(qpos[ball.q_at :])).rotation
+        turn = _rotation(qpos[ball.q_at :])
         return np.concatenate([turn.T @ v, qvel[ball.v_at : ball.v_at + 3]])
 
     return RootMotion(
-        joints=tuple(joints), model=pin.JointModelFreeFlyer(), before=ball.at_point,
+        joints=tuple(joints),
+        model=pin.JointModelFreeFlyer(),
+        before=ball.at_point,
         behind=ball.at_point.inverse(),
-        weight=rotors.of_slides(slides, gravity) + rotors.of_ball(ball), armature=np.zeros(6),
-        pose=pose, twist=twist,
-    )  # fmt: skip
+        rotors=rotors.of_slides(slides, gravity) + rotors.of_ball(ball),
+        pose=pose,
+        twist=twist,
+    )
 
 
 def _is_spatial(joints: Sequence[Joint]) -> bool:
     """Return whether three slides and three hinges move a body freely from where it is drawn.
 
-    Rotors on them would break the symmetry, but for slides ahead of hinges that turn about one
-    point.
+    Rotors on them break the symmetry, except on slides ahead of hinges through one point.
     """
     kinds = [joint.kind for joint in joints]
     if sorted(kinds) != ["hinge"] * 3 + ["slide"] * 3:
         return False
     heavy = {joint.kind for joint in joints if joint.armature.any()}
     points = [joint.point for joint in joints if joint.kind == "hinge"]
-    apart = float(np.ptp(points, axis=0).max()) > _EXACT
-    if "hinge" in heavy or (heavy and (apart or kinds[:3] != ["slide"] * 3)):
+    distinct = float(np.ptp(points, axis=0).max()) > _EXACT
+    if "hinge" in heavy or (heavy and (distinct or kinds[:3] != ["slide"] * 3)):
         return False
-    at = [joint.q0 for joint in joints]
-    return _rank([_twist(joints, at, rates).vector for rates in np.eye(6).tolist()]) == 6
+    return _moves_freely(joints, [joint.q0 for joint in joints])
 
 
 def _spatial(joints: Sequence[Joint], gravity: Array) -> RootMotion:
-    """Return the motion of three slides and three hinges, in any order.
+    """Return the motion of three slides and three hinges, in any order."""
+    first_hinge = next(joint for joint in joints if joint.kind == "hinge")
+    slides = [joint for joint in joints if joint.kind == "slide"]
+    weight = rotors.of_slides(slides, gravity)
 
-    The joint's frame is the body's, moved to the first hinge.  With W that frame on the body's,
-    the pose of the group is W⁻¹ P W of MuJoCo's motion P.
-    """
-    W = next(joint.at_point for joint in joints if joint.kind == "hinge")
-    inverse = W.inverse()
+    def pose(at: pin.SE3, _: Array) -> Array:
+        return np.asarray(pin.SE3ToXYZQUAT(at))
 
-    def pose(qpos: Array) -> Array:
-        moved = pin.SE3.Identity()
-        for joint in joints:
-            moved = moved * joint.motion(qpos[joint.q_at])
-        return np.asarray(pin.SE3ToXYZQUAT(inverse * moved * W))
-
-    def twist(qpos: Array, qvel: Array) -> Array:
-        at = [qpos[joint.q_at] for joint in joints]
-        rates = [qvel[joint.v_at] for joint in joints]
-        return np.asarray(inverse.act(_twist(joints, at, rates)).vector)
-
-    return RootMotion(
-        joints=tuple(joints), model=pin.JointModelFreeFlyer(), before=W, behind=inverse,
-        weight=rotors.of_slides([j for j in joints if j.kind == "slide"], gravity),
-        armature=np.zeros(6), pose=pose, twist=twist,
-    )  # fmt: skip
+    model, axes = pin.JointModelFreeFlyer(), list(range(6))
+    return _combined(joints, first_hinge.at_point, model, axes, weight, pose)
 
 
 def _planar(joints: Sequence[Joint], plane: _Plane, gravity: Array) -> RootMotion:
     """Return the motion of slides and hinges in a plane, and of one across it, in any order.
 
-    The joint's frame has z along the hinges' normal and x along the first slide in the plane
-    (with none, anywhere), its origin on the first hinge.  With W that frame on the body's, the
-    pose of the group is W⁻¹ P W of MuJoCo's motion P.
+    The joint's frame has z along the hinges' normal and x along the first slide in the plane, if
+    there is one.  Its origin is on the first hinge.
     """
     W = pin.SE3(_axes(plane.hinges[0].axis, plane.slides), plane.hinges[0].point)
-    inverse, axes = W.inverse(), list(plane.group.axes)
+    axes = list(plane.group.axes)
 
-    def pose(qpos: Array) -> Array:
-        moved = pin.SE3.Identity()
-        for joint in joints:
-            moved = moved * joint.motion(qpos[joint.q_at])
-        turned = [
+    def pose(at: pin.SE3, qpos: Array) -> Array:
+        angles = [
             (qpos[hinge.q_at] - hinge.q0) * np.sign(hinge.axis @ W.rotation[:, 2])
             for hinge in plane.hinges
         ]
-        return np.append((inverse * moved * W).translation[axes[:-1]], sum(turned))
+        return np.append(at.translation[axes[:-1]], sum(angles))
+
+    model = root_joint(plane.group)
+    return _combined(joints, W, model, axes, rotors.of_plane(joints, gravity), pose)
+
+
+def _combined(
+    joints: Sequence[Joint],
+    W: pin.SE3,
+    model: pin.JointModel,
+    axes: list[int],
+    weight: pin.Inertia,
+    pose_of: Callable[[pin.SE3, Array], Array],
+) -> RootMotion:
+    """Return the motion of several slides and hinges.
+
+    Args:
+        joints: Joints of the body.
+        W: Frame of the joint, on the body.  With MuJoCo's motion P of the body, the pose of the
+            group is W⁻¹ P W.
+        model: Pinocchio's joint.
+        axes: Components of a twist in which the group moves.
+        weight: Inertia of the rotors.
+        pose_of: Returns coordinates of the group for W⁻¹ P W and qpos.
+    """
+    inverse = W.inverse()
+
+    def pose(qpos: Array) -> Array:
+        motion = pin.SE3.Identity()
+        for joint in joints:
+            motion = motion * joint.motion(qpos[joint.q_at])
+        return pose_of(inverse * motion * W, qpos)
 
     def twist(qpos: Array, qvel: Array) -> Array:
-        at = [qpos[joint.q_at] for joint in joints]
+        values = [qpos[joint.q_at] for joint in joints]
         rates = [qvel[joint.v_at] for joint in joints]
-        return np.asarray(inverse.act(_twist(joints, at, rates)).vector[axes])
+        return np.asarray(inverse.act(_twist(joints, values, rates)).vector[axes])
 
-    return RootMotion(
-        joints=tuple(joints), model=root_joint(plane.group), before=W, behind=inverse,
-        weight=rotors.of_plane(joints, gravity), armature=np.zeros(len(axes)),
-        pose=pose, twist=twist,
-    )  # fmt: skip
+    return RootMotion(tuple(joints), model, W, inverse, weight, pose, twist)
 
 
 @dataclass(frozen=True)
 class _Plane:
     """Joints that move a body in a plane, and perhaps across it.
 
-    group: SE(2) or ℝ × SE(2).  hinges: across the plane.  slides: in it.
+    Attributes:
+        group: SE(2), or ℝ × SE(2).
+        hinges: Hinges normal to the plane.
+        slides: Slides in the plane.
     """
 
     group: Group
@@ -226,23 +258,21 @@ class _Plane:
 
 
 def _plane(joints: Sequence[Joint]) -> _Plane | None:
-    """Return the plane in which joints move a body, or None if they do not in all of it."""
+    """Return the plane in which joints move a body freely, or None."""
     hinges = tuple(joint for joint in joints if joint.kind == "hinge")
     if len(joints) not in (3, 4) or {j.kind for j in joints} - {"slide", "hinge"} or not hinges:
         return None
     z = hinges[0].axis
-    across = [joint for joint in joints if np.abs(np.cross(joint.axis, z)).max() <= _EXACT]
-    along = [joint for joint in joints if abs(joint.axis @ z) <= _EXACT]
-    climbs = [joint for joint in across if joint.kind == "slide"]
-    in_plane = tuple(joint for joint in along if joint.kind == "slide")
-    if len(climbs) != len(joints) - 3 or len(across) + len(in_plane) != len(joints):
+    normal = [joint for joint in joints if np.abs(np.cross(joint.axis, z)).max() <= _EXACT]
+    lifts = [joint for joint in normal if joint.kind == "slide"]
+    slides = tuple(j for j in joints if j.kind == "slide" and abs(j.axis @ z) <= _EXACT)
+    if len(lifts) != len(joints) - 3 or len(normal) + len(slides) != len(joints):
         return None
-    # Three hinges may lie in a row where the file has them, and still move in all directions.
-    at = [joint.q0 + by for joint, by in zip(joints, _SOMEWHERE, strict=False)]
-    twists = [_twist(joints, at, rates).vector for rates in np.eye(len(joints)).tolist()]
-    if _rank(twists) != len(joints):
+    # Three hinges can be drawn in one line and still move in all directions elsewhere.
+    values = [joint.q0 + by for joint, by in zip(joints, _GENERIC, strict=False)]
+    if not _moves_freely(joints, values):
         return None
-    return _Plane(RxSE2 if climbs else SE2, hinges, in_plane)
+    return _Plane(RxSE2 if lifts else SE2, hinges, slides)
 
 
 def _axes(z: Array, slides: Sequence[Joint]) -> Array:
@@ -253,12 +283,18 @@ def _axes(z: Array, slides: Sequence[Joint]) -> Array:
     return np.array([np.cross(y, z), y, z]).T
 
 
-def _twist(joints: Sequence[Joint], at: Sequence[float], rates: Sequence[float]) -> pin.Motion:
-    """Return the body twist that joints at coordinates and with rates make together."""
+def _twist(joints: Sequence[Joint], values: Sequence[float], rates: Sequence[float]) -> pin.Motion:
+    """Return the body twist that joints at values and with rates make together."""
     twist = pin.Motion.Zero()
-    for joint, value, rate in zip(joints, at, rates, strict=True):
+    for joint, value, rate in zip(joints, values, rates, strict=True):
         twist = joint.motion(value).actInv(twist) + joint.twist(rate)
     return twist
+
+
+def _moves_freely(joints: Sequence[Joint], values: Sequence[float]) -> bool:
+    """Return whether the twists of joints at values are independent."""
+    twists = [_twist(joints, values, rates).vector for rates in np.eye(len(joints)).tolist()]
+    return _rank(twists) == len(joints)
 
 
 def _rank(vectors: Sequence[Array]) -> int:
@@ -266,12 +302,16 @@ def _rank(vectors: Sequence[Array]) -> int:
 
 
 def _wxyz(values: Array) -> Array:
-    """Return MuJoCo's quaternion at the front of coordinates; of length zero, it turns nothing."""
+    """Return MuJoCo's quaternion at the front of coordinates; length zero counts as identity."""
     quaternion = values[:4]
     return quaternion if quaternion.any() else np.array([1.0, 0.0, 0.0, 0.0])
 
 
+def _rotation(values: Array) -> Array:
+    return np.asarray(frame(np.zeros(3), _wxyz(values)).rotation)
+
+
 def _quaternion(values: Array) -> Array:
-    """Return the unit quaternion with the real part last, of MuJoCo's, which begins with it."""
+    """Return the unit quaternion with the real part last; MuJoCo's begins with the real part."""
     quaternion = _wxyz(values)
     return np.asarray(np.roll(quaternion, -1) / np.linalg.norm(quaternion))

@@ -1,8 +1,8 @@
-"""Rotors of the base's joints (armature) as an inertia without weight, where they are one.
+"""Rotors of the base's joints (armature) as an equivalent inertia on the base.
 
-Pinocchio adds armature to the diagonal of the mass matrix, which of several joints at a root
-gives wrong accelerations.  Rotors that resist alike in all directions are a mass, or a moment
-of inertia, on the base, exact where gravity does not act on it; others break the symmetry.
+Pinocchio adds armature to the diagonal of the mass matrix, which is wrong for several joints at
+a root.  Rotors that resist equally in all directions equal a mass, or a moment of inertia, on
+the base.  That is exact if gravity does not act on the mass.  Other rotors break the symmetry.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ import pinocchio as pin
 
 from ...common.arrays import Array
 from ...common.errors import ModelError
-from .joints import Joint
+from .mujoco_joints import Joint
 
-_EXACT = 1e-12  # cosines and relative sizes, below which they are round-off
+_EXACT = 1e-12  # cosines and relative sizes below which a number is round-off
 
 
 def of_slides(slides: Sequence[Joint], gravity: Array) -> pin.Inertia:
     """Return the rotors of slides ahead of all other joints, at the joints' origin.
 
-    gravity: (3,) along the axes in which the slides' are given.  Raises ModelError.
+    gravity: (3,) [m/s²], in the frame of the slides' axes.  Raises ModelError.
     """
     rotors = _rotors(slides)
     if not rotors.any():
@@ -37,37 +37,37 @@ def of_slides(slides: Sequence[Joint], gravity: Array) -> pin.Inertia:
 
 
 def of_ball(joint: Joint) -> pin.Inertia:
-    """Return the rotors that a ball turns, or a free joint; they have no gyroscopic moment."""
-    turning = joint.armature[-3:]
-    if np.ptp(turning) != 0.0:
+    """Return the rotors of a ball or of a free joint's rotation, without gyroscopic moment."""
+    angular = joint.armature[-3:]
+    if np.ptp(angular) != 0.0:
         _refuse([joint], "it must be the same in all directions")
-    return pin.Inertia(0.0, np.zeros(3), turning[0] * np.eye(3))
+    return pin.Inertia(0.0, np.zeros(3), angular[0] * np.eye(3))
 
 
 def of_free(joint: Joint, gravity: Array) -> pin.Inertia:
-    """Return the rotors of a free joint.  gravity: (3,) in the world.  Raises ModelError."""
-    sliding = joint.armature[:3]
-    if np.ptp(sliding) != 0.0:
+    """Return the rotors of a free joint.  gravity: (3,) in the world frame."""
+    linear = joint.armature[:3]
+    if np.ptp(linear) != 0.0:
         _refuse([joint], "it must be the same in all directions")
-    if sliding.any():
+    if linear.any():
         _refuse_falling([joint], gravity, np.eye(3))
-    return _mass(sliding[0]) + of_ball(joint)
+    return _mass(linear[0]) + of_ball(joint)
 
 
 def of_plane(joints: Sequence[Joint], gravity: Array) -> pin.Inertia:
-    """Return the rotors of slides and hinges that move in a plane, on axes with z across it.
+    """Return the rotors of slides and hinges that move in a plane, on axes with z normal to it.
 
-    gravity: (3,) along the axes in which the joints' are given.  Raises ModelError.
+    gravity: (3,) [m/s²], in the frame of the joints' axes.  Raises ModelError.
     """
     slides = [joint for joint in joints if joint.kind == "slide"]
     hinges = [joint for joint in joints if joint.kind == "hinge"]
     if len(hinges) > 1 and _rotors(hinges).any():
-        _refuse(hinges, "two hinges turn the body together, so that their rotors are no inertia")
+        _refuse(hinges, "two hinges turn the body together, and their rotors equal no inertia")
     ahead = list(joints[: len(slides)]) == slides and len(hinges) == 1
     if _rotors(slides).any() and not ahead:
         _refuse(slides, "a hinge ahead of them, or no second slide, breaks the symmetry")
-    turning = np.diag([0.0, 0.0, hinges[0].armature[0]])
-    return of_slides(slides, gravity) + pin.Inertia(0.0, np.zeros(3), turning)
+    angular = np.diag([0.0, 0.0, hinges[0].armature[0]])
+    return of_slides(slides, gravity) + pin.Inertia(0.0, np.zeros(3), angular)
 
 
 def _mass(mass: float) -> pin.Inertia:
@@ -79,9 +79,9 @@ def _rotors(joints: Sequence[Joint]) -> Array:
 
 
 def _refuse_falling(joints: Sequence[Joint], gravity: Array, axes: Array) -> None:
-    """Refuse rotors that gravity would make fall, if it has a part along the axes."""
+    """Refuse rotors if gravity acts along the axes: armature has inertia but no weight."""
     if np.abs(axes @ gravity).max() > _EXACT * np.linalg.norm(gravity):
-        _refuse(joints, "gravity acts along them, and rotors have no weight to fall with")
+        _refuse(joints, "gravity acts along them, but armature has no weight")
 
 
 def _refuse(joints: Sequence[Joint], why: str) -> NoReturn:

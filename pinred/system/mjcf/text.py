@@ -1,7 +1,7 @@
-"""The text of an MJCF file and of what it includes, measured before MuJoCo's parser sees it.
+"""Size limits on MJCF files and their includes, checked before MuJoCo parses them.
 
-That parser recurses, and unrolls <replicate>, <flexcomp> and <attach>: a few lines could fill
-the memory or the stack.  Here the elements that a file unrolls to are counted, not made.
+MuJoCo's parser recurses, and expands <replicate>, <flexcomp> and <attach>, so a few lines could
+exhaust the memory or the stack.  This module counts the expanded elements without making them.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from ...common.paths import is_file
 from ...common.plain_names import plain_path
 from ..robot_files import read_text
 
-_DEEPEST = 450  # elements in one another; MuJoCo refuses 500
-_DEEPEST_INCLUDES = 50  # files in one another
-_MOST = 100_000  # elements, unrolled; the largest files in use have a tenth
-_CELLS = 100  # of a landscape, that take no more room than an element
-_MOST_ATTRIBUTES = 100  # of one element; MuJoCo's schema has half as many
-_MOST_LETTERS = 64_000_000  # of all files together
+_DEEPEST = 450  # nested elements; MuJoCo refuses 500
+_DEEPEST_INCLUDES = 50  # nested files
+_MOST = 100_000  # expanded elements; the largest files in use have a tenth of that
+_CELLS = 100  # cells of a height field that need as much memory as one element
+_MOST_ATTRIBUTES = 100  # attributes of one element; MuJoCo's schema has half as many
+_MOST_LETTERS = 64_000_000  # characters of all files together
 
 
 @dataclass
 class _Open:
-    """An element that is being read.  before: elements ahead of it."""
+    """An open element.  before: number of elements ahead of it."""
 
     tag: str
     attributes: dict[str, str]
@@ -35,11 +35,15 @@ class _Open:
 
 @dataclass
 class _Measure:
-    """The amount read so far: of a file, and of all that it includes.
+    """The size of a file and its includes, as far as they were read.
 
-    top: the folder of the file.  count: elements, unrolled.  letters: of all texts.  named: how
-    many elements a body or frame of a name has.  models: the same of files that are attached.
-    reading: the files that are open, one included by the other.
+    Attributes:
+        top: Folder of the file.
+        count: Number of expanded elements.
+        letters: Number of characters.
+        named: Number of elements in each named body or frame.
+        models: Number of elements in each attached file, by its model name.
+        reading: Open files, each included by the one before.
     """
 
     top: Path
@@ -51,57 +55,58 @@ class _Measure:
 
 
 def check_text(path: Path, text: str) -> None:
-    """Refuse an MJCF file that would be too large or too deep for a parser.
+    """Refuse an MJCF file, with its text, that is too large or too deep for a parser.
 
-    text: what stands in it.  Raises LoadError with the file at fault.
+    Raises LoadError with the file at fault.
     """
     _measure(path, text, _Measure(path.parent), 0)
 
 
-def _measure(path: Path, text: str, found: _Measure, depth: int) -> None:
-    found.letters += len(text)
-    if found.letters > _MOST_LETTERS:
+def _measure(path: Path, text: str, size: _Measure, depth: int) -> None:
+    """Add the size of a file to `size`.  depth: number of elements around it."""
+    size.letters += len(text)
+    if size.letters > _MOST_LETTERS:
         raise LoadError(f"{plain_path(path)}: more than {_MOST_LETTERS} letters of MJCF in all")
-    if path.resolve() in found.reading or len(found.reading) > _DEEPEST_INCLUDES:
+    if path.resolve() in size.reading or len(size.reading) > _DEEPEST_INCLUDES:
         raise LoadError(f"{plain_path(path)} includes itself, or too many files include each other")
-    found.reading.append(path.resolve())
-    inside: list[_Open] = []
+    size.reading.append(path.resolve())
+    stack: list[_Open] = []
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        element = _Open(tag.lower(), attributes, found.count)
-        inside.append(element)
-        found.count += 1
-        if depth + len(inside) > _DEEPEST:
+        element = _Open(tag.lower(), attributes, size.count)
+        stack.append(element)
+        size.count += 1
+        if depth + len(stack) > _DEEPEST:
             raise LoadError(f"{where()}: more than {_DEEPEST} elements within one another")
         if len(attributes) > _MOST_ATTRIBUTES:
             raise LoadError(f"{where()}: <{tag}> has more than {_MOST_ATTRIBUTES} attributes")
         if element.tag in ("include", "model") and "file" in attributes:
-            _measure_named(path, attributes, element.tag, found, depth + len(inside))
-        elif element.tag in _MAKES:
-            found.count += _MAKES[element.tag](attributes)
+            _measure_named(path, attributes, element.tag, size, depth + len(stack))
+        elif element.tag in _EXPANSIONS:
+            size.count += _EXPANSIONS[element.tag](attributes)
         elif element.tag == "attach":
-            found.count += found.models.get(attributes.get("model", ""), 0)
-            found.count += _size_of(
-                attributes.get("body", attributes.get("frame", "")), found.named
+            size.count += size.models.get(attributes.get("model", ""), 0)
+            size.count += _attached_size(
+                attributes.get("body", attributes.get("frame", "")), size.named
             )
         check_count()
 
     def end(_: str) -> None:
-        element = inside.pop()
-        own = found.count - element.before
+        element = stack.pop()
+        count = size.count - element.before
         if element.tag == "replicate":
-            own *= _product(element.attributes.get("count", ""))
-            found.count = element.before + own
+            count *= _product(element.attributes.get("count", ""))
+            size.count = element.before + count
             check_count()
         if element.tag in ("body", "frame") and "name" in element.attributes:
             name = element.attributes["name"]
-            found.named[name] = max(own, found.named.get(name, 0))
+            size.named[name] = max(count, size.named.get(name, 0))
 
     def where() -> str:
         return f"{path}, line {parser.CurrentLineNumber}"
 
     def check_count() -> None:
-        if found.count > _MOST:
+        if size.count > _MOST:
             raise LoadError(f"{where()}: more than {_MOST} elements of MJCF in all")
 
     parser = expat.ParserCreate()
@@ -110,58 +115,63 @@ def _measure(path: Path, text: str, found: _Measure, depth: int) -> None:
         parser.Parse(text, True)
     except expat.ExpatError as error:
         raise LoadError(f"{plain_path(path)} is not XML: {error}") from None
-    found.reading.pop()
+    size.reading.pop()
 
 
 def _measure_named(
-    path: Path, attributes: dict[str, str], tag: str, found: _Measure, depth: int
+    path: Path, attributes: dict[str, str], tag: str, size: _Measure, depth: int
 ) -> None:
-    """Measure a file that is included, or attached as a model, in any place it may stand in."""
-    before = found.count
+    """Measure a file that is included, or attached as a model, in every folder it may be in."""
+    before = size.count
     name, last = attributes["file"], Path(attributes["file"]).name
-    folders = dict.fromkeys((found.top, path.parent))
+    folders = dict.fromkeys((size.top, path.parent))
     files = [folder / name for folder in folders]
-    # With strippath="true" only the last part of a name counts; it may be that of a file which
-    # is being read, and which MuJoCo does not include again.
+    # With strippath="true" only the last component of a name counts.  It may name an open file,
+    # which MuJoCo does not include again.
     stripped = [folder / last for folder in folders if name != last]
     if tag == "include":
-        stripped = [file for file in stripped if file.resolve() not in found.reading]
+        stripped = [file for file in stripped if file.resolve() not in size.reading]
     for file in dict.fromkeys([*files, *stripped]):
         if is_file(file):
-            _measure(file, read_text(file), found, depth)
-    if tag == "model":  # it counts where it is attached
+            _measure(file, read_text(file), size, depth)
+    if tag == "model":  # Its elements count where it is attached.
         name = attributes.get("name", Path(attributes["file"]).stem)
-        found.models[name], found.count = found.count - before, before
+        size.models[name], size.count = size.count - before, before
 
 
 def _product(counts: str) -> int:
-    """Return the product of whole numbers in a text, 1 at least and bounded above."""
+    """Return the product of the whole numbers in a text, at least 1 and bounded above."""
     product = 1.0
     for word in counts.split():
         try:
             product *= max(1.0, float(word))
-        except ValueError:  # MuJoCo will say so
+        except ValueError:  # MuJoCo refuses the word.
             continue
     return int(min(product, _CELLS * _MOST))
 
 
-def _of_mesh(attributes: dict[str, str]) -> int:
-    """Return about how many vertices a mesh has that MuJoCo makes of a few parameters."""
+def _mesh_vertices(attributes: dict[str, str]) -> int:
+    """Return about how many vertices a mesh has that MuJoCo generates from parameters."""
     if "builtin" not in attributes:
         return 0
     first, *more = attributes.get("params", "").split() or [""]
-    twice = attributes["builtin"].startswith("super")  # around and along
+    # Superquadrics are divided along both directions by the first parameter.
+    twice = attributes["builtin"].startswith("super")
     return _product(f"{first} {first if twice else more[0] if more else ''}")
 
 
-# What MuJoCo makes of a single element, in elements; a cell of a landscape is only a number.
-_MAKES: dict[str, Callable[[dict[str, str]], int]] = {
-    "flexcomp": lambda said: _product(said.get("count", "")) + _product(said.get("cellcount", "")),
-    "mesh": _of_mesh,
-    "hfield": lambda said: _product(f"{said.get('nrow', '')} {said.get('ncol', '')}") // _CELLS,
+# Number of elements to which MuJoCo expands one element.  A cell of a height field is one number.
+_EXPANSIONS: dict[str, Callable[[dict[str, str]], int]] = {
+    "flexcomp": lambda attributes: (
+        _product(attributes.get("count", "")) + _product(attributes.get("cellcount", ""))
+    ),
+    "mesh": _mesh_vertices,
+    "hfield": lambda attributes: (
+        _product(f"{attributes.get('nrow', '')} {attributes.get('ncol', '')}") // _CELLS
+    ),
 }
 
 
-def _size_of(target: str, sizes: dict[str, int]) -> int:
-    """Return how many elements what is attached has; its name may have got a prefix before."""
-    return max((size for name, size in sizes.items() if target.endswith(name)), default=0)
+def _attached_size(target: str, sizes: dict[str, int]) -> int:
+    """Return the number of elements in an attached body; its name may have a prefix."""
+    return max((count for name, count in sizes.items() if target.endswith(name)), default=0)

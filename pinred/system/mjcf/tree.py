@@ -1,4 +1,4 @@
-"""The bodies and joints of a compiled MuJoCo model as a pin.Model, numbers as MuJoCo uses them."""
+"""The bodies and joints of a compiled MuJoCo model as a pin.Model with MuJoCo's numbers."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ import pinocchio as pin
 from ...common.arrays import Array
 from ...common.errors import InputError, ModelError
 from ...common.plain_names import listed, quoted
-from .joints import Joint, frame, joint_of
+from ..rebuild import ModelBuilder
+from .mujoco_joints import Joint, frame, joint_of
 from .root import RootMotion, root_motion
 from .world import World
 
-# How MuJoCo takes the inertial frame of a body (mjtSameFrame): it passes over its place and
-# turn where they are nearly the body's own.
+# Values of mjtSameFrame for which MuJoCo ignores the position, or the rotation, of the inertial
+# frame on the body, because it is nearly the body's.
 _SAME_PLACE, _SAME_TURN = (1,), (1, 3)
 
 
 @dataclass(frozen=True)
 class Carrier:
-    """The Pinocchio joint that moves a body (0 is the world), and where the body sits on it."""
+    """The Pinocchio joint that moves a body (0 is the world), and the body's placement on it."""
 
     joint: int
     at: pin.SE3
@@ -30,74 +31,88 @@ class Carrier:
 
 @dataclass
 class Tree:
-    """A robot as a pin.Model, on the root that its file gives it, if any.
+    """A robot as a pin.Model, on the root in its file, if there is one.
 
-    carriers: by body.  root: the motion of the joints of the carrying body; None if that is
-    fixed in the file, or if several bodies hang on what is.  shape: the joints of the shape.
-    locked: ids of joints that are frozen.  whole: whether those of them that may vary are joints
-    of the model all the same.
+    Attributes:
+        world: The robot in the compiled model.
+        builder: Builder of the model.
+        gravity: Gravity that acts on rotors of the base, (3,) [m/s²].
+        carriers: Carriers by body.
+        root: Motion of the joints of the carrying body.  None if the file fixes that body, or if
+            several bodies are attached to fixed ones.
+        shape: Joints of the shape.
+        locked: Values of frozen joints by id [rad | m].
+        keep_frozen: Whether frozen joints whose value may vary stay joints of the model.
     """
 
     world: World
-    model: pin.Model
     gravity: Array
+    builder: ModelBuilder = field(default_factory=ModelBuilder)
     carriers: dict[int, Carrier] = field(default_factory=dict)
     root: RootMotion | None = None
     shape: list[Joint] = field(default_factory=list)
     locked: dict[int, float] = field(default_factory=dict)
-    whole: bool = False
+    keep_frozen: bool = False
 
     @property
-    def still(self) -> list[int]:
+    def model(self) -> pin.Model:
+        """The Pinocchio model."""
+        return self.builder.model
+
+    @property
+    def fixed_bodies(self) -> list[int]:
         """The bodies that the file fixes to the world."""
         return [body for body, carrier in self.carriers.items() if carrier.joint == 0]
 
     @property
     def free_joints(self) -> list[int]:
         """The ids of joints that are not frozen."""
-        world = self.world
-        joints = [joint for body in world.bodies for joint in world.joints(body)]
-        return [joint for joint in joints if joint not in self.locked]
+        return [joint for joint in self.world.all_joints if joint not in self.locked]
 
 
 def tree_of(
-    world: World, lock: Mapping[str, float], gravity: Array, *, whole: bool = False
+    world: World, lock: Mapping[str, float], gravity: Array, *, keep_frozen: bool = False
 ) -> Tree:
     """Return the robot's bodies on their joints.
 
-    lock: joints to freeze, with their values.  gravity: (3,) [m/s²], what acts on rotors
-    of the base.  whole: whether to keep frozen joints behind the root as joints of the model.
-    Raises InputError for a joint to lock that is not there, ModelError for joints inside the
-    tree that have several degrees of freedom, and for armature that the base cannot have.
+    Args:
+        world: The robot in the compiled model.
+        lock: Joints to freeze, with their values [rad | m].
+        gravity: Gravity that acts on rotors of the base, (3,) [m/s²].
+        keep_frozen: Whether frozen joints behind the root stay joints of the model.
+
+    Returns:
+        The tree.
+
+    Raises:
+        InputError: A joint to lock is unknown.
+        ModelError: A joint inside the tree has several degrees of freedom, or the base has
+            armature that breaks the symmetry.
     """
-    tree = Tree(world, pin.Model(), gravity, locked=_locked(world, lock), whole=whole)
+    tree = Tree(world, gravity, locked=_locked(world, lock), keep_frozen=keep_frozen)
     tree.model.gravity.linear = gravity
-    moved = _first_moved(tree)
-    armature: list[Array] = []
-    limits: list[Array] = []
+    root_body = _root_body(tree)
     for body in world.bodies:
         parent = int(world.model.body_parentid[body])
-        under = tree.carriers.get(parent) or Carrier(0, _fixed_at(world, parent))
+        under = tree.carriers.get(parent) or Carrier(0, _place_in_world(world, parent))
         at = under.at * frame(world.model.body_pos[body], world.model.body_quat[body])
         carrier = Carrier(under.joint, at)
-        todo = list(world.joints(body))
-        if body == moved:
-            carrier, todo = _add_root(tree, carrier, todo, armature, limits)
-        for joint in todo:
-            if joint in tree.locked and not _kept(tree, joint, carrier, moved):
-                carrier = Carrier(carrier.joint, carrier.at * _frozen(tree, joint))
+        joints = list(world.joints(body))
+        if body == root_body:
+            carrier, joints = _add_root(tree, carrier, joints)
+        for joint in joints:
+            if joint in tree.locked and not _stays_joint(tree, joint, carrier, root_body):
+                carrier = Carrier(carrier.joint, carrier.at * _frozen_motion(tree, joint))
             else:
-                carrier = _add_joint(tree, carrier, joint, armature, limits)
+                carrier = _add_joint(tree, carrier, joint)
         tree.carriers[body] = carrier
         _add_body(tree, body)
-    tree.model.armature = np.concatenate([np.empty(0), *armature])
-    low, high = (np.concatenate([np.empty(0), *(pair[k] for pair in limits)]) for k in (0, 1))
-    tree.model.lowerPositionLimit, tree.model.upperPositionLimit = low, high
+    tree.builder.finish()
     return tree
 
 
-def _fixed_at(world: World, body: int) -> pin.SE3:
-    """Return where a body is that is part of the world."""
+def _place_in_world(world: World, body: int) -> pin.SE3:
+    """Return the placement of a body that is part of the world."""
     at = pin.SE3.Identity()
     while body:
         at = frame(world.model.body_pos[body], world.model.body_quat[body]) * at
@@ -106,125 +121,106 @@ def _fixed_at(world: World, body: int) -> pin.SE3:
 
 
 def _locked(world: World, lock: Mapping[str, float]) -> dict[int, float]:
-    """Return the joints to freeze by id.  Raises InputError."""
-    own = {world.joint_names[j]: j for body in world.bodies for j in world.joints(body)}
-    out = {}
+    """Return the values of joints to freeze by id.  Raises InputError."""
+    ids = {world.joint_names[joint]: joint for joint in world.all_joints}
+    values = {}
     for name, value in lock.items():
-        if name not in own:
-            raise InputError(f"lock: no joint {quoted(name)}; the joints are {listed(own, 60)}")
-        if world.kind(own[name]) in ("ball", "free") and value != 0.0:
+        if name not in ids:
+            raise InputError(f"lock: no joint {quoted(name)}; the joints are {listed(ids, 60)}")
+        if world.kind(ids[name]) in ("ball", "free") and value != 0.0:
             raise InputError(
                 f"lock: joint {quoted(name)} has several degrees of freedom and freezes "
                 "at zero only"
             )
-        out[own[name]] = value
-    return out
+        values[ids[name]] = value
+    return values
 
 
-def _first_moved(tree: Tree) -> int | None:
-    """Return the body whose joints are the root: all hangs on it, and nothing heavy is fixed.
+def _root_body(tree: Tree) -> int | None:
+    """Return the body whose joints are the root: it carries all moving bodies.
 
-    None if the file fixes a body with mass to the world, which then floats, or if there is no
-    such body.
+    None if the file fixes a body with mass to the world, which then floats, or if no single body
+    carries all others.
     """
-    world, fixed, moved = tree.world, {0}, []
+    world, fixed, carrying = tree.world, {0}, []
     for body in world.bodies:
         if int(world.model.body_parentid[body]) in fixed:
             if any(joint not in tree.locked for joint in world.joints(body)):
-                moved.append(body)
+                carrying.append(body)
             else:
                 fixed.add(body)
-    if any(world.model.body_mass[body] > 0.0 for body in fixed - {0}) or len(moved) != 1:
+    if any(world.model.body_mass[body] > 0.0 for body in fixed - {0}) or len(carrying) != 1:
         return None
-    return moved[0]
+    return carrying[0]
 
 
-def _add_root(
-    tree: Tree, at: Carrier, joints: list[int], armature: list[Array], limits: list[Array]
-) -> tuple[Carrier, list[int]]:
-    """Add the root joint; return where the body sits on it, and the joints that are left."""
+def _add_root(tree: Tree, at: Carrier, joints: list[int]) -> tuple[Carrier, list[int]]:
+    """Add the root joint; return the carrier of the body, and its further joints."""
     world = tree.world
     place = at.at
-    # Frozen joints ahead of the first are part of the place.
+    # Frozen joints ahead of the first free one only shift the placement.
     while joints and joints[0] in tree.locked:
-        place, joints = place * _frozen(tree, joints[0]), joints[1:]
-    free = [joint for joint in joints if joint not in tree.locked]
-    pattern = joints == free  # a frozen joint among them breaks it
-    found = [joint_of(world, joint) for joint in (joints if pattern else joints[:1])]
-    root = root_motion(found, tree.gravity, place.rotation)
-    before = root.before if root.fixed else place * root.before
+        place, joints = place * _frozen_motion(tree, joints[0]), joints[1:]
+    # A frozen joint among the others breaks the pattern of a root of several joints.
+    count = 1 if any(joint in tree.locked for joint in joints) else len(joints)
+    candidates = [joint_of(world, joint) for joint in joints[:count]]
+    root = root_motion(candidates, tree.gravity, place.rotation)
+    before = root.before if root.in_world else place * root.before
     name = root.name
     while len(root.joints) > 1 and name in world.joint_names:
         name += "_"
-    index = tree.model.addJoint(0, root.model, before, name)
+    index = tree.builder.add_joint(0, root.model, before, name, armature=root.armature)
     tree.model.addJointFrame(index)
-    tree.model.appendBodyToJoint(index, root.weight, pin.SE3.Identity())
-    armature.append(root.armature)
-    limits.append(_no_limits(root.model))
+    tree.model.appendBodyToJoint(index, root.rotors, pin.SE3.Identity())
     tree.root = root
     return Carrier(index, root.behind), joints[len(root.joints) :]
 
 
-def _add_joint(
-    tree: Tree, at: Carrier, joint: int, armature: list[Array], limits: list[Array]
-) -> Carrier:
-    """Add one joint of a body; return where the body sits behind it."""
-    world = tree.world
-    found = joint_of(world, joint)
-    if found.nv != 1:
+def _add_joint(tree: Tree, at: Carrier, id_: int) -> Carrier:
+    """Add one joint of a body; return the carrier of the body behind it."""
+    joint = joint_of(tree.world, id_)
+    if joint.nv != 1:
         raise ModelError(
-            f"joint {quoted(found.name)} is a {found.kind} joint inside the tree, with {found.nv} "
-            f"degrees of freedom; lock it (lock=[{quoted(found.name)}]), or write three "
+            f"joint {quoted(joint.name)} is a {joint.kind} joint inside the tree, with {joint.nv} "
+            f"degrees of freedom; lock it (lock=[{quoted(joint.name)}]), or write three "
             "hinges in its place"
         )
-    # Its coordinate is MuJoCo's, which is q0 where the file has the joint drawn.
-    place = at.at * found.at_point * found.turned(-found.q0)
-    index = tree.model.addJoint(at.joint, found.model(), place, found.name)
+    # Pinocchio's coordinate equals MuJoCo's, which is q0 where the file draws the joint.
+    place = at.at * joint.at_point * joint.displaced(-joint.q0)
+    model = tree.world.model
+    limits = model.jnt_range[id_].reshape(2, 1) if model.jnt_limited[id_] else None
+    index = tree.builder.add_joint(
+        at.joint, joint.model(), place, joint.name, armature=joint.armature, limits=limits
+    )
     tree.model.addJointFrame(index)
-    tree.shape.append(found)
-    armature.append(found.armature)
-    limits.append(_limits(world, joint))
-    return Carrier(index, found.at_point.inverse())
+    tree.shape.append(joint)
+    return Carrier(index, joint.at_point.inverse())
 
 
-def _kept(tree: Tree, joint: int, at: Carrier, moved: int | None) -> bool:
-    """Return whether a frozen joint is one of the model: not ahead of the root, and not a ball."""
+def _stays_joint(tree: Tree, joint: int, at: Carrier, root_body: int | None) -> bool:
+    """Return whether a frozen joint stays one: it is neither a ball nor ahead of the root."""
     return (
-        tree.whole
+        tree.keep_frozen
         and tree.world.kind(joint) in ("slide", "hinge")
-        and (moved is None or at.joint != 0)
+        and (root_body is None or at.joint != 0)
     )
 
 
-def _frozen(tree: Tree, joint: int) -> pin.SE3:
+def _frozen_motion(tree: Tree, id_: int) -> pin.SE3:
     """Return how a frozen joint moves its body, in the body's frame."""
-    found = joint_of(tree.world, joint)
-    return found.motion(tree.locked[joint]) if found.nv == 1 else pin.SE3.Identity()
-
-
-def _limits(world: World, joint: int) -> Array:
-    """Return the lower and upper limit of a joint, (2, 1)."""
-    limited = bool(world.model.jnt_limited[joint])
-    ends = world.model.jnt_range[joint] if limited else (-np.inf, np.inf)
-    return np.array(ends, dtype=float).reshape(2, 1)
-
-
-def _no_limits(joint: pin.JointModel) -> Array:
-    alone = pin.Model()
-    alone.addJoint(0, joint, pin.SE3.Identity(), "root")
-    return np.array([[-np.inf] * alone.nq, [np.inf] * alone.nq])
+    joint = joint_of(tree.world, id_)
+    return joint.motion(tree.locked[id_]) if joint.nv == 1 else pin.SE3.Identity()
 
 
 def _add_body(tree: Tree, body: int) -> None:
-    """Add a body's inertia and its frame."""
+    """Add the inertia and the frame of a body."""
     model, carrier, mujoco = tree.model, tree.carriers[body], tree.world.model
     same = int(mujoco.body_sameframe[body])
     place = np.zeros(3) if same in _SAME_PLACE else mujoco.body_ipos[body]
     turn = np.array([1.0, 0.0, 0.0, 0.0]) if same in _SAME_TURN else mujoco.body_iquat[body]
-    on_body = frame(place, turn)
     inertia = pin.Inertia(
         float(mujoco.body_mass[body]), np.zeros(3), np.diag(mujoco.body_inertia[body])
     )
-    model.appendBodyToJoint(carrier.joint, inertia, carrier.at * on_body)
+    model.appendBodyToJoint(carrier.joint, inertia, carrier.at * frame(place, turn))
     name = tree.world.body_names[body]
     model.addFrame(pin.Frame(name, carrier.joint, 0, carrier.at, pin.FrameType.BODY), False)

@@ -1,11 +1,11 @@
 """The robot among the bodies of a compiled MuJoCo model, and the names of its bodies.
 
-A body without mass that is fixed to the world, and carries several that move, is part of it.
+A massless body that is fixed to the world and carries several moving bodies is part of the world.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,17 +14,22 @@ from ...common.plain_names import quoted
 from ..contents import shortened
 from .package import mujoco_package
 
-_KINDS = ("free", "ball", "slide", "hinge")  # MuJoCo's mjtJoint
+_KINDS = ("free", "ball", "slide", "hinge")  # names of MuJoCo's mjtJoint
+# Flags that mjDSBL_CONSTRAINT includes.
 _OF_CONSTRAINTS = ("EQUALITY", "FRICTIONLOSS", "LIMIT", "CONTACT")
 
 
 @dataclass(frozen=True)
 class World:
-    """A compiled model and one body of its world, which carries the robot.
+    """A compiled model, and the body of its world that carries the robot.
 
-    model: the MjModel.  top: the body's id.  bodies: ids of it and all that hangs on it,
-    depth first.  others: names of other bodies in the world that can move.
-    body_names, joint_names: by id, unique; those without a name in the file get one.
+    Attributes:
+        model: The MjModel.
+        top: Id of the body that carries the robot.
+        bodies: Ids of that body and of all bodies behind it, depth first.
+        others: Names of other bodies in the world that can move.
+        body_names: Unique names of all bodies by id; nameless bodies get one.
+        joint_names: The same for joints.
     """
 
     model: Any
@@ -39,54 +44,77 @@ class World:
         first = int(self.model.body_jntadr[body])
         return range(first, first + int(self.model.body_jntnum[body]))
 
+    @property
+    def all_joints(self) -> list[int]:
+        """Ids of all joints of the robot."""
+        return [joint for body in self.bodies for joint in self.joints(body)]
+
     def kind(self, joint: int) -> str:
-        """Return what kind a joint is: free, ball, slide or hinge."""
+        """Return the kind of a joint: "free", "ball", "slide" or "hinge"."""
         return _KINDS[self.model.jnt_type[joint]]
 
     def disabled(self, what: str) -> bool:
-        """Return whether a flag of the file switches a kind of force off.
+        """Return whether a flag of the file disables a kind of force.
 
-        what: as in mujoco.mjtDisableBit, such as "LIMIT".
+        Args:
+            what: Name as in mujoco.mjtDisableBit, such as "LIMIT".
         """
         bits, flags = mujoco_package().mjtDisableBit, int(self.model.opt.disableflags)
-        off = int(getattr(bits, f"mjDSBL_{what}"))
+        mask = int(getattr(bits, f"mjDSBL_{what}"))
         if what in _OF_CONSTRAINTS:
-            off |= int(bits.mjDSBL_CONSTRAINT)
-        return bool(flags & off)
+            mask |= int(bits.mjDSBL_CONSTRAINT)
+        return bool(flags & mask)
 
     @property
     def no_passive_forces(self) -> bool:
-        """Whether the flags of springs and dampers are off, and with them all passive forces."""
+        """Whether springs and dampers are disabled, which disables all passive forces."""
         return self.disabled("SPRING") and self.disabled("DAMPER")
 
     def name(self, kind: str, number: int) -> str:
-        """Return what something is called in the file, or its number.
+        """Return the name of an element in the file, or its kind and number.
 
-        kind: as in mujoco.mjtObj, such as "ACTUATOR".
+        Args:
+            kind: Kind as in mujoco.mjtObj, such as "ACTUATOR".
+            number: Id of the element.
         """
         return name_of(self.model, kind, number) or f"{kind.lower()} {number}"
 
 
 def name_of(model: Any, kind: str, number: int) -> str:
-    """Return the name of something in the file, or an empty text."""
+    """Return the name of an element in the file, or "".
+
+    Args:
+        model: The MjModel.
+        kind: Kind as in mujoco.mjtObj, such as "ACTUATOR".
+        number: Id of the element.
+    """
     mj = mujoco_package()
-    found: str | None = mj.mj_id2name(model, getattr(mj.mjtObj, f"mjOBJ_{kind}"), number)
-    return found or ""
+    name: str | None = mj.mj_id2name(model, getattr(mj.mjtObj, f"mjOBJ_{kind}"), number)
+    return name or ""
 
 
 def robot_in(model: Any, root: str | None = None, what: str = "the model") -> World:
-    """Return the robot in a model: what hangs on the one body of the world that can move.
+    """Return the robot in a model: the one body of the world that can move, with its tree.
 
-    root: the name of that body, where there are several.  what: where the model comes from.
-    Raises LoadError if there is none, ChoiceError if there are several and root is None,
-    InputError for a root that is none of them; both list them.
+    Args:
+        model: The MjModel.
+        root: Name of that body, if several can move.
+        what: Source of the model, for messages.
+
+    Returns:
+        The robot.
+
+    Raises:
+        LoadError: No body has a joint or a mass.
+        ChoiceError: Several bodies can move and root is None; the message lists them.
+        InputError: The root is none of the bodies; the message lists them.
     """
     children = _children(model)
     body_names = _names(model, "BODY", model.nbody, lambda i: f"body{i}")
     joint_names = _names(model, "JOINT", model.njnt, lambda i: _joint_name(model, body_names, i))
     trees = {body: tuple(_below(children, body)) for body in _in_the_world(model, children)}
     moving = [body for body, tree in trees.items() if _moves(model, tree)]
-    # Where nothing moves, a body by itself is a rigid one that can be set free.
+    # Where nothing moves, a heavy body is a rigid one that can float.
     heavy = [body for body, tree in trees.items() if sum(model.body_mass[i] for i in tree) > 0]
     candidates = moving or heavy
     names = tuple(body_names[body] for body in candidates)
@@ -104,7 +132,7 @@ def robot_in(model: Any, root: str | None = None, what: str = "the model") -> Wo
             )
         top = candidates[0]
     else:
-        # What is part of the world may be chosen too, and floats with all that hangs on it.
+        # A body that is part of the world can also be chosen, and floats with its whole tree.
         trees = {body: tuple(_below(children, body)) for body in children[0]} | trees
         at_top = {body_names[body]: body for body in trees}
         if root not in at_top:
@@ -124,16 +152,16 @@ def _children(model: Any) -> list[list[int]]:
 
 
 def _in_the_world(model: Any, children: list[list[int]]) -> list[int]:
-    """Return the bodies that hang on the world, or on what is part of it."""
+    """Return the bodies that are attached to the world, or to a body that is part of it."""
 
     def under(body: int) -> list[int]:
         if model.body_jntnum[body] or model.body_mass[body] > 0.0:
             return [body]
-        inner = [each for child in children[body] for each in under(child)]
-        several = sum(_moves(model, _below(children, each)) for each in inner) > 1
+        inner = [top for child in children[body] for top in under(child)]
+        several = sum(_moves(model, _below(children, top)) for top in inner) > 1
         return inner if several else [body]
 
-    return [each for body in children[0] for each in under(body)]
+    return [top for body in children[0] for top in under(body)]
 
 
 def _moves(model: Any, bodies: Iterable[int]) -> bool:
@@ -141,32 +169,33 @@ def _moves(model: Any, bodies: Iterable[int]) -> bool:
 
 
 def _below(children: list[list[int]], body: int) -> Iterator[int]:
-    """Yield a body and all that hangs on it, depth first: the order that Pinocchio needs."""
+    """Yield a body and all bodies behind it, depth first, which is Pinocchio's order."""
     stack = [body]
     while stack:
-        at = stack.pop()
-        yield at
-        stack.extend(reversed(children[at]))
+        top = stack.pop()
+        yield top
+        stack.extend(reversed(children[top]))
 
 
 def _joint_name(model: Any, body_names: tuple[str, ...], joint: int) -> str:
-    """Return a name for a joint that has none: of its body and kind, numbered from the second."""
+    """Return a name for a nameless joint: its body and kind, numbered from the second one."""
     body = int(model.jnt_bodyid[joint])
     number = joint - int(model.body_jntadr[body]) + 1
     name = f"{body_names[body]}_{_KINDS[model.jnt_type[joint]]}"
     return name if number == 1 else f"{name}{number}"
 
 
-def _names(model: Any, kind: str, count: int, make: Any) -> tuple[str, ...]:
-    """Return the names of bodies or joints; one that is made gives way to those in the file."""
-    given = [name_of(model, kind, i) for i in range(count)]
-    taken = {*given, "universe"}  # Pinocchio's name of the world
-    out = []
-    for i, name in enumerate(given):
+def _names(model: Any, kind: str, count: int, name_for: Callable[[int], str]) -> tuple[str, ...]:
+    """Return unique names of bodies or joints; generated names avoid those in the file."""
+    file_names = [name_of(model, kind, i) for i in range(count)]
+    used = {*file_names, "universe"}  # Pinocchio calls the world "universe".
+    names = []
+    for i, file_name in enumerate(file_names):
+        name = file_name
         if not name or name == "universe":
-            name = name or make(i)
-            while name in taken:
+            name = name or name_for(i)
+            while name in used:
                 name += "_"
-            taken.add(name)
-        out.append(name)
-    return tuple(out)
+            used.add(name)
+        names.append(name)
+    return tuple(names)

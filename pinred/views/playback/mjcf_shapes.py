@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...system.mjcf.compile import compiled
-from ...system.mjcf.joints import frame
+from ...system.mjcf.mujoco_joints import frame
 from ...system.mjcf.world import World, robot_in
 from ...system.system import System
 from .solids import Bodies, Colour, Mesh, Solid

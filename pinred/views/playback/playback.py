@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
-from ...judge.full_state import FullState
+from ...judge.reference_solution import FullState
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.state_fields import State
@@ -135,7 +135,7 @@ def _ghost(traj: Trajectory, t: Array, placements: Array) -> Ghost:
     apart = np.linalg.norm(seen[..., :3] - placements[..., :3], axis=-1)
     p, q = seen[..., 3:], placements[..., 3:]  # q and −q are the same rotation
     turn = np.minimum(np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1))
-    apart += 4.0 * np.arcsin(0.5 * turn) * full.radius(motion.q[0])
+    apart += 4.0 * np.arcsin(0.5 * turn) * full.totals.radius_of_gyration(motion.q[0])
     return Ghost(placements=seen, apart=apart.max(axis=1))
 
 

@@ -7,9 +7,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ...common.arrays import Array
-from ...judge.compare import DRIFT, audited
+from ...judge.audit import audit_trajectory
+from ...judge.error_bounds import DRIFT_BOUND
 from ...lie.groups import group_named
 from ...simulation.trajectory import Trajectory
+from ...system.state_fields import FIELDS
 from ..motion_source import MotionSource
 from .motion_labels import labels
 from .style import legend, line, on_log, over_time, steady, styled
@@ -43,10 +45,15 @@ def momentum(motion: MotionSource) -> Figure:
         axes.set_ylabel(f"{entries[part[0]]}: {quantity}" if len(part) == 1 else quantity)
         legend(axes)
     if isinstance(motion, Trajectory):
-        lost = _largest(audited(motion, motion.states).momenta, linear)
+        lost = _largest(audit_trajectory(motion, motion.states).momenta, linear)
         _drift_panel(every[-1], motion, lost)
     else:
-        _change_panel(every[-1], motion.t, _largest(values - values[0], linear), "N·s | N·m·s")
+        _change_panel(
+            every[-1],
+            motion.t,
+            _largest(values - values[0], linear),
+            FIELDS["spatial_momentum"].unit,
+        )
     return figure
 
 
@@ -69,11 +76,13 @@ def energy(motion: MotionSource) -> Figure:
         for k, label in enumerate(balance.labels, start=1):
             top.plot(motion.t, balance.work[:, k - 1], label=f"work of {label}", **line(k))
             drawn.append(balance.work[:, k - 1])
-        _drift_panel(bottom, motion, {"energy": audited(motion, motion.states).energies})
+        _drift_panel(bottom, motion, {"energy": audit_trajectory(motion, motion.states).energies})
     else:
-        _change_panel(bottom, motion.t, {"energy": motion.energy - motion.energy[0]}, "J")
+        _change_panel(
+            bottom, motion.t, {"energy": motion.energy - motion.energy[0]}, FIELDS["energy"].unit
+        )
     steady(top, np.concatenate(drawn))
-    top.set_ylabel("energy [J]")
+    top.set_ylabel(f"energy [{FIELDS['energy'].unit}]")
     legend(top)
     return figure
 
@@ -86,7 +95,7 @@ def _largest(values: Array, linear: int) -> dict[str, Array]:
 
 def _drift_panel(axes: Axes, traj: Trajectory, drift: dict[str, Array]) -> None:
     _log_lines(axes, traj.t, drift)
-    allowed = DRIFT * (traj.scene.rtol + traj.scene.atol)
+    allowed = DRIFT_BOUND * (traj.scene.rtol + traj.scene.atol)
     axes.axhline(allowed, color="#888888", linewidth=1.0, label="allowed")
     axes.set_ylabel("drift [relative]")
     legend(axes)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 from typing import TypeAlias
 
 import numpy as np
@@ -12,7 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...simulation.trajectory import Trajectory
-from ...system.state_fields import ShapeState, State
+from ...system.state_fields import ShapeState, State, map_arrays
 from ..motion_source import MotionSource
 
 Path: TypeAlias = State | ShapeState
@@ -50,8 +49,8 @@ def state_at(motion: MotionSource, time: float) -> Path:
     t, out = motion.t, motion.outputs
     if not 0.0 <= time <= t[-1]:
         raise InputError(f"when must lie between 0 and {t[-1]:g} s, got {time}")
-    k, kind = int(np.argmin(np.abs(t - time))), type(out)
-    return kind(**{f.name: np.array(getattr(out, f.name)[k]) for f in fields(kind)})
+    k = int(np.argmin(np.abs(t - time)))
+    return map_arrays(lambda values: np.array(values[k]), out)
 
 
 def shape_path(motion: MotionSource) -> Callable[[Array], tuple[Array, Array]]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from ...common.errors import InputError, LoadError
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
+from ...system.state_fields import FIELDS
 from ...system.system import System
 from ..motion_source import MotionSource
 
@@ -84,7 +85,7 @@ def labels(motion: MotionSource) -> Labels:
         return labels_of(system)
     row = tuple(range(len(motion.joints)))
     limbs = tuple(row[i : i + MOST] for i in range(0, len(row), MOST))
-    units = ("rad | m",) * len(row)  # only the robot says which
+    units = (FIELDS["x"].unit,) * len(row)  # only the robot says which
     return Labels(motion.robot, motion.group, motion.joints, units, limbs)
 
 

@@ -1,7 +1,7 @@
 """Pinocchio's ABA, called from Python, under integrators that one would write or take from SciPy.
 
 The methods of equal steps go on Pinocchio's (q, v), with pin.integrate; SciPy's on the state of
-full_field.py.
+full_vector_field.py.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import pinocchio as pin
 
 from ....common.arrays import Array
 from ....lie.group import Group
-from ..full_field import full_field
+from ..full_vector_field import full_vector_field
 from ..problems import Problem
-from ..solver import End, Prepared, Solver, halvings, steps_of
+from ..solver import End, PreparedRun, Solver, halvings, steps_of
 from .scipy_over_field import Field, scipy_methods
 
 Tangent = Callable[[Array, Array], Array]
 Step = Callable[[Array, Array], tuple[Array, Array]]  # (q, v) → the step along q, the new v
 State = tuple[Array, Array, Array]  # q, x, v
-Preparing = Callable[[Problem, float], Prepared]
+Preparing = Callable[[Problem, float], PreparedRun]
 
 
 def aba_field(problem: Problem) -> Field:
@@ -32,13 +32,13 @@ def aba_field(problem: Problem) -> Field:
     def end(y: Array, evaluations: float) -> End:
         return End(y[size : size + m], problem.full.q(y), y[size + m :], evaluations)
 
-    return Field(full_field(problem.system), problem.full_start(), end)
+    return Field(full_vector_field(problem.system), problem.full_start(), end)
 
 
 def _stepped(scheme: Callable[[Problem, float], Step], stages: int) -> Preparing:
     """Return what prepares a method of equal steps."""
 
-    def prepare(problem: Problem, part: float) -> Prepared:
+    def prepare(problem: Problem, part: float) -> PreparedRun:
         count, model, r = steps_of(part), problem.system.model, problem.system.r
         step = scheme(problem, problem.start.duration / count)
         start = (problem.q0, problem.start.x, problem.v0)
@@ -55,7 +55,7 @@ def _stepped(scheme: Callable[[Problem, float], Step], stages: int) -> Preparing
             q, x, v = found
             return End(x, q, v, float(stages * count))
 
-        return Prepared(run, end)
+        return PreparedRun(run, end)
 
     return prepare
 

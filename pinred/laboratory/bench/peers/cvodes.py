@@ -19,7 +19,7 @@ from ....common.errors import IntegrationError, UnsupportedOperationError
 from ....system.state_fields import with_base
 from ....system.system import System
 from ..problems import Problem
-from ..solver import ATOL, End, Prepared, Solver, decades
+from ..solver import ATOL, End, PreparedRun, Solver, decades
 from ..taylor import reduced_graph
 from .equality import missing_unless_equal, no_mass_matrix
 from .first_principles import full_graph
@@ -111,7 +111,7 @@ def _run(integrator: ca.Function, given: dict[str, Array]) -> Array:
         raise IntegrationError(f"CVODES: {text[-200:]}") from None
 
 
-def _full(problem: Problem, tolerance: float) -> Prepared:
+def _full(problem: Problem, tolerance: float) -> PreparedRun:
     code, y0 = full_model(problem.system).compiled, problem.full_start()
     size, m = problem.system.group.size, problem.system.m
     integrator = _integrator(code.function, problem.start.duration, tolerance)
@@ -120,10 +120,10 @@ def _full(problem: Problem, tolerance: float) -> Prepared:
         count = float(integrator.stats()["nfevals"])
         return End(y[size : size + m], problem.full.q(y), y[size + m :], count)
 
-    return Prepared(lambda: _run(integrator, {"x0": y0}), end, code.build)
+    return PreparedRun(lambda: _run(integrator, {"x0": y0}), end, code.build)
 
 
-def _reduced(problem: Problem, tolerance: float) -> Prepared:
+def _reduced(problem: Problem, tolerance: float) -> PreparedRun:
     from ....simulation.compiled.compiled_flow import CompiledFlow
     from ....simulation.plan import plan_of
 
@@ -140,7 +140,7 @@ def _reduced(problem: Problem, tolerance: float) -> Prepared:
         states = with_base(flow.states(scene.report_times, y[None]), problem.name)
         return End(states.x[0], states.q[0], states.v[0], count)
 
-    return Prepared(lambda: _run(integrator, given), end, code.build)
+    return PreparedRun(lambda: _run(integrator, given), end, code.build)
 
 
 CVODES = (

@@ -13,10 +13,10 @@ from ....common.arrays import Array
 from ....common.errors import IntegrationError
 from ....system.system import System
 from ..problems import Problem
-from ..solver import End, Prepared, Solver, decades
+from ..solver import End, PreparedRun, Solver, decades
+from .child_process import check_in_child_process
 from .equality import missing_unless_equal
 from .fixed_axes import carried, turn
-from .survived import survived
 
 _MAX_STEP = 0.1  # s, Drake's own
 
@@ -170,7 +170,7 @@ def drake_model(system: System) -> DrakeModel:
     return system.workspace("drake", lambda: DrakeModel(system))
 
 
-def _prepare(problem: Problem, tolerance: float, scheme: str) -> Prepared:
+def _prepare(problem: Problem, tolerance: float, scheme: str) -> PreparedRun:
     analysis = import_module("pydrake.systems.analysis")
     bridge, duration = drake_model(problem.system), problem.start.duration
     plant = bridge.plant
@@ -194,8 +194,8 @@ def _prepare(problem: Problem, tolerance: float, scheme: str) -> Prepared:
         count = float(integrator.get_num_derivative_evaluations())
         return plant.GetPositions(context), plant.GetVelocities(context), count
 
-    survived(run, "Drake")  # it does so when a trial step leaves the finite numbers
-    return Prepared(run, lambda found: bridge.end(*found))
+    check_in_child_process(run, "Drake")  # it does so when a trial step leaves the finite numbers
+    return PreparedRun(run, lambda found: bridge.end(*found))
 
 
 _missing = missing_unless_equal("pydrake", "Drake", drake_model)

@@ -16,7 +16,7 @@ from ....common.arrays import Array
 from ....common.errors import IntegrationError
 from ....system.system import System
 from ..problems import Problem
-from ..solver import ATOL, UNKNOWN, End, Prepared, Solver, decades, halvings, steps_of
+from ..solver import ATOL, UNKNOWN, End, PreparedRun, Solver, decades, halvings, steps_of
 from .equality import missing_unless_equal
 from .euler_angles import ORDERS, Order, angles_of, best_order, rotation_of, spin_matrix, spin_rate
 from .fixed_axes import carried
@@ -215,7 +215,7 @@ def exudyn_model(problem: Problem) -> ExudynModel:
     return problem.system.workspace(("exudyn", problem.name), make)
 
 
-def _prepare(problem: Problem, value: float, solver: str, stages: float) -> Prepared:
+def _prepare(problem: Problem, value: float, solver: str, stages: float) -> PreparedRun:
     """Prepare a solver: adaptive at a tolerance, or of equal steps if `stages` is given."""
     bridge = exudyn_model(problem)
     settings = bridge.settings()
@@ -244,7 +244,7 @@ def _prepare(problem: Problem, value: float, solver: str, stages: float) -> Prep
         evaluations = stages * steps_of(value) if stages else UNKNOWN
         return bridge.end(found[0], found[1], evaluations)
 
-    return Prepared(run, end)
+    return PreparedRun(run, end)
 
 
 _missing = missing_unless_equal("exudyn", "Exudyn", ExudynModel)

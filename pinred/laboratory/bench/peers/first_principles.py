@@ -1,7 +1,7 @@
 """The full dynamics as a CasADi graph, from the textbook: what one has without a reduction.
 
 Featherstone's articulated-body algorithm (Rigid Body Dynamics Algorithms, 2008, table 7.1) in
-body coordinates, on the state (root, x, v) of full_field.py.  It shares nothing with pinred's
+body coordinates, on the state (root, x, v) of full_vector_field.py. It shares nothing with pinred's
 engine; zeros of constant placements and inertias are left out by CasADi's sparsity.
 """
 

@@ -12,14 +12,14 @@ import numpy as np
 from ....common.errors import IntegrationError
 from ....system.state_fields import with_base
 from ..problems import Problem
-from ..solver import End, Prepared, Solver, decades
+from ..solver import End, PreparedRun, Solver, decades
 from ..taylor import has_heyoka, reduced_graph, taylor_integrator
 from .equality import INSTALL
 
 MOST_UNROLLED = 300  # instructions that heyoka unrolls in seconds
 
 
-def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> Prepared:
+def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> PreparedRun:
     from ....simulation.compiled.compiled_flow import CompiledFlow
     from ....simulation.plan import plan_of
 
@@ -44,7 +44,7 @@ def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> Prepared:
         states = with_base(reduced, scene.system.name)
         return End(states.x[0], states.q[0], states.v[0], int(steps))
 
-    return Prepared(run, end, build)
+    return PreparedRun(run, end, build)
 
 
 def _not_installed(_: Problem) -> str:

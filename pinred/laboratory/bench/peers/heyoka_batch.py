@@ -11,7 +11,7 @@ import numpy as np
 
 from ....common.arrays import Array
 from ....common.errors import IntegrationError
-from ..crowd import CrowdPrepared, CrowdSolver, ends_of, flows_of_crowd
+from ..member_batch import BatchSolver, PreparedBatch, compile_members, final_states
 from ..problems import Problem
 from ..solver import decades
 from ..taylor import has_heyoka, reduced_graph, taylor_expressions
@@ -21,9 +21,9 @@ from .heyoka import MOST_UNROLLED
 _TOLERANCES = decades(7, 14)
 
 
-def _prepare(members: Sequence[Problem], tolerance: float, *, unrolled: bool) -> CrowdPrepared:
+def _prepare(members: Sequence[Problem], tolerance: float, *, unrolled: bool) -> PreparedBatch:
     hy = import_module("heyoka")
-    flows, end = flows_of_crowd(members), members[0].start.duration
+    flows, end = compile_members(members), members[0].start.duration
     width = hy.recommended_simd_size()
     parameters = [hy.par[k] for k in range(flows.parameters.shape[1])]
     expressions = taylor_expressions(reduced_graph(members[0]), parameters)
@@ -46,7 +46,7 @@ def _prepare(members: Sequence[Problem], tolerance: float, *, unrolled: bool) ->
             found.append(ta.state.T.copy())
         return np.concatenate(found)[: len(members)]
 
-    return CrowdPrepared(run, lambda y, count: ends_of(members, flows, y, count))
+    return PreparedBatch(run, lambda y, count: final_states(members, flows, y, count))
 
 
 def _not_installed(_: Problem) -> str:
@@ -59,8 +59,8 @@ def _long_to_unroll(problem: Problem) -> str:
     return _not_installed(problem)
 
 
-def _batch(name: str, about: str, missing: Callable[[Problem], str], **how: Any) -> CrowdSolver:
-    return CrowdSolver(name, about, _TOLERANCES, partial(_prepare, **how), missing)
+def _batch(name: str, about: str, missing: Callable[[Problem], str], **how: Any) -> BatchSolver:
+    return BatchSolver(name, about, _TOLERANCES, partial(_prepare, **how), missing)
 
 
 HEYOKA_BATCH = (

@@ -15,7 +15,7 @@ from ....common.errors import UnsupportedOperationError
 from ....lie.group import Group
 from ....system.system import System
 from ..problems import Problem
-from ..solver import End, Prepared, Solver, halvings, steps_of
+from ..solver import End, PreparedRun, Solver, halvings, steps_of
 from .equality import missing_unless_equal
 from .fixed_axes import carried, turn
 from .scipy_over_field import Field, scipy_methods
@@ -155,7 +155,7 @@ def mujoco_model(system: System) -> MujocoModel:
     return system.workspace("mujoco", lambda: MujocoModel(system))
 
 
-def _stepping(problem: Problem, part: float, integrator: str, stages: int) -> Prepared:
+def _stepping(problem: Problem, part: float, integrator: str, stages: int) -> PreparedRun:
     bridge = mujoco_model(problem.system)
     mj, model, data = bridge.mj, bridge.model, bridge.data
     count, duration = steps_of(part), problem.start.duration
@@ -169,7 +169,7 @@ def _stepping(problem: Problem, part: float, integrator: str, stages: int) -> Pr
         mj.mj_step(model, data, count)
         return data.qpos.copy(), data.qvel.copy()
 
-    return Prepared(run, lambda found: bridge.end(found[0], found[1], stages * count))
+    return PreparedRun(run, lambda found: bridge.end(found[0], found[1], stages * count))
 
 
 def _field(problem: Problem) -> Field:

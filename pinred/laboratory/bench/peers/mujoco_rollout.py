@@ -8,7 +8,7 @@ from importlib import import_module
 import numpy as np
 
 from ....common.arrays import Array
-from ..crowd import CrowdPrepared, CrowdSolver
+from ..member_batch import BatchSolver, PreparedBatch
 from ..problems import Problem
 from ..solver import End, halvings, steps_of
 from .equality import missing_unless_equal
@@ -18,7 +18,7 @@ _AT_ONCE = 1000  # steps whose states rollout keeps
 _MEMBERS = 2
 
 
-def _prepare(members: Sequence[Problem], part: float) -> CrowdPrepared:
+def _prepare(members: Sequence[Problem], part: float) -> PreparedBatch:
     bridge = mujoco_model(members[0].system)
     rollout = import_module("mujoco.rollout")
     mj, model = bridge.mj, bridge.model
@@ -45,11 +45,11 @@ def _prepare(members: Sequence[Problem], part: float) -> CrowdPrepared:
             for row in states[:several]
         ]
 
-    return CrowdPrepared(run, ends)
+    return PreparedBatch(run, ends)
 
 
 ROLLOUT = (
-    CrowdSolver(
+    BatchSolver(
         "mujoco-rollout",
         "MuJoCo's rollout with RK4, equal steps",
         halvings(400, 10),

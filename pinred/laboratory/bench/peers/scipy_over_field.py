@@ -15,7 +15,7 @@ from ....common.arrays import Array
 from ....common.errors import IntegrationError
 from ....common.interrupts import held_interrupt
 from ..problems import Problem
-from ..solver import ATOL, End, Prepared, Solver, decades
+from ..solver import ATOL, End, PreparedRun, Solver, decades
 
 _MOST = 100_000_000  # steps
 Rate = Callable[[float, Array], Array]
@@ -33,7 +33,7 @@ class Field:
     end: Callable[[Array, float], End]
 
 
-def by_solve_ivp(field: Field, problem: Problem, tolerance: float, method: str) -> Prepared:
+def by_solve_ivp(field: Field, problem: Problem, tolerance: float, method: str) -> PreparedRun:
     """Return `solve_ivp` with DOP853 or LSODA."""
     span = (0.0, problem.start.duration)
 
@@ -47,10 +47,10 @@ def by_solve_ivp(field: Field, problem: Problem, tolerance: float, method: str) 
             raise IntegrationError(found.message)
         return found
 
-    return Prepared(run, lambda found: field.end(found.y[:, -1], float(found.nfev)))
+    return PreparedRun(run, lambda found: field.end(found.y[:, -1], float(found.nfev)))
 
 
-def by_ode(field: Field, problem: Problem, tolerance: float, method: str) -> Prepared:
+def by_ode(field: Field, problem: Problem, tolerance: float, method: str) -> PreparedRun:
     """Return `ode(…)` with Hairer's dop853."""
     duration = problem.start.duration
 
@@ -78,10 +78,10 @@ def by_ode(field: Field, problem: Problem, tolerance: float, method: str) -> Pre
         run(counted)  # it does not tell how often it evaluates
         return field.end(y, count)
 
-    return Prepared(run, end)
+    return PreparedRun(run, end)
 
 
-def by_odeint(field: Field, problem: Problem, tolerance: float) -> Prepared:
+def by_odeint(field: Field, problem: Problem, tolerance: float) -> PreparedRun:
     """Return `odeint`, LSODA in Fortran."""
     times = np.array([0.0, problem.start.duration])
 
@@ -102,7 +102,7 @@ def by_odeint(field: Field, problem: Problem, tolerance: float) -> Prepared:
             raise IntegrationError(about["message"])
         return y[-1], float(about["nfe"][-1])
 
-    return Prepared(run, lambda found: field.end(*found))
+    return PreparedRun(run, lambda found: field.end(*found))
 
 
 def scipy_methods(
@@ -115,15 +115,17 @@ def scipy_methods(
 
     prefix: of their names.  by: what evaluates the vector field, for people.
     """
-    drivers: dict[str, tuple[str, Callable[[Field, Problem, float], Prepared]]] = {
+    drivers: dict[str, tuple[str, Callable[[Field, Problem, float], PreparedRun]]] = {
         "dop853": ("solve_ivp with DOP853", partial(by_solve_ivp, method="DOP853")),
         "lsoda": ("solve_ivp with LSODA", partial(by_solve_ivp, method="LSODA")),
         "ode-dop853": ("ode with Hairer's dop853", partial(by_ode, method="dop853")),
         "odeint": ("odeint", by_odeint),
     }
 
-    def method(name: str, text: str, driver: Callable[[Field, Problem, float], Prepared]) -> Solver:
-        def prepare(problem: Problem, tolerance: float) -> Prepared:
+    def method(
+        name: str, text: str, driver: Callable[[Field, Problem, float], PreparedRun]
+    ) -> Solver:
+        def prepare(problem: Problem, tolerance: float) -> PreparedRun:
             return driver(field(problem), problem, tolerance)
 
         return Solver(

@@ -1,0 +1,130 @@
+"""Accelerations of the full system with couplings between joints as constraints.
+
+This is independent of the reduction, which eliminates follower (mimic) joints. In the full system
+all joints move. Multipliers keep each follower coupled to its leader, a_f − k a_l = 0:
+
+    a = a₀ − M⁻¹Jᵀ (J M⁻¹Jᵀ)⁻¹ J a₀,   a₀ and M⁻¹Jᵀ by Pinocchio's ABA.
+
+One linear system for accelerations and multipliers is solved instead if the mass matrix of the
+uncoupled tree is singular, or if accelerations are prescribed. Without couplings ABA is used alone.
+Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 8.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from ..common.arrays import Array
+from ..system.singular_mass_matrix import SingularShapes, singular_shapes
+from ..system.system import System
+
+
+class CouplingConstraints:
+    """The couplings of a system, each between a follower and its leader as named in the file.
+
+    Attributes:
+        J: Constraint Jacobian, (c, nv), with J v = 0.
+        leads: Indices of the shape's joints among all M joints, (m,).
+    """
+
+    def __init__(self, system: System) -> None:
+        """Collect the couplings of a system by joint names."""
+        model, r = system.model, system.r
+        at = {str(model.names[i]): i - 2 for i in range(2, model.njoints)}
+        pending, placed = list(system.couplings), {*system.shape_names}
+        self._couplings: list[tuple[int, int, float, float]] = []
+        while pending:  # leaders before their followers
+            coupling = next(c for c in pending if c.leader in placed)
+            pending.remove(coupling)
+            placed.add(coupling.follower)
+            joints = at[coupling.follower], at[coupling.leader]
+            self._couplings.append((*joints, coupling.ratio, coupling.offset))
+        self.J = np.zeros((len(self._couplings), model.nv))
+        for row, (follower, leader, ratio, _) in zip(self.J, self._couplings, strict=True):
+            row[r + follower], row[r + leader] = 1.0, -ratio
+        self.leads = np.array([at[name] for name in system.shape_names], dtype=np.intp)
+        self._count, self._model, self._data = len(at), model, model.createData()
+        self._weightless = model.copy()
+        self._weightless.gravity.setZero()
+        self._uses_aba = not self._couplings or singular_shapes(model) == SingularShapes()
+
+    def values(self, x: Array) -> Array:
+        """Return the values (..., M) of all joints at shape x (..., m)."""
+        values = np.zeros((*x.shape[:-1], self._count))
+        values[..., self.leads] = x
+        for follower, leader, ratio, offset in self._couplings:
+            values[..., follower] = ratio * values[..., leader] + offset
+        return values
+
+    def rates(self, xdot: Array) -> Array:
+        """Return the rates (..., M) of all joints at shape rate ẋ (..., m)."""
+        rates = np.zeros((*xdot.shape[:-1], self._count))
+        rates[..., self.leads] = xdot
+        for follower, leader, ratio, _ in self._couplings:
+            rates[..., follower] = ratio * rates[..., leader]
+        return rates
+
+    def shape(self, joints: Array) -> Array:
+        """Select the shape (..., m) from the values of all joints (..., M)."""
+        return joints[..., self.leads]
+
+    def joint_torques(self, torque: Array) -> Array:
+        """Expand torques on the shape (m,) to all joints (M,); followers get zero."""
+        torques = np.zeros(self._count)
+        torques[self.leads] = torque
+        return torques
+
+    def acceleration(
+        self,
+        q: Array,
+        v: Array,
+        tau: Array,
+        driven: Sequence[int] = (),
+        prescribed: Array | Sequence[float] = (),
+        axes: pin.Convention = pin.Convention.LOCAL,
+    ) -> Array:
+        """Compute the acceleration (nv,) of the coupled system.
+
+        Args:
+            q: Pinocchio's configuration, (nq,).
+            v: Pinocchio's velocity, (nv,).
+            tau: Generalised forces, (nv,) [N | N·m].
+            driven: Indices among all M joints of those with prescribed acceleration.
+            prescribed: Their accelerations [rad/s² | m/s²].
+            axes: Frames in which ABA is evaluated. Comparing two choices measures its round-off.
+        Returns:
+            (nv,) acceleration.
+        """
+        if len(driven):
+            selection = np.eye(len(v))[[len(v) - self._count + k for k in driven]]
+            constraints = np.vstack([self.J, selection])
+            values = np.append(np.zeros(len(self.J)), prescribed)
+            return self._solve_with_multipliers(q, v, tau, constraints, values)
+        if not self._uses_aba:
+            return self._solve_with_multipliers(q, v, tau, self.J, np.zeros(len(self.J)))
+        model, data, zero = self._model, self._data, np.zeros(len(v))
+        free = pin.aba(model, data, q, v, tau, axes).copy()
+        if not self._couplings:
+            return np.asarray(free)
+        responses = np.array(
+            [pin.aba(self._weightless, data, q, zero, row, axes).copy() for row in self.J]
+        )
+        multipliers = np.linalg.solve(self.J @ responses.T, self.J @ free)
+        return np.asarray(free - multipliers @ responses)
+
+    def _solve_with_multipliers(
+        self, q: Array, v: Array, tau: Array, constraints: Array, values: Array
+    ) -> Array:
+        """Return the acceleration (nv,) with constraints · a = values (c,), from one linear system.
+
+        The mass matrix need only be regular in the directions that the constraints allow.
+        """
+        upper = pin.crba(self._model, self._data, q)
+        H = np.triu(upper) + np.triu(upper, 1).T
+        bias = pin.nonLinearEffects(self._model, self._data, q, v)
+        zero = np.zeros((len(constraints), len(constraints)))
+        matrix = np.block([[H, constraints.T], [constraints, zero]])
+        return np.asarray(np.linalg.solve(matrix, np.append(tau - bias, values))[: len(v)])

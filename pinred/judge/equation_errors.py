@@ -1,0 +1,102 @@
+"""Errors of the equations of motion: a route's accelerations against ABA at the same states.
+
+Both sides are evaluated at the states of the trajectory. Neither chaos nor the tolerance matters.
+
+The error of row i is the force H Δa of the acceleration difference. Its unit is the sum of the
+magnitudes of the terms in that row's equation. So a light joint counts by its own size, and a badly
+conditioned H does not amplify errors. For a body that is small about its joint, terms of
+mass · acceleration · robot size cancel, so a small fraction of these is added to the unit.
+
+Round-off is measured and subtracted. On the route's side it is the difference between two finite
+differences of its velocity. On the other side it is the difference of ABA in the world's axes from
+ABA in body axes, which is large where the mass matrix is almost singular.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from scipy.ndimage import maximum_filter1d
+
+from ..common.arrays import Array
+from ..reduction.inertia_split import symmetric
+from ..simulation.accelerations import accelerations
+from ..simulation.trajectory import Trajectory
+from ..system.scale import moved_masses
+from ..system.system import System
+from .gravity_loads import gravity_load_sizes
+from .reference_solution import SPREAD_MARGIN, FullState
+
+WORLD, BODIES = pin.Convention.WORLD, pin.Convention.LOCAL  # axes for the evaluation of ABA
+_CANCELLED = 1e-5  # fraction of the inertial forces on moved bodies that is added to the unit
+_AT_REST = 1e-2  # fraction of the largest forces of the motion that is the smallest unit
+_WINDOW = 5  # number of neighbouring times over which round-off of a prescribed plan is measured
+_LEAST = 1e-290  # smallest unit; below it, floating-point numbers lose digits
+
+
+def equation_errors(traj: Trajectory, full: FullState, times: Array) -> Array:
+    """Compute the relative errors of the equations of motion.
+
+    Args:
+        traj: The trajectory.
+        full: Full simulation of the system whose equations it should satisfy.
+        times: Times, (T,) [s].
+    Returns:
+        (T, n) relative errors of base and shape rows.
+    """
+    size = full.totals.radius_of_gyration(traj.system.sorted_q(traj.q[0]))
+    route, parameters = accelerations(traj, times, size), traj.motion.numbers(times)
+    states, r = route.states, full.system.r
+    driven = [r + k for k in traj.plan.acting.driven]
+    # Two differences of a plan may agree by chance at one time, but not at five in sequence.
+    spread = maximum_filter1d(route.spread, _WINDOW, axis=0, mode="nearest")
+    errors, units, aba_spread = (np.zeros_like(route.v) for _ in range(3))
+    for k, t in enumerate(times.tolist()):
+        full.set_parameters(parameters[k])
+        y = full.state(states.pose[k], states.x[k], states.xi[k], states.xdot[k])
+        a, other = (_acceleration(full, t, y, axes) for axes in (BODIES, WORLD))
+        H, loads = _mass_matrix_and_loads(full.system, full.q(y))
+        changes = np.abs(a) + route.pace[k] * np.abs(route.v[k])
+        units[k] = np.abs(H) @ changes + loads
+        units[k] += _CANCELLED * _inertial_forces(full.system, full.q(y), changes, size)
+        # Differences below the spread of the route's own derivatives cannot be resolved.
+        difference = np.abs(route.a[k] - a)
+        errors[k] = np.abs(H @ (route.a[k] - a)) - SPREAD_MARGIN * np.abs(H) @ route.spread[k]
+        # A drive applies whatever force its plan needs, so only its acceleration is compared.
+        errors[k, driven] = (np.diag(H) * (difference - SPREAD_MARGIN * spread[k]))[driven]
+        aba_spread[k] = np.abs(H @ (a - other))
+    # At rest only round-off of forces is left, so the unit is a fraction of the largest forces.
+    least = np.maximum(_AT_REST * units.max(axis=0, initial=0.0), _LEAST)
+    units = np.maximum(units, least)
+    # Two evaluations of ABA may agree by chance at one time, so the largest spread is subtracted.
+    round_off = SPREAD_MARGIN * (aba_spread / units).max(axis=0, initial=0.0)
+    return np.asarray(np.maximum(errors / units - round_off, 0.0))
+
+
+def _acceleration(full: FullState, t: float, y: Array, axes: pin.Convention) -> Array:
+    """Return ABA's acceleration (n,) of base and shape, evaluated in the given axes."""
+    r, nv = full.system.r, full.system.model.nv
+    a = full.rate(t, y, axes)[len(y) - nv :]
+    return np.append(a[:r], full.couplings.shape(a[r:]))
+
+
+def _mass_matrix_and_loads(system: System, q: Array) -> tuple[Array, Array]:
+    """Return the mass matrix (n, n) and the magnitudes of gravity loads (n,), by Pinocchio."""
+    model, data = system.model, system.data
+    H = system.coupled_matrix(symmetric(pin.crba(model, data, q)))
+    return H, system.sizes_on_shape(gravity_load_sizes(model, data, q))
+
+
+def _inertial_forces(system: System, q: Array, changes: Array, size: float) -> Array:
+    """Return the largest possible inertial forces on the bodies that each joint moves, (n,).
+
+    changes: (n,) accelerations.  size: of the robot [m]; moments are forces times it.
+    """
+    angular, mass = moved_masses(system.model, system.data, q)
+    rotates = (
+        angular
+        if system.coupled is None
+        else np.append(angular[: system.r], angular[system.r :][system.coupled.leads])
+    )
+    fastest = size * float(changes[rotates].sum()) + float(changes[~rotates].sum())
+    return system.sizes_on_shape(mass * np.where(angular, size, 1.0)) * fastest

@@ -1,0 +1,306 @@
+"""The reference solution: Pinocchio's ABA on the full state (q, v), integrated by Hairer's codes.
+
+It shares no dynamics with the reduction: its root kinematics, its integrators, and its momenta and
+energies (by Pinocchio's functions) are independent. Only the expressions of forces are common.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pinocchio as pin
+
+from ..common.arrays import Array
+from ..common.errors import IntegrationError
+from ..forces.acting import BaseInSpace
+from ..kernels.loads_by_pinocchio import LoadsByPinocchio
+from ..scene.scene import Scene
+from ..simulation.control import Control, Replay
+from ..simulation.sample import Sample
+from ..simulation.stops import stops_of
+from ..system.joints import joint_units
+from ..system.system import System
+from .coupling_constraints import CouplingConstraints
+from .distances import Distance, FullMotion, Size
+from .full_coordinates import Configuration, root_motion
+from .hairer import Hairer
+from .system_totals import SystemTotals
+
+FINEST = (2e-14, 1e-16)  # tightest rtol and atol that Hairer's codes can satisfy
+OFFSET = 1e-5  # fraction of the distance from the origin that counts as a length unit (round-off)
+SPREAD_MARGIN = 10.0  # round-off, in units of the difference between two ways to one number
+PERTURBATION = 1e-6  # relative size of the perturbation whose growth is measured
+
+
+class FullState:
+    """Pinocchio's forward dynamics of one scene, as an initial value problem.
+
+    The state is y = (root, x, v): root coordinates (position; angle or quaternion), unwrapped
+    values of all M joints, Pinocchio's velocity. The inputs of forces are computed from y by
+    Pinocchio. Prescribed joints follow their plan. Follower joints obey multipliers, see
+    coupling_constraints.py.
+
+    Attributes:
+        couplings: Constraints between followers and leaders.
+        root: Kinematics of the root joint.
+        totals: Energies and momenta of the whole system.
+    """
+
+    def __init__(self, scene: Scene, replay: Replay | None = None) -> None:
+        """Prepare Pinocchio's work space.
+
+        Args:
+            scene: The scene to simulate.
+            replay: Recorded commands of controllers. Without it, every run calls them again.
+        """
+        system, self._replay = scene.system, replay
+        self._scene, self._forces = scene, scene.force_model
+        self._stops = stops_of(scene)
+        self._parameters = np.empty(0) if self._forces is None else self._forces.numbers.copy()
+        self._model = system.model
+        self._r, self._m = system.r, system.model.njoints - 2
+        unused = np.full(system.r, np.nan)  # NaN would show if a force did depend on it
+        self._unused = unused, unused
+        self.couplings = CouplingConstraints(system)
+        self.root = root_motion(system.model)
+        self.totals = SystemTotals(system.model, self.root)
+        self._linear, self._size = self.root.linear, self.root.size
+        self._configuration = Configuration(system.model, self.root)
+        loads = () if self._forces is None else self._forces.loads
+        self._loads = LoadsByPinocchio(system, self.root.axes, loads) if loads else None
+        driven = [] if self._forces is None else list(self._forces.joints)
+        self._driven = self.couplings.leads[driven].tolist()
+
+    @property
+    def system(self) -> System:
+        """The system of the scene."""
+        return self._scene.system
+
+    @property
+    def joints(self) -> int:
+        """Number of joints M except the root, followers included."""
+        return int(self._m)
+
+    def set_parameters(self, parameters: Array) -> None:
+        """Set the parameters (p,) of forces, including the commands of controllers."""
+        self._parameters = parameters
+
+    def state(self, pose: Array, x: Array, xi: Array, xdot: Array) -> Array:
+        """Assemble y (n,).
+
+        Args:
+            pose: Pose of the base, (size,).
+            x: Shape, (m,) [rad | m].
+            xi: Body twist, (r,) [m/s; rad/s].
+            xdot: Shape rate, (m,) [rad/s | m/s].
+        Returns:
+            The full state (n,).
+        """
+        return np.concatenate([pose, self.couplings.values(x), xi, self.couplings.rates(xdot)])
+
+    def _apply_couplings(self, y: Array) -> Array:
+        """Return y with follower joints set from their leaders."""
+        size, m, shape = self._size, self._m, self.couplings.shape
+        pose, x, xi, xdot = np.split(y, [size, size + m, size + m + self._r])
+        return self.state(pose, shape(x), xi, shape(xdot))
+
+    def perturb(self, y0: Array, time: float, fraction: float) -> Array:
+        """Change each entry of an initial state by a small fraction of it, with random sign.
+
+        Args:
+            y0: Initial state, (n,).
+            time: Duration of the motion [s].
+            fraction: Relative change. The smallest change is this fraction of a radian, of the
+                radius of gyration, or of the rate that covers these in `time`.
+        Returns:
+            The perturbed state (n,); positions far from the origin count as in Size.
+        """
+        first_rate = self._size + self._m
+        units = np.abs(y0)
+        units[: self._linear] *= OFFSET
+        least = np.ones(len(y0))
+        radius = self.totals.radius_of_gyration(self.q(y0))
+        least[: self._linear] = radius
+        least[first_rate:] = 1.0 / time
+        least[first_rate : first_rate + self._linear] *= radius
+        sign = np.random.default_rng(0).choice([-1.0, 1.0], len(y0))
+        return self._apply_couplings(y0 + fraction * sign * np.maximum(units, least))
+
+    def growth(
+        self, y0: Array, motion: FullMotion, times: Array, rtol: float, atol: float
+    ) -> Array:
+        """Compute the factors by which a small perturbation of y0 has grown over time.
+
+        Args:
+            y0: Initial state, (n,).
+            motion: The unperturbed motion at `times`.
+            times: Times, (T,) [s].
+            rtol: Relative tolerance of the perturbed run.
+            atol: Absolute tolerance of the perturbed run.
+        Returns:
+            (T,) non-decreasing factors, at least 1.
+        """
+        perturbed = self.run(self.perturb(y0, self._scene.end, PERTURBATION), times, rtol, atol)
+        distance = self.distance(motion, perturbed).relative(self.size(motion))
+        return np.maximum.accumulate(np.maximum(1.0, distance / PERTURBATION))
+
+    def run(
+        self, y0: Array, times: Array, rtol: float, atol: float, *, method: str = "dop853"
+    ) -> FullMotion:
+        """Integrate from t = 0 and return the motion at `times`.
+
+        Args:
+            y0: Initial state, (n,).
+            times: Increasing times, (T,) [s].
+            rtol: Relative tolerance.
+            atol: Absolute tolerance.
+            method: Hairer's "dop853" (order 8) or "dopri5" (order 5).
+        Returns:
+            The motion at `times`.
+        Raises:
+            IntegrationError: A time cannot be reached at this tolerance.
+        """
+        end, y, t = float(times[-1]), y0, 0.0
+        round_off = 1e-12 * end  # closer times count as reached
+        actions = self._replay or Control(self._scene)
+        states = {0.0: y0}
+        while t < end:
+            stop = next((float(stop) for stop in self._stops if stop > t), end)
+            stop = actions.begin(self._parameters, t, stop, partial(self.sample, y))
+            solver = Hairer(self.rate, method, y, t, rtol, atol, self._scene.end)
+            targets = times[(times > t) & (times <= stop)]
+            for target in (*targets.tolist(), *([stop] if stop <= end else [])):
+                if target - solver.t > round_off:
+                    reached = solver.integrate(target)
+                    if reached is None:
+                        raise IntegrationError(
+                            f"the full simulation of '{self._model.name}' cannot be followed to "
+                            f"t = {target:g} s at rtol = {rtol:g}"
+                        )
+                    y = reached
+                states[target] = y
+            t = stop
+        y = np.array([states[float(t)] for t in times])
+        return FullMotion(
+            x=y[:, self._size : self._size + self._m].copy(),
+            q=np.array([self.q(row) for row in y]),
+        )
+
+    def sample(self, y: Array) -> Sample:
+        """Compute the inputs of forces at y by Pinocchio, except the gravity force (set to 0)."""
+        size, m, r = self._size, self._m, self._r
+        x, v = y[size : size + m], y[size + m :]
+        q, shape = self.q(y), self.couplings.shape
+        xi, mu = self.totals.about_com(q, v)
+        base = self.base_in_space(q, y[:size], v)
+        return Sample(shape(x), shape(v[r:]), xi, mu, np.zeros(3), base)
+
+    def base_in_space(
+        self, q: Array, root: Array, v: Array, *, momenta: bool = True
+    ) -> BaseInSpace:
+        """Compute pose, twist and momenta of the base by Pinocchio.
+
+        Args:
+            q: Pinocchio's configuration, (nq,).
+            root: Root coordinates, (size,).
+            v: Pinocchio's velocity, (nv,).
+            momenta: Whether momenta are needed; else they are NaN.
+        Returns:
+            The base as seen from the world.
+        """
+        r, k = self._r, self._linear
+        pose = root.copy()
+        if self.root.turns == 3:
+            pose[k:] /= np.linalg.norm(root[k:])
+        if not momenta:
+            return BaseInSpace(pose, v[:r].copy(), *self._unused)
+        mu = self.totals.body_momentum(q, v)
+        J = self.totals.momentum(q, v, np.zeros(3), about_pivot=True)
+        return BaseInSpace(pose, v[:r].copy(), mu, J)
+
+    def rate(self, t: float, y: Array, axes: pin.Convention = pin.Convention.LOCAL) -> Array:
+        """Compute dy/dt by Pinocchio's ABA.
+
+        Args:
+            t: Time [s].
+            y: Full state, (n,).
+            axes: Frames in which ABA is evaluated.
+        Returns:
+            (n,) time derivative of y.
+        """
+        size, m, r = self._size, self._m, self._r
+        if self._forces is None:
+            v, q = y[size + m :], self._q_for(self.q(y), axes)
+            a = self.couplings.acceleration(q, v, np.zeros(len(v)), axes=axes)
+            return np.concatenate([self.root.rate(y[:size], v[:r]), v[r:], a])
+        y = y.copy()
+        accelerations = np.empty(0)
+        if self._driven:
+            plan = self._forces.prescribed(t, self._parameters)
+            accelerations = plan.xddot
+            y[[size + k for k in self._driven]] = plan.x
+            y[[size + m + r + k for k in self._driven]] = plan.xdot
+            y = self._apply_couplings(y)
+        x, v, q = y[size : size + m], y[size + m :], self.q(y)
+        xi, mu = self.totals.about_com(q, v) if self._forces.sees_momentum else self._unused
+        shape = self.couplings.shape
+        state = shape(x), shape(v[r:]), xi, mu, self._parameters
+        base = None
+        if self._forces.sees_base:
+            base = self.base_in_space(q, y[:size], v, momenta=self._forces.sees_base_momenta)
+        acting, loads = self._forces.acting_apart(t, *state, base)
+        tau = np.append(acting.wrench, self.couplings.joint_torques(acting.torque))
+        if self._loads is not None:
+            tau += self._loads.generalised(q, loads)
+        q = self._q_for(q, axes)
+        a = self.couplings.acceleration(q, v, tau, self._driven, accelerations, axes)
+        return np.concatenate([self.root.rate(y[:size], v[:r]), v[r:], a])
+
+    def force_potential(self, x: Array) -> float:
+        """Return the potential energy of the forces at shape x (m,) [J]; 0 if they have none."""
+        if self._forces is None or not self._forces.has_potential:
+            return 0.0
+        return self._forces.potential(x, self._parameters)
+
+    def q(self, y: Array) -> Array:
+        """Return Pinocchio's configuration (nq,) of y."""
+        size = self._size
+        return self._configuration(y[:size], y[size : size + self._m])
+
+    def _q_for(self, q: Array, axes: pin.Convention) -> Array:
+        """Return q; in the world's axes with the base at the origin, to keep round-off small."""
+        return self.totals.at_origin(q) if axes == pin.Convention.WORLD else q
+
+    def distance(self, a: FullMotion, b: FullMotion) -> Distance:
+        """Compute the distance between two motions over time."""
+        log = np.array(
+            [pin.difference(self._model, p, q)[: self._r] for p, q in zip(a.q, b.q, strict=True)]
+        )
+        if self.root.circle:
+            # Pinocchio's planar log returns no rotation where round-off makes the trace exceed 2.
+            k = self._linear
+            (c, s), (cb, sb) = a.q[:, k : k + 2].T, b.q[:, k : k + 2].T
+            log[:, -1] = np.arctan2(c * sb - s * cb, c * cb + s * sb)
+        return Distance(
+            joints=np.abs(b.x - a.x),
+            rotation=np.linalg.norm(log[:, self._linear :], axis=1),
+            position=np.linalg.norm(log[:, : self._linear], axis=1),
+        )
+
+    def size(self, motion: FullMotion) -> Size:
+        """Compute the units in which errors of a motion are measured."""
+        position = motion.q[:, : self._linear]
+        radius = self.totals.radius_of_gyration(motion.q[0])
+        travelled = float(np.abs(position - position[0]).max(initial=0.0))
+        away = float(np.abs(position).max(initial=0.0))
+        return Size(
+            joints=self.joint_error_units(motion.x, radius),
+            position=max(travelled, radius, OFFSET * away),
+            away=away,
+        )
+
+    def joint_error_units(self, x: Array, radius: float) -> Array:
+        """Compute the units (M,) of errors of joint values x (T, M), see Size.joints."""
+        least = np.where([unit == "m" for unit in joint_units(self._model)], radius, 1.0)
+        return np.asarray(np.maximum(np.abs(x).max(axis=0), least))

@@ -1,0 +1,259 @@
+"""The defect of each integration step: by how much it violates Pinocchio's equations of motion.
+
+The defect of a step from a to b is y(b) − y(a) − ∫ f(t, y(t)) dt. Here y is the full state that the
+trajectory reports and f is Pinocchio's ABA. The integral is Gauss's with 8 nodes on each half. A
+trajectory with small defects solves a slightly perturbed system exactly (backward error). An
+integrator can promise that even where nearby motions diverge, and it needs no reference solution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ..common.arrays import Array
+from ..simulation.trajectory import Trajectory
+from ..system.coordinates import Indices
+from ..system.system import System
+from .reference_solution import OFFSET, SPREAD_MARGIN, FullState
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+# Weights of the mean over a subinterval of ∫ f from its start: ½ ∫ (1 − s) f ds.
+_MEAN_WEIGHTS = 0.5 * _WEIGHTS * (1.0 - _NODES)
+_MOST_STEPS = 200  # longer trajectories are judged by a random sample of this many steps
+_SLOPE_STEP = 1e-6  # relative to the sizes of states; step of directional difference quotients
+_KINK = 10.0  # median defects; a larger defect indicates a kink of a force within the step
+
+
+@dataclass(frozen=True)
+class Defects:
+    """Relative defects of steps (S,) and of their subintervals (P,).
+
+    The unit of each kind of number is its largest size. For rates it is at least atol/rtol,
+    because the tolerance is defined that way. The `motion_*` fields use the motion's actual rates
+    instead, in which the growth of perturbations is measured.
+
+    Attributes:
+        steps: Defects of steps, (S,).
+        subintervals: Defects of subintervals, (P,); these test the dense output too.
+        smooth: Whether the equations are smooth within the step, (S,). No method keeps its order
+            across a kink of a force.
+        motion_steps: Defects of steps in units of the motion, (S,). Residuals inside a step count
+            by their effect on its end, even if they cancel in the integral.
+        motion_subintervals: Defects of subintervals in units of the motion, (P,).
+        round_off_rate: Rate at which round-off of ABA itself perturbs the motion [1/s].
+    """
+
+    steps: Array
+    subintervals: Array
+    smooth: NDArray[np.bool_]
+    motion_steps: Array
+    motion_subintervals: Array
+    round_off_rate: float
+
+    @property
+    def worst(self) -> float:
+        """Largest defect of a smooth step; NaN if one is NaN."""
+        return float(self.steps[self.smooth].max(initial=0.0))
+
+
+@dataclass(frozen=True)
+class _Quadrature:
+    """Evaluations of ABA on P subintervals with 8 nodes each.
+
+    nodes: (8 P,) times.  parameters: of forces at the nodes.  y, rates: (8 P, n) at the nodes.
+    defects: (P, n) over each subinterval.  mean_defects: (P, n) mean of the defect from its start.
+    lengths: (P,) [s].
+    """
+
+    nodes: Array
+    parameters: list[Array]
+    y: Array
+    rates: Array
+    defects: Array
+    mean_defects: Array
+    lengths: Array
+
+
+def largest_defect(
+    traj: Trajectory, system: System, *, max_steps: int = _MOST_STEPS, subintervals: bool = False
+) -> float:
+    """Return the largest relative defect of a step.
+
+    Args:
+        traj: The trajectory.
+        system: System whose equations the trajectory should satisfy.
+        max_steps: Largest number of steps to evaluate; a random sample of more.
+        subintervals: Return the largest defect of a subinterval instead, which also tests the
+            dense output.
+    Returns:
+        Largest defect relative to the size of each kind of number (root coordinates, joint
+        values, and the velocities of both).
+    """
+    full = FullState(replace(traj.scene, system=system))
+    defects = compute_defects(traj, full, max_steps=max_steps, propagate=False)
+    return float(defects.subintervals.max(initial=0.0)) if subintervals else defects.worst
+
+
+def compute_defects(
+    traj: Trajectory, full: FullState, *, max_steps: int = _MOST_STEPS, propagate: bool = True
+) -> Defects:
+    """Compute the defects of a trajectory by ABA.
+
+    Args:
+        traj: The trajectory.
+        full: Full simulation of its scene.
+        max_steps: Largest number of steps to evaluate; a random sample of more.
+        propagate: Propagate residuals inside a step to its end. Without it, motion_steps omits
+            residuals that cancel in the integral.
+    Returns:
+        Defects of the steps and of their subintervals.
+    """
+    count = len(traj.motion.knots) - 1
+    steps = np.arange(count)
+    if count > max_steps:
+        steps = np.sort(np.random.default_rng(0).choice(steps, max_steps, replace=False))
+    defects = _defects_of_steps(traj, full, steps, propagate=propagate)
+    forces = traj.scene.force_model
+    if forces is None or not forces.has_kinks:
+        return defects
+    # Over a kink of a force a step is far worse than its neighbours, whatever its length.
+    threshold = _KINK * float(np.median(defects.steps))
+    return replace(defects, smooth=~(defects.steps > threshold))
+
+
+def _defects_of_steps(
+    traj: Trajectory, full: FullState, steps: Indices, *, propagate: bool
+) -> Defects:
+    a, b, first = _subintervals(traj, steps)
+    middle, half = 0.5 * (a + b), 0.5 * (b - a)
+    nodes = (middle[:, None] + half[:, None] * _NODES).ravel()
+    states = full_states(traj, full, np.concatenate([a, b, nodes]))
+    start, end, y = np.split(states, [len(a), 2 * len(a)])
+    parameters = traj.motion.numbers(nodes)
+    rates, spread = np.empty_like(y), np.zeros(y.shape[1])
+    for k, t in enumerate(nodes.tolist()):
+        full.set_parameters(parameters[k])
+        rates[k] = full.rate(t, y[k])
+        if k % len(_NODES) == 0:  # one node of each subinterval suffices to measure round-off
+            other = full.rate(t, y[k], pin.Convention.WORLD)
+            spread = np.maximum(spread, np.abs(rates[k] - other))
+    shape = (len(a), len(_NODES), -1)
+    integral = half[:, None] * np.einsum("k,skn->sn", _WEIGHTS, rates.reshape(shape))
+    mean_integral = half[:, None] * np.einsum("k,skn->sn", _MEAN_WEIGHTS, rates.reshape(shape))
+    missed = end - start - integral
+    mean = 0.5 * np.einsum("k,skn->sn", _WEIGHTS, y.reshape(shape)) - start - mean_integral
+    quadrature = _Quadrature(nodes, parameters, y, rates, missed, mean, b - a)
+    sizes, motion_sizes = _sizes(traj, full)
+    of_steps = np.add.reduceat(missed, first)  # step ends between subintervals cancel
+    propagated = _propagate(full, quadrature, first, sizes) if propagate else of_steps
+    # Round-off of ABA where the mass matrix is almost singular is not a defect.
+    noise, durations = SPREAD_MARGIN * spread, np.add.reduceat(b - a, first)
+    of_steps, propagated, missed = (
+        np.maximum(np.abs(defects) - np.outer(time, noise), 0.0)
+        for defects, time in ((of_steps, durations), (propagated, durations), (missed, b - a))
+    )
+    return Defects(
+        steps=(of_steps / sizes).max(axis=1),
+        subintervals=(missed / sizes).max(axis=1),
+        smooth=np.ones(len(steps), dtype=bool),
+        motion_steps=(np.maximum(of_steps, propagated) / motion_sizes).max(axis=1),
+        motion_subintervals=(missed / motion_sizes).max(axis=1),
+        round_off_rate=float((spread / motion_sizes).max()),
+    )
+
+
+def _propagate(full: FullState, quadrature: _Quadrature, first: Indices, sizes: Array) -> Array:
+    """Propagate residuals inside steps to the step ends, (S, n).
+
+    For linear equations, residuals inside a step can cancel in the integral although the step end
+    is wrong; interpolants are built that way. So the defect D accumulated until a time is
+    propagated with the linearised ABA dynamics: e = D + z, where z' = J (D + z). J is taken from
+    the middle of each subinterval.
+    """
+    errors = np.zeros_like(quadrature.defects)
+    is_first = np.isin(np.arange(len(errors)), first)
+    for k in range(len(errors)):
+        before = np.zeros_like(errors[k]) if is_first[k] else errors[k - 1]
+        mean = before + quadrature.mean_defects[k]
+        mean += 0.5 * _growth_over(full, quadrature, k, mean, sizes)
+        errors[k] = before + quadrature.defects[k] + _growth_over(full, quadrature, k, mean, sizes)
+    return np.asarray(errors[np.append(first[1:], len(errors)) - 1])
+
+
+def _growth_over(
+    full: FullState, quadrature: _Quadrature, interval: int, error: Array, sizes: Array
+) -> Array:
+    """Return J · error (n,) times the length of a subinterval, by a difference quotient of ABA."""
+    unit = float(np.abs(error / sizes).max()) / _SLOPE_STEP
+    if not 0.0 < unit < np.inf:
+        return np.zeros_like(error)
+    k = interval * len(_NODES) + len(_NODES) // 2
+    full.set_parameters(quadrature.parameters[k])
+    rate = full.rate(quadrature.nodes[k], quadrature.y[k] + error / unit)
+    return np.asarray(quadrature.lengths[interval] * unit * (rate - quadrature.rates[k]))
+
+
+def _subintervals(traj: Trajectory, steps: Indices) -> tuple[Array, Array, Indices]:
+    """Return starts (P,) and ends (P,) of subintervals, and the first index of each step (S,).
+
+    Subintervals are halves of steps, or shorter where the base rotates fast, so that the
+    quadrature is exact to round-off.
+    """
+    knots = traj.motion.knots
+    linear = traj.system.group.linear
+    lengths = np.diff(knots)
+    angle = np.abs(traj(knots).xi[:, linear:]).max(initial=0.0) * lengths[steps]
+    counts = np.ceil(np.maximum(angle, 2.0)).astype(int)
+    lower = np.concatenate([np.arange(n) for n in counts]) / np.repeat(counts, counts)
+    upper = np.concatenate([np.arange(1, n + 1) for n in counts]) / np.repeat(counts, counts)
+    start, end = np.repeat(knots[steps], counts), np.repeat(knots[steps + 1], counts)
+    # The last end is the step end itself, bit by bit: no state exists after the final time.
+    a, b = start + lower * (end - start), np.where(upper < 1.0, start + upper * (end - start), end)
+    return a, b, np.concatenate([[0], np.cumsum(counts)[:-1]])
+
+
+def full_states(traj: Trajectory, full: FullState, times: Array) -> Array:
+    """Return the states of a trajectory at times (T,) as full states (T, n)."""
+    state = traj(times)
+    columns = zip(state.pose, state.x, state.xi, state.xdot, strict=True)
+    return np.array([full.state(*values) for values in columns])
+
+
+def _sizes(traj: Trajectory, full: FullState) -> tuple[Array, Array]:
+    """Return the units (n,) of defects for the tolerance, and those in which errors grow, (n,).
+
+    Both are the largest number of each kind at the step ends. Angles and quaternions count as 1 at
+    least, lengths as the radius of gyration. For positions the distance travelled counts, and the
+    distance from the origin where its round-off is larger. Rates count as atol/rtol at least for
+    the tolerance. For growth they count as a rate that covers an angle of 1 until the end, and each
+    joint has its own unit. The base's rotation rate counts by its initial value, like the
+    perturbation whose growth is measured.
+    """
+    y = full_states(traj, full, traj.motion.knots)
+    group, m, r = traj.system.group, full.joints, traj.system.r
+    linear, size = group.linear, group.size
+    radius = full.totals.radius_of_gyration(full.q(y[0]))
+    sizes, least = np.empty((2, y.shape[1])), np.zeros((2, y.shape[1]))
+    least[:, :linear], least[:, linear : size + m] = radius, 1.0
+    slow = np.array([traj.scene.atol / traj.scene.rtol, 1.0 / traj.scene.end])
+    least[:, size + m :] = np.minimum(slow, slow[0])[:, None]
+    least[:, size + m : size + m + linear] *= radius
+    edges = [0, linear, size, size + m, size + m + linear, size + m + r, y.shape[1]]
+    for first, last in pairwise(edges):
+        if last > first:
+            values = y[:, first:last]
+            if first == 0 and linear:
+                offset = OFFSET * np.abs(values).max()
+                values = np.append(np.abs(values - values[0]).ravel(), offset)
+            sizes[:, first:last] = np.maximum(np.abs(values).max(), least[:, first, None])
+    joints, spin = slice(size + m + r, None), slice(size + m + linear, size + m + r)
+    sizes[1, joints] = np.maximum(np.abs(y[:, joints]).max(axis=0), least[1, joints])
+    initial = np.abs(y[0, spin]).max(initial=0.0)
+    sizes[1, spin] = np.minimum(sizes[1, spin], np.maximum(initial, least[1, spin]))
+    of_tolerance, of_motion = np.where(sizes > 0.0, sizes, 1.0)
+    return of_tolerance, of_motion

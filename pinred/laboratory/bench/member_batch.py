@@ -1,0 +1,126 @@
+"""A crowd: many members of one problem, and ways to solve all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ...common.errors import IntegrationError
+from ...integrators.integrate_many import Solutions, integrate_many
+from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
+from ...integrators.methods import DOP853
+from ...kernels.wide_rate import wide_rate
+from ...simulation.compiled.compiled_flow import CompiledFlow, flows_of
+from ...simulation.members.integrate_members import lanes_of
+from ...simulation.members.member_groups import of_scenes
+from ...system.coordinates import InitialState
+from ...system.state_fields import with_base
+from .problems import Problem
+from .solver import End
+
+_TOLERANCES = tuple(10.0 ** (-k / 3) for k in range(18, 40))
+_SPREAD = 0.05  # of rates, relative, and of shapes [rad | m]
+
+
+@dataclass(frozen=True)
+class PreparedBatch:
+    """A way to solve a crowd, ready to run.
+
+    run: what is timed, from all initial values to all ends.  ends: takes what `run` returns and
+    how many members are to be judged; not timed.
+    """
+
+    run: Callable[[], Any]
+    ends: Callable[[Any, int], list[End]]
+
+
+@dataclass(frozen=True)
+class BatchSolver:
+    """A way to solve all members of a crowd.
+
+    about: what is timed.  tolerances: from coarse to fine, or with fixed steps their length in
+    parts of the whole time.  most: how many members it is given.  missing: why it is not run, ""
+    if it is.
+    """
+
+    name: str
+    about: str
+    tolerances: tuple[float, ...]
+    prepare: Callable[[Sequence[Problem], float], PreparedBatch]
+    missing: Callable[[Problem], str] = lambda _: ""
+    most: int = 10**9
+
+
+def generate_members(problem: Problem, count: int) -> list[Problem]:
+    """Return members that start near a problem's start."""
+    rng, start, members = np.random.default_rng(0), problem.start, []
+    for _ in range(count):
+        apart = [1.0 + _SPREAD * rng.normal(size=len(part)) for part in (start.xdot, start.xi)]
+        state = InitialState(
+            x=start.x + _SPREAD * rng.normal(size=len(start.x)),
+            xdot=start.xdot * apart[0],
+            xi=start.xi * apart[1],
+            duration=start.duration,
+        )
+        members.append(Problem(problem.name, problem.about, problem.system, state))
+    return members
+
+
+def compile_members(members: Sequence[Problem]) -> CompiledFlow:
+    """Return the reduced states and parameters of a crowd, which has momentum."""
+    (group,) = of_scenes([member.scene(method="DOP853") for member in members]).groups
+    ((_, flows),) = flows_of(group.plan, group.given)
+    return flows
+
+
+def final_states(members: Sequence[Problem], flows: CompiledFlow, y: Any, count: int) -> list[End]:
+    """Return the full states of the first members, from reduced ones (N, k) at their end."""
+    ends = []
+    for k in range(count):
+        found = flows[k].states(members[k].times, np.array(y[k])[None])
+        states = with_base(found, members[k].name)
+        ends.append(End(states.x[0], states.q[0], states.v[0], float("nan")))
+    return ends
+
+
+def _own(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> PreparedBatch:
+    flows, method = compile_members(members), DOP853(rtol, 1e-2 * rtol)
+    kernel, end, times = flows.kernel, members[0].start.duration, members[0].times
+    y0, params, quaternion = flows.y0, flows.parameters, kernel.layout.quaternion
+    run: Callable[[], Solutions]
+    if in_lanes:
+        lanes = lanes_of(method, kernel)
+        address = wide_rate(kernel, lanes, own_parameters=True).address
+        run = partial(
+            integrate_in_lanes, method, address, lanes, params, y0, end, times, quaternion, 1
+        )
+    else:
+        address = kernel.rate.address
+        run = partial(integrate_many, method, address, params, y0, end, times, quaternion, 1)
+
+    def ends(found: Solutions, count: int) -> list[End]:
+        if not found.ok.all():
+            raise IntegrationError(f"{method.name} has not brought all members to their end")
+        return final_states(members, flows, found.y[:, -1], count)
+
+    return PreparedBatch(run, ends)
+
+
+OWN = (
+    BatchSolver(
+        "lanes",
+        "DOP853, members in lanes",
+        _TOLERANCES,
+        partial(_own, in_lanes=True),
+    ),
+    BatchSolver(
+        "one by one",
+        "DOP853, the scalar integrator, one after another",
+        _TOLERANCES,
+        partial(_own, in_lanes=False),
+    ),
+)

@@ -1,0 +1,261 @@
+"""A flow as a function between plain vectors, for other libraries.
+
+Inputs are vectors in the order of the flow's `inputs`; the output is one vector.  A pose in it
+is written by its own coordinates, not by those of its tangent, so that derivatives match values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...common.arrays import Array, as_floats, vectors
+from ...common.errors import InputError, ShapeError
+from ...common.names import nearest
+from ...common.plain_names import brief, listed
+from ...kernels.flow_functions import Row, sizes_of
+from .inputs import Inputs
+from .propagator import Propagator, Run
+
+# Up to this number of runs, one thread finishes before a second one has started.
+_RUNS_OF_ONE_THREAD = 32
+
+
+class Columns:
+    """A flow as a function of vectors.
+
+    Attributes:
+        flow: The flow.
+        names: Names of the inputs.
+        sizes: Number of entries of each input.
+        starts: Values of the inputs in the scene, (size,) each.
+        outputs: Slices of the fields of State in the output at one time.
+        size: Number of entries of the output, of all times one after another.
+    """
+
+    def __init__(
+        self, flow: Any, propagator: Propagator, inputs: Inputs, run: Callable[..., Run]
+    ) -> None:
+        """Prepare the vectors of a flow.
+
+        Args:
+            flow: The Flow.
+            propagator: Its kernels and runs.
+            inputs: Its inputs.
+            run: Function from values by name to the run with these inputs.
+        Raises:
+            InputError: The flow has no inputs, or one of them is a pose.
+        """
+        if "pose0" in flow.inputs:
+            raise InputError(
+                "pose0 is an element of a group, and inputs must be vectors; leave it out of wrt="
+            )
+        if not flow.inputs:
+            raise InputError("the flow has no inputs with derivatives; name some as wrt=")
+        self.flow = flow
+        self.names, self.sizes = tuple(flow.inputs), tuple(flow.inputs.values())
+        self.starts = [flow.own(name) for name in self.names]
+        self._rows: tuple[Row, ...] = tuple(
+            "pose_numbers" if name == "pose" else name for name in flow.outputs
+        )
+        sizes = sizes_of(flow.system)
+        ends = np.cumsum([0, *(sizes[row] for row in self._rows)]).tolist()
+        self.outputs = dict(zip(flow.outputs, map(slice, ends, ends[1:]), strict=True))
+        self._times = len(flow.t) if flow.over_times else 1
+        self.size = ends[-1] * self._times
+        self._propagator, self._inputs, self._run = propagator, inputs, run
+        ends = np.cumsum([0, *self.sizes]).tolist()
+        self._cuts, self._spans = ends[1:-1], list(map(slice, ends, ends[1:]))
+        self._entries = self._propagator.entries(self.outputs)
+
+    def value(self, *columns: Any) -> Array:
+        """Compute the output.
+
+        Args:
+            *columns: Values of the inputs, in their order, (its size,) each.
+        Returns:
+            (size,).
+        """
+        return self._output(self._run(self._by_name(columns)))
+
+    def value_of(self, column: Array) -> Array:
+        """Return the output (size,) for all inputs in one vector."""
+        return self._output(self._run(self._split(column)))
+
+    def jvp_of(self, column: Array, direction: Array) -> Array:
+        """Return the derivative (size,) along a direction, for all inputs in one vector."""
+        return self._jvp(self._run(self._split(column)), direction[:, None])[:, 0]
+
+    def vjp_of(self, column: Array, covector: Array) -> Array:
+        """Return the derivatives of covector · output, for all inputs in one vector."""
+        return self._vjp(self._run(self._split(column), stages=True), covector)
+
+    def values(self, *columns: Any, threads: int | None = None) -> Array:
+        """Compute the outputs for N inputs at once, in SIMD lanes if the method has them.
+
+        They agree with `value` within round-off times the growth along the flow.
+
+        Args:
+            *columns: Values of the inputs, in their order, (N, its size) or (1, its size) each.
+            threads: Number of threads, None for the number of processors.
+        Returns:
+            (N, size).
+        Raises:
+            ShapeError: An input has another number of axes.
+            IntegrationError: A run fails; the first one is named.
+        """
+        batches = [
+            vectors(column, size, name)
+            for column, size, name in zip(columns, self.sizes, self.names, strict=True)
+        ]
+        if any(batch.ndim != 2 for batch in batches):
+            raise ShapeError("inputs of many runs must have shape (N, size), or (1, size)")
+        count = _common_count([len(batch) for batch in batches])
+        if not count:
+            return np.zeros((0, self.size))
+        if count == 1:
+            return self.value(*(batch[0] for batch in batches))[None]
+        arguments = [
+            self._inputs.given(
+                {
+                    name: batch[k % len(batch)]
+                    for name, batch in zip(self.names, batches, strict=True)
+                }
+            )
+            for k in range(count)
+        ]
+        state = np.array([argument.state for argument in arguments])
+        constants = np.array([argument.constants for argument in arguments])
+        threads = 1 if threads is None and count <= _RUNS_OF_ONE_THREAD else threads
+        outputs = self._propagator.outputs_of_many(state, constants, threads)
+        return np.ascontiguousarray(outputs[..., self._entries].reshape(count, -1))
+
+    def jacobian(self, *columns: Any) -> list[Array]:
+        """Compute the derivatives of the output with respect to each input.
+
+        Args:
+            *columns: Values of the inputs, in their order, (its size,) each.
+        Returns:
+            (size, its size) for each input.
+        """
+        run = self._run(self._by_name(columns))
+        derivatives = self._jvp(run, np.eye(sum(self.sizes)))
+        return np.split(derivatives, self._cuts, axis=1)
+
+    def jvp(self, columns: Sequence[Any], along: Sequence[Any]) -> Array:
+        """Compute the derivative of the output along directions of the inputs.
+
+        Args:
+            columns: Values of the inputs, (its size,) each.
+            along: A direction of each input, (its size,) or (N, its size); eight directions
+                are propagated at once.
+        Returns:
+            (size,), or (N, size) for N directions.
+        """
+        run = self._run(self._by_name(columns))
+        directions = [
+            as_floats(direction, f"the direction of {name}")
+            for direction, name in zip(along, self.names, strict=True)
+        ]
+        is_batch = any(direction.ndim == 2 for direction in directions)
+        batches = [
+            vectors(np.atleast_2d(direction), size, f"the direction of {name}")
+            for direction, size, name in zip(directions, self.sizes, self.names, strict=True)
+        ]
+        count = _common_count([len(batch) for batch in batches])
+        stacked = np.hstack([np.broadcast_to(batch, (count, batch.shape[1])) for batch in batches])
+        derivatives = self._jvp(run, stacked.T).T
+        return derivatives if is_batch else derivatives[0]
+
+    def vjp(self, columns: Sequence[Any], covector: Any) -> list[Array]:
+        """Compute the derivatives of covector · output with respect to each input.
+
+        Args:
+            columns: Values of the inputs, (its size,) each.
+            covector: Weights of the output's entries, (size,) or (N, size).
+        Returns:
+            (its size,) for each input, or (N, its size) for N covectors.
+        """
+        run = self._run(self._by_name(columns), stages=True)
+        weights = as_floats(covector, "the covector")
+        covectors = vectors(np.atleast_2d(weights), self.size, "the covector")
+        derivatives = np.array([self._vjp(run, entry) for entry in covectors])
+        derivatives = derivatives.reshape(len(covectors), sum(self.sizes))
+        return np.split(derivatives if weights.ndim == 2 else derivatives[0], self._cuts, axis=-1)
+
+    def arranged(self, columns: Sequence[Any], named: Mapping[str, Any]) -> list[Any]:
+        """Arrange inputs in their order; missing inputs get their values in the scene.
+
+        Args:
+            columns: Values of the first inputs.
+            named: Values of other inputs by name.
+        Returns:
+            A value for each input.
+        Raises:
+            InputError: There are too many values, an unknown name, or two values of one input.
+        """
+        if len(columns) > len(self.names):
+            raise InputError(self._describe_count(len(columns)))
+        values = [*columns, *self.starts[len(columns) :]]
+        for name, value in named.items():
+            if name not in self.names:
+                raise InputError(
+                    f"the flow has no input {brief(name)}; {nearest(name, list(self.names))}"
+                    f"its inputs are {listed(list(self.names), 200)}"
+                )
+            k = self.names.index(name)
+            if k < len(columns):
+                raise InputError(f"the input '{name}' of a flow is given twice")
+            values[k] = value
+        return values
+
+    def refuse_shape(self, k: int, shape: tuple[int, ...]) -> None:
+        """Raise ShapeError if input k has another shape than (its size,)."""
+        size = self.sizes[k]
+        if shape != (size,) and not (size == 1 and shape == ()):
+            raise ShapeError(f"{self.names[k]} must have shape ({size},), got {shape}")
+
+    def _describe_count(self, count: int) -> str:
+        names = listed(list(self.names), 200)
+        return f"the flow has {len(self.names)} inputs, {names}, and {count} were given"
+
+    def _by_name(self, columns: Sequence[Any]) -> dict[str, Array]:
+        if len(columns) != len(self.names):
+            raise InputError(self._describe_count(len(columns)))
+        arrays = [as_floats(column, name) for name, column in zip(self.names, columns, strict=True)]
+        for k, array in enumerate(arrays):
+            if array.shape[1:] != (1,):  # CasADi passes columns of shape (size, 1).
+                self.refuse_shape(k, array.shape)
+        return {name: array.reshape(-1) for name, array in zip(self.names, arrays, strict=True)}
+
+    def _split(self, column: Array) -> dict[str, Array]:
+        """Return the inputs in one vector by name."""
+        return {name: column[span] for name, span in zip(self.names, self._spans, strict=True)}
+
+    def _output(self, run: Run) -> Array:
+        return np.asarray(self._propagator.outputs(run)[:, self._entries].ravel())
+
+    def _jvp(self, run: Run, directions: Array) -> Array:
+        """Return the derivatives (size, N) of the output along directions (inputs, N)."""
+        state, constants = self._inputs.basis(run.given)
+        derivatives = self._propagator.along(
+            run, self._rows, state @ directions, constants @ directions
+        )
+        return np.asarray(derivatives.reshape(self.size, directions.shape[1]))
+
+    def _vjp(self, run: Run, covector: Array) -> Array:
+        """Return the derivatives (inputs,) of covector · output."""
+        covectors = np.ascontiguousarray(covector).reshape(self._times, -1)
+        by_state, by_constants = self._propagator.back(run, self._rows, covectors)
+        state, constants = self._inputs.basis(run.given)
+        return np.asarray(by_state @ state + by_constants @ constants)
+
+
+def _common_count(counts: Sequence[int]) -> int:
+    """Return the count that all have except those with one.  Raises ShapeError if there are two."""
+    distinct = {count for count in counts if count != 1}
+    if len(distinct) > 1:
+        raise ShapeError(f"inputs must have equally many rows, or one, got {sorted(distinct)}")
+    return distinct.pop() if distinct else 1

@@ -1,0 +1,195 @@
+"""Forces in a MuJoCo model: passive ones at shape joints, and actions that are not simulated.
+
+MuJoCo's force at a hinge or slide is −(k₁ y + k₂ y² + k₃ y³) − v (d₁ + d₂ |v| + d₃ v²), with y
+measured from springref and the rate v.  Dry friction adds at most `frictionloss`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from ..contents import LeftOut
+from ..force_interface import Force
+from ..passive import BASE, Damper, Friction, Spring
+from .mujoco_joints import acts_on_joint
+from .package import mujoco_package
+from .tree import Tree
+from .world import World
+
+
+def passive_forces(tree: Tree) -> tuple[Force, ...]:
+    """Return the springs, dampers and dry friction of the shape, joint by joint."""
+    return tuple(force for joint in _shape_joints(tree) for force in _forces_at(tree.world, joint))
+
+
+def left_out_actions(tree: Tree, outside: Sequence[str], *, gravcomp: bool) -> Iterator[LeftOut]:
+    """Yield the actions on a robot that are not simulated, by kind.
+
+    Forces at the base would change the momentum, so they are left out.  So are plastic springs,
+    whose force depends on the past.
+
+    Args:
+        tree: Robot.
+        outside: Names of constraints that tie the robot to other bodies.
+        gravcomp: Whether gravity is compensated for some of the bodies.
+    """
+    world, model = tree.world, tree.world.model
+    joints, shape = tree.free_joints, _shape_joints(tree)
+    moving = [body for body, carrier in tree.carriers.items() if carrier.joint > 0]
+    fluid = []
+    if (model.opt.density or model.opt.viscosity) and not world.no_passive_forces:
+        fluid.append(f"density {model.opt.density:g}, viscosity {model.opt.viscosity:g}")
+    kinds: dict[str, list[str]] = {
+        "actuators": _actuators(tree),
+        "equality constraints": [] if world.disabled("EQUALITY") else [*outside],
+        "tendons": [
+            world.name("TENDON", k)
+            for k in moving_tendons(tree)
+            if _is_active(world, _tendon_numbers(model, k))
+        ],
+        BASE: [
+            world.joint_names[joint]
+            for joint in joints
+            if joint not in shape and _is_active(world, _joint_numbers(model, joint))
+        ],
+        "plastic springs": [world.joint_names[j] for j in shape if _is_plastic(world, j)],
+        "joint limits": [
+            world.joint_names[joint]
+            for joint in joints
+            if model.jnt_limited[joint] and not world.disabled("LIMIT")
+        ],
+        "contact": _touching_shapes(tree),
+        "fluid": [f"density {model.opt.density:g}, viscosity {model.opt.viscosity:g}"]
+        * bool(fluid),
+        "compensated gravity": [
+            world.body_names[body] for body in moving if gravcomp and model.body_gravcomp[body]
+        ],
+        "plugins": [world.body_names[body] for body in moving if model.body_plugin[body] >= 0],
+        "flexible bodies": [world.name("FLEX", k) for k in range(model.nflex)],
+        "other bodies": [*world.others],
+    }
+    for what, names in kinds.items():
+        if names:
+            yield LeftOut(what, tuple(names))
+
+
+def moving_tendons(tree: Tree) -> list[int]:
+    """Return the tendons whose length changes with the joints of a robot."""
+    model, kinds = tree.world.model, mujoco_package().mjtWrap
+    body_of = {
+        int(kinds.mjWRAP_SITE): model.site_bodyid,
+        int(kinds.mjWRAP_SPHERE): model.geom_bodyid,
+        int(kinds.mjWRAP_CYLINDER): model.geom_bodyid,
+    }
+    free = set(tree.free_joints)
+    tendons = []
+    for tendon in range(model.ntendon):
+        first = int(model.tendon_adr[tendon])
+        # Joints of the bodies at its ends; negative numbers stand for moving joints and others.
+        ends = set()
+        for wrap in range(first, first + int(model.tendon_num[tendon])):
+            kind, target = int(model.wrap_type[wrap]), int(model.wrap_objid[wrap])
+            if kind == int(kinds.mjWRAP_JOINT):
+                ends |= {-1, -2} if target in free else set()
+            elif kind in body_of:
+                body = int(body_of[kind][target])
+                ends.add(tree.carriers[body].joint if body in tree.carriers else -3)
+        if len(ends) > 1:  # It connects bodies that move against each other.
+            tendons.append(tendon)
+    return tendons
+
+
+def _shape_joints(tree: Tree) -> list[int]:
+    ids = {name: joint for joint, name in enumerate(tree.world.joint_names)}
+    return [ids[joint.name] for joint in tree.shape]
+
+
+def _forces_at(world: World, joint: int) -> Iterator[Force]:
+    name, numbers = world.joint_names[joint], _joint_numbers(world.model, joint)
+    (k, *stiffer), (d, *thicker) = numbers["SPRING"], numbers["DAMPER"]
+    (most,) = numbers["FRICTIONLOSS"]
+    if _is_active(world, {"SPRING": numbers["SPRING"]}) and not _is_plastic(world, joint):
+        rest = float(world.model.qpos_spring[world.model.jnt_qposadr[joint]])
+        yield Spring(name, k, rest, polynomial=_without_zeros(stiffer))
+    if _is_active(world, {"DAMPER": numbers["DAMPER"]}):
+        yield Damper(name, d, polynomial=_without_zeros(thicker))
+    if most > 0.0 and not world.disabled("FRICTIONLOSS"):
+        yield Friction(name, most)
+
+
+def _is_active(world: World, numbers: Mapping[str, Iterable[float]]) -> bool:
+    """Return whether any number is not zero and its kind of force is not disabled."""
+    return any(any(values) and not world.disabled(kind) for kind, values in numbers.items())
+
+
+def _joint_numbers(model: Any, joint: int) -> dict[str, list[float]]:
+    """Return the numbers of springs, dampers and friction at a joint, by MuJoCo's flags."""
+    v = int(model.jnt_dofadr[joint])
+    return {
+        "SPRING": [float(model.jnt_stiffness[joint]), *map(float, model.jnt_stiffnesspoly[joint])],
+        "DAMPER": [float(model.dof_damping[v]), *map(float, model.dof_dampingpoly[v])],
+        "FRICTIONLOSS": [float(model.dof_frictionloss[v])],
+    }
+
+
+def _tendon_numbers(model: Any, tendon: int) -> dict[str, list[float]]:
+    """Return the numbers of forces along a tendon, by MuJoCo's flags."""
+    return {
+        "SPRING": [model.tendon_stiffness[tendon], *model.tendon_stiffnesspoly[tendon]],
+        "DAMPER": [model.tendon_damping[tendon], *model.tendon_dampingpoly[tendon]],
+        "FRICTIONLOSS": [model.tendon_frictionloss[tendon]],
+        "LIMIT": [model.tendon_limited[tendon]],
+    }
+
+
+def _is_plastic(world: World, joint: int) -> bool:
+    """Return whether the spring at a joint yields."""
+    spring = {"SPRING": _joint_numbers(world.model, joint)["SPRING"]}
+    return _is_active(world, spring) and bool(world.model.jnt_springyield[joint])
+
+
+def _without_zeros(coefficients: Iterable[float]) -> tuple[float, ...]:
+    """Return coefficients without the zeros at their end."""
+    kept = list(coefficients)
+    while kept and kept[-1] == 0.0:
+        kept.pop()
+    return tuple(kept)
+
+
+def _touching_shapes(tree: Tree) -> list[str]:
+    """Return the geoms of moving bodies that can touch others."""
+    world, model = tree.world, tree.world.model
+    if world.disabled("CONTACT"):
+        return []
+    pairs = {int(geom) for geom in (*model.pair_geom1, *model.pair_geom2)}
+    return [
+        world.name("GEOM", geom)
+        for geom in range(model.ngeom)
+        if int(model.geom_bodyid[geom]) in tree.carriers
+        and (model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in pairs)
+    ]
+
+
+def _actuators(tree: Tree) -> list[str]:
+    """Return the actuators that act on the robot."""
+    world, model, kinds = tree.world, tree.world.model, mujoco_package().mjtTrn
+    if world.disabled("ACTUATION"):
+        return []
+    joints, tendons = set(tree.free_joints), set(moving_tendons(tree))
+    names = []
+    for k in range(model.nactuator):
+        kind, target = int(model.actuator_trntype[k]), int(model.actuator_trnid[k, 0])
+        if acts_on_joint(world, k):
+            acts = target in joints
+        elif kind == int(kinds.mjTRN_TENDON):
+            acts = target in tendons
+        elif kind in (int(kinds.mjTRN_SITE), int(kinds.mjTRN_SLIDERCRANK)):
+            acts = int(model.site_bodyid[target]) in tree.carriers
+        elif kind == int(kinds.mjTRN_BODY):
+            acts = target in tree.carriers
+        else:
+            acts = True
+        if acts:
+            names.append(world.name("ACTUATOR", k))
+    return names

@@ -1,0 +1,114 @@
+"""One joint of a compiled MuJoCo model, and the Pinocchio joint with the same motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ...common.arrays import Array
+from ..rebuild import PRISMATIC, REVOLUTE, joint_along
+from .world import World
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint of a body, in the frame of the body.
+
+    Attributes:
+        name: Name of the joint.
+        kind: "free", "ball", "slide" or "hinge".
+        point: Point about which it turns, (3,) [m].
+        axis: Unit axis, (3,).
+        q0: Coordinate at which the file draws it, MuJoCo's qpos0 [rad | m].
+        q_at: Index of its first coordinate in qpos.
+        v_at: Index of its first velocity in qvel.
+        armature: Inertia of rotors, (nv,) [kg m² | kg], with actuators and their gears.
+    """
+
+    name: str
+    kind: str
+    point: Array
+    axis: Array
+    q0: float
+    q_at: int
+    v_at: int
+    armature: Array
+
+    @property
+    def nv(self) -> int:
+        """Number of degrees of freedom."""
+        return len(self.armature)
+
+    @property
+    def at_point(self) -> pin.SE3:
+        """Frame of the body, moved to the point about which the joint turns."""
+        return translation(self.point)
+
+    def motion(self, value: float) -> pin.SE3:
+        """Return how a slide or hinge at a coordinate moves its body, in the body's frame."""
+        return self.at_point * self.displaced(value - self.q0) * self.at_point.inverse()
+
+    def displaced(self, amount: float) -> pin.SE3:
+        """Return the motion of a slide or hinge by an amount, about its point."""
+        if amount == 0.0:
+            return pin.SE3.Identity()
+        if self.kind == "slide":
+            return translation(amount * self.axis)
+        return pin.SE3(pin.exp3(amount * self.axis), np.zeros(3))
+
+    def twist(self, rate: float) -> pin.Motion:
+        """Return the twist that a slide or hinge gives its body, in the body's frame."""
+        if self.kind == "slide":
+            return pin.Motion(rate * self.axis, np.zeros(3))
+        return pin.Motion(rate * np.cross(self.point, self.axis), rate * self.axis)
+
+    def model(self) -> pin.JointModel:
+        """Return Pinocchio's joint along or about the axis of a slide or hinge."""
+        return joint_along(PRISMATIC if self.kind == "slide" else REVOLUTE, self.axis)
+
+
+def joint_of(world: World, joint: int) -> Joint:
+    """Return the joint with an id."""
+    model = world.model
+    kind = world.kind(joint)
+    q_at, v_at = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+    nv = {"free": 6, "ball": 3}.get(kind, 1)
+    armature = np.array(model.dof_armature[v_at : v_at + nv])
+    return Joint(
+        name=world.joint_names[joint],
+        kind=kind,
+        point=np.array(model.jnt_pos[joint]),
+        axis=np.array(model.jnt_axis[joint]),
+        q0=float(model.qpos0[q_at]) if nv == 1 else 0.0,
+        q_at=q_at,
+        v_at=v_at,
+        armature=armature + _actuator_armature(world, joint),
+    )
+
+
+def _actuator_armature(world: World, joint: int) -> float:
+    """Return the armature that actuators add to a joint, each times its gear squared."""
+    model, armature = world.model, 0.0
+    for actuator in np.flatnonzero(model.actuator_armature):
+        if acts_on_joint(world, int(actuator)) and model.actuator_trnid[actuator, 0] == joint:
+            gear = model.actuator_gear[model.actuator_outadr[actuator], 0]
+            armature += float(model.actuator_armature[actuator] * gear**2)
+    return armature
+
+
+def acts_on_joint(world: World, actuator: int) -> bool:
+    """Return whether an actuator acts on a joint, in the frame of the joint or of its parent."""
+    return int(world.model.actuator_trntype[actuator]) in (0, 1)  # mjTRN_JOINT, JOINTINPARENT
+
+
+def translation(by: Array) -> pin.SE3:
+    """Return a translation by a vector (3,) [m]."""
+    return pin.SE3(np.eye(3), np.array(by))
+
+
+def frame(position: Array, quaternion: Array) -> pin.SE3:
+    """Return the frame at a position with MuJoCo's quaternion (w, x, y, z), of any length."""
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    return pin.SE3(pin.Quaternion(w, x, y, z).toRotationMatrix(), np.array(position))

@@ -1,0 +1,223 @@
+"""Copies of a model built joint by joint: other joints, another root, or another order.
+
+pin.buildReducedModel crashes on models without joint frames, and fails if a link and a joint
+share a name.  pin.appendModel drops gravity, armature and limits.  So neither is used here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from ..common.arrays import Array
+from ..common.errors import ModelError
+from ..common.plain_names import quoted
+from .contents import Coupling
+from .root_chain import RootChain, places_on_root
+
+# Aligned joints along x, y and z, which are faster than the one along any axis.
+PRISMATIC = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ, pin.JointModelPrismaticUnaligned)
+REVOLUTE = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelRevoluteUnaligned)
+_ALIGNED = 1e-9  # deviation of a unit axis from x, y or z that counts as round-off
+
+
+class ModelBuilder:
+    """A model under construction, with the armature and limits of its joints."""
+
+    def __init__(self) -> None:
+        """Start with the world alone."""
+        self.model = pin.Model()
+        self._armature: list[ArrayLike] = [np.empty(0)]
+        self._limits: list[ArrayLike] = [np.empty((2, 0))]
+
+    def add_joint(
+        self,
+        parent: int,
+        joint: pin.JointModel,
+        placement: pin.SE3,
+        name: str,
+        *,
+        armature: ArrayLike | None = None,
+        limits: ArrayLike | None = None,
+    ) -> int:
+        """Add a joint and return its index.
+
+        Args:
+            parent: Index of the joint that carries it.
+            joint: Joint model.
+            placement: Placement on the parent joint.
+            name: Name of the joint.
+            armature: Armature, (nv,) [kg m² | kg]; zero if None.
+            limits: Lower and upper position limits, (2, nq) [rad | m]; infinite if None.
+        """
+        index = int(self.model.addJoint(parent, joint, placement, name))
+        nq, nv = self.model.joints[index].nq, self.model.joints[index].nv
+        self._armature.append(np.zeros(nv) if armature is None else armature)
+        free = np.outer([-np.inf, np.inf], np.ones(nq))
+        self._limits.append(free if limits is None else np.asarray(limits, dtype=float))
+        return index
+
+    def finish(self) -> pin.Model:
+        """Return the model with its armature and limits."""
+        model, limits = self.model, np.concatenate(self._limits, axis=1)
+        model.armature = np.concatenate(self._armature)
+        model.lowerPositionLimit, model.upperPositionLimit = limits
+        return model
+
+
+@dataclass(frozen=True)
+class _Carrier:
+    """The joint of the new model that moves an old body, and the body's placement on it."""
+
+    joint: int
+    placement: pin.SE3
+
+
+def rebuild(
+    raw: pin.Model,
+    *,
+    frozen: Mapping[int, Array] | None = None,
+    replaced: Mapping[int, pin.JointModel] | None = None,
+    root: pin.JointModel | None = None,
+    chain: RootChain | None = None,
+    order: Sequence[int] = (),
+) -> pin.Model:
+    """Return a copy of a model with some of its joints changed.
+
+    Args:
+        raw: Model to copy.
+        frozen: Fixed configurations, (nq of the joint,), by joint.  The bodies of these joints
+            become part of the bodies that carry them.
+        replaced: Other joint models, by joint.  They get no armature and no limits.
+        root: Joint to put between the world and the model.
+        chain: Joints whose place `root` takes; if None, `root` is a joint more.
+        order: All joints, parents before children; if empty, the order of the model.
+    """
+    frozen, replaced = frozen or {}, replaced or {}
+    builder = ModelBuilder()
+    model = builder.model
+    model.name, model.gravity = raw.name, raw.gravity
+    q = pin.neutral(raw)
+    base = 0
+    if root is not None:
+        at = pin.SE3.Identity() if chain is None else chain.at
+        armature = None if chain is None else chain.armature
+        base = builder.add_joint(0, root, at, _unused_name(raw, chain), armature=armature)
+        model.addJointFrame(base)
+    carriers = {0: _Carrier(base if chain is None else 0, pin.SE3.Identity())}
+    model.inertias[base] += raw.inertias[0]
+    on_root = {} if chain is None else places_on_root(raw, chain)
+    for i in order or range(1, raw.njoints):
+        under, joint = carriers[raw.parents[i]], raw.joints[i]
+        at = under.placement * raw.jointPlacements[i]
+        qs = slice(joint.idx_q, joint.idx_q + joint.nq)
+        if chain is not None and i <= chain.last:
+            carrier = _Carrier(base, on_root[str(raw.names[i])])
+        elif i in frozen:
+            q[qs] = frozen[i]
+            motion = joint.createData()
+            joint.calc(motion, q)
+            carrier = _Carrier(under.joint, at * motion.M)
+        elif i in replaced:
+            k = builder.add_joint(under.joint, replaced[i], at, raw.names[i])
+            carrier = _Carrier(k, pin.SE3.Identity())
+        else:
+            k = builder.add_joint(
+                under.joint,
+                joint,
+                at,
+                raw.names[i],
+                armature=raw.armature[joint.idx_v : joint.idx_v + joint.nv],
+                limits=[raw.lowerPositionLimit[qs], raw.upperPositionLimit[qs]],
+            )
+            carrier = _Carrier(k, pin.SE3.Identity())
+        model.appendBodyToJoint(carrier.joint, raw.inertias[i], carrier.placement)
+        carriers[i] = carrier
+    for frame in list(raw.frames)[1:]:
+        on = carriers[frame.parentJoint]
+        model.addFrame(
+            pin.Frame(frame.name, on.joint, 0, on.placement * frame.placement, frame.type), False
+        )
+    return builder.finish()
+
+
+def _unused_name(raw: pin.Model, chain: RootChain | None) -> str:
+    """Return a name for a new root joint."""
+    name = "root_joint" if chain is None else "+".join(list(raw.names)[1 : chain.last + 1])
+    while raw.existJointName(name) or raw.existFrame(name):
+        name = f"{name}_"
+    return name
+
+
+def without_mimics(model: pin.Model) -> tuple[pin.Model, tuple[Coupling, ...]]:
+    """Return a copy of a model with plain joints for its mimic joints, and their couplings.
+
+    Pinocchio's ABA knows no mimic joints.  Their armature and limits were lost when Pinocchio
+    made them.  Raises ModelError for a mimic joint of scaling zero, which has lost its axis.
+    """
+    mimics = list(model.mimicking_joints)
+    if not mimics:
+        return model.copy(), ()
+    plain = rebuild(model, replaced={i: _joint_of_mimic(model, i) for i in mimics})
+    leaders = {
+        model.joints[k].idx_v: model.names[k] for k in range(1, model.njoints) if k not in mimics
+    }
+    couplings = []
+    for i in mimics:
+        mimic = model.joints[i].extract()
+        ratio, offset = float(mimic.scaling), float(mimic.offset)
+        couplings.append(Coupling(model.names[i], leaders[mimic.idx_v], ratio, offset))
+    return plain, tuple(couplings)
+
+
+def _joint_of_mimic(model: pin.Model, i: int) -> pin.JointModel:
+    """Return the joint from which a mimic joint was made, by its axis."""
+    joint, scaling = model.joints[i], float(model.joints[i].extract().scaling)
+    motion = joint.createData()
+    joint.calc(motion, pin.neutral(model))
+    twist = np.array(motion.S).ravel()
+    if scaling == 0.0 or not np.isfinite(twist).all() or not twist.any():
+        raise ModelError(
+            f"mimic joint {quoted(model.names[i])} has scaling {scaling:g}, so that Pinocchio "
+            "keeps no axis of it; build the model without it, or with a fixed joint"
+        )
+    slides = not twist[3:].any()
+    axis = (twist[:3] if slides else twist[3:]) / scaling
+    return joint_along(PRISMATIC if slides else REVOLUTE, axis, _ALIGNED)
+
+
+def joint_along(kinds: Sequence[type], axis: Array, tolerance: float = 0.0) -> pin.JointModel:
+    """Return a joint along or about an axis.
+
+    Args:
+        kinds: PRISMATIC or REVOLUTE.
+        axis: Axis, (3,), of length one up to the tolerance.
+        tolerance: Deviation from x, y or z up to which the axis counts as one of them.
+    """
+    k = int(np.argmax(np.abs(axis)))
+    if np.abs(axis - np.eye(3)[k]).max() <= tolerance:
+        return kinds[k]()
+    return kinds[3](axis if tolerance == 0.0 else axis / np.linalg.norm(axis))
+
+
+def depth_first(parents: Sequence[int]) -> list[int]:
+    """Return joints 1, 2, … in an order in which each is followed by all joints behind it.
+
+    Pinocchio needs that order: its crba is silently wrong in any other.
+
+    Args:
+        parents: Parent of every joint.  The entry of the world, at index 0, is not read.
+    """
+    children: list[list[int]] = [[] for _ in parents]
+    for i in range(len(parents) - 1, 0, -1):
+        children[parents[i]].append(i)
+    order, stack = [], children[0]
+    while stack:
+        i = stack.pop()
+        order.append(i)
+        stack += children[i]
+    return order

@@ -1,0 +1,186 @@
+"""The judge of coupled joints: its own accelerations, and what it finds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from coupled_trees import CoupledCase, coupled_cases, make_case, multipliers
+from hypothesis import given, settings
+from robot_texts import joint, link, robot, write
+
+import pinred
+from pinred.judge.coupling_constraints import CouplingConstraints
+from pinred.judge.reference_solution import FullState
+from pinred.system.coupling import Coupled
+
+MASSLESS = robot(
+    *(link(name, mass) for name, mass in (("a", 2.0), ("b", 2.0), ("c", 0.0), ("d", 1.0))),
+    joint("a", "b"), joint("a", "c", inside='<axis xyz="0 1 0"/>'),
+    joint("b", "d", inside='<axis xyz="1 0 0"/><mimic joint="a-c" multiplier="-1.5"/>'),
+)  # fmt: skip
+
+
+@settings(max_examples=40)
+@given(coupled_cases())
+def test_accelerations(case: CoupledCase) -> None:
+    """By ABA with multipliers, as one system, and by Gᵀ of the whole tree."""
+    system, rng = case.system, case.rng
+    constraints, model = CouplingConstraints(system), system.model
+    q = system.model_q(system.group.exp(rng.normal(size=system.r)), rng.uniform(-2, 2, system.m))
+    v, tau = case.whole @ rng.normal(size=system.n), rng.normal(size=model.nv)
+    a = constraints.acceleration(q, v, tau)
+    data = model.createData()
+    upper = np.triu(pin.crba(model, data, q))
+    H = upper + np.triu(upper, 1).T
+    bias = pin.nonLinearEffects(model, data, q, v)
+    G = case.whole
+    expected = G @ np.linalg.solve(G.T @ H @ G, G.T @ (tau - bias))
+    size = max(1.0, float(np.abs(expected).max())) * max(1.0, np.linalg.cond(H) * 1e-3)
+    np.testing.assert_allclose(a, expected, rtol=0, atol=1e-11 * size)
+    constraints._uses_aba = False
+    np.testing.assert_allclose(
+        constraints.acceleration(q, v, tau), expected, rtol=0, atol=1e-11 * size
+    )
+    still = model.copy()
+    np.testing.assert_allclose(
+        pin.aba(still, still.createData(), q, v, multipliers(system)(0.0, q, v)),
+        constraints.acceleration(q, v, np.zeros(model.nv)), rtol=0, atol=1e-10 * size,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_accelerations_in_gravity(alone: bool) -> None:
+    """Which pulls at all bodies, and not at the multipliers, by ABA and as one system."""
+    case = make_case("SE3", 5, 0, heavy=True)
+    model, rng = case.system.model, case.rng
+    assert model.gravity.linear.any()
+    constraints, data, G = CouplingConstraints(case.system), model.createData(), case.whole
+    assert constraints._uses_aba
+    constraints._uses_aba = alone
+    q = case.system.model_q(case.system.group.identity(), rng.uniform(-2, 2, case.system.m))
+    v = G @ rng.normal(size=case.system.n)
+    upper = pin.crba(model, data, q)
+    H = np.triu(upper) + np.triu(upper, 1).T
+    bias = pin.nonLinearEffects(model, data, q, v)
+    expected = G @ np.linalg.solve(G.T @ H @ G, -G.T @ bias)
+    found = constraints.acceleration(q, v, np.zeros(model.nv))
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(("driven", "seed"), [([0], 0), ([2, 0], 1), ([1, 2], 2), ([], 3)])
+def test_accelerations_of_driven_joints(driven: list[int], seed: int) -> None:
+    """Those that are given, followers with them; Gᵀ of the whole tree for all others."""
+    case = make_case("SE3", 7, seed, heavy=True)
+    system, rng, G, r = case.system, case.rng, case.whole, case.system.r
+    constraints, model, data = CouplingConstraints(system), system.model, system.model.createData()
+    q = system.model_q(system.group.exp(rng.normal(size=r)), rng.uniform(-2, 2, system.m))
+    v, tau, given = G @ rng.normal(size=system.n), rng.normal(size=model.nv), rng.normal(size=3)
+    upper = pin.crba(model, data, q)
+    H = G.T @ (np.triu(upper) + np.triu(upper, 1).T) @ G
+    held = r + np.array(driven, dtype=int)
+    free = np.setdiff1d(np.arange(system.n), held)
+    a = np.zeros(system.n)
+    a[held] = given[: len(driven)]
+    right = G.T @ (tau - pin.nonLinearEffects(model, data, q, v)) - H @ a
+    a[free] = np.linalg.solve(H[np.ix_(free, free)], right[free])
+    found = constraints.acceleration(
+        q, v, tau, constraints.leads[driven].tolist(), given[: len(driven)]
+    )
+    np.testing.assert_allclose(found, G @ a, rtol=1e-8, atol=1e-8)
+
+
+def test_accelerations_of_a_tree_that_is_singular_without_its_ties(tmp_path: Path) -> None:
+    """A leader without mass moves that of its follower: one system with multipliers, not ABA."""
+    system = pinred.load(write(tmp_path, MASSLESS))
+    constraints, model, data = CouplingConstraints(system), system.model, system.model.createData()
+    (coupling,) = system.couplings
+    joints = list(model.names)[2:]
+    G = np.delete(np.eye(model.nv), system.r + joints.index(coupling.follower), axis=1)
+    leader = system.r + joints.index(coupling.leader)
+    column = int(np.flatnonzero(G[leader])[0])
+    G[system.r + joints.index(coupling.follower), column] = coupling.ratio
+    rng = np.random.default_rng(0)
+    q = system.model_q(system.group.exp(rng.normal(size=system.r)), rng.uniform(-1, 1, system.m))
+    v, tau = G @ rng.normal(size=G.shape[1]), rng.normal(size=model.nv)
+    upper = pin.crba(model, data, q)
+    H = np.triu(upper) + np.triu(upper, 1).T
+    assert np.linalg.cond(H) > 1e12 > 1e8 * np.linalg.cond(G.T @ H @ G)
+    bias = pin.nonLinearEffects(model, data, q, v)
+    expected = G @ np.linalg.solve(G.T @ H @ G, G.T @ (tau - bias))
+    found = constraints.acceleration(q, v, tau)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("group", "seed"), [("SE3", 0), ("SE2", 4), ("SO3", 5), ("SO2", 8)])
+def test_compare_passes(group: str, seed: int) -> None:
+    """On random trees with couplings, and what is under forces."""
+    system = make_case(group, 5, seed).system
+    springs = dict.fromkeys((system.shape_names[0], system.followers[0]), (2.0, 0.1))
+    traj = pinred.simulate(system, seed=seed, duration=0.5, springs=springs)
+    report = pinred.compare(traj)
+    assert report.passed, str(report)
+
+
+@pytest.mark.slow
+def test_a_tree_that_is_singular_without_its_ties(tmp_path: Path) -> None:
+    """A leader without mass moves that of its follower: one system, not ABA."""
+    system = pinred.load(write(tmp_path, MASSLESS))
+    assert not CouplingConstraints(system)._uses_aba
+    assert CouplingConstraints(make_case("SE3", 4, 0).system)._uses_aba
+    report = pinred.compare(pinred.simulate(system, seed=1, duration=0.5))
+    assert report.passed, str(report)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_wrong_ratio_is_found(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """Of a part in a million, wherever the reduction takes it from."""
+    right = make_case("SE3", 5, seed).system
+    coupled = right.coupled
+    assert coupled is not None
+    follower = next(
+        j for j, ratio in enumerate(coupled.ratio) if j not in coupled.leads and ratio != 0.0
+    )
+    ratio = coupled.ratio.copy()
+    ratio[follower] *= 1.0 + 1e-6
+    wrong = Coupled(coupled.leads.copy(), coupled.of.copy(), ratio, coupled.offset.copy())
+    monkeypatch.setitem(right.__dict__, "coupled", wrong)
+    report = pinred.compare(pinred.simulate(right, seed=1, duration=0.5))
+    assert not report.passed
+    assert report.equations > 10.0 * report.equations_bound or report.field_error > 1e-8
+
+
+def test_a_kick_leaves_followers_on_their_leaders() -> None:
+    """What measures how errors grow begins where the couplings hold, in place and rate."""
+    case = make_case("SE3", 5, 0)
+    scene = pinred.Scene(system=case.system, seed=0, duration=1.0)
+    full, start = FullState(scene), scene.start
+    y0 = full.state(start.pose, start.x, start.xi, start.xdot)
+    y, M = full.perturb(y0, 1.0, 1e-3), len(case.b)
+    x, xdot = y[7 : 7 + M], y[7 + M + 6 :]
+    assert np.abs(y - y0).max() > 1e-4
+    np.testing.assert_allclose(x, case.G @ full.couplings.shape(x) + case.b, atol=1e-15)
+    np.testing.assert_allclose(xdot, case.G @ full.couplings.shape(xdot), atol=1e-15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [
+    "panda", "baxter", "tiago_pro",
+    *(pytest.param(name, marks=pytest.mark.by_hand) for name in ("pr2", "talos_full")),
+])  # fmt: skip
+def test_robots_with_grippers(name: str) -> None:
+    """As they are in example-robot-data; both engines, and the judge."""
+    pytest.importorskip("example_robot_data")
+    system = pinred.load(name)
+    assert system.followers
+    scene = pinred.Scene(system=system, seed=1, duration=0.5)
+    traj = pinred.simulate(scene)
+    report = pinred.compare(traj)
+    assert report.passed, str(report)
+    readable = pinred.simulate(scene, engine="pinocchio")
+    np.testing.assert_allclose(readable.q, traj.q, atol=1e-8)
+    np.testing.assert_allclose(readable.v, traj.v, atol=1e-7)

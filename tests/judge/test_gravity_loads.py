@@ -1,0 +1,156 @@
+"""The size of weights, and motions so small that weights are all there is, in closed form."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pinred
+from pinred.judge.audit import audit_states, audit_trajectory
+from pinred.judge.equation_errors import equation_errors
+from pinred.judge.gravity_loads import gravity_load_sizes
+from pinred.judge.reference_solution import FullState
+
+MASS, LEVER, MOMENTS, G = 2.0, 0.3, (0.02, 0.03, 0.01), 9.81
+
+
+@cache
+def pendulum() -> pinred.System:
+    """A body on a pivot, hanging along −z where it is not turned."""
+    model = pin.Model()
+    model.gravity.linear = np.array([0.0, 0.0, -G])
+    body = pin.Inertia(MASS, np.array([0.0, 0.0, -LEVER]), np.diag(MOMENTS))
+    root = model.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "pivot")
+    model.appendBodyToJoint(root, body, pin.SE3.Identity())
+    return pinred.load(model)
+
+
+def swing(angle: float) -> pinred.Trajectory:
+    """It swings from so far aside."""
+    pose0 = [np.sin(0.5 * angle), 0.0, 0.0, np.cos(0.5 * angle)]
+    spin = [0.0, 0.3 * angle, 0.0]
+    return pinred.simulate(pendulum(), pose0=pose0, xi0=spin, rtol=1e-9, duration=2.0)
+
+
+@pytest.mark.parametrize("angle", [1e-7, 1e-5, 1e-3, 1.0])
+def test_small_swings_pass(angle: float) -> None:
+    """The moment of the weight is what is left of numbers that cancel; turns are right to rtol."""
+    report = pinred.compare(swing(angle))
+    assert report.passed, str(report)
+
+
+def test_swings_of_many_joints_pass() -> None:
+    """Two pendulums about hanging, on joints that gravity acts on."""
+    system = pinred.load("double_spherical_pendulum")
+    for size in (1e-6, 1e-4):
+        x0 = size * np.array([1.0, -0.5, 0.3, 0.8])[: system.m]
+        report = pinred.compare(pinred.simulate(system, x0=x0, duration=2.0))
+        assert report.passed, f"{size}: {report}"
+
+
+def test_faults_of_small_swings_fail() -> None:
+    """A centre of mass that is off by 1e-9 of the lever pulls it elsewhere."""
+    model = pendulum().model.copy()
+    model.inertias[1].lever = np.array([0.0, 3e-9, -LEVER])
+    traj = swing(1e-5)
+    wrong = FullState(pinred.Scene(system=pinred.load(model), xi0=np.zeros(3), duration=2.0))
+    assert equation_errors(traj, wrong, traj.t).max() > 1e-10
+
+
+def test_weights_do_not_cancel() -> None:
+    """Two bodies that balance on a hinge count both; what slides counts mass alone."""
+    model = pin.Model()
+    model.gravity.linear = np.array([0.0, 3.0, -4.0])
+    slide = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
+    beam = model.addJoint(slide, pin.JointModelRY(), pin.SE3.Identity(), "beam")
+    tip = model.addJoint(
+        beam, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.0])), "tip"
+    )
+    for joint, mass, lever in ((slide, 7.0, 0.0), (beam, 2.0, -0.2), (tip, 1.0, 0.0)):
+        body = pin.Inertia(mass, np.array([lever, 0.0, 0.0]), 0.01 * np.eye(3))
+        model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+    data, q = model.createData(), pin.neutral(model)
+    assert pin.computeGeneralizedGravity(model, data, q)[1] == pytest.approx(0.0, abs=1e-15)
+    found = gravity_load_sizes(model, data, q)
+    assert found == pytest.approx([10.0 * 5.0, 5.0 * (2.0 * 0.2 + 1.0 * 0.4), 0.0])
+    model.gravity.linear = np.zeros(3)
+    assert not gravity_load_sizes(model, data, q).any()
+
+
+def shifted(traj: pinred.Trajectory, work: float) -> float:
+    """The drift of energy, if so much work had been done at the end."""
+    done = np.append(np.zeros(len(traj.t) - 1), work)
+    return float(audit_states(FullState(traj.scene), traj.states, done, None).energies[-1])
+
+
+def test_energy_in_parts_of_what_a_turn_takes() -> None:
+    """Of the kinetic energy; of the largest moment of the weight times 1 rad, if that is more."""
+    for angle in (1e-4, 1.0):
+        traj = swing(angle)
+        states = traj.states
+        inertia = np.diag(MOMENTS) + MASS * LEVER**2 * np.diag([1.0, 1.0, 0.0])
+        kinetic = 0.5 * np.einsum("ti,ij,tj->t", states.xi, inertia, states.xi).max()
+        x, y, z, w = states.pose.T
+        down = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x)])  # of the body's axes, less z
+        slopes = MASS * G * LEVER * np.abs(down).sum(axis=0).max()
+        unit = max(kinetic, slopes)
+        assert shifted(traj, 1e-3 * unit) == pytest.approx(-1e-3, rel=1e-3)
+
+
+def test_energy_in_parts_of_what_springs_take() -> None:
+    """A cart on a level rail, its pole on a spring in no gravity: stiffness times 1 rad aside."""
+    system = pinred.load("cartpole", gravity=np.zeros(3))
+    for aside, rate in ((1e-4, 0.0), (1e-4, 5.0)):
+        spring = {system.shape_names[0]: (3.0, 0.5)}
+        traj = pinred.simulate(
+            system, x0=[0.5 + aside], xdot0=[rate], xi0=[0.0], springs=spring, times=[0.0, 1e-3]
+        )
+        internal = (
+            0.5 * (0.09 + 0.25 - 0.25 / 3.0 * np.cos(0.5) ** 2) * rate**2
+        )  # of robots/cartpole
+        slope = 3.0 * np.abs(traj.x[:, 0] - 0.5).max()
+        unit = max(internal, slope)
+        assert shifted(traj, 1e-3 * unit) == pytest.approx(-1e-3, rel=2e-2)
+
+
+def test_what_falls_has_no_weight() -> None:
+    """A slow motion inside counts for itself, however heavy the robot that falls."""
+    cat = pinred.load("falling_cat", gravity=[1.0, -2.0, -9.0])
+    slow = 1e-2 * np.ones(cat.m)
+    traj = pinred.simulate(
+        cat, x0=np.full(cat.m, 0.4), xdot0=slow, xi0=np.zeros(6), times=[0, 1e-3]
+    )
+    states, model, data = traj.states, cat.model, cat.model.createData()
+    pin.ccrba(model, data, states.q[0], states.v[0])
+    carried = 0.5 * float(data.hg.linear @ data.hg.linear) / data.Ig.mass
+    internal = pin.computeKineticEnergy(model, data, states.q[0], states.v[0]) - carried
+    assert internal < 1e-3
+    assert shifted(traj, 1e-2 * internal) == pytest.approx(-1e-2, rel=1e-2)
+
+
+def test_round_off_of_heights() -> None:
+    """Far up, 6e-14 of the potential energy is what its place is not known to."""
+    cat = pinred.load("falling_cat", gravity=[0.0, 0.0, -9.81])
+    pose0 = [0.0, 0.0, 1e6, 0.0, 0.0, 0.0, 1.0]
+    traj = pinred.simulate(cat, pose0=pose0, xdot0=np.ones(cat.m), times=[0.0, 1e-3])
+    height = cat.mass * 9.81 * 1e6
+    assert shifted(traj, 0.8 * 6e-14 * height) == 0.0
+    assert shifted(traj, 1.2 * 6e-14 * height) != 0.0
+
+
+def test_momentum_in_parts_of_what_its_weight_gives() -> None:
+    """From 1 rad away: √(m W) times the radius of gyration, or W times the time if that is less."""
+    weight, radius = MASS * G * LEVER, np.sqrt(sum(MOMENTS) / MASS)
+    for duration, expected in ((2.0, radius * np.sqrt(MASS * weight)), (1e-3, weight * 1e-3)):
+        traj = swing(1e-5)
+        times = np.linspace(0.0, duration, 5)
+        states = traj(times)
+        impulse = np.zeros((5, 3))
+        impulse[-1, 0] = 1e-4 * expected
+        given = states.spatial_momentum - states.spatial_momentum[0]
+        found = audit_states(FullState(traj.scene), states, np.zeros(5), given + impulse).momenta
+        assert found[-1, 0] == pytest.approx(-1e-4, rel=1e-6)
+    assert audit_trajectory(swing(1e-5), swing(1e-5).states).momentum < 1e-7

@@ -1,0 +1,370 @@
+"""Defects by ABA: a jump of each number at the end of a step shows by its size, in its unit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import casadi
+import numpy as np
+import pinocchio as pin
+import pytest
+from tampering import tampered
+
+import pinred
+from pinred.common.arrays import Array
+from pinred.judge import step_defects as module
+from pinred.judge.reference_solution import FullState
+from pinred.judge.step_defects import Defects, compute_defects, largest_defect
+from pinred.laboratory.stress.generated_robots import single
+
+RTOL, ATOL, END = 1e-9, 1e-11, 0.5
+JUMP = 1e-3
+
+
+@cache
+def cat(atol: float, away: float = 0.0) -> pinred.Trajectory:
+    """The falling cat, with speeds of some 1 m/s and rad/s."""
+    pose0 = [away, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    return pinred.simulate(
+        pinred.load("falling_cat"), duration=END, rtol=RTOL, atol=atol, pose0=pose0,
+        x0=[0.5, 3.0, -2.0], xdot0=[1.0, -4.0, 2.0], xi0=[0.3, 2.0, -0.5, 1.5, 0.2, 3.0],
+    )  # fmt: skip
+
+
+def jumped(traj: pinred.Trajectory, name: str, column: int, when: float) -> pinred.Trajectory:
+    """The motion with one number larger from a time on."""
+
+    def change(state: pinred.State) -> pinred.State:
+        values = getattr(state, name).copy()
+        values[state.t >= when, column] += JUMP
+        return replace(state, **{name: values})
+
+    return tampered(traj, change)
+
+
+KINDS = [("pose", 1), ("pose", 4), ("x", 0), ("x", 1), ("xi", 2), ("xi", 4), ("xdot", 2)]
+
+
+@pytest.mark.parametrize(("name", "column"), KINDS)
+@pytest.mark.parametrize(("atol", "away"), [(1e-2 * RTOL, 0.0), (1e3 * RTOL, 0.0), (RTOL, 1e7)])
+def test_a_jump_shows_in_its_unit(name: str, column: int, atol: float, away: float) -> None:
+    """The largest of its kind, at least 1, the radius of gyration, or atol over rtol of those."""
+    traj = jumped(cat(atol, away), name, column, END)
+    slow, states = atol / RTOL, traj(traj.motion.knots)
+    full = FullState(traj.scene)
+    radius = full.totals.radius_of_gyration(traj.system.q(states.pose[0], states.x[0]))
+    assert radius < 1.0
+    place = states.pose[:, :3]
+    sizes = {
+        "pose": 1.0,
+        "x": float(max(1.0, np.abs(states.x).max())),
+        "xi": float(max(slow, np.abs(states.xi[:, 3:]).max())),
+        "xdot": float(max(slow, np.abs(states.xdot).max())),
+    }
+    if (name, column) == ("pose", 1):
+        sizes["pose"] = max(radius, np.abs(place - place[0]).max(), 1e-5 * np.abs(place).max())
+    if (name, column) == ("xi", 2):
+        sizes["xi"] = max(slow * radius, np.abs(states.xi[:, :3]).max())
+    assert largest_defect(traj, traj.system) == pytest.approx(JUMP / sizes[name], rel=1e-3)
+
+
+def test_right_motions_have_small_defects() -> None:
+    """Of the tolerance; where a step turns the base six times round, of round-off all the same."""
+    assert largest_defect(cat(RTOL), cat(RTOL).system) < RTOL
+    exact = pinred.RKMK4(step=2.0)
+    spinning = pinred.simulate(
+        single([1.0, 1.0, 1.0]), xi0=[0.0, 0.0, 20.0], duration=4.0, method=exact
+    )
+    assert len(spinning.motion.knots) == 3
+    assert largest_defect(spinning, spinning.system) < 1e-14
+
+
+def test_parts_of_steps_end_where_steps_do() -> None:
+    """To the last bit; halves, where the base does not turn by more than 2 rad in a step."""
+    traj = cat(RTOL)
+    knots = traj.motion.knots
+    count = len(knots) - 1
+    a, b, first = module._subintervals(traj, np.arange(count))
+    assert len(a) == 2 * count
+    assert (a[first] == knots[:-1]).all()
+    assert (b[first + 1] == knots[1:]).all()
+    assert a[first + 1] == pytest.approx(0.5 * (knots[:-1] + knots[1:]), rel=1e-15)
+    assert (b[first] == a[first + 1]).all()
+
+
+def test_no_part_ends_after_the_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A begin plus what is left until the end may be more than the end, by round-off."""
+    start, end = 0.001, 0.009
+    assert start + (end - start) > end
+    traj = pinred.simulate(pinred.load("rigid_body"), duration=end, xi0=[0.1, 0.2, 0.3])
+    monkeypatch.setattr(type(traj.motion), "knots", np.array([0.0, start, end]))
+    assert module._subintervals(traj, np.arange(2))[1][-1] == end
+    assert np.isfinite(compute_defects(traj, FullState(traj.scene)).worst)
+
+
+def test_halves_are_enough_where_nothing_turns() -> None:
+    """However long a step is."""
+    cart = pinred.load("cartpole", gravity=np.zeros(3))
+    traj = pinred.simulate(
+        cart, x0=[0.0], xdot0=[0.0], xi0=[0.3], duration=100.0, method=pinred.RKMK4(step=50.0)
+    )
+    a, b, first = module._subintervals(traj, np.arange(2))
+    assert a.tolist() == [0.0, 25.0, 50.0, 75.0]
+    assert b.tolist() == [25.0, 50.0, 75.0, 100.0]
+    assert first.tolist() == [0, 2]
+
+
+def test_angles_count_by_a_radian() -> None:
+    """Or by the largest, if that is more, however little of it is travelled."""
+    system = pinred.load("elroys_beanie")
+    traj = pinred.simulate(
+        system, pose0=[8.0], x0=[0.1], xi0=[0.2], xdot0=[0.2], duration=END, rtol=RTOL, atol=ATOL
+    )
+    unit = 8.0 + 0.2 * END  # without springs both spin steadily
+    assert largest_defect(jumped(traj, "pose", 0, END), system) == pytest.approx(
+        JUMP / unit, rel=1e-3
+    )
+    assert largest_defect(jumped(traj, "x", 0, END), system) == pytest.approx(JUMP, rel=1e-3)
+
+
+def test_what_jumps_between_the_ends_of_a_step() -> None:
+    """It does not show in the step, and in its parts it does."""
+    knots = cat(RTOL).motion.knots
+    middle = 0.5 * (knots[2] + knots[3])
+
+    def change(state: pinred.State) -> pinred.State:
+        x = state.x.copy()
+        x[state.t == middle, 0] += JUMP
+        return replace(state, x=x)
+
+    traj = tampered(cat(RTOL), change)
+    assert largest_defect(traj, traj.system) < RTOL
+    assert largest_defect(traj, traj.system, subintervals=True) == pytest.approx(
+        JUMP / np.abs(traj(knots).x).max(), rel=1e-6
+    )
+
+
+class Rounded(FullState):
+    """One whose ABA has round-off in the world's axes."""
+
+    left = 0.0
+
+    def rate(self, t: float, y: Array, axes: pin.Convention = pin.Convention.LOCAL) -> Array:
+        """Off by that in the rate of a rate."""
+        out = super().rate(t, y, axes)
+        out[-1] += self.left * (axes == pin.Convention.WORLD)
+        return out
+
+
+def test_round_off_of_aba_is_no_defect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten times what two ways through it are apart, for as long as the step lasts."""
+    traj = jumped(cat(RTOL), "xdot", 2, END)
+    full = Rounded(traj.scene)
+    clean = compute_defects(traj, full)
+    whole = clean.worst
+    length = float(np.diff(traj.motion.knots)[-1])
+    size = JUMP / whole
+    monkeypatch.setattr(Rounded, "left", 0.03 * JUMP / length)
+    found = compute_defects(traj, full)
+    assert found.worst == pytest.approx(whole - 0.3 * JUMP / size, rel=1e-3)
+    # Half as long, so half of that is taken off.
+    assert found.subintervals.max() == pytest.approx(whole - 0.15 * JUMP / size, rel=1e-3)
+    own = JUMP / clean.motion_steps.max()
+    assert found.round_off_rate == pytest.approx(0.03 * JUMP / length / own, rel=1e-3)
+    monkeypatch.setattr(Rounded, "left", 0.3 * JUMP / length)
+    assert compute_defects(traj, full).worst < 1e-6
+
+
+def test_round_off_is_told_by_one_evaluation_in_eight(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a stretch, in the world's axes; more would take as long as the integral itself."""
+    times: list[tuple[float, bool]] = []
+    rate = FullState.rate
+
+    def counted(
+        self: FullState, t: float, y: Array, axes: pin.Convention = pin.Convention.LOCAL
+    ) -> Array:
+        times.append((t, axes == pin.Convention.WORLD))
+        return rate(self, t, y, axes)
+
+    monkeypatch.setattr(FullState, "rate", counted)
+    traj = cat(RTOL)
+    stretches = 2 * (len(traj.motion.knots) - 1)
+    compute_defects(traj, FullState(traj.scene), propagate=False)
+    of_bodies = [t for t, world in times if not world]
+    assert len(of_bodies) == 8 * stretches
+    assert [t for t, world in times if world] == of_bodies[::8]
+
+
+def test_round_off_far_away_is_none() -> None:
+    """Both ways begin where the base is."""
+    traj = jumped(cat(RTOL, 1e7), "xdot", 2, END)
+    assert largest_defect(traj, traj.system) > 0.99 * JUMP / np.abs(traj.states.xdot).max()
+
+
+@pytest.mark.parametrize(("slow", "duration", "unit"), [(1e-3, 1.0, 1.0), (1e-3, 50.0, 0.02)])
+def test_what_slow_rates_carry(slow: float, duration: float, unit: float) -> None:
+    """A jump of a rate, in parts of what leads through a radian by the end, or of the rates.
+
+    For the tolerance it is a part of what the absolute one is to the relative one, 1 rad/s.
+    """
+    x0, xdot0 = [0.5, 3.0, -2.0], [slow, 0.0, 0.0]
+    resting = pinred.simulate(
+        pinred.load("falling_cat"), duration=duration, rtol=1e-8, atol=1e-8, x0=x0, xdot0=xdot0
+    )
+    traj = jumped(resting, "xdot", 1, duration)
+    found = compute_defects(traj, FullState(resting.scene))
+    own = max(unit, float(np.abs(traj(traj.motion.knots).xdot[:, 1]).max()))
+    assert found.worst == pytest.approx(JUMP, rel=1e-2)
+    assert found.motion_steps.max() == pytest.approx(JUMP / own, rel=1e-2)
+    assert found.motion_subintervals.max() == pytest.approx(JUMP / own, rel=1e-2)
+
+
+@cache
+def satellite() -> pinred.Trajectory:
+    """A panel, the first joint, beside wheels that spin fast, on a base that a wrench turns."""
+    return pinred.simulate(
+        pinred.load("reaction_wheel_satellite"), duration=END, rtol=1e-8, atol=1e-8,
+        xdot0=[0.1, 300.0, 200.0, 100.0], xi0=[9.0, 0.0, 0.0, 0.1, 0.2, 0.1],
+        forces=[pinred.forces.Wrench([0.0, 0.0, 0.0, 500.0, 0.0, 0.0])],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "column"), [("pose", 4), ("x", 0), ("x", 1), ("xi", 1)])
+def test_what_else_is_carried_as_it_is(name: str, column: int) -> None:
+    """Places, angles and velocities: in parts of the largest of their kind, as the tolerance is."""
+    traj = jumped(satellite(), name, column, END)
+    found = compute_defects(traj, FullState(traj.scene))
+    assert found.motion_steps.max() == pytest.approx(found.worst, rel=1e-6)
+    assert found.motion_subintervals.max() == pytest.approx(found.subintervals.max(), rel=1e-6)
+
+
+@pytest.mark.parametrize(("name", "column"), [("xdot", 0), ("xi", 4)])
+def test_what_rates_carry_behind_faster_ones(name: str, column: int) -> None:
+    """A joint counts by its own rate, however fast others are; a base by that of the start."""
+    moved = satellite()
+    assert moved.system.shape_names[0] == "panel_hinge"
+    traj = jumped(moved, name, column, END)
+    found, states = compute_defects(traj, FullState(moved.scene)), traj(traj.motion.knots)
+    kind = np.abs(states.xdot if name == "xdot" else states.xi[:, 3:]).max()
+    own = np.abs(states.xdot[:, column]).max() if name == "xdot" else 0.2
+    own = max(min(1.0 / END, 1.0), float(own))  # what leads through a radian, or atol over rtol
+    assert kind > 3.0 * own
+    assert found.worst == pytest.approx(JUMP / kind, rel=1e-2)
+    assert found.motion_steps.max() == pytest.approx(JUMP / own, rel=1e-2)
+
+
+def test_what_a_spin_from_rest_carries() -> None:
+    """In parts of what leads through a radian by the end, however fast it becomes."""
+    system = pinred.load("elroys_beanie")
+    push = pinred.forces.Wrench([0.05])
+    pushed = pinred.simulate(
+        system, xi0=[0.0], xdot0=[0.0], duration=50.0, rtol=1e-8, atol=1e-8, forces=[push]
+    )
+    traj = jumped(pushed, "xi", 0, 50.0)
+    assert np.abs(pushed.xi).max() > 0.3
+    found = compute_defects(traj, FullState(pushed.scene))
+    assert found.motion_steps.max() == pytest.approx(JUMP / 0.02, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("method", "far"), [("Tsit5", 0.03), ("DOP853", 1.0), ("AdaptiveGauss", 0.03)]
+)
+def test_what_parts_of_a_step_hide_from_each_other(method: str, far: float) -> None:
+    """A beanie on a spring, x = x₀ cos ωt: what steps are off by is what is carried.
+
+    The residual of Tsit5's states between the ends of steps adds up to nothing there.  Those of
+    DOP853 are a radian of the spring long, which a slope in each half cannot follow more closely.
+    """
+    system = pinred.load("elroys_beanie")
+    traj = pinred.simulate(
+        system, duration=2.0, x0=[1.0], springs={"beanie": (30.0, 0.0)}, rtol=1e-6, atol=1e-6,
+        method=method,
+    )  # fmt: skip
+    knots, full = traj.motion.knots, FullState(traj.scene)
+    y, found = module.full_states(traj, full, knots), compute_defects(traj, full)
+    inertia = pin.crba(system.model, pin.Data(system.model), system.q(y[0, :1], y[0, 1:2]))
+    inertia = np.triu(inertia) + np.triu(inertia, 1).T
+    share = inertia[0, 1] / inertia[0, 0]
+    omega = np.sqrt(30.0 / (inertia[1, 1] - share * inertia[0, 1]))
+    x, v, step = y[:-1, 1], y[:-1, 3], np.diff(knots)
+    c, s = np.cos(omega * step), np.sin(omega * step)
+    off = np.column_stack([y[1:, 1] - (c * x + s / omega * v), y[1:, 3] - (c * v - omega * s * x)])
+    own = module._sizes(traj, full)[1]
+    expected = np.abs(np.column_stack([off, share * off]) / own[[1, 3, 0, 2]])
+    assert found.motion_steps == pytest.approx(expected.max(axis=1), rel=far, abs=1e-12)
+    if method == "Tsit5":
+        assert found.worst < 1e-12 < 1e-9 < expected.max()
+        assert compute_defects(traj, full, propagate=False).motion_steps.max() < 1e-12
+
+
+def test_what_a_state_that_is_off_leads_to() -> None:
+    """The slope of ABA in the middle of a part, times its length; of nothing, nothing.
+
+    The panel of a satellite whose wheels make 300 rad/s: the slope counts what is off in parts of
+    what the numbers are.
+    """
+    moved = pinred.simulate(
+        pinred.load("reaction_wheel_satellite"), duration=END, x0=[0.3, 0.0, 0.0, 0.0],
+        xdot0=[0.1, 300.0, 200.0, 100.0], xi0=[0.1, 0.2, 0.3, 0.4, -0.2, 0.3],
+    )  # fmt: skip
+    full, rng = FullState(moved.scene), np.random.default_rng(0)
+    t = np.array([0.1, 0.2])
+    nodes = np.concatenate([np.linspace(s, s + 0.1, 8) for s in t])
+    y, none = module.full_states(moved, full, nodes), np.zeros((2, 21))
+    rates = np.array([full.rate(0.0, row) for row in y])
+    course = module._Quadrature(
+        nodes, [np.empty(0)] * 16, y, rates, none, none, np.array([0.3, 0.1])
+    )
+    sizes = module._sizes(moved, full)[0]
+    off = 1e-9 * sizes * rng.normal(size=21)
+    up, down = (full.rate(0.0, y[12] + s * 1e4 * off) for s in (1.0, -1.0))
+    expected = 0.1 * (up - down) / 2e4
+    found = module._growth_over(full, course, 1, off, sizes)
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-4 * scale)
+    for odd in (0.0, np.nan, np.inf):
+        assert (module._growth_over(full, course, 1, odd * sizes, sizes) == 0.0).all()
+
+
+def test_steps_that_are_judged() -> None:
+    """All up to 200, and of more as many at random."""
+    fine = pinred.DOP853(max_step=END / 230)
+    traj = pinred.simulate(cat(RTOL).system, duration=END, method=fine)
+    full = FullState(traj.scene)
+    assert len(traj.motion.knots) > 230
+    assert compute_defects(traj, full).steps.shape == (200,)
+    few = compute_defects(traj, full, max_steps=7)
+    assert few.steps.shape == few.smooth.shape == (7,)
+    count = len(cat(RTOL).motion.knots) - 1
+    assert compute_defects(cat(RTOL), full).steps.shape == (count,)
+
+
+@pytest.mark.parametrize("kinks", [True, False])
+def test_kinks_of_forces_stand_out(monkeypatch: pytest.MonkeyPatch, kinks: bool) -> None:
+    """Ten times the median, where forces have kinks; what is no number is none."""
+    system = pinred.load("coupled_planar")
+    acting = [pinred.forces.Torque(lambda _t, x, *_: 0.1 * casadi.fabs(x))] if kinks else []
+    steps = np.array([2.0, 2.0, 2.0, 19.8, 20.2])
+
+    def made(*_: object, **__: object) -> Defects:
+        return Defects(steps, steps, np.ones(5, dtype=bool), steps, steps, 0.0)
+
+    monkeypatch.setattr(module, "_defects_of_steps", made)
+    scene = pinred.Scene(system=system, duration=0.1, xdot0=[1.0], forces=acting)
+    traj = pinred.simulate(scene)
+    found = compute_defects(traj, FullState(scene))
+    assert found.smooth.tolist() == [True] * 4 + [not kinks]
+    assert found.worst == (19.8 if kinks else 20.2)
+    steps[0] = np.nan
+    assert np.isnan(compute_defects(traj, FullState(scene)).worst)
+
+
+def test_what_controllers_hold_is_what_acts() -> None:
+    """In each stretch its own torque, for the full simulation, the equations and the defects."""
+    system = pinred.load("coupled_planar")
+    wave = pinred.forces.Controller(lambda t, *_: [np.cos(9.0 * t)], 0.1, system.shape_names)
+    traj = pinred.simulate(system, duration=0.4, xdot0=[0.3], forces=wave)
+    report = pinred.compare(traj)
+    assert report.passed, str(report)
+    assert np.ptp(traj.xdot) > 0.01
