@@ -15,7 +15,7 @@ from typing import Any, get_overloads
 import pytest
 
 import pinred
-from pinred.scene.options import SceneOptions
+from pinred.scene.scene_options import SceneOptions
 from pinred.views.playback.view import FILM_FPS, View, ViewOptions
 from pinred.views.plots import KINDS
 

@@ -13,7 +13,7 @@ from ..reduction.at_a_shape import ReducedShape, Reduction
 from ..reduction.casimirs import casimirs
 from ..reduction.cyclic_joints import cyclic_joints
 from ..reduction.potential import broken_by_gravity
-from ..scene.passive import passive_left_out
+from ..scene.passive_forces import passive_left_out
 from ..scene.scene import Scene
 from ..simulation.explain import skipped
 from ..simulation.plan import plan_of

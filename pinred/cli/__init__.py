@@ -1,1 +1,1 @@
-"""The command line, a file a command.  Imports everything; nothing imports it."""
+"""The command line, with one file for each command.  It imports all other packages."""

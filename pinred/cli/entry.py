@@ -1,10 +1,10 @@
-"""The entry of the process `pinred`: Ctrl-C ends it in one line, also while it is starting."""
+"""The entry point of the process `pinred`; Ctrl-C ends it with one line, even during start-up."""
 
 from __future__ import annotations
 
 
 def main() -> int:
-    """Run the command that the process was started for.  Returns its exit code."""
+    """Run the command of the process.  Returns its exit code."""
     import os
     import signal
 
@@ -16,13 +16,13 @@ def main() -> int:
             try:
                 code = run()
             except Exception:
-                if pressed():  # modules in C make an ImportError of it
+                if pressed():  # C extensions turn KeyboardInterrupt into ImportError.
                     end()
                 raise
         if code == CODE:
             end()
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # it has done what it was to do
-    except KeyboardInterrupt:  # before there was anything of ours
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # The work is done.
+    except KeyboardInterrupt:  # Ctrl-C before the imports finished
         os.write(2, b"pinred: interrupted\n")
         os._exit(130)
     return code

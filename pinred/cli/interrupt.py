@@ -1,8 +1,8 @@
-"""Ctrl-C on the command line: the process ends soon after the first, whatever is at work.
+"""Ctrl-C on the command line: it ends the process within a fraction of a second.
 
-As a rule KeyboardInterrupt is raised and the command ends.  But libraries swallow it in their
-callbacks, compilers do not look at signals, and threads are waited for; for these a thread
-watches, and ends the process when its patience is over.
+Usually KeyboardInterrupt ends the command.  But libraries swallow it in their callbacks,
+compilers ignore signals, and Python waits for threads at exit.  For these cases a thread waits
+for the signal, and ends the process after a short grace period.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any, NoReturn
 
-_pressed, _said = threading.Event(), threading.Event()
-CODE = 130  # as shells have it, 128 + SIGINT
-_PATIENCE = 0.3  # s that a command has to end by itself, and to clean up
+_pressed, _reported = threading.Event(), threading.Event()
+CODE = 130  # exit code of shells for a process that SIGINT ends: 128 + SIGINT
+_PATIENCE = 0.3  # time that a command has to end and clean up after Ctrl-C [s]
 
 
 def say() -> None:
-    """Tell, once, that the command was interrupted."""
-    if not _said.is_set():
-        _said.set()
+    """Report once, on standard error, that the command was interrupted."""
+    if not _reported.is_set():
+        _reported.set()
         os.write(2, b"pinred: interrupted\n")
 
 
 def pressed() -> bool:
-    """Return whether Ctrl-C has been pressed, while `ends_soon` watches."""
+    """Return whether Ctrl-C has been pressed inside the context `ends_soon`."""
     return _pressed.wait(0.05)
 
 
 def end() -> NoReturn:
-    """End the process here, with the children that it has, and wait for nothing.
+    """End the process and its child processes immediately.
 
-    Python's own end would wait for threads, and for libraries to take themselves down.
+    The normal exit of Python would wait for threads and for the clean-up of libraries.
     """
     if "multiprocessing" in sys.modules:
         for child in sys.modules["multiprocessing"].active_children():
@@ -47,26 +47,26 @@ def end() -> NoReturn:
 
 @contextmanager
 def ends_soon() -> Iterator[None]:
-    """Let the process end with code 130 soon after the first Ctrl-C, if it has not by itself.
+    """End the process with code 130 soon after the first Ctrl-C, if it does not end normally.
 
-    It is for a process that does nothing else, from its main thread.
+    Use it in the main thread of a process that does nothing else.
     """
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield  # somebody has said what Ctrl-C does, or that it does nothing, as `nohup` and `&` do
+        yield  # Another handler is installed, or SIGINT is ignored, as by `nohup` and `&`.
         return
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     threading.Thread(target=_watch, args=(reading,), daemon=True).start()
-    sys.unraisablehook = partial(_swallowed, sys.unraisablehook)
-    yield  # it goes on watching: the end of a process waits for threads
+    sys.unraisablehook = partial(_end_if_swallowed, sys.unraisablehook)
+    yield  # The thread keeps waiting, because the exit of the process waits for other threads.
 
 
-def _swallowed(told: Callable[[Any], object], found: sys.UnraisableHookArgs) -> None:
-    """End the process where a callback of compiled code has nobody to raise Ctrl-C to."""
-    if found.exc_type is KeyboardInterrupt:
+def _end_if_swallowed(report: Callable[[Any], object], unraisable: sys.UnraisableHookArgs) -> None:
+    """End the process if a callback of compiled code could not raise KeyboardInterrupt."""
+    if unraisable.exc_type is KeyboardInterrupt:
         end()
-    told(found)
+    report(unraisable)
 
 
 def _watch(reading: int) -> None:

@@ -12,9 +12,9 @@ if TYPE_CHECKING:
 
 
 def motion_in(path: str, robot: str | None) -> MotionSource:
-    """Return the motion in a .npz file, or that of a scene file.
+    """Return the motion in a .npz file, or simulate a scene file.
 
-    robot: the one of a .npz that does not name its own.
+    `robot` names the robot of a .npz file that does not name one itself.
     """
     check_robot(path, robot)
     if Path(path).suffix == ".npz":
@@ -29,6 +29,6 @@ def motion_in(path: str, robot: str | None) -> MotionSource:
 
 
 def check_robot(source: str, robot: str | None) -> None:
-    """Raise InputError for a robot beside a source that names its own: any but a .npz file."""
+    """Raise InputError for the option --robot with any source except a .npz file."""
     if robot is not None and Path(source).suffix != ".npz":
         raise InputError(f"--robot is for .npz files; '{source}' names its robot itself")

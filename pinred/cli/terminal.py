@@ -1,4 +1,4 @@
-"""Text for terminals that cannot show all of it: in ASCII, as near as that comes."""
+"""Output for terminals that cannot encode all characters: the nearest ASCII text."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _ASCII = {
 
 
 def nearest_ascii(character: str) -> str:
-    """Return ASCII in the place of a character; an escape where there is none."""
+    """Return the nearest ASCII text of a character, or an escape sequence."""
     if character in _ASCII:
         return _ASCII[character]
-    if "\udc80" <= character <= "\udcff":  # a byte of a file name that is no text
+    if "\udc80" <= character <= "\udcff":  # an undecodable byte of a file name
         return f"\\x{ord(character) - 0xDC00:02x}"
     plain = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
     return plain or character.encode("ascii", "backslashreplace").decode()
@@ -38,11 +38,11 @@ def _replaced(error: UnicodeError) -> tuple[str, int]:
 
 @contextmanager
 def showing_all() -> Iterator[None]:
-    """Let standard output and error take any text: what they cannot encode becomes ASCII."""
+    """Make standard output and error accept any text; unknown characters become ASCII."""
     codecs.register_error(_ERRORS, _replaced)
     before: list[tuple[Any, str | None]] = []
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a stand-in of somebody else's may not have it
+        if hasattr(stream, "reconfigure"):  # A replaced stream may lack it.
             before.append((stream, stream.errors))
             stream.reconfigure(errors=_ERRORS)
     try:

@@ -1,9 +1,8 @@
-"""integrate(): one run of a stepper, and its Solution."""
+"""integrate(): one run of a method from checked arguments."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +18,7 @@ from ..common.errors import (
     TooManySteps,
 )
 from .methods.method import Method
+from .solution import Solution, checked_times
 from .stepping.run_record import (
     AUTO,
     DIVERGED,
@@ -33,7 +33,6 @@ from .stepping.run_record import (
     UNDERFLOW,
     WANTED,
     Runs,
-    copied,
     new_run,
 )
 from .stepping.state_rows import Y
@@ -48,97 +47,6 @@ _FIRST_KNOTS = 128
 MOST_STAGE_BYTES = 1 << 25
 
 
-@dataclass(eq=False)
-class Solution:
-    """Solution of one integration: states at the report times, and at any other time.
-
-    The kernel must stay in memory as long as `at` is called.
-
-    Attributes:
-        method: Integrator.
-        times: Report times, (T,) sorted [s].
-        y: States at these times, (T, n); read-only.
-        complete: Whether the integration reached its end, and was not stopped by a watcher.
-        params: Parameters of the kernel, (p,).
-    """
-
-    method: Method
-    times: Array
-    y: Array
-    complete: bool
-    params: Array = field(repr=False)
-    _run: Runs = field(repr=False)
-    _knots: Array = field(repr=False)
-    _rows: Array = field(repr=False)
-
-    @property
-    def steps(self) -> int:
-        """Number of accepted steps."""
-        return int(self._run["steps"].item())
-
-    @property
-    def rejected(self) -> int:
-        """Number of rejected steps."""
-        return int(self._run["rejected"].item())
-
-    @property
-    def evaluations(self) -> int:
-        """Number of evaluations of the vector field."""
-        return int(self._run["evaluations"].item())
-
-    @property
-    def knots(self) -> Array:
-        """Times of all step ends, (K,) [s]."""
-        return read_only(self._knots[: self.steps + 1])
-
-    @property
-    def states(self) -> Array:
-        """States at the step ends, (K, n).
-
-        A quaternion in them has the length that the step has left; `at` gives it length one.
-        """
-        return read_only(self._rows[: self.steps + 1, : self.y.shape[1]])
-
-    @property
-    def stored(self) -> Array:
-        """States at the step ends, followed by the stored stage derivatives, (K, n + …)."""
-        return read_only(self._rows[: self.steps + 1])
-
-    def at(self, times: ArrayLike) -> Array:
-        """Return the states (T, n) at times (T,) in any order, as if they had been asked for.
-
-        Only the steps around these times are computed again.  Raises InputError, and NoConvergence
-        if an implicit step to one of them has no solution that could be found.
-        """
-        asked = checked_times(times, float(self.knots[-1]), ordered=False)
-        order = np.argsort(asked, kind="stable")
-        n = self.states.shape[1]
-        out = np.empty((len(asked), n))
-        stepper, run = self.method.stepper(), copied(self._run)
-        stepper.loops.recall(
-            run,
-            self.params,
-            stepper.work(n, tangent=run["tangent"].item() > 0),
-            read_only(asked[order]),
-            out,
-            self.knots,
-            self.stored,
-        )
-        lost = np.flatnonzero(np.isnan(out).any(axis=1))
-        if lost.size:
-            time = float(asked[order][lost[0]])
-            before = self.states[np.searchsorted(self.knots, time) - 1]
-            raise NoConvergence(
-                f"the state at t = {time:g} s, within a step, has no solution that could be "
-                "found: take shorter steps",
-                time,
-                before,
-            )
-        y = np.empty_like(out)
-        y[order] = out
-        return y
-
-
 def integrate(
     method: Method,
     address: int,
@@ -151,31 +59,42 @@ def integrate(
     tangent: Tangent | None = None,
     canonical: Canonical = (0, 0),
 ) -> Solution:
-    """Integrate ẏ = f(y, params) from y0 (n,) at time 0 to t_end [s].
+    """Integrate ẏ = f(y, params) from y0 to t_end.
 
-    address: of the kernel of f.  params: (p,), all that f needs.
-    times: (T,) sorted, within [0, t_end]: when the state is wanted.
-    quaternion: index of the first of the four numbers in y that are a quaternion
-        (x, y, z, w), −1 for none; its rate is ½ q ω with the body's angular velocity ω.
-    progress: called now and then with the part of the time that is done, 0 to 1.
-    tangent: gives the address of the kernel of ∂f/∂y (see call_tangent); called at most once,
-        when the method wants it.
-    canonical: how many of y are positions, with as many momenta behind them, and how many
-        parameters are the constant momentum J with q̄ J q in the equations: for Variational.
-
-    Raises InputError, and StepSizeUnderflow, NonFiniteState, NoConvergence or TooManySteps with
-    the time and the state at which the run stopped.
+    Args:
+        method: Method with its options.
+        address: Address of a kernel of f. Kernels for Gauss and AdaptiveGauss evaluate method.lanes
+            states at once: entry i of state j is number i·lanes + j.
+        params: Parameters, (p,).
+        y0: Initial state, (n,).
+        t_end: End time [s].
+        times: Sorted report times within [0, t_end], (T,) [s].
+        quaternion: Index of the first of a quaternion's four entries (x, y, z, w) in y, −1 for
+            none. Its rate is ½ q ω with the body angular velocity ω.
+        progress: Called repeatedly with the finished fraction of the time, 0 to 1.
+        tangent: Function that returns the address of the kernel of ∂f/∂y (see call_tangent). It is
+            called at most once, when the method needs it.
+        canonical: Number of positions in y, which as many momenta follow, and number of parameters
+            that are the constant momentum J with q̄ J q in the equations; for Variational.
+    Returns:
+        The run.
+    Raises:
+        InputError: An argument is invalid.
+        StepSizeUnderflow: The tolerance requires steps below round-off.
+        NonFiniteState: A rate or a state is not finite.
+        NoConvergence: An implicit step was not solved.
+        TooManySteps: The run exceeds the limit on trial steps.
     """
     end = positive(t_end, "t_end")
     check_kernel(address)
     state = as_floats(y0, "y0")
     check_state(state, quaternion, "y0", 1)
-    asked = checked_times(times, end, ordered=True)
-    frozen = read_only(np.array(as_floats(params, "params")))
+    checked = checked_times(times, end, ordered=True)
+    copied_params = read_only(np.array(as_floats(params, "params")))
     integration = Integration(
-        method, address, len(state), end, asked, quaternion, canonical, tangent
+        method, address, len(state), end, checked, quaternion, canonical, tangent
     )
-    return integration(frozen, state, progress=progress)
+    return integration(copied_params, state, progress=progress)
 
 
 class Integration:
@@ -288,7 +207,7 @@ def begun_by(
     canonical: Canonical,
     keep: int = NOTHING_KEPT,
 ) -> Runs:
-    """Return the registers of a run to `end` [s] before its first step."""
+    """Return the registers of a run to `end` [s] before its first step; keep: stored data."""
     pairs, spin = canonical
     return new_run(
         address=address,
@@ -303,7 +222,15 @@ def begun_by(
 
 
 def failure(status: int, run: Runs, state: Array) -> IntegrationError:
-    """Return the error for a status of `advance`; state: (n,) at the last time reached."""
+    """Return the error for a status of `advance`.
+
+    Args:
+        status: The status.
+        run: Registers of the run.
+        state: State at the last time reached, (n,).
+    Returns:
+        The error.
+    """
     end = run[0]
     time, entry = end["t"].item(), end["entry"].item()
     where = f"t = {time:g} s of {end['t_end']:g} s"
@@ -332,15 +259,20 @@ def failure(status: int, run: Runs, state: Array) -> IntegrationError:
 
 
 def check_kernel(address: int) -> None:
-    """Check what can be checked of a kernel's address.  Raises InputError."""
+    """Raise InputError if an address cannot be that of a kernel."""
     if isinstance(address, bool) or not isinstance(address, int) or address <= 0:
         raise InputError(f"address must be the address of a kernel, got {address!r}")
 
 
 def give_tangent(tangent: Tangent | None, method: Method, run: Runs) -> None:
-    """Give a run the kernel of the derivative; without one it has to do by fixed points.
+    """Set the derivative kernel of a run; without one, the run uses fixed-point iteration.
 
-    Raises InputError if it cannot.
+    Args:
+        tangent: Function that returns its address, or None.
+        method: Method of the run.
+        run: Registers, changed in place.
+    Raises:
+        InputError: The method needs the derivative and there is none.
     """
     if tangent is not None:
         address = tangent()
@@ -353,7 +285,17 @@ def give_tangent(tangent: Tangent | None, method: Method, run: Runs) -> None:
 
 
 def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
-    """Check initial states (…, n) with n > 0, and where the quaternion is.  Raises InputError."""
+    """Check initial states and the position of the quaternion.
+
+    Args:
+        y0: Initial states, (…, n).
+        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        what: Name of the argument in messages.
+        ndim: Expected number of axes.
+    Raises:
+        ShapeError: The shape is wrong or a number is not finite.
+        InputError: The quaternion is outside of the state or zero.
+    """
     if y0.ndim != ndim or y0.shape[-1] == 0:
         shape = "(n,)" if ndim == 1 else "(N, n)"
         raise ShapeError(f"{what} must have shape {shape} with n > 0, got {y0.shape}")
@@ -366,19 +308,6 @@ def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
         )
     if quaternion >= 0 and not y0[..., quaternion : quaternion + 4].any(axis=-1).all():
         raise InputError(f"the quaternion in {what} is zero")
-
-
-def checked_times(times: ArrayLike, t_end: float, *, ordered: bool) -> Array:
-    """Return times as a read-only array (T,) within [0, t_end].  Raises InputError."""
-    asked = np.array(as_floats(times, "times"))
-    if asked.ndim != 1:
-        raise ShapeError(f"times must have shape (T,), got {asked.shape}")
-    if asked.size:
-        if not (asked.min() >= 0.0 and asked.max() <= t_end):  # NaN is outside too
-            raise InputError(f"times must lie between 0 and {t_end:g} s, got {asked}")
-        if ordered and (asked[1:] < asked[:-1]).any():
-            raise InputError(f"times must be sorted, got {asked}")
-    return read_only(asked)
 
 
 def _doubled(array: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The task of a simulation: a Scene, the forms of its options, and the files that hold one.
+"""Scenes: the Scene, its options and their input formats, and TOML files of scenes.
 
-Imports `forces`, `integrators` for their names, and what lies below them.
+Imports `forces`, `integrators` (for the names of methods), and the packages below them.
 """

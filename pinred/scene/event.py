@@ -1,4 +1,4 @@
-"""Events: moments at which an expression of the state crosses zero."""
+"""Events: times at which an expression of the state crosses zero."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from ..common.errors import InputError
 from ..common.plain_names import brief
+from .toml.schema import Flag, Key, Table, Text, Whole
 
 if TYPE_CHECKING:
     from ..forces.watched import Watched
@@ -15,20 +16,35 @@ if TYPE_CHECKING:
 
 Direction = Literal[-1, 0, 1]
 DIRECTIONS: tuple[Direction, ...] = (-1, 0, 1)
+EVENT_TABLE = Table(
+    {
+        "function": Key(
+            Text((), "a formula"), "formula of the state whose zero crossings are the event",
+            required=True,
+        ),
+        "name": Key(Text(), "name of the event in the results", default="event"),
+        "terminal": Key(Flag(), "whether the motion ends at the event", default="false"),
+        "direction": Key(Whole(-1, 1), "1 for rising, -1 for falling, 0 for both", default="0"),
+    },
+    "an event",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Event:
-    """A moment at which an expression of the state crosses zero, wherever that is within a step.
+    """A time at which an expression of the state crosses zero, also inside integration steps.
 
-    expression: a function of (t, x, xdot, mu), or of one SeenState (see pinred.forces), called
-    once with CasADi symbols; or a formula as text, in t, x, xdot, mu, and pose, xi, J of the base,
-    such as "x['hinge'] - 0.5".  name: what results call it.  terminal: whether the motion ends
-    there.  direction: 1 for rising, −1 for falling, 0 for both.
+    A crossing is a change of sign.  A zero at the start of the motion, and a zero without a
+    change of sign, are no crossings.  Each step is sampled at four times, so two crossings
+    within a quarter of a step are both missed.
 
-    A crossing is a change of sign: one that the expression begins with, where it is zero at the
-    start, is none, and neither is a zero that it only touches.  A step is looked at in four
-    places, so of two crossings within a quarter of it both are missed.
+    Attributes:
+        expression: A function of (t, x, xdot, mu), or of one SeenState (see pinred.forces),
+            which is called once with CasADi symbols.  Or a formula as text in t, x, xdot, mu,
+            and pose, xi, J of the base, such as "x['hinge'] - 0.5".
+        name: Name of the event in the results.
+        terminal: Whether the motion ends at the event.
+        direction: 1 for rising crossings, −1 for falling ones, 0 for both.
     """
 
     expression: Callable[..., Any] | str
@@ -54,13 +70,22 @@ class Event:
 
 
 def watched_of(system: System, events: Sequence[Event], *, base: bool) -> Watched | None:
-    """Return the expressions of events, None if there are none.
+    """Build the expressions of events.
 
-    base: whether the scene has the base.  Raises InputError, naming the event.
+    Args:
+        system: System whose state the events observe.
+        events: The events.
+        base: Whether the scene computes the motion of the base.
+
+    Returns:
+        The expressions; None if there are no events.
+
+    Raises:
+        InputError: an expression cannot be used, or observes a base that is not computed.
     """
     if not events:
         return None
-    from ..forces.watched import Watched  # needs CasADi
+    from ..forces.watched import Watched  # Imported here because it imports CasADi.
 
     labels = [f"event '{event.name}'" for event in events]
     watched = Watched(system, [event.expression for event in events], labels)
@@ -71,17 +96,17 @@ def watched_of(system: System, events: Sequence[Event], *, base: bool) -> Watche
     return watched
 
 
-def checked_events(given: Any) -> tuple[Event, ...]:
-    """Return the events of a scene, one or several.  Raises InputError."""
-    events = (given,) if isinstance(given, Event) else given
-    if isinstance(events, str) or not hasattr(events, "__iter__"):
-        raise InputError(f"events must be a list of Event, got {brief(given)}")
-    events = tuple(events)
-    for event in events:
+def list_events(events: Any) -> tuple[Event, ...]:
+    """Return the option `events`, an Event or several, as a tuple; raise InputError."""
+    sequence = (events,) if isinstance(events, Event) else events
+    if isinstance(sequence, str) or not hasattr(sequence, "__iter__"):
+        raise InputError(f"events must be a list of Event, got {brief(events)}")
+    entries = tuple(sequence)
+    for event in entries:
         if not isinstance(event, Event):
             raise InputError(f"events must be a list of Event, got {brief(event)} in it")
-    names = [event.name for event in events]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise InputError(f"two events are called '{twice[0]}'; give each a name of its own")
-    return events
+    names = [event.name for event in entries]
+    repeated = [name for name in names if names.count(name) > 1]
+    if repeated:
+        raise InputError(f"two events are called '{repeated[0]}'; give each a name of its own")
+    return entries

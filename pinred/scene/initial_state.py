@@ -1,4 +1,4 @@
-"""Initial states: as they are given, one or many, and one made complete."""
+"""Initial states: as stated in a scene, for one run or many, and completed with momenta."""
 
 from __future__ import annotations
 
@@ -15,9 +15,14 @@ from ..system.system import System
 
 @dataclass(frozen=True)
 class GivenStates:
-    """Initial states as they are given, (N, …): with body twists xi or body momenta mu, (N, r).
+    """Initial states of N runs, with either body twists or body momenta.
 
-    pose: (N, size).  x, xdot: (N, m).  The other of xi and mu is None.
+    Attributes:
+        pose: Poses of the base, (N, size).
+        x: Shapes, (N, m) [rad | m].
+        xdot: Shape rates, (N, m) [rad/s | m/s].
+        xi: Body twists, (N, r) [m/s; rad/s]; None if `mu` is stated.
+        mu: Body momenta, (N, r) [N·s; N·m·s]; None if `xi` is stated.
     """
 
     pose: Array
@@ -28,24 +33,30 @@ class GivenStates:
 
     @property
     def motion(self) -> Array:
-        """The one of xi and mu that is given."""
+        """The body twists or body momenta, whichever is stated, (N, r)."""
         motion = self.xi if self.mu is None else self.mu
         assert motion is not None
         return motion
 
-    def __getitem__(self, which: object) -> GivenStates:
-        rows: dict[str, Any] = {
-            name: None if part is None else part[which] for name, part in vars(self).items()
+    def __getitem__(self, index: object) -> GivenStates:
+        columns: dict[str, Any] = {
+            name: None if column is None else column[index] for name, column in vars(self).items()
         }
-        return GivenStates(**rows)
+        return GivenStates(**columns)
 
 
 @dataclass(frozen=True)
 class Start:
-    """One initial state, complete; arrays are read-only.
+    """A complete initial state; arrays are read-only.
 
-    pose: (size,).  x, xdot: (m,).  xi: (r,) body twist.  mu: (r,) body momentum.
-    mass_matrix: (n, n) and com: (3,), centre of mass in the root body's frame, at x.
+    Attributes:
+        pose: Pose of the base, (size,).
+        x: Shape, (m,) [rad | m].
+        xdot: Shape rate, (m,) [rad/s | m/s].
+        xi: Body twist, (r,) [m/s; rad/s].
+        mu: Body momentum, (r,) [N·s; N·m·s].
+        mass_matrix: Mass matrix H(x), (n, n), base rows first.
+        com: Centre of mass in the frame of the root body at x, (3,) [m].
     """
 
     pose: Array
@@ -61,25 +72,25 @@ class Start:
 
 
 def start_of(system: System, given: GivenStates) -> Start:
-    """Return the first of initial states, complete by Pinocchio's mass matrix.
+    """Complete the first of several initial states with Pinocchio's mass matrix.
 
-    Raises SingularInertiaError where that is singular, InputError where a momentum or twist
+    Raises SingularInertiaError if that matrix is singular, InputError if a momentum or twist
     overflows.
     """
-    r, one = system.r, given[0]
-    at = system.workspace(Reduction, lambda: Reduction(system)).split(one.x)
-    H = at.mass_matrix
-    xi, mu = one.xi, one.mu
-    with np.errstate(over="ignore", invalid="ignore"):  # checked below
+    r, state = system.r, given[0]
+    split = system.workspace(Reduction, lambda: Reduction(system)).split(state.x)
+    H = split.mass_matrix
+    xi, mu = state.xi, state.mu
+    with np.errstate(over="ignore", invalid="ignore"):  # finite_start reports an overflow.
         if xi is None and mu is not None:
-            xi = np.asarray(np.linalg.solve(H[:r, :r], mu - H[:r, r:] @ one.xdot))
+            xi = np.asarray(np.linalg.solve(H[:r, :r], mu - H[:r, r:] @ state.xdot))
         if mu is None and xi is not None:
-            mu = H[:r] @ np.concatenate([xi, one.xdot])
+            mu = H[:r] @ np.concatenate([xi, state.xdot])
     finite_start(xi, mu)
-    return Start(one.pose, one.x, one.xdot, np.asarray(xi), np.asarray(mu), H, at.com)
+    return Start(state.pose, state.x, state.xdot, np.asarray(xi), np.asarray(mu), H, split.com)
 
 
 def finite_start(*arrays: Array | None) -> None:
-    """Raise InputError unless all that follows from an initial state is finite."""
+    """Raise InputError unless all arrays computed from an initial state are finite."""
     if not all(array is not None and np.isfinite(array).all() for array in arrays):
         raise InputError("the initial momentum or twist overflows: rates or momentum too large")

@@ -1,4 +1,4 @@
-"""Parameters of a scene: numbers of the robot, and of the forces, by name, checked together."""
+"""Parameters of a scene: robot parameters and parameters of forces, validated together."""
 
 from __future__ import annotations
 
@@ -18,11 +18,14 @@ from ..system.variants import nominal
 
 @dataclass(frozen=True, eq=False)
 class GivenParameters:
-    """The parameters that a scene is given, with those that its system has already.
+    """The option `parameters` of a scene, joined with the parameters that its system has.
 
-    values: {name: value} as given.  requested: names without values, of Parameters in forces.
-    varied: the numbers of the robot among them, None if there are none.  numbers: their values.
-    system: the robot with these.
+    Attributes:
+        values: {name: value} as stated.
+        requested: Names, without values, of Parameters in forces.
+        varied: The robot parameters among them; None if there are none.
+        numbers: {name: values} of the robot parameters, as arrays.
+        system: The robot with these parameters.
     """
 
     values: Mapping[str, Any]
@@ -32,11 +35,18 @@ class GivenParameters:
     system: System
 
     def checked(self, known: Sequence[str]) -> dict[str, Any]:
-        """Return all as numbers and arrays.  known: names of Parameters in forces and events.
+        """Return all parameters as numbers and arrays.
 
-        Raises InputError for names that nothing has, or two things have.
+        Args:
+            known: Names of the Parameters in forces and events.
+
+        Returns:
+            {name: number or array}.
+
+        Raises:
+            InputError: a name is unknown, or belongs to both the robot and a force.
         """
-        out: dict[str, Any] = {}
+        parameters: dict[str, Any] = {}
         for name, value in self.values.items():
             if name in self.numbers:
                 if name in known:
@@ -44,14 +54,14 @@ class GivenParameters:
                         f"parameters: '{name}' is a number of the robot, and a Parameter of the "
                         "forces has the same name; give that another"
                     )
-                out[name] = plain_value(self.numbers[name])
+                parameters[name] = plain_value(self.numbers[name])
                 continue
             self._check(name, known)
-            given = np.ravel(as_floats(value, f"parameters['{name}']"))
-            out[name] = float(vector(given, 1, f"parameters['{name}']")[0])
+            number = np.ravel(as_floats(value, f"parameters['{name}']"))
+            parameters[name] = float(vector(number, 1, f"parameters['{name}']")[0])
         for name in self.requested:
             self._check(name, known)
-        return out
+        return parameters
 
     def _check(self, name: object, known: Sequence[str]) -> None:
         if name not in known:
@@ -62,18 +72,28 @@ class GivenParameters:
 
 
 def given_parameters(system: System, parameters: Any) -> GivenParameters:
-    """Return what a system and the `parameters` of a scene say together.
+    """Join the option `parameters` of a scene with the parameters that its system has.
 
-    What a system has stays, unless it is given anew.  Raises InputError for bodies and joints that
-    are not there, for values that no real robot has, and for two names of one thing.
+    A parameter of the system keeps its value unless the option has another value.
+
+    Args:
+        system: The robot.
+        parameters: {name: value}, names, or "all" (see Scene).
+
+    Returns:
+        The parameters, and the robot with their values.
+
+    Raises:
+        InputError: a link or joint is unknown, a value is not physical, or two names set the
+            same number.
     """
-    own, already = nominal(system), system.parameters
-    values, others = requested(own, parameters)
+    original, present = nominal(system), system.parameters
+    values, others = requested(original, parameters)
     if isinstance(parameters, Mapping):
-        values = joined(already, values)
-    else:  # names alone, of numbers that stay as they are
-        values |= already
-    varied = ModelParameters(own, list(values))
+        values = joined(present, values)
+    else:  # Names without values keep the numbers that the system has.
+        values |= present
+    varied = ModelParameters(original, list(values))
     numbers = varied.checked(values)
     return GivenParameters(
         values, others, varied if varied.names else None, numbers, varied.system(numbers)

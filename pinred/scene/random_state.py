@@ -1,4 +1,4 @@
-"""A generic initial state from a seed: what `seed=` stands for."""
+"""Random initial states, as the option `seed` requests them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ..system.coordinates import InitialState
 from ..system.joints import is_prismatic
 from ..system.system import System
 
-DURATION = 2.0  # s, where neither scene nor robot says
+DURATION = 2.0  # duration of a scene if neither the scene nor the robot states one [s]
 
 
 @dataclass(frozen=True)
 class _Spread:
-    """The ranges that shapes are drawn from, and the scales of rates (m,) and twists (r,)."""
+    """Ranges of random shapes, (m,) each, and scales of rates (m,) and twists (r,)."""
 
     low: Array
     high: Array
@@ -26,7 +26,7 @@ class _Spread:
 
 
 def random_state(system: System, seed: int) -> InitialState:
-    """Return a generic state: moderate, within the joints' limits, with no symmetry in it."""
+    """Return a random state of moderate size, within the joint limits and without symmetry."""
     spread = once(system, _Spread, lambda: _spread(system))
     rng = np.random.default_rng(seed)
     return InitialState(
@@ -53,7 +53,7 @@ def _spread(system: System) -> _Spread:
 
 
 def _narrow(system: System, low: Array, high: Array) -> None:
-    """Narrow ranges of the shape, (m,) each, to where followers are within their limits too."""
+    """Narrow shape ranges, (m,) each, in place so that mimic joints stay within their limits."""
     coupled, model = system.coupled, system.model
     if coupled is None:
         return
@@ -62,7 +62,7 @@ def _narrow(system: System, low: Array, high: Array) -> None:
         if j in coupled.leads or ratio == 0.0 or joint.nq != 1:
             continue
         limits = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
-        with np.errstate(over="ignore"):  # of joints without limits
+        with np.errstate(over="ignore"):  # Joints without limits have huge ones.
             least, most = sorted((limit - b) / ratio for limit in limits)
         if max(low[k], least) < min(high[k], most):
             low[k], high[k] = max(low[k], least), min(high[k], most)

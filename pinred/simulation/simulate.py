@@ -14,8 +14,8 @@ from ..common.errors import InputError
 from ..common.plain_names import brief, one_of
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
-from ..scene.options import SceneOptions
 from ..scene.scene import ENGINES, Engine, Scene
+from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
 from ..system.system import System, checked_system
 from .motion import follow

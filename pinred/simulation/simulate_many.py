@@ -11,9 +11,9 @@ from ..common.errors import InputError, IntegrationError
 from ..common.plain_names import brief
 from ..common.progress import Progress, shown
 from ..common.signatures import shows_fields
-from ..scene.checked import checked_seed
-from ..scene.options import SceneOptions
+from ..scene.option_checks import check_seed
 from ..scene.scene import Scene
+from ..scene.scene_options import SceneOptions
 from ..system.system import System, checked_system
 from .members.batch import Batch, Failure
 from .members.member_groups import Members, of_scenes
@@ -82,7 +82,7 @@ def _checked(seeds: Sequence[int] | None) -> list[int] | None:
     drawn = entries_of(seeds)
     if drawn is None:
         raise InputError(f"seeds must be a list of whole numbers, got {brief(seeds)}")
-    return [checked_seed(seed) for seed in drawn]
+    return [check_seed(seed) for seed in drawn]
 
 
 def _explained(found: Members) -> str:

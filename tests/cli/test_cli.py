@@ -15,7 +15,7 @@ import pinred
 from pinred.cli.main import COMMANDS
 from pinred.integrators.methods import METHODS
 from pinred.lie import GROUPS
-from pinred.scene.scene import ENGINES, OUTPUTS
+from pinred.scene.scene_options import ENGINES, OUTPUTS
 from pinred.system.catalogue import bundled_robots
 
 
@@ -322,6 +322,6 @@ def test_help_names_every_method(capsys: pytest.CaptureFixture[str]) -> None:
     """The integrators that --method takes, and that it chooses by itself without."""
     for command in ("simulate", "compare"):
         _, out, _ = run(capsys, command, "--help")
-        assert "auto (default)" in out
+        assert "(default: auto)" in out
         for name in (*METHODS, *GROUPS, *ENGINES, *OUTPUTS):
             assert name in out

@@ -20,8 +20,9 @@ from pinred.common.arrays import Array
 from pinred.common.errors import NoConvergence, NonFiniteState, TooManySteps
 from pinred.integrators.gauss import fixed_step as gauss
 from pinred.integrators.gauss.tables import tables
-from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import integrate_many
+from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_record
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState

@@ -22,6 +22,7 @@ from pinred.forces import Damper, Torque, Wrench
 from pinred.integrators import integrate as drive
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
+from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_record
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
@@ -193,7 +194,7 @@ def test_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     layout = flow.kernel.layout
     assert layout.canonical == (system.m, 3)
 
-    def run(times: Any) -> drive.Solution:
+    def run(times: Any) -> Solution:
         return integrate(
             Variational(0.02), flow.kernel.rate.address, flow.parameters, flow.y0, 2.0, times,
             layout.quaternion, canonical=layout.canonical,

@@ -12,7 +12,7 @@ from tampering import offset, tampered
 from trees import random_model
 
 import pinred
-from pinred.cli.compare import judged
+from pinred.cli.compare_command import print_comparison
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
 from pinred.judge.report import EXIT_CODES, Verdict, _closest
@@ -290,10 +290,10 @@ def test_chaos_and_a_loose_tolerance_cannot_tell() -> None:
 
 def test_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
     """0 for what passes, 1 for what fails, 3 for what cannot be told."""
-    assert judged(cat()) == 0
-    assert judged(tampered(cat(), offset("x", 0, 1e-3))) == 1
+    assert print_comparison(cat()) == 0
+    assert print_comparison(tampered(cat(), offset("x", 0, 1e-3))) == 1
     still = pinred.simulate(pinred.load("coupled_planar"), x0=[0.3], duration=1.0)
-    assert judged(still) == 3
+    assert print_comparison(still) == 3
     said = capsys.readouterr().out
     assert [word for word in Verdict if f"verdict: {word}" in said] == list(Verdict)
     assert EXIT_CODES == {"PASSED": 0, "FAILED": 1, "CANNOT TELL": 3}

@@ -17,11 +17,11 @@ from strategies import Case, cases
 
 import pinred
 from pinred import DOP853, RKMK4, AdaptiveGauss, Gauss, Radau, Tsit5
-from pinred.cli.main import _joined, _parser
-from pinred.cli.options import scene_of
+from pinred.cli.command_options import scene_of
+from pinred.cli.main import _join_negative, _parser
 from pinred.common.arrays import Array
 from pinred.integrators.methods import METHODS, Method
-from pinred.scene import forms
+from pinred.scene import input_formats
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Constant, Expression
 from pinred.simulation.plan import plan_of
@@ -71,7 +71,7 @@ def test_python_command_line_and_file_say_the_same(name: str, tmp_path: Path) ->
     options, arguments, text = SAME[name]
     path = tmp_path / "scene.toml"
     path.write_text(f"robot = 'falling_cat'\n{text}\n", encoding="utf-8")
-    words = _joined(["compare", "falling_cat", *arguments])
+    words = _join_negative(["compare", "falling_cat", *arguments])
     wanted = told(pinred.Scene(system=CAT, **options))
     assert told(scene_of(_parser(words).parse_args(words))) == wanted
     assert told(pinred.load_scene(path)) == wanted
@@ -273,7 +273,7 @@ METHOD_VALUES = st.sampled_from(
 @given(METHOD_VALUES)
 def test_text_of_a_method_is_what_python_shows(method: Method) -> None:
     """What repr gives can be given back."""
-    assert forms.method(repr(method)) == method
+    assert input_formats.parse_method(repr(method)) == method
 
 
 @given(
@@ -285,7 +285,7 @@ def test_text_of_a_method_is_what_python_shows(method: Method) -> None:
 def test_any_text_is_a_method_or_refused(text: str) -> None:
     """Nothing but an error of pinred comes of a text."""
     try:
-        found = forms.method(text)
+        found = input_formats.parse_method(text)
     except pinred.InputError:
         return
     assert found == "auto" or isinstance(found, Method)
@@ -296,10 +296,10 @@ def test_every_method_goes_by_its_name(name: str) -> None:
     """By its name alone where it has step control, else with a step; as text as in Python."""
     kind: Any = METHODS[name]
     if kind.adaptive:
-        assert forms.method(name) == kind()
+        assert input_formats.parse_method(name) == kind()
     else:
-        assert forms.method(f"{name}(0.25)") == kind(0.25)
-        assert forms.method(f" {name}( step = 0.25 ) ") == kind(step=0.25)
+        assert input_formats.parse_method(f"{name}(0.25)") == kind(0.25)
+        assert input_formats.parse_method(f" {name}( step = 0.25 ) ") == kind(step=0.25)
 
 
 @pytest.mark.parametrize("kind", [DOP853, AdaptiveGauss, Radau, Tsit5])

@@ -23,8 +23,8 @@ import pinred
 from pinred.cli.main import main
 from pinred.common.errors import InputError, LoadError, ModelError, PinredError, ShapeError
 from pinred.scene.toml.csv_columns import LARGEST
+from pinred.scene.toml.file_place import Place
 from pinred.scene.toml.keys import SCENE, scene_schema
-from pinred.scene.toml.places import Place
 from pinred.simulation.explain import explain
 from pinred.simulation.plan import plan_of
 
@@ -108,7 +108,7 @@ STRUCTURE = [
     ("[[forces]]\nkind = 'sprig'", "forces[0].kind: unknown kind \"sprig\"; did you mean 'spring'? the kinds are"),
     ("[[forces]]\nkind = 'controller'", "forces[0].kind: a Controller is a Python function, and what stands in a file is never executed"),
     ("[[forces]]\nkind = 1", "forces[0].kind: must be text, got 1; the kinds are"),
-    ("[[forces]]\nkind = 'spring'\njoint = 'bend'", "forces[0]: 'stiffness' is missing: [N·m/rad | N/m]"),
+    ("[[forces]]\nkind = 'spring'\njoint = 'bend'", "forces[0]: 'stiffness' is missing: stiffness k [N·m/rad | N/m]"),
     ("[[forces]]\nkind = 'spring'\njoint = 'bend'\nstifness = 1", "forces[0].stifness: unknown key \"stifness\"; did you mean 'stiffness'? the keys here are kind, joint, stiffness, rest, to"),
     ("[[forces]]\nkind = 'spring'\njoint = ['bend']\nstiffness = 1", "forces[0].joint: must be the name of a joint, got a list of 1"),
     ("[[forces]]\nkind = 'potential'\nfunction = 1", "forces[0].function: must be a formula in x, got 1"),

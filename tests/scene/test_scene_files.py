@@ -29,7 +29,6 @@ from pinred.forces import (
     Wrench,
 )
 from pinred.forces.force import Force, Limit
-from pinred.forces.signals.tabulated import _ENDS
 from pinred.integrators.methods import (
     DOP853,
     METHODS,
@@ -42,9 +41,9 @@ from pinred.integrators.methods import (
     Variational,
 )
 from pinred.scene.toml.force_kinds import FORCES
-from pinred.scene.toml.keys import _METHODS, LOAD, RUN, START
+from pinred.scene.toml.keys import LOAD, SCENE
+from pinred.scene.toml.method_tables import METHOD_TABLES
 from pinred.scene.toml.reader import read_scene_file
-from pinred.scene.toml.signal_keys import ENDS
 from pinred.signals import Constant, Expression, Fourier, Hold, Linear, Spline
 from pinred.system.catalogue import has_example_robots
 
@@ -311,8 +310,9 @@ def test_momentum_of_one_number(tmp_path: Path) -> None:
 def test_keys_are_those_of_python() -> None:
     """Every option of the Python API has its key, by the same name, and no other is there."""
     scene = {entry.name for entry in fields(pinred.Scene)} - {"system"}
-    keys = {*START.keys, *RUN.keys, "springs", "forces", "prescribed", "passive", "friction"}
-    keys |= {"parameters", "events"}
+    tables = [SCENE.keys[name].node for name in ("start", "run")]
+    keys = {key for table in tables for key in table.keys}  # type: ignore[attr-defined]
+    keys |= set(SCENE.keys) - {"robot", "load", "start", "run"}
     assert keys == scene | {"samples", "engine"}
     assert set(LOAD.keys) == {"group", "gravity", "lock", "root", "strict", "meshes"}
     for kind in FORCES.values():
@@ -320,11 +320,11 @@ def test_keys_are_those_of_python() -> None:
         wanted = {entry.name for entry in fields(kind.make)}  # type: ignore[arg-type]
         assert set(table.keys) - {"smooth"} == wanted
         assert ("smooth" in table.keys) == ("limit" in wanted)
-    assert set(_METHODS) == {"auto", *METHODS}
+    assert set(METHOD_TABLES) == {"auto", *METHODS}
     for name, method in METHODS.items():
-        assert set(_METHODS[name].keys) == {entry.name for entry in fields(method)}
+        assert set(METHOD_TABLES[name].keys) == {entry.name for entry in fields(method)}
         for entry in fields(method):  # the defaults are as the tables say
-            said = _METHODS[name].keys[entry.name].default
+            said = METHOD_TABLES[name].keys[entry.name].default
             if entry.default is MISSING:
                 assert said == ""
             elif isinstance(entry.default, Default):
@@ -333,7 +333,6 @@ def test_keys_are_those_of_python() -> None:
                 assert float(own.split(" beside ")[0]) == entry.default
             elif said != "none":
                 assert said == entry.default or float(said) == entry.default
-    assert ENDS == _ENDS
 
 
 PATHS = sorted(EXAMPLES.glob("*.toml"))

@@ -12,7 +12,7 @@ from ...common.arrays import Array, as_floats, freeze
 from ...common.errors import InputError
 from ...forces.force import Force
 from ...forces.signals import Signal
-from ...scene.checked import checked_seed
+from ...scene.option_checks import check_seed
 from ...system.system import System, checked_system
 from ..equilibria.amended_energy import AmendedEnergy, Points
 from ..equilibria.find import checked_starts, equilibrium_at, found_points
@@ -147,7 +147,7 @@ def branches(
         )
     if not (np.isfinite(step) and step > 0.0):
         raise InputError(f"step must be finite and above zero, got {step!r}")
-    starts, seed = checked_starts(starts), checked_seed(seed)
+    starts, seed = checked_starts(starts), check_seed(seed)
     follower = _Follower(problem, low, high, step)
     levels = (low, 0.5 * (low + high), high)
     for J in levels:

@@ -11,7 +11,7 @@ from ...common.errors import InputError
 from ...forces.force import Force
 from ...forces.signals import Signal
 from ...reduction.inertia_split import mass_matrix
-from ...scene.checked import checked_seed
+from ...scene.option_checks import check_seed
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...system.system import System, checked_system
@@ -68,7 +68,7 @@ def relative_equilibria(
         problem = problem.at_rest()
     many = len(problem.active) >= MANY_JOINTS
     count = _STARTS[many] if starts is None else checked_starts(starts)
-    points, arrived, tried = found_points(problem, J, count, checked_seed(seed))
+    points, arrived, tried = found_points(problem, J, count, check_seed(seed))
     entries = tuple(equilibrium_at(problem, points[k : k + 1], J) for k in range(len(points)))
     return Equilibria(problem.system, J, tried, arrived, _without_copies(entries))
 

@@ -20,7 +20,7 @@ from .signal import Signal, finite_list
 if TYPE_CHECKING:
     import casadi as ca
 
-_ENDS = ("natural", "clamped", "not-a-knot", "periodic")
+ENDS = ("natural", "clamped", "not-a-knot", "periodic")
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +174,8 @@ class Spline(_Table):
     def _pieces(self, times: Array, values: Array) -> Array:
         from scipy.interpolate import CubicSpline
 
-        if self.end not in _ENDS:
-            raise InputError(f"end of a Spline must be one of {', '.join(_ENDS)}, got {self.end!r}")
+        if self.end not in ENDS:
+            raise InputError(f"end of a Spline must be one of {', '.join(ENDS)}, got {self.end!r}")
         if self.end == "periodic" and values[0] != values[-1]:
             raise InputError(
                 "a periodic Spline ends with the value it begins with, "

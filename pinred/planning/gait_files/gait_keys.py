@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from ...scene.scene_options import SCENE_OPTIONS
 from ...scene.toml.keys import ROBOT
-from ...scene.toml.parameter_tables import NamedNumbers
 from ...scene.toml.schema import (
     ByName,
     Either,
@@ -16,7 +18,7 @@ from ...scene.toml.schema import (
     Whole,
     document_schema,
 )
-from ...scene.toml.signal_keys import NUMBER, NUMBERS, POSITIVE, SHAPE
+from ...scene.toml.signal_tables import NUMBER, NUMBERS, POSITIVE, SHAPE
 from ..optimisation.aims import AIMS
 from ..optimisation.costs import COSTS
 
@@ -180,15 +182,16 @@ REORIENT = Table(
 GAIT_FILE = Table(
     {
         **ROBOT,
-        "parameters": Key(NamedNumbers(), "numbers of the robot, such as hand.mass (docs/flow.md)"),
+        "parameters": replace(
+            SCENE_OPTIONS["parameters"],
+            text="values of robot parameters, such as hand.mass (docs/flow.md)",
+        ),
         "connection": Key(
             Tagged("kind", CONNECTIONS, "a connection"), "what moves the body", default="mechanical"
         ),
         "base": Key(Text((), "the name of a link"), "the link to be the base", default="the root"),
         "gait": Key(Tagged("kind", GAITS, "a gait"), "the closed path"),
-        "momentum": Key(
-            Either((NUMBER, NUMBERS)), "body momentum at the start, or just 0", default="0"
-        ),
+        "momentum": replace(SCENE_OPTIONS["momentum"], default="0"),
         "optimise": Key(OPTIMISE, "the objective of a best gait"),
         "reorient": Key(REORIENT, "how the base is to turn"),
     },

@@ -17,8 +17,8 @@ from ...analysis.gaits.gait import Gait
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...scene.toml.documents import read_document, robot_in
-from ...scene.toml.parameter_tables import file_parameters, refuse_others, with_robots_own
-from ...scene.toml.places import naming
+from ...scene.toml.file_place import naming
+from ...scene.toml.parameter_tables import file_parameters, refuse_others, with_robot_parameters
 from ...system.system import System
 from .gait_keys import GAIT_FILE
 
@@ -56,7 +56,7 @@ def load_gait(path: str | Path) -> GaitFile:
     document, place = read_document(path, GAIT_FILE, "gait")
     folder = Path(path).parent
     given = file_parameters(document, place)
-    system, others = with_robots_own(robot_in(document, folder, place), given, place)
+    system, others = with_robot_parameters(robot_in(document, folder, place), given, place)
     refuse_others(system, others)
     with naming(place / "connection"):
         connection = _connection(system, document.get("connection", {"kind": "mechanical"}))

@@ -21,7 +21,7 @@ from ...common.errors import (
     SingularInertiaError,
 )
 from ...lie.rotations import quaternion_log
-from ...scene import forms
+from ...scene import input_formats
 from ...system.system import System, checked_system
 from ..optimisation.aims import Reach, reach
 from ..optimisation.limits import Limits, LimitsLike, limits_of
@@ -125,7 +125,7 @@ def _start(system: System, bounds: Limits, x0: ArrayLike | Mapping[str, ArrayLik
         zero = np.zeros(system.m)
         inside = (bounds.shape[:, 0] < 0.0) & (bounds.shape[:, 1] > 0.0)
         return np.where(inside, zero, bounds.middle)
-    given = forms.in_order(x0, system, "x0")
+    given = input_formats.order_by_joint(x0, system, "x0")
     start = vector(np.asarray(given), system.m, "x0", system.shape_names)
     if ((start <= bounds.shape[:, 0]) | (start >= bounds.shape[:, 1])).any():
         raise InputError(f"x0 must lie within the limits {bounds.shape.tolist()}, got {start}")

@@ -1,1 +1,1 @@
-"""Scene files: their keys, what may stand at each, and errors that name line and key."""
+"""Scene files in TOML: value types, keys, JSON Schema, reader, and errors with line and key."""

@@ -1,4 +1,4 @@
-"""Columns of numbers from a csv file: read as text, checked cell by cell, never executed."""
+"""Columns of numbers from csv files, parsed as text and validated cell by cell."""
 
 from __future__ import annotations
 
@@ -13,13 +13,17 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.errors import InputError, LoadError
 from ...common.plain_names import quoted_path
-from .places import shown, unknown
+from .file_place import shown, unknown
 
-LARGEST = 1_000_000  # bytes of a file that is read
+LARGEST = 1_000_000  # largest accepted size of a file [byte]
 
 
 def read_text(path: Path, what: str) -> str:
-    """Return the text of a file.  Raises LoadError if it is not there, too large or not UTF-8."""
+    """Return the text of a file.
+
+    `what` names the kind of file in messages.  Raises LoadError if the file is missing, too
+    large, or not UTF-8.
+    """
     try:
         if not path.is_file():
             raise LoadError(f"no such {what}: {quoted_path(path)}")
@@ -40,8 +44,8 @@ def read_text(path: Path, what: str) -> str:
 def read_columns(path: Path, columns: Sequence[str | int]) -> Array:
     """Return columns of a csv file, (rows, len(columns)).
 
-    columns: names in the first line, or numbers from 0.  The first line is a header if any of
-    its cells is not a number.  Raises LoadError or InputError, naming file, line and column.
+    `columns` are names in the header, or indices from 0.  The first line is a header if one of
+    its cells is not a number.  Raises LoadError or InputError that names file, line and column.
     """
     text = read_text(path, "csv file")
     try:

@@ -1,4 +1,4 @@
-"""Documents of TOML: parsed with the line of a fault, and the robot that they name."""
+"""TOML documents: parsed with line numbers in errors, and the robot that they name."""
 
 from __future__ import annotations
 
@@ -13,17 +13,26 @@ from ...system.catalogue import bundled_robots
 from ...system.load import load
 from ...system.system import System
 from .csv_columns import read_text
-from .places import Place, one_line
+from .file_place import Place, one_line
 from .schema import Table
 
 _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+\s*\.\s*){50}""")
 
 
 def read_document(path: str | Path, table: Table, kind: str) -> tuple[dict[str, Any], Place]:
-    """Return the document of a file, which has the keys that it should have, and its place.
+    """Read a TOML file and validate its keys.
 
-    kind: "scene" or "gait", for messages.  Raises LoadError for a file that cannot be read, and
-    InputError for a key.
+    Args:
+        path: Path of the file.
+        table: The valid keys.
+        kind: "scene" or "gait", for messages.
+
+    Returns:
+        The document, and the place of its top level.
+
+    Raises:
+        InputError: a key or a value is not valid.
+        LoadError: the file cannot be read.
     """
     if not isinstance(path, (str, Path)):
         raise InputError(f"load_{kind} takes the path of a TOML file, got {type(path).__name__}")
@@ -33,14 +42,14 @@ def read_document(path: str | Path, table: Table, kind: str) -> tuple[dict[str, 
 
 
 def _parsed(text: str, place: Place, what: str) -> dict[str, Any]:
-    """Return the tables of a text.  Raises LoadError, that it is not `what`, if it is not TOML."""
+    """Parse a TOML text.  Raises LoadError, with `what` the file should be, if it is not TOML."""
     if _LONG_KEY.search(text):
         raise LoadError(f"{place.file}: not {what}: a key of more than 50 parts")
     try:
-        return tomllib.loads(text + "\n")  # so that every fault has its line
+        return tomllib.loads(text + "\n")  # A last line break gives every error a line number.
     except tomllib.TOMLDecodeError as error:
-        said = re.fullmatch(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", str(error))
-        problem, where = said.groups() if said else (str(error), None)
+        match = re.fullmatch(r"(.*) \(at (?:(line \d+, column \d+)|end of document)\)", str(error))
+        problem, where = match.groups() if match else (str(error), None)
         raise LoadError(f"{place.file}, {where or 'at its end'}: not TOML: {problem}") from None
     except RecursionError:
         raise LoadError(f"{place.file}: not {what}: tables or lists nested too deep") from None
@@ -49,15 +58,25 @@ def _parsed(text: str, place: Place, what: str) -> dict[str, Any]:
 
 
 def robot_in(document: Mapping[str, Any], folder: Path, place: Place) -> System:
-    """Return the robot that a document names, loaded with the options under `load`.
+    """Load the robot that a document names, with the options in its table `load`.
 
-    folder: of the file, to which paths in it are relative.  Raises what load does, with the key.
+    Args:
+        document: The document.
+        folder: Folder of the file; paths in the document are relative to it.
+        place: Place of the top level of the document.
+
+    Returns:
+        The robot.
+
+    Raises:
+        InputError: the file of the robot does not exist.
+        PinredError: `pinred.load` fails; the message names the key.
     """
     robot, options = document["robot"], dict(document.get("load", {}))
     if "meshes" in options:
-        given = options["meshes"]
-        folders = [given] if isinstance(given, str) else given
-        options["meshes"] = [folder / one for one in folders]
+        meshes = options["meshes"]
+        paths = [meshes] if isinstance(meshes, str) else meshes
+        options["meshes"] = [folder / path for path in paths]
     source: str | Path = robot
     file = folder / robot
     exists = _is_file(file)
@@ -69,11 +88,11 @@ def robot_in(document: Mapping[str, Any], folder: Path, place: Place) -> System:
         return load(source, **options)
     except PinredError as error:
         key = "load" if isinstance(error, InputError) else "robot"
-        raise type(error)((place / key).tell(one_line(error))) from None
+        raise type(error)((place / key).message(one_line(error))) from None
 
 
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except OSError:  # no name of a file at all
+    except OSError:  # The name is not valid for a file.
         return False

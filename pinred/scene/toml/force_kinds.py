@@ -1,157 +1,167 @@
-"""The kinds of forces in scene files: what each takes, and what it makes of it."""
+"""The kinds of forces in scene files: their keys, and the classes that they build.
+
+Required keys and defaults follow from the fields of the classes in pinred.forces.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, fields
+from typing import Any, Literal, TypeAlias
 
-from ...forces import kinds as acting
+from ...forces import kinds
 from ...forces.force import Force
 from ...forces.wrench import AXES
-from .schema import ByName, Flag, Key, ListOf, Table, Tagged, Text
-from .signal_keys import ACTION, NUMBER, NUMBERS, PER_JOINT, POSITIVE, SIGNAL
+from .schema import ByName, Flag, Key, ListOf, Node, Table, Tagged, Text
+from .signal_tables import ACTION, NUMBER, NUMBERS, PER_JOINT, POSITIVE, SIGNAL
+
+FunctionFormat: TypeAlias = Literal["of the shape", "by joint", "on the base"]
+KeyTexts: TypeAlias = Mapping[str, tuple[Node, str]]  # {key: type of the value, meaning}
 
 
 @dataclass(frozen=True)
 class ForceKind:
-    """A kind of force.
+    """A kind of force in scene files.
 
-    make: makes it of the entries of its table, by their names.  table: its keys.  function:
-    how the key `function` is read: as a formula "of the shape", as an action "by joint", as a
-    list of actions "on the base"; None where there is no such key.
+    Attributes:
+        make: Builds the force from the entries of its table.
+        table: The keys of the table.
+        function: Format of the key `function`: a formula "of the shape", actions "by joint", or
+            a list of actions "on the base".  None for a kind without this key.
     """
 
     make: Callable[..., Force]
     table: Table
-    function: Literal["of the shape", "by joint", "on the base"] | None = None
+    function: FunctionFormat | None = None
 
 
-_NAME = {"name": Key(Text(), "what tables and messages call it", default="its kind")}
-_LIMITED = {
-    "limit": Key(PER_JOINT, "largest torque [N·m | N]", default="none"),
-    "smooth": Key(Flag(), "whether the limit is a tanh, not a kink", default="false"),
+def _force_kind(
+    force: type[Force],
+    words: str,
+    texts: KeyTexts,
+    *,
+    function: FunctionFormat | None = None,
+    defaults: Mapping[str, str] | None = None,
+) -> ForceKind:
+    """Return a kind of force with a key for each field of its class.
+
+    Args:
+        force: Class of the force.
+        words: Its description.
+        texts: {field: type and meaning}; `limit` and `name` are known.
+        function: See ForceKind.
+        defaults: {field: default in words} where the default of the class does not say enough;
+            "" makes the key required.
+
+    Returns:
+        The kind of force.
+    """
+    keys: dict[str, Key] = {}
+    for field in fields(force):  # type: ignore[arg-type]
+        node, text = {**_COMMON, **texts}[field.name]
+        default = "" if field.default is MISSING else _in_words(field.default)
+        if field.name == "name":
+            default = "its kind"
+        default = (defaults or {}).get(field.name, default)
+        keys[field.name] = Key(node, text, required=not default, default=default)
+        if field.name == "limit":
+            keys["smooth"] = Key(Flag(), "limit by a tanh, without a kink", default="false")
+    needs = {"smooth": "limit"} if "limit" in keys else {"at": "link"} if "at" in keys else {}
+    return ForceKind(force, Table(keys, words, needs=needs), function)
+
+
+def _in_words(default: Any) -> str:
+    if isinstance(default, float):
+        return f"{default:g}"
+    return str(default) if default else "none"
+
+
+_COMMON: KeyTexts = {
+    "name": (Text(), "name in tables and messages"),
+    "limit": (PER_JOINT, "largest torque [N·m | N]"),
 }
-_SMOOTH = {"smooth": "limit"}
-_JOINT = Key(Text((), "the name of a joint"), "the joint", required=True)
-_TO = Key(Text((), "the name of a joint"), "the joint at the other end", default="none")
-_REFERENCE = Key(ByName(SIGNAL), "where each joint should be [rad | m]", required=True)
-_FOLLOWING = {
-    "kp": Key(PER_JOINT, "gain of the position's error", required=True),
-    "kd": Key(PER_JOINT, "gain of the rate's error", required=True),
+_JOINT = (Text((), "the name of a joint"), "name of the joint")
+_TO = (Text((), "the name of a joint"), "name of a second joint, at the other end")
+_CONTROL: KeyTexts = {
+    "reference": (ByName(SIGNAL), "desired motion of each joint [rad | m]"),
+    "kp": (PER_JOINT, "gain of the position error"),
+    "kd": (PER_JOINT, "gain of the rate error"),
 }
 FORCES: dict[str, ForceKind] = {
-    "spring": ForceKind(
-        acting.Spring,
-        Table(
-            {
-                "joint": _JOINT,
-                "stiffness": Key(NUMBER, "[N·m/rad | N/m]", required=True),
-                "rest": Key(NUMBER, "where it is relaxed [rad | m]", default="0"),
-                "to": _TO,
-                "polynomial": Key(
-                    NUMBERS, "k₂, k₃, … of −τ = k y + k₂ y² + k₃ y³ + …", default="none"
-                ),
-            },
-            "a spring at a joint, or between two",
-        ),
+    "spring": _force_kind(
+        kinds.Spring,
+        "a spring at a joint, or between two",
+        {
+            "joint": _JOINT,
+            "stiffness": (NUMBER, "stiffness k [N·m/rad | N/m]"),
+            "rest": (NUMBER, "joint position without torque [rad | m]"),
+            "to": _TO,
+            "polynomial": (NUMBERS, "k₂, k₃, … of −τ = k y + k₂ y² + k₃ y³ + …"),
+        },
     ),
-    "damper": ForceKind(
-        acting.Damper,
-        Table(
-            {
-                "joint": _JOINT,
-                "coefficient": Key(NUMBER, "[N·m·s/rad | N·s/m]", required=True),
-                "to": _TO,
-                "polynomial": Key(
-                    NUMBERS, "c₂, c₃, … of −τ = v (c + c₂ |v| + c₃ |v|² + …)", default="none"
-                ),
-            },
-            "a damper at a joint, or between two",
-        ),
+    "damper": _force_kind(
+        kinds.Damper,
+        "a damper at a joint, or between two",
+        {
+            "joint": _JOINT,
+            "coefficient": (NUMBER, "damping coefficient c [N·m·s/rad | N·s/m]"),
+            "to": _TO,
+            "polynomial": (NUMBERS, "c₂, c₃, … of −τ = v (c + c₂ |v| + c₃ |v|² + …)"),
+        },
     ),
-    "friction": ForceKind(
-        acting.Friction,
-        Table(
-            {
-                "joint": _JOINT,
-                "most": Key(NUMBER, "the torque of dry friction [N·m | N]", required=True),
-                "width": Key(
-                    POSITIVE, "the rate within which it turns round [rad/s | m/s]", required=True
-                ),
-            },
-            "dry friction at a joint, smooth: −most·tanh(v/width)",
-        ),
+    "friction": _force_kind(
+        kinds.Friction,
+        "dry friction at a joint, smooth: −most·tanh(v/width)",
+        {
+            "joint": _JOINT,
+            "most": (NUMBER, "torque of dry friction [N·m | N]"),
+            "width": (POSITIVE, "joint rate over which the torque changes sign [rad/s | m/s]"),
+        },
+        defaults={"width": ""},
     ),
-    "potential": ForceKind(
-        acting.PotentialEnergy,
-        Table(
-            {"function": Key(Text((), "a formula in x"), "V(x) [J], a formula in x", required=True)}
-            | _NAME,
-            "a potential energy of the shape",
-        ),
+    "potential": _force_kind(
+        kinds.PotentialEnergy,
+        "a potential energy of the shape",
+        {"function": (Text((), "a formula in x"), "potential V(x) [J], a formula in x")},
         function="of the shape",
     ),
-    "torque": ForceKind(
-        acting.Torque,
-        Table(
-            {
-                "function": Key(
-                    ByName(ACTION),
-                    "torque at each joint [N·m | N]: number, formula or signal table",
-                    required=True,
-                )
-            }
-            | _LIMITED
-            | _NAME,
-            "torques at the joints",
-            needs=_SMOOTH,
-        ),
+    "torque": _force_kind(
+        kinds.Torque,
+        "torques at the joints",
+        {
+            "function": (
+                ByName(ACTION),
+                "torque at each joint [N·m | N], as a number, formula or signal table",
+            )
+        },
         function="by joint",
     ),
-    "pd": ForceKind(
-        acting.PD,
-        Table(
-            {"reference": _REFERENCE} | _FOLLOWING | _LIMITED | _NAME,
-            "a PD controller of the joints",
-            needs=_SMOOTH,
-        ),
+    "pd": _force_kind(kinds.PD, "a PD controller of the joints", _CONTROL),
+    "computed_torque": _force_kind(
+        kinds.ComputedTorque,
+        "torques that make every joint follow its reference exactly",
+        _CONTROL,
     ),
-    "computed_torque": ForceKind(
-        acting.ComputedTorque,
-        Table(
-            {"reference": _REFERENCE} | _FOLLOWING | _LIMITED | _NAME,
-            "torques that make every joint follow its reference exactly",
-            needs=_SMOOTH,
-        ),
-    ),
-    "wrench": ForceKind(
-        acting.Wrench,
-        Table(
-            {
-                "function": Key(
-                    ListOf(ACTION),
-                    "wrench [linear; angular]: on the base as many entries as the group has "
-                    "dimensions, on a link a force of 3, or force and moment; each a number, "
-                    "formula or signal table",
-                    required=True,
-                ),
-                "link": Key(Text((), "the name of a link"), "where it acts", default="the base"),
-                "at": Key(
-                    ListOf(NUMBER, 3), "the point, in the link's frame [m]", default="its origin"
-                ),
-                "frame": Key(
-                    Text(AXES),
-                    "whose axes its entries are along: the base's or link's own, or those in which "
-                    "the pose of the base is",
-                    default=AXES[0],
-                ),
-            }
-            | _NAME,
-            "a wrench on the base, such as thrusters, or on a link",
-            needs={"at": "link"},
-        ),
+    "wrench": _force_kind(
+        kinds.Wrench,
+        "a wrench on the base, such as thrusters, or on a link",
+        {
+            "function": (
+                ListOf(ACTION),
+                "wrench [linear; angular]: on the base one entry for each dimension of the group, "
+                "on a link a force (3 entries) or a force and a moment (6); each entry is a "
+                "number, formula or signal table",
+            ),
+            "link": (Text((), "the name of a link"), "link on which the wrench acts"),
+            "at": (ListOf(NUMBER, 3), "point of application in the frame of the link [m]"),
+            "frame": (
+                Text(AXES),
+                "axes of the entries: body for the axes of the base or link, world for the axes "
+                "in which the pose of the base is stated",
+            ),
+        },
         function="on the base",
+        defaults={"link": "the base", "at": "origin of the link"},
     ),
 }
 _NO_FUNCTIONS = (

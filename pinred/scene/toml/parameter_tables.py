@@ -1,7 +1,7 @@
-"""Parameters in files: names with numbers, of the robot and of formulas.
+"""Parameters in files: robot parameters, and parameters of formulas, by name.
 
-A name with dots, such as hand.mass, is a table in TOML unless it stands in quotes; both say the
-same.
+A name with dots, such as hand.mass, is a nested table in TOML, or a key in quotes.  Both forms
+mean the same.
 """
 
 from __future__ import annotations
@@ -12,30 +12,29 @@ from typing import Any
 
 from ...system.model_parameters import kinds_near, size_of, with_parameters
 from ...system.system import System
-from .places import Place, naming
+from .file_place import Place, naming
 from .schema import Node, Schema
-from .signal_keys import NUMBER, NUMBERS
+from .signal_tables import NUMBER, NUMBERS
 
 
 @dataclass(frozen=True)
 class NamedNumbers(Node):
-    """A table from names to numbers, or lists of them; tables in it are parts of names."""
+    """A table from names to numbers or lists of numbers; nested tables extend the names."""
 
     types = (dict,)
     words = "a table {name = number or list of numbers}"
 
     def _read(self, value: Any, place: Place) -> dict[str, Any]:
-        out: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for name, entry in value.items():
-            here = place / name
             node: Node = self if isinstance(entry, dict) else NUMBER
             if isinstance(entry, list):
                 node = NUMBERS
-            out[name] = node.read(entry, here)
-        return out
+            values[name] = node.read(entry, place / name)
+        return values
 
     def schema(self, defs: dict[str, Schema]) -> Schema:
-        """Return a reference to a schema that holds itself, and put that among defs."""
+        """Return a reference to the schema, which refers to itself, and add that to `defs`."""
         if "parameters" not in defs:
             defs["parameters"] = {}
             kinds = [NUMBER.schema(defs), NUMBERS.schema(defs), {"$ref": "#/$defs/parameters"}]
@@ -45,7 +44,13 @@ class NamedNumbers(Node):
 
 @dataclass(frozen=True)
 class FileParameter:
-    """A parameter in a file.  place: where it stands."""
+    """A parameter in a file.
+
+    Attributes:
+        name: Full name, with dots.
+        value: A number or a list of numbers.
+        place: Its place in the file.
+    """
 
     name: str
     value: Any
@@ -53,44 +58,57 @@ class FileParameter:
 
 
 def file_parameters(document: Mapping[str, Any], place: Place) -> list[FileParameter]:
-    """Return the parameters of a document.  Raises InputError for one that is given twice."""
-    found: dict[str, FileParameter] = {}
-    for each in _flat(document.get("parameters", {}), "", place / "parameters"):
-        if each.name in found:
-            each.place.fail(f"'{each.name}' is given twice, here and as a name in another form")
-        found[each.name] = each
-    return list(found.values())
+    """Return the parameters of a document; raise InputError if a name occurs twice."""
+    parameters: dict[str, FileParameter] = {}
+    for parameter in _flatten(document.get("parameters", {}), "", place / "parameters"):
+        if parameter.name in parameters:
+            parameter.place.fail(
+                f"'{parameter.name}' is given twice, here and as a name in another form"
+            )
+        parameters[parameter.name] = parameter
+    return list(parameters.values())
 
 
-def _flat(table: Mapping[str, Any], before: str, place: Place) -> Iterator[FileParameter]:
+def _flatten(table: Mapping[str, Any], prefix: str, place: Place) -> Iterator[FileParameter]:
     for key, value in table.items():
         if isinstance(value, dict):
-            yield from _flat(value, f"{before}{key}.", place / key)
+            yield from _flatten(value, f"{prefix}{key}.", place / key)
         else:
-            yield FileParameter(before + key, value, place / key)
+            yield FileParameter(prefix + key, value, place / key)
 
 
-def with_robots_own(
-    system: System, given: Sequence[FileParameter], place: Place
+def with_robot_parameters(
+    system: System, parameters: Sequence[FileParameter], place: Place
 ) -> tuple[System, list[FileParameter]]:
-    """Return the robot with those parameters that are numbers of it, and the others.
+    """Apply the parameters of a file that belong to the robot.
 
-    Raises InputError, naming the key, for what it does not have, and for values of no real robot.
+    Args:
+        system: The robot as loaded.
+        parameters: The parameters of the file.
+        place: Place of the top level of the document.
+
+    Returns:
+        The robot with its parameters, and the parameters that are not the robot's.
+
+    Raises:
+        InputError: a value is not physical; the message names the key.
     """
-    mine: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     others: list[FileParameter] = []
-    for each in given:
-        with naming(each.place, "parameters: "):
-            if size_of(system, each.name) is None:
-                others.append(each)
+    for parameter in parameters:
+        with naming(parameter.place, "parameters: "):
+            if size_of(system, parameter.name) is None:
+                others.append(parameter)
                 continue
-            mine[each.name] = each.value
-            with_parameters(system, {each.name: each.value})
+            values[parameter.name] = parameter.value
+            with_parameters(system, {parameter.name: parameter.value})
     with naming(place / "parameters", "parameters: "):
-        return with_parameters(system, mine) if mine else system, others
+        return with_parameters(system, values) if values else system, others
 
 
 def refuse_others(system: System, others: Sequence[FileParameter]) -> None:
-    """Raise InputError for parameters that are no numbers of the robot, where only these count."""
-    for each in others:
-        each.place.fail(f"there is no '{each.name}'; {kinds_near(system, each.name)}")
+    """Raise InputError for parameters that the robot does not have."""
+    for parameter in others:
+        parameter.place.fail(
+            f"there is no '{parameter.name}'; {kinds_near(system, parameter.name)}"
+        )

@@ -1,4 +1,4 @@
-"""Scenes from TOML files: read, checked key by key, and built.  Nothing in them is executed."""
+"""Scenes from TOML files: validated key by key, and built.  Nothing in a file is executed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -17,129 +17,141 @@ from ...forces.force import Force, Limit
 from ...forces.formula import NAMES, Formula
 from ...forces.link_loads import link_frame
 from ...forces.remembered import remembered_model
-from ...forces.signals import Signal
 from ...forces.signals.expressions import FUNCTIONS, parse
-from ...integrators.methods import METHODS, Method
-from .. import forms
+from ...integrators.methods import METHODS
 from ..event import Event
+from ..input_formats import parse_method
 from ..random_state import DURATION
-from ..scene import Engine, Scene
+from ..scene import ENGINES, Engine, Scene
 from .documents import read_document, robot_in
+from .file_place import Place, naming, one_line, unknown
 from .force_kinds import FORCES
-from .keys import SCENE
-from .parameter_tables import FileParameter, file_parameters, refuse_others, with_robots_own
-from .places import Place, naming, one_line, unknown
-from .signal_reader import SignalReader
-
-_SECTIONS = {
-    **dict.fromkeys(("x0", "xdot0", "xi0", "momentum", "seed", "q0", "v0", "keyframe"), "start"),
-    **dict.fromkeys(("duration", "times", "rtol", "atol"), "run"),
-}
+from .keys import FILE_OPTIONS, SCENE, options_in
+from .parameter_tables import FileParameter, file_parameters, refuse_others, with_robot_parameters
+from .signal_tables import SignalReader
 
 
 @dataclass(frozen=True)
 class SceneFile:
-    """The contents of a scene file.  engine: the one that is to integrate."""
+    """The contents of a scene file.
+
+    Attributes:
+        scene: The scene.
+        engine: The engine that simulates it.
+    """
 
     scene: Scene
     engine: Engine
 
 
 def load_scene(path: str | Path) -> Scene:
-    """Return the scene in a TOML file; docs/scenes.md lists what may stand in it.
+    """Read a scene from a TOML file; docs/scenes.md lists the keys.
 
-    Raises LoadError if the file, or one that it names, cannot be read; InputError, or what
-    load() and Scene raise, naming file and key, for what cannot be simulated.
+    Args:
+        path: Path of the file.
+
+    Returns:
+        The scene.
+
+    Raises:
+        InputError: a key or value is not valid; the message names file, line and key.
+        LoadError: the file, or a file that it names, cannot be read.
+        PinredError: `load` or `Scene` rejects the robot or the scene.
     """
     return read_scene_file(path).scene
 
 
 def read_scene_file(path: str | Path) -> SceneFile:
-    """Return the scene in a TOML file and the engine it asks for; errors as of load_scene."""
+    """Read the scene in a TOML file and the engine that it requests (see load_scene)."""
     document, place = read_document(path, SCENE, "scene")
-    return _Builder(Path(path).parent, place, document).built()
+    return _Builder(Path(path).parent, place, document).build()
 
 
 class _Builder:
-    """A builder of the scene in a document that has the keys it should have."""
+    """A builder of the scene in a validated document."""
 
     def __init__(self, folder: Path, place: Place, document: dict[str, Any]) -> None:
-        self.folder, self.place, self.document = folder, place, document
+        self.place, self.document = place, document
         self.signals = SignalReader(folder)
-        given = file_parameters(document, place)
-        self.system, others = with_robots_own(robot_in(document, folder, place), given, place)
-        self.places = {each.name: each.place for each in others}
-        self.parameters = self._parameters(others)
+        parameters = file_parameters(document, place)
+        robot = robot_in(document, folder, place)
+        self.system, others = with_robot_parameters(robot, parameters, place)
+        self.parameter_places = {parameter.name: parameter.place for parameter in others}
+        self.parameters = self._formula_parameters(others)
         self.symbols, _ = symbols_of(self.system, None)
 
-    def built(self) -> SceneFile:
+    def build(self) -> SceneFile:
         """Return the scene and the engine."""
-        run = dict(self.document.get("run", {}))
-        engine = run.pop("engine", "compiled")
-        place = self.place / "run"
-        if "samples" in run:
-            initial = self.system.initial
-            end = run.get("duration", DURATION if initial is None else initial.duration)
-            run["times"] = np.linspace(0.0, end, run.pop("samples"))
-        if "method" in run:
-            with naming(place / "method"):
-                run["method"] = _method(run["method"])
-            if run["method"] != "auto" and engine != "compiled":
-                (place / "method").fail("engine 'pinocchio' has an integrator of its own")
-        prescribed = self._by_joint(
-            self.document.get("prescribed", {}), self.place / "prescribed", self.signals.motion
-        )
-        springs = self.document.get("springs", {})
-        self._by_joint(springs, self.place / "springs", lambda value, _: value)
-        forces = [
-            self._force(entry, self.place / "forces" / k)
-            for k, entry in enumerate(self.document.get("forces", []))
-        ]
-        events = [
-            self._event(entry, self.place / "events" / k)
-            for k, entry in enumerate(self.document.get("events", []))
-        ]
-        options = {**self._start(), **run, "springs": springs, "prescribed": prescribed}
-        options["events"] = events
+        options = options_in(self.document, FILE_OPTIONS)
         options["parameters"] = {name: each.value for name, each in self.parameters.items()}
-        options |= {k: self.document[k] for k in ("passive", "friction") if k in self.document}
+        engine = options.pop("engine", ENGINES[0])
+        if "samples" in options:
+            initial = self.system.initial
+            end = options.get("duration", DURATION if initial is None else initial.duration)
+            options["times"] = np.linspace(0.0, end, options.pop("samples"))
+        convert: dict[str, Callable[[Any, Place], Any]] = {
+            "method": self._method,
+            "prescribed": lambda value, at: self._by_joint(value, at, self.signals.motion),
+            "springs": self._per_joint,
+            "forces": lambda value, at: [self._force(v, at / k) for k, v in enumerate(value)],
+            "events": lambda value, at: [self._event(v, at / k) for k, v in enumerate(value)],
+            "x0": self._per_joint,
+            "xdot0": self._per_joint,
+            "pose0": self._pose,
+            "momentum": self._momentum,
+        }
+        for name in convert:
+            if name in options:
+                options[name] = convert[name](options[name], self._option_place(name))
+        if options.get("method", "auto") != "auto" and engine != "compiled":
+            self._option_place("method").fail("engine 'pinocchio' has an integrator of its own")
         try:
-            scene = Scene(system=self.system, forces=forces, **options)
-            _ = scene.start  # which a Scene works out only when somebody asks
+            scene = Scene(system=self.system, **options)
+            _ = scene.start  # Its errors should name the file too.
         except PinredError as error:
-            self._explain(error, forces, prescribed)
+            self._explain(error, options)
         return SceneFile(scene, engine)
 
-    def _parameters(self, given: Sequence[FileParameter]) -> dict[str, Parameter]:
-        """Return the names that formulas may use beside those of the state."""
-        found = {}
-        for each in given:
-            if "." in each.name:
-                refuse_others(self.system, [each])
-            if not each.name.isidentifier() or each.name in (*NAMES, *FUNCTIONS):
-                each.place.fail("must be a name of letters and digits that is not taken")
-            if not isinstance(each.value, float):
-                each.place.fail("a number that formulas use must be one, got a list")
-            found[each.name] = Parameter(each.name, each.value)
-        return found
+    def _option_place(self, name: str) -> Place:
+        table = FILE_OPTIONS[name].table
+        return self.place / table / name if table else self.place / name
 
-    def _start(self) -> dict[str, Any]:
-        start, place = dict(self.document.get("start", {})), self.place / "start"
-        for name in ("x0", "xdot0"):
-            if isinstance(start.get(name), dict):
-                self._by_joint(start[name], place / name, lambda value, _: value)
-        if "pose0" in start:
-            with naming(place / "pose0"):
-                self.system.group.pose(start["pose0"])
-        momentum = start.get("momentum")
-        if isinstance(momentum, float) and momentum != 0.0:
-            if self.system.r > 1:
-                (place / "momentum").fail(f"must be a list of {self.system.r} numbers, or 0")
-            start["momentum"] = [momentum]
-        return start
+    def _formula_parameters(self, parameters: Sequence[FileParameter]) -> dict[str, Parameter]:
+        """Return the parameters that formulas may use, in addition to the names of the state."""
+        by_name = {}
+        for parameter in parameters:
+            if "." in parameter.name:
+                refuse_others(self.system, [parameter])
+            if not parameter.name.isidentifier() or parameter.name in (*NAMES, *FUNCTIONS):
+                parameter.place.fail("must be a name of letters and digits that is not taken")
+            if not isinstance(parameter.value, float):
+                parameter.place.fail("a number that formulas use must be one, got a list")
+            by_name[parameter.name] = Parameter(parameter.name, parameter.value)
+        return by_name
+
+    def _method(self, value: str | dict[str, Any], place: Place) -> Any:
+        """Return the integrator of a text or a table, or "auto"."""
+        with naming(place):
+            if isinstance(value, str):
+                return parse_method(value)
+            options = dict(value)
+            name = options.pop("name")
+            return "auto" if name == "auto" else METHODS[name](**options)
+
+    def _pose(self, value: list[float], place: Place) -> list[float]:
+        with naming(place):
+            self.system.group.pose(value)
+        return value
+
+    def _momentum(self, value: float | list[float], place: Place) -> Any:
+        if not isinstance(value, float) or value == 0.0:
+            return value
+        if self.system.r > 1:
+            place.fail(f"must be a list of {self.system.r} numbers, or 0")
+        return [value]
 
     def _force(self, entry: dict[str, Any], place: Place) -> Force:
-        """Return a force with its names of joints checked and its formulas read."""
+        """Return a force, with its joint names validated and its formulas parsed."""
         options = dict(entry)
         kind = FORCES[options.pop("kind")]
         for name in ("joint", "to"):
@@ -152,38 +164,36 @@ class _Builder:
             if name in options:
                 options[name] = self._per_joint(options[name], place / name)
         if "reference" in options:
-            where = place / "reference"
-            options["reference"] = self._by_joint(options["reference"], where, self.signals.value)
-        where = place / "function"
+            at = place / "reference"
+            options["reference"] = self._by_joint(options["reference"], at, self.signals.value)
+        at = place / "function"
         if kind.function == "of the shape":
-            options["function"] = self._potential(options["function"], where)
+            options["function"] = self._potential(options["function"], at)
         elif kind.function == "by joint":
-            options["function"] = self._by_joint(options["function"], where, self._action)
+            options["function"] = self._by_joint(options["function"], at, self._action)
         elif kind.function == "on the base":
-            given, link = options["function"], options.get("link")
+            entries, link = options["function"], options.get("link")
             if link is not None:
                 with naming(place / "link"):
                     link_frame(self.system, link, "link")
-                if len(given) not in (3, 6):
-                    where.fail(f"must have 3 or 6 entries on a link, got {len(given)}")
-            elif len(given) != self.system.r:
+                if len(entries) not in (3, 6):
+                    at.fail(f"must have 3 or 6 entries on a link, got {len(entries)}")
+            elif len(entries) != self.system.r:
                 group = self.system.group.name
-                where.fail(f"must have {self.system.r} entries for {group}, got {len(given)}")
-            options["function"] = [self._action(v, where / k) for k, v in enumerate(given)]
+                at.fail(f"must have {self.system.r} entries for {group}, got {len(entries)}")
+            options["function"] = [self._action(v, at / k) for k, v in enumerate(entries)]
         with naming(place):
             return kind.make(**options)
 
     def _action(self, value: Any, place: Place) -> Any:
-        """Return a number, a Signal, or the formula of the state that a text is."""
-        return (
-            self._formula(value, place)
-            if isinstance(value, str)
-            else (self.signals.value(value, place))
-        )
+        """Return a number, a Signal, or the formula of the state in a text."""
+        if isinstance(value, str):
+            return self._formula(value, place)
+        return self.signals.value(value, place)
 
     def _formula(self, text: str, place: Place) -> Formula:
-        """Return a formula that has been read once.  Raises InputError."""
-        formula = Formula(text, self._symbols())
+        """Return a formula after evaluating it once.  Raises InputError."""
+        formula = Formula(text, self._parameter_symbols())
         with naming(place):
             formula(self.symbols)
         return formula
@@ -195,66 +205,54 @@ class _Builder:
             return Event(expression, **options)
 
     def _potential(self, text: str, place: Place) -> Callable[[Any], Any]:
-        """Return the function of x that a formula is."""
+        """Return a function of x that evaluates the formula of a potential."""
         with naming(place):
-            parse(text, {"x": self._shape(self.symbols.x)} | self._symbols())
-        return lambda x: parse(text, {"x": self._shape(x)} | self._symbols())
+            parse(text, {"x": self._shape(self.symbols.x)} | self._parameter_symbols())
+        return lambda x: parse(text, {"x": self._shape(x)} | self._parameter_symbols())
 
-    def _symbols(self) -> dict[str, Any]:
-        """Return the symbols of the parameters."""
+    def _parameter_symbols(self) -> dict[str, Any]:
         return {name: parameter.symbol for name, parameter in self.parameters.items()}
 
     def _shape(self, x: Any) -> dict[str, Any]:
-        """Return the entries of the shape by joint, those of followers included."""
+        """Return the shape as {joint: entry}, mimic joints included."""
         return {name: x[k] for k, name in enumerate(self.symbols.every_name)}
 
-    def _explain(
-        self, error: PinredError, forces: list[Force], prescribed: Mapping[str, Signal]
-    ) -> NoReturn:
-        """Raise a Scene's refusal again, with the key that it is about."""
+    def _explain(self, error: PinredError, options: Mapping[str, Any]) -> NoReturn:
+        """Raise an error of Scene again, with the place of the key that caused it."""
         text, place = one_line(error), self.place
-        found = self.signals.of_error(error)
+        signal = self.signals.of_error(error)
         word = re.match(r"\w+", text)
-        section = _SECTIONS.get(word[0]) if word else None
-        if found is not None:
-            place, text = found[0], found[1]
-        elif word and section:
-            place = place / section / word[0]
+        if signal is not None:
+            place, text = signal
         elif text.startswith("parameters: "):
-            named = [at for name, at in self.places.items() if f"'{name}'" in text]
-            place = named[0] if named else place / "parameters"
+            places = [at for name, at in self.parameter_places.items() if f"'{name}'" in text]
+            place = places[0] if places else place / "parameters"
             text = text.removeprefix("parameters: ")
+        elif word and word[0] in FILE_OPTIONS and FILE_OPTIONS[word[0]].table:
+            place = self._option_place(word[0])
         else:
-            for k, force in enumerate(forces):
+            for k, force in enumerate(options.get("forces", [])):
                 try:
-                    remembered_model(self.system, {}, [force], prescribed)
+                    remembered_model(self.system, {}, [force], options.get("prescribed", {}))
                 except PinredError:
                     place = place / "forces" / k
                     break
-        raise type(error)(place.tell(text)) from None
+        raise type(error)(place.message(text)) from None
 
     def _joint(self, name: str, place: Place) -> None:
         if name not in (*self.system.shape_names, *self.system.followers):
             place.fail(unknown(name, "joint", self.system.shape_names, "the joints are"))
 
     def _by_joint(
-        self, values: Mapping[str, Any], place: Place, read: Callable[[Any, Place], Any]
+        self, values: Mapping[str, Any], place: Place, convert: Callable[[Any, Place], Any]
     ) -> dict[str, Any]:
-        """Return each value as `read` gives it.  Raises InputError for unknown joints."""
+        """Convert the values of a table by joint; raise InputError for unknown joints."""
         for name in values:
             self._joint(name, place / name)
-        return {name: read(value, place / name) for name, value in values.items()}
+        return {name: convert(value, place / name) for name, value in values.items()}
 
     def _per_joint(self, value: Any, place: Place) -> Any:
+        """Return a value unchanged, after validating the joint names if it is a table."""
         if isinstance(value, dict):
             self._by_joint(value, place, lambda entry, _: entry)
         return value
-
-
-def _method(given: str | dict[str, Any]) -> Method | Literal["auto"]:
-    """Return the integrator of a text or a table."""
-    if isinstance(given, str):
-        return forms.method(given)
-    options = dict(given)
-    name = options.pop("name")
-    return "auto" if name == "auto" else METHODS[name](**options)

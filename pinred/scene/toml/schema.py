@@ -1,9 +1,4 @@
-"""Descriptions of values in a file, which check them and write themselves as JSON Schema.
-
-A description reads a value of TOML at a place and returns it in plain form, or raises an
-InputError that names the place.  The same object writes the schema, so that the two say the
-same.
-"""
+"""Value types of TOML files: each one validates a value and describes it as JSON Schema."""
 
 from __future__ import annotations
 
@@ -13,46 +8,69 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
-from .places import Place, shown, unknown
+from .file_place import Place, shown, unknown
 
 Schema: TypeAlias = dict[str, Any]
 
 
 class Node(ABC):
-    """A description of a value.  types: of Python, that it may have.  words: for messages."""
+    """The type of a value in a file.
 
-    types: tuple[type, ...]
+    Attributes:
+        types: Python types that the value may have.
+        words: The value type in words, for messages.
+    """
+
+    types: tuple[type, ...] = ()
     words: str
 
+    def describe(self) -> str:
+        """Return the value type in words, for messages."""
+        return self.words
+
     def fits(self, value: Any) -> bool:
-        """Return whether a value has a type that this describes; a bool is no number."""
+        """Return whether a value has one of the accepted types; a bool is not a number."""
         return isinstance(value, self.types) and isinstance(value, bool) == (self.types == (bool,))
 
     def read(self, value: Any, place: Place) -> Any:
-        """Return a value in plain form.  Raises InputError."""
+        """Validate a value and convert it to plain Python.
+
+        Args:
+            value: The value as tomllib returns it.
+            place: Its place in the file, for messages.
+
+        Returns:
+            The value with floats for numbers.
+
+        Raises:
+            InputError: the value does not fit; the message names the place.
+        """
         if not self.fits(value):
-            place.fail(f"must be {self.words}, got {shown(value)}")
+            place.fail(f"must be {self.describe()}, got {shown(value)}")
         return self._read(value, place)
 
     @abstractmethod
     def _read(self, value: Any, place: Place) -> Any:
-        """Return a value of the right type in plain form."""
+        """Validate and convert a value that has an accepted type."""
 
     @abstractmethod
     def schema(self, defs: dict[str, Schema]) -> Schema:
-        """Return the JSON Schema; what has a name goes into defs."""
+        """Return the JSON Schema; schemas that have a name are added to `defs`."""
 
 
 @dataclass(frozen=True)
 class Number(Node):
-    """A finite number.  positive: above zero."""
+    """A finite number.
+
+    Attributes:
+        positive: Whether it must be above zero.
+    """
 
     positive: bool = False
     types = (int, float)
 
-    @property
-    def words(self) -> str:  # type: ignore[override]
-        """The description in words, for messages."""
+    def describe(self) -> str:
+        """Return the value type in words, for messages."""
         return "a number above 0" if self.positive else "a number"
 
     def _read(self, value: Any, place: Place) -> float:
@@ -61,7 +79,7 @@ class Number(Node):
         except OverflowError:
             number = math.inf
         if not math.isfinite(number) or (self.positive and number <= 0.0):
-            place.fail(f"must be finite and {self.words}, got {shown(value)}")
+            place.fail(f"must be finite and {self.describe()}, got {shown(value)}")
         return number
 
     def schema(self, defs: dict[str, Schema]) -> Schema:  # noqa: ARG002
@@ -71,20 +89,19 @@ class Number(Node):
 
 @dataclass(frozen=True)
 class Whole(Node):
-    """A whole number from `least` to `most`."""
+    """A whole number from `least` to `most`, both included."""
 
     least: int = 0
     most: int = 2**63 - 1
     types = (int,)
 
-    @property
-    def words(self) -> str:  # type: ignore[override]
-        """The description in words, for messages."""
+    def describe(self) -> str:
+        """Return the value type in words, for messages."""
         return f"a whole number from {self.least}"
 
     def _read(self, value: Any, place: Place) -> int:
         if not self.least <= value <= self.most:
-            place.fail(f"must be {self.words} to {self.most}, got {shown(value)}")
+            place.fail(f"must be {self.describe()} to {self.most}, got {shown(value)}")
         return int(value)
 
     def schema(self, defs: dict[str, Schema]) -> Schema:  # noqa: ARG002
@@ -94,7 +111,7 @@ class Whole(Node):
 
 @dataclass(frozen=True)
 class Flag(Node):
-    """true or false."""
+    """A boolean."""
 
     types = (bool,)
     words = "true or false"
@@ -109,7 +126,12 @@ class Flag(Node):
 
 @dataclass(frozen=True)
 class Text(Node):
-    """Text, not empty.  among: the texts it may be, any if empty.  words: its name in messages."""
+    """Text that is not empty.
+
+    Attributes:
+        among: The accepted texts; any text if empty.
+        words: The value type in words, for messages.
+    """
 
     among: tuple[str, ...] = ()
     words: str = "text"
@@ -129,21 +151,25 @@ class Text(Node):
 
 @dataclass(frozen=True)
 class ListOf(Node):
-    """A list.  item: of what.  count: of how many; any number if 0."""
+    """A list.
+
+    Attributes:
+        item: Type of the entries.
+        count: Number of entries; any number if 0.
+    """
 
     item: Node
     count: int = 0
     types = (list,)
 
-    @property
-    def words(self) -> str:  # type: ignore[override]
-        """The description in words, for messages."""
-        many = f"{self.count} entries" if self.count else "entries"
-        return f"a list of {many}, each {self.item.words}"
+    def describe(self) -> str:
+        """Return the value type in words, for messages."""
+        entries = f"{self.count} entries" if self.count else "entries"
+        return f"a list of {entries}, each {self.item.describe()}"
 
     def _read(self, value: Any, place: Place) -> list[Any]:
         if self.count and len(value) != self.count:
-            place.fail(f"must be {self.words}, got {shown(value)}")
+            place.fail(f"must be {self.describe()}, got {shown(value)}")
         return [self.item.read(entry, place / k) for k, entry in enumerate(value)]
 
     def schema(self, defs: dict[str, Schema]) -> Schema:
@@ -154,15 +180,14 @@ class ListOf(Node):
 
 @dataclass(frozen=True)
 class ByName(Node):
-    """A table from names, such as those of joints, to values."""
+    """A table from names, such as joint names, to values of type `item`."""
 
     item: Node
     types = (dict,)
 
-    @property
-    def words(self) -> str:  # type: ignore[override]
-        """The description in words, for messages."""
-        return f"a table {{joint = {self.item.words}}}"
+    def describe(self) -> str:
+        """Return the value type in words, for messages."""
+        return f"a table {{joint = {self.item.describe()}}}"
 
     def _read(self, value: Any, place: Place) -> dict[str, Any]:
         return {name: self.item.read(entry, place / name) for name, entry in value.items()}
@@ -174,22 +199,16 @@ class ByName(Node):
 
 @dataclass(frozen=True)
 class Either(Node):
-    """One of several descriptions, told apart by their types."""
+    """One of several value types; the type of the value decides which one."""
 
     nodes: tuple[Node, ...]
 
-    @property
-    def types(self) -> tuple[type, ...]:  # type: ignore[override]
-        """The types of all descriptions."""
-        return tuple(kind for node in self.nodes for kind in node.types)
-
-    @property
-    def words(self) -> str:  # type: ignore[override]
-        """The description in words, for messages."""
-        return ", or ".join(node.words for node in self.nodes)
+    def describe(self) -> str:
+        """Return the value type in words, for messages."""
+        return ", or ".join(node.describe() for node in self.nodes)
 
     def fits(self, value: Any) -> bool:
-        """Return whether a value fits one of the descriptions."""
+        """Return whether a value fits one of the types."""
         return any(node.fits(value) for node in self.nodes)
 
     def _read(self, value: Any, place: Place) -> Any:
@@ -202,26 +221,40 @@ class Either(Node):
 
 @dataclass(frozen=True)
 class Key:
-    """A key of a table.  text: its meaning.  default: the value without it, in words."""
+    """A key of a table.
+
+    Attributes:
+        node: Type of the value.
+        text: Meaning, with unit.
+        required: Whether the key must be present.
+        default: Value without the key, in words.
+    """
 
     node: Node
     text: str
     required: bool = False
     default: str = ""
 
+    @property
+    def description(self) -> str:
+        """The meaning and the default, as in the schema, the docs, and `--help`."""
+        return self.text + (f" (default: {self.default})" if self.default else "")
+
     def schema(self, defs: dict[str, Schema]) -> Schema:
-        """Return the JSON Schema."""
-        text = self.text + (f" (default: {self.default})" if self.default else "")
-        return {**self.node.schema(defs), "description": text}
+        """Return the JSON Schema of the value, with a description."""
+        return {**self.node.schema(defs), "description": self.description}
 
 
 @dataclass(frozen=True)
 class Table(Node):
-    """A table of known keys.
+    """A table with known keys.
 
-    words: its name in messages.  apart: pairs of keys that exclude each other.  needs: a key
-    and the key that has to come with it.  least_one, only_one: whether it must have a key, or
-    one only.
+    Attributes:
+        keys: {name: key}.
+        words: The table in words, for messages.
+        apart: Pairs of keys that exclude each other.
+        needs: {key: another key that it requires}.
+        one_of: Keys of which exactly one must be present; no restriction if empty.
     """
 
     keys: Mapping[str, Key]
@@ -238,12 +271,12 @@ class Table(Node):
         for name, key in self.keys.items():
             if key.required and name not in value:
                 place.fail(f"'{name}' is missing: {key.text}")
-        for one, other in self.apart:
-            if one in value and other in value:
-                (place / other).fail(f"give {one} or {other}, not both")
-        for name, other in self.needs.items():
-            if name in value and other not in value:
-                (place / name).fail(f"'{name}' has no meaning without '{other}'")
+        for first, second in self.apart:
+            if first in value and second in value:
+                (place / second).fail(f"give {first} or {second}, not both")
+        for name, required in self.needs.items():
+            if name in value and required not in value:
+                (place / name).fail(f"'{name}' has no meaning without '{required}'")
         if self.one_of and sum(name in value for name in self.one_of) != 1:
             place.fail(f"must have one of the keys {', '.join(self.one_of)}")
         return {
@@ -252,94 +285,91 @@ class Table(Node):
 
     def schema(self, defs: dict[str, Schema]) -> Schema:
         """Return the JSON Schema."""
-        out: Schema = {
+        schema: Schema = {
             "type": "object",
             "properties": {name: key.schema(defs) for name, key in self.keys.items()},
             "additionalProperties": False,
         }
         required = [name for name, key in self.keys.items() if key.required]
         if required:
-            out["required"] = required
+            schema["required"] = required
         if self.apart:
-            out["allOf"] = [{"not": {"required": list(pair)}} for pair in self.apart]
+            schema["allOf"] = [{"not": {"required": list(pair)}} for pair in self.apart]
         if self.needs:
-            out["dependentRequired"] = {name: [other] for name, other in self.needs.items()}
+            schema["dependentRequired"] = {name: [other] for name, other in self.needs.items()}
         if self.one_of:
-            out["oneOf"] = [{"required": [name]} for name in self.one_of]
-        return out
+            schema["oneOf"] = [{"required": [name]} for name in self.one_of]
+        return schema
 
 
 @dataclass(frozen=True)
 class Tagged(Node):
     """A table whose keys depend on the value of the key `tag`.
 
-    text: the meaning of the tag.  refused: values of the tag that are refused for a reason of
-    their own.
+    Attributes:
+        tag: Name of the key that selects the table.
+        tables: {value of the tag: table of the other keys}.
+        words: The table in words, for messages.
+        refused: {value of the tag: reason why it is rejected}.
     """
 
     tag: str
     tables: Mapping[str, Table]
-    words: str
+    words: str = "a table"
     refused: Mapping[str, str] = field(default_factory=dict)
     types = (dict,)
 
     def _read(self, value: Any, place: Place) -> dict[str, Any]:
-        listed = f"the {self.tag}s are {', '.join(self.tables)}"
+        valid = f"the {self.tag}s are {', '.join(self.tables)}"
         if self.tag not in value:
-            place.fail(f"'{self.tag}' is missing; {listed}")
-        kind, here = value[self.tag], place / self.tag
-        if not isinstance(kind, str):
-            here.fail(f"must be text, got {shown(kind)}; {listed}")
-        if kind in self.refused:
-            here.fail(self.refused[kind])
-        if kind not in self.tables:
-            here.fail(unknown(kind, self.tag, self.tables, f"the {self.tag}s are"))
-        table: dict[str, Any] = self._table(kind).read(value, place)
+            place.fail(f"'{self.tag}' is missing; {valid}")
+        tag, tag_place = value[self.tag], place / self.tag
+        if not isinstance(tag, str):
+            tag_place.fail(f"must be text, got {shown(tag)}; {valid}")
+        if tag in self.refused:
+            tag_place.fail(self.refused[tag])
+        if tag not in self.tables:
+            tag_place.fail(unknown(tag, self.tag, self.tables, f"the {self.tag}s are"))
+        table: dict[str, Any] = self._table(tag).read(value, place)
         return table
 
-    def _table(self, kind: str) -> Table:
-        """Return the table of a kind with its tag among the keys."""
-        tag = Key(Text((kind,)), self.tables[kind].words, required=True)
-        return replace(self.tables[kind], keys={self.tag: tag, **self.tables[kind].keys})
+    def _table(self, tag: str) -> Table:
+        """Return the table of one tag value, with the tag as its first key."""
+        key = Key(Text((tag,)), self.tables[tag].words, required=True)
+        return replace(self.tables[tag], keys={self.tag: key, **self.tables[tag].keys})
 
     def schema(self, defs: dict[str, Schema]) -> Schema:
         """Return the JSON Schema."""
-        return {"oneOf": [self._table(kind).schema(defs) for kind in self.tables]}
+        return {"oneOf": [self._table(tag).schema(defs) for tag in self.tables]}
 
 
 @dataclass(frozen=True)
 class Named(Node):
-    """A description that the schema holds once, under a name."""
+    """A value type whose schema is stored once, under `name`, and referenced elsewhere."""
 
     name: str
     node: Node
 
-    @property
-    def types(self) -> tuple[type, ...]:  # type: ignore[override]
-        """The types of the description that has the name."""
-        return self.node.types
-
-    @property
-    def words(self) -> str:  # type: ignore[override]
-        """The description in words, for messages."""
-        return self.node.words
+    def describe(self) -> str:
+        """Return the value type in words, for messages."""
+        return self.node.describe()
 
     def fits(self, value: Any) -> bool:
-        """Return whether a value fits the description that has the name."""
+        """Return whether a value fits the named type."""
         return self.node.fits(value)
 
     def _read(self, value: Any, place: Place) -> Any:
         return self.node.read(value, place)
 
     def schema(self, defs: dict[str, Schema]) -> Schema:
-        """Return a reference, and put the schema itself among defs."""
+        """Return a reference to the schema, and add the schema itself to `defs`."""
         if self.name not in defs:
             defs[self.name] = self.node.schema(defs)
         return {"$ref": f"#/$defs/{self.name}"}
 
 
 def document_schema(table: Table, title: str) -> Schema:
-    """Return the JSON Schema (draft 2020-12) of documents of TOML that are such a table."""
+    """Return the JSON Schema (draft 2020-12) of TOML documents with the keys of a table."""
     defs: dict[str, Schema] = {}
     body = table.schema(defs)
     return {

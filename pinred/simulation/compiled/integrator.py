@@ -16,8 +16,9 @@ from ...common.errors import (
     TooManySteps,
 )
 from ...common.plain_names import quoted
-from ...integrators.integrate import Integration, Solution
+from ...integrators.integrate import Integration
 from ...integrators.methods import Method
+from ...integrators.solution import Solution
 from ...kernels.kernel import Kernel
 from ...reduction.lost_inertia import lost_inertia
 from ...scene.scene import Scene

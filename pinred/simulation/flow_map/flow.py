@@ -14,8 +14,8 @@ from ...common.errors import InputError, ShapeError
 from ...common.plain_names import brief
 from ...common.signatures import shows_fields
 from ...kernels.flow_functions import sizes_of
-from ...scene.options import SceneOptions
 from ...scene.scene import Scene
+from ...scene.scene_options import SceneOptions
 from ...system.state_fields import FIELDS, Outcome, ShapeState, State
 from ...system.system import System
 from ..plan import plan_of

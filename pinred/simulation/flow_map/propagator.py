@@ -9,8 +9,9 @@ import numpy as np
 
 from ...common.arrays import Array, read_only
 from ...common.errors import InputError, IntegrationError
-from ...integrators.derivatives import Slopes, refuse_without_derivatives, run_along, run_back
-from ...integrators.integrate import Integration, Solution
+from ...integrators.integrate import Integration
+from ...integrators.run_derivatives import Slopes, refuse_without_derivatives, run_along, run_back
+from ...integrators.solution import Solution
 from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate_each
 from ...kernels.flow_functions import Row, outcome_of, rate_of, sizes_of

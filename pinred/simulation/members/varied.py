@@ -15,7 +15,7 @@ from ...common.errors import InputError, ShapeError, SymmetryError
 from ...common.plain_names import brief, listed
 from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
-from ...scene import forms
+from ...scene import input_formats
 from ...scene.angles import refuse_vague
 from ...scene.initial_state import GivenStates
 from ...scene.random_state import random_state
@@ -83,7 +83,7 @@ class Varied:
                 given[name] = value
         for name in _BY_JOINT:
             if name in self.common:
-                self.common[name] = forms.in_order(self.common[name], system, name)
+                self.common[name] = input_formats.order_by_joint(self.common[name], system, name)
         self.states = {
             name: as_floats(self.common.pop(name), name)
             for name in STATES
@@ -257,10 +257,10 @@ class Varied:
         system, own, count = scene.system, scene.given, self.count
         varying = dict(self.states)
         if "q0" in varying:
-            places = [forms.configuration(q, system) for q in varying.pop("q0")]
+            places = [input_formats.parse_configuration(q, system) for q in varying.pop("q0")]
             varying |= {name: np.array([getattr(p, key) for p in places]) for name, key in _OF_Q}
         if "v0" in varying:
-            motions = [forms.velocity(v, system) for v in varying.pop("v0")]
+            motions = [input_formats.parse_velocity(v, system) for v in varying.pop("v0")]
             varying |= {name: np.array([getattr(v, key) for v in motions]) for name, key in _OF_V}
         sizes = {"x0": system.m, "xdot0": system.m, "xi0": system.r, "momentum": system.r}
 

@@ -1,0 +1,311 @@
+"""Options that several commands share: a robot, and the options of a scene.
+
+Modules that import numpy or Pinocchio are imported inside the functions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from ..common.errors import InputError
+from ..common.plain_names import quoted
+
+if TYPE_CHECKING:
+    from ..scene.event import Event
+    from ..scene.scene import Scene
+    from ..scene.scene_options import Option
+    from ..system.system import System
+
+ROBOT = "robot: a name (see `pinred robots`), or a URDF or MJCF file"
+
+
+def option_adder(sub: argparse.ArgumentParser) -> Callable[..., None]:
+    """Return a function that adds one option to a parser.
+
+    Its arguments are the name and value format ("--time T", or "--list" for a flag), the help
+    text, and optionally the type (text) and the default, which is appended to the help text.
+    """
+
+    def add(usage: str, text: str, kind: type = str, default: Any = None, **more: Any) -> None:
+        flag, _, metavar = usage.partition(" ")
+        if not metavar:
+            sub.add_argument(flag, action="store_true", help=text, **more)
+            return
+        shown = f"{default:g}" if isinstance(default, float) else default
+        text += "" if default is None else f" (default: {shown})"
+        sub.add_argument(flag, metavar=metavar, type=kind, default=default, help=text, **more)
+
+    return add
+
+
+def add_options(sub: argparse.ArgumentParser, options: Mapping[str, Option]) -> None:
+    """Add the scene options that have a name on the command line.
+
+    Args:
+        sub: Parser of the command.
+        options: {name: description}.  The parsed text is stored under the name.
+    """
+    from ..scene.toml.schema import ByName, Number, Whole
+
+    add = option_adder(sub)
+    for name, option in options.items():
+        more: dict[str, Any] = {"dest": name, "default": None}
+        if " " in option.command:
+            more["kind"] = {Number: float, Whole: int}.get(type(option.node), str)
+            more["action"] = "append" if isinstance(option.node, ByName) else "store"
+        if option.command:
+            add(option.command, option.description, **more)
+
+
+def options_in(arguments: argparse.Namespace, options: Mapping[str, Option]) -> dict[str, Any]:
+    """Return the values of scene options that the arguments state.
+
+    Args:
+        arguments: Parsed arguments of a command.
+        options: {name: description}, as for add_options.
+
+    Returns:
+        {name: value} of the stated options, as Scene accepts them.
+
+    Raises:
+        InputError: a text does not have the format of its option.
+    """
+    values: dict[str, Any] = {}
+    for name, option in options.items():
+        value = getattr(arguments, name, None)
+        if option.command and value is not None:
+            parse = _PARSERS.get(option.command.partition(" ")[2])
+            values[name] = value if parse is None else parse(value, name)
+    if values.get("momentum") == [0.0]:
+        values["momentum"] = 0
+    return values
+
+
+def add_robot(sub: argparse.ArgumentParser, text: str = ROBOT) -> None:
+    """Add a robot and the options of loading it; `text` describes the accepted values."""
+    from ..scene.toml.keys import LOAD
+
+    sub.add_argument("robot", metavar="ROBOT", help=text)
+    add = option_adder(sub)
+    usages = ("--group G", "--lock J1,J2=VALUE,…", "--gravity GX,GY,GZ", "--root BODY", "--strict")
+    for usage in usages:
+        add(usage, LOAD.keys[usage[2:].partition(" ")[0]].description)
+    add_parameters(sub)
+
+
+def add_parameters(sub: argparse.ArgumentParser, text: str = "value of a robot parameter") -> None:
+    """Add the option --parameter; `text` says which parameters it accepts."""
+    text += ", such as hand.mass=1.3 or elbow.placement=X,Y,Z,ROLL,PITCH,YAW; repeatable"
+    add_repeated(sub, "--parameter NAME=VALUE", text)
+
+
+def add_repeated(sub: argparse.ArgumentParser, usage: str, text: str) -> None:
+    """Add an option, such as "--parameter NAME=VALUE", that may occur several times."""
+    flag, _, metavar = usage.partition(" ")
+    sub.add_argument(flag, metavar=metavar, action="append", default=[], help=text)
+
+
+def parameters_in(entries: Sequence[str]) -> dict[str, Any]:
+    """Return {name: number or numbers} of texts NAME=VALUE.  Raises InputError."""
+    parameters: dict[str, Any] = {}
+    for entry in entries:
+        name, _, text = entry.partition("=")
+        if not (name and text):
+            raise InputError(f"--parameter takes NAME=NUMBER, or NAME=V1,V2,…, got {quoted(entry)}")
+        if name in parameters:
+            raise InputError(f"--parameter has {quoted(name)} twice")
+        values = numbers_in(text, "parameter") or []
+        parameters[name] = values[0] if len(values) == 1 else values
+    return parameters
+
+
+def refuse_of_robots(arguments: argparse.Namespace, source: str, *names: str) -> None:
+    """Raise InputError for options that apply to robots only, if the source is a file."""
+    for name in names:
+        if getattr(arguments, name) not in (None, []):
+            raise InputError(f"--{name} is for robots; {quoted(source)} says itself")
+
+
+def system_of(arguments: argparse.Namespace) -> System:
+    """Load the robot that the options of add_robot name."""
+    from ..system.load import load
+
+    lock: dict[str, float] = {}
+    for entry in arguments.lock.split(",") if arguments.lock else ():
+        name, _, value = entry.partition("=")
+        lock[name] = (numbers_in(value, "lock") or [0.0])[0]
+    gravity = numbers_in(arguments.gravity, "gravity")
+    return load(
+        arguments.robot,
+        group=arguments.group,
+        lock=lock,
+        gravity=gravity,
+        root=arguments.root,
+        strict=arguments.strict,
+        parameters=parameters_in(arguments.parameter),
+    )
+
+
+def add_scene(sub: argparse.ArgumentParser) -> None:
+    """Add the options of a scene: initial state, duration, forces, events, and accuracy."""
+    from ..integrators.methods import Gauss
+    from ..scene.scene_options import ENGINES, RUN_OPTIONS, SCENE_OPTIONS
+
+    add_options(sub, {**SCENE_OPTIONS, "engine": RUN_OPTIONS["engine"]})
+    sub.set_defaults(engine=ENGINES[0])
+    add = option_adder(sub)
+    add("--step H", "step of a fixed-step method [s]", float)
+    add("--order P", f"order of Gauss (default: {Gauss.order})", int)
+    for name, text in (("event", "report when"), ("until", "end the motion when")):
+        text += " a formula of the state crosses zero, such as 'x[0] - 0.5'; repeatable"
+        add_repeated(sub, f"--{name} [NAME=]FORMULA", text)
+
+
+def scene_of(arguments: argparse.Namespace) -> Scene:
+    """Return the scene that the options of add_robot and add_scene describe."""
+    from ..scene.scene_options import SCENE_OPTIONS
+
+    system = system_of(arguments)
+    options = options_in(arguments, SCENE_OPTIONS)
+    options["method"] = _method(arguments)
+    options["events"] = [
+        *_events(arguments.event, terminal=False),
+        *_events(arguments.until, terminal=True),
+    ]
+    return scene_with(system, options.pop("seed", None), **options)
+
+
+def scene_with(system: System, seed: int | None, **options: Any) -> Scene:
+    """Build a scene, with a random initial state if neither options nor robot state one.
+
+    The seed is printed, so that the run can be repeated.
+
+    Args:
+        system: The robot.
+        seed: Seed of a random state, or None.
+        **options: Other options of Scene.
+
+    Returns:
+        The scene.
+    """
+    from ..scene.angles import large_angles
+    from ..scene.scene import Scene
+    from ..scene.scene_options import SCENE_OPTIONS
+
+    states = [name for name, option in SCENE_OPTIONS.items() if option.table == "start"]
+    has_state = system.initial is not None or any(options.get(n) is not None for n in states)
+    seed = 0 if seed is None and not has_state else seed
+    scene = Scene(system=system, seed=seed, **options)
+    if options.get("x0") is not None and (note := large_angles(scene.given.x[0], system)):
+        print(f"note: {note}")
+    if seed is not None:
+        print(f"initial state: random, seed {seed}")
+    return scene
+
+
+def numbers_in(text: str | None, option: str) -> list[float] | None:
+    """Return the numbers in a text V1,V2,…; None if it is None.  Raises InputError."""
+    if text is None:
+        return None
+    try:
+        return [float(word) for word in text.split(",")] if text else []
+    except ValueError:
+        raise InputError(
+            f"--{option} takes numbers separated by commas, got {quoted(text)}"
+        ) from None
+
+
+def by_joint_in(text: str, option: str) -> list[float] | dict[str, float]:
+    """Return numbers in joint order, or {joint: number} of a text J1=V1,….  Raises InputError."""
+    if "=" not in text:
+        return numbers_in(text, option) or []
+    values: dict[str, float] = {}
+    for entry in text.split(","):
+        name, _, value = entry.rpartition("=")
+        if name in values:
+            raise InputError(f"--{option} has joint {quoted(name)} twice")
+        try:
+            values[name] = float(value if name else "")
+        except ValueError:
+            raise InputError(
+                f"--{option} takes numbers, or JOINT=NUMBER for each, got {quoted(entry)}"
+            ) from None
+    return values
+
+
+def springs_in(entries: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return {joint: (stiffness, rest)} of texts JOINT=STIFFNESS,REST.  Raises InputError."""
+    springs = {}
+    for entry in entries:
+        name, _, text = entry.partition("=")
+        values = numbers_in(text, "spring") or []
+        if len(values) not in (1, 2):
+            raise InputError(
+                f"--spring takes JOINT=STIFFNESS or JOINT=STIFFNESS,REST, got {quoted(entry)}"
+            )
+        springs[name] = (values[0], values[1] if len(values) == 2 else 0.0)
+    return springs
+
+
+def prescribed_in(entries: Sequence[str]) -> dict[str, float | str]:
+    """Return {joint: number or formula} of texts JOINT=PLAN.  Raises InputError."""
+    plans: dict[str, float | str] = {}
+    for entry in entries:
+        name, _, text = entry.partition("=")
+        if not text:
+            raise InputError(
+                f"--prescribed takes JOINT=NUMBER or JOINT=FORMULA, got {quoted(entry)}"
+            )
+        if name in plans:
+            raise InputError(f"--prescribed has joint {quoted(name)} twice")
+        try:
+            plans[name] = float(text)
+        except ValueError:
+            plans[name] = text
+    return plans
+
+
+# Parsers of option texts, by the value format that the option states in `command`.
+_PARSERS: dict[str, Callable[[Any, str], Any]] = {
+    "V1,V2,…": numbers_in,
+    "V1,V2,… or J1=V1,…": by_joint_in,
+    "J=K,REST": lambda entries, _: springs_in(entries),
+    "J=PLAN": lambda entries, _: prescribed_in(entries),
+}
+
+
+def _events(entries: Sequence[str], *, terminal: bool) -> list[Event]:
+    """Return the events of --event or --until; the default names are "event" and "until"."""
+    from ..scene.event import Event
+
+    events = []
+    for entry in entries:
+        match = re.fullmatch(r"\s*([A-Za-z]\w*)\s*=(?!=)(.*)", entry, re.DOTALL)
+        name, text = match.groups() if match else ("until" if terminal else "event", entry)
+        events.append(Event(text, name, terminal=terminal))
+    return events
+
+
+def _method(arguments: argparse.Namespace) -> str:
+    """Return the integrator of --method, --step and --order as the text that Scene accepts."""
+    from ..integrators.methods import METHODS, options_of
+
+    name: str = arguments.method or "auto"
+    stated = {key: getattr(arguments, key) for key in ("step", "order")}
+    stated = {key: value for key, value in stated.items() if value is not None}
+    if not stated:
+        return name
+    if name in ("auto", *METHODS):
+        methods_with = {
+            key: [m for m, kind in METHODS.items() if key in [o.name for o in options_of(kind)]]
+            for key in stated
+        }
+        if name not in methods_with.get("step", [name]):
+            methods = " or ".join(methods_with["step"])
+            raise InputError(f"--step H and --method {methods} go together")
+        if name not in methods_with.get("order", [name]):
+            raise InputError(f"--order P goes with --method {' or '.join(methods_with['order'])}")
+    return f"{name}({', '.join(f'{key}={value!r}' for key, value in stated.items())})"

@@ -1,0 +1,35 @@
+"""`pinred compare`: simulate the reduced equations and compare with the full simulation by ABA."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from .command_options import add_robot, add_scene, scene_of
+
+if TYPE_CHECKING:
+    from ..simulation.trajectory import Trajectory
+
+
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add_robot(sub)
+    add_scene(sub)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Simulate and compare.  Returns 0 for PASSED, 1 for FAILED, 3 for CANNOT TELL."""
+    from ..simulation.simulate import simulate
+
+    traj = simulate(scene_of(arguments), engine=arguments.engine, progress=True)
+    return print_comparison(traj)
+
+
+def print_comparison(traj: Trajectory) -> int:
+    """Print the comparison of a motion with full ABA.  Returns 0, 1 or 3, as `run` does."""
+    from ..judge.compare import compare
+    from ..judge.report import EXIT_CODES
+
+    report = compare(traj, progress=True)
+    print(report)
+    return EXIT_CODES[report.verdict]

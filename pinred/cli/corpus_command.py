@@ -1,0 +1,55 @@
+"""`pinred corpus`: load, simulate and compare all robot descriptions in some folders."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING
+
+from .command_options import option_adder
+
+if TYPE_CHECKING:
+    from ..laboratory.corpus.corpus_entry import Entry
+
+
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    text = "folders with URDF and MJCF files"
+    sub.add_argument("folders", nargs="*", metavar="FOLDER", help=text)
+    add = option_adder(sub)
+    add("--robots", "include the robots of `pinred robots`")
+    add("--time T", "duration of each motion [s]", float, 0.5)
+    add("--patience S", "time limit for each description [s]", float, 60.0)
+    add("--out FILE", "write the table as csv")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Try all descriptions and print a table.  Returns 1 for a failed comparison, else 0."""
+    from ..common.files import check_path
+    from ..laboratory.corpus.run_corpus import corpus
+
+    out = None if arguments.out is None else check_path(arguments.out, (".csv",))
+    result = corpus(
+        arguments.folders,
+        robots=arguments.robots,
+        duration=arguments.time,
+        patience=arguments.patience,
+        out=out,
+        tried=_progress,
+    )
+    if sys.stderr.isatty():
+        sys.stderr.write("\r\033[K")
+    print(result)
+    if out is not None:
+        print(f"written to {out}")
+    return 0 if result.passed else 1
+
+
+def _progress(entry: Entry, number: int, of: int) -> None:
+    """Show a progress line on a terminal, and a line for each failure everywhere."""
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r\033[K{number} of {of}: {entry.file[-60:]}")
+        sys.stderr.flush()
+    if entry.outcome in ("FAILED", "error"):
+        start = "\r\033[K" if sys.stderr.isatty() else ""
+        print(f"{start}{entry.outcome}: {entry.file}: {entry.reason}", file=sys.stderr)

@@ -1,0 +1,152 @@
+"""`pinred equilibria`: find relative equilibria, or follow branches over the momentum."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..common.errors import InputError
+from .command_options import (
+    add_options,
+    add_robot,
+    by_joint_in,
+    numbers_in,
+    option_adder,
+    options_in,
+    system_of,
+)
+from .output_files import describe_file, save_figure
+
+if TYPE_CHECKING:
+    from ..analysis.equilibria.relative_equilibrium import Equilibria
+    from ..system.system import System
+
+_PLAYED = (".html", ".mp4", ".gif", ".png")  # suffixes of files with --play
+_SCENE = ("springs", "passive", "prescribed")  # options of a scene that this command accepts
+
+
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    from ..scene.scene_options import SCENE_OPTIONS
+
+    add_robot(sub)
+    add_options(sub, {name: SCENE_OPTIONS[name] for name in _SCENE})
+    add = option_adder(sub)
+    text = "momentum of the relative equilibria, or a range for branches [N·m·s | N·s]"
+    add("--momentum J or LOW,HIGH", text, required=True)
+    add("--cyclic J1=V1,…", "momenta of cyclic joints, such as wheels [N·m·s | N·s] (default: 0)")
+    add("--starts N", "number of starting points", int)
+    add("--seed S", "seed of the starting points", int, 0)
+    add("--joint J", "vertical axis of the diagram (default: amended potential)")
+    add("--play K", "play equilibrium K, counted from 0", int)
+    add("--mode M", "perturb it along mode M, counted from 0", int)
+    add("--amplitude A", "amplitude of the mode [rad | m]", float, 0.05)
+    add("--time T", "duration of the played motion [s]", float)
+    text = "diagram of a range (.png, .pdf, .svg), or motion of --play (.html, .mp4, .gif, .png)"
+    add("--out FILE", text)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print equilibria or branches, and draw or play them.  Returns 0."""
+    momenta = numbers_in(arguments.momentum, "momentum") or []
+    if len(momenta) not in (1, 2):
+        raise InputError(f"--momentum takes J, or LOW,HIGH, got {len(momenta)} numbers")
+    _check(arguments, is_range=len(momenta) == 2)
+    system = system_of(arguments)
+    from ..scene.scene_options import SCENE_OPTIONS
+
+    options = options_in(arguments, {name: SCENE_OPTIONS[name] for name in _SCENE})
+    options |= {"cyclic": _parse_cyclic(arguments.cyclic), "seed": arguments.seed}
+    if arguments.starts is not None:
+        options["starts"] = arguments.starts
+    if len(momenta) == 2:
+        return _branches(arguments, system, (momenta[0], momenta[1]), options)
+    from ..analysis.equilibria.find import relative_equilibria
+
+    equilibria = relative_equilibria(system, momentum=momenta[0], **options)
+    for note in {equilibrium.problem.scene.left_out for equilibrium in equilibria} - {""}:
+        print(note)
+    print(equilibria)
+    return 0 if arguments.play is None else _play(arguments, equilibria)
+
+
+def _branches(
+    arguments: argparse.Namespace,
+    system: System,
+    ends: tuple[float, float],
+    options: dict[str, Any],
+) -> int:
+    """Follow branches between two momenta, print them, and draw a diagram.  Returns 0."""
+    from ..analysis.branches.follow import branches
+    from ..common.files import FIGURES, check_path
+
+    path = None if arguments.out is None else check_path(Path(arguments.out), FIGURES)
+    if path is not None:
+        from ..views.plots import branches as draw  # Fail early if matplotlib is missing.
+    result = branches(system, momentum=ends, **options)
+    print(result)
+    if path is not None:
+        save_figure(draw(result, joint=arguments.joint), path)
+        print(describe_file(path))
+    return 0
+
+
+def _play(arguments: argparse.Namespace, equilibria: Equilibria) -> int:
+    """Simulate one equilibrium, perturbed along a mode, and play or write it.  Returns 0."""
+    from ..simulation.simulate import simulate
+    from ..views.playback.view import FILM_FPS, FPS, View
+
+    index, count = arguments.play, len(equilibria)
+    if not 0 <= index < count:
+        raise InputError(f"--play: there are {count}, counted from 0; got {index}")
+    equilibrium = equilibria[index]
+    scene = equilibrium.scene(
+        arguments.mode, amplitude=arguments.amplitude, duration=arguments.time
+    )
+    traj = simulate(scene, progress=True)
+    print(f"playing {index}, {equilibrium}")
+    if arguments.out is None:
+        from ..views.playback.show import play
+
+        play(traj, View(), wait=True)
+        return 0
+    path = Path(arguments.out)
+    if path.suffix == ".html":
+        from ..views.playback.page import save_html
+
+        save_html(traj, path, View(fps=FPS))
+        print(describe_file(path))
+        return 0
+    from ..views.playback.film import save_film
+
+    frames = save_film(traj, path, View(fps=FILM_FPS))
+    print(f"{frames} frames written to {path}")
+    return 0
+
+
+def _check(arguments: argparse.Namespace, *, is_range: bool) -> None:
+    """Raise InputError for options without effect; `is_range` states that branches are followed."""
+    from ..common.files import check_path
+
+    if is_range and arguments.play is not None:
+        raise InputError("--play is for one momentum, not for a range")
+    if arguments.play is None:
+        for name in ("mode", "time"):
+            if getattr(arguments, name) is not None:
+                raise InputError(f"--{name} goes with --play K")
+        if arguments.out is not None and not is_range:
+            raise InputError("--out goes with a range, --momentum LOW,HIGH, or with --play K")
+    elif arguments.out is not None:
+        check_path(Path(arguments.out), _PLAYED)
+    if arguments.joint is not None and not (is_range and arguments.out is not None):
+        raise InputError("--joint is of the diagram that --momentum LOW,HIGH --out FILE draws")
+
+
+def _parse_cyclic(text: str | None) -> dict[str, float] | None:
+    if text is None:
+        return None
+    momenta = by_joint_in(text, "cyclic")
+    if not isinstance(momenta, dict):
+        raise InputError(f"--cyclic takes JOINT=MOMENTUM for each joint, got '{text}'")
+    return momenta

@@ -1,0 +1,88 @@
+"""`pinred field`: draw or write the connection of a robot over two joints."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from ..common.errors import InputError
+from .command_options import numbers_in, option_adder
+from .gait_options import add_source, source_of
+from .output_files import describe_file, save_figure
+
+_SAMPLES = 200  # default number of grid points along each joint
+
+
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add_source(sub)
+    add = option_adder(sub)
+    add("--joints J1,J2", "names of the joints to vary (default: the first two)")
+    add("--component C", "component of the body twist, v1 … w3")
+    add("--part P", "quantity: curvature, exterior, bracket or connection", str, "curvature")
+    add("--limits LOW,HIGH", "range of both joints [rad | m]")
+    add("--at X1,X2,…", "shape of the other joints [rad | m]")
+    add("--samples N", "number of grid points along each joint in a .npz file", int, _SAMPLES)
+    add("--out FILE", "figure file, or .npz file of numbers", required=True)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Draw or write the field.  Returns 0."""
+    import numpy as np
+
+    from ..common.files import FIGURES, check_path, write_atomic
+
+    path = check_path(arguments.out, (*FIGURES, ".npz"))
+    source = source_of(arguments, gait=False)
+    joints = None if arguments.joints is None else arguments.joints.split(",")
+    limits = None
+    if (ends := numbers_in(arguments.limits, "limits")) is not None:
+        if len(ends) != 2 or not ends[0] < ends[1]:
+            raise InputError(f"--limits takes LOW,HIGH, got {arguments.limits}")
+        limits = [(ends[0], ends[1])] * 2
+    at = numbers_in(arguments.at, "at")
+    if path.suffix == ".npz":
+        arrays = _compute_grid(source.connection, joints, limits, at, arguments.samples)
+        write_atomic(path, lambda file: np.savez(file, **arrays))
+    else:
+        from ..views.plots.by_kind import plot
+
+        figure = plot(
+            source.connection, "field", joints=joints, component=arguments.component,
+            part=arguments.part, limits=limits, at=at, gait=source.gait,
+        )  # fmt: skip
+        save_figure(figure, path)
+    print(describe_file(path))
+    return 0
+
+
+def _compute_grid(
+    connection: Any, joints: list[str] | None, limits: Any, at: Any, samples: int
+) -> dict[str, Any]:
+    """Return shapes, A, and the curvature with its two terms on a grid (samples, samples).
+
+    `joints`, `limits` and `at` are those of the command; `at` is the shape of the other joints.
+    """
+    import numpy as np
+
+    from ..common.arrays import vector
+    from ..common.names import joint_index
+
+    if samples < 2:
+        raise InputError(f"--samples must be at least 2, got {samples}")
+    if connection.m < 2:
+        raise InputError(f"a field needs two joints; {connection} has {connection.m}")
+    names = list(connection.joints)
+    pair = [joint_index(name, names, "--joints") for name in joints or names[:2]]
+    if len(set(pair)) != 2:
+        raise InputError("--joints takes two different joints")
+    fixed = np.zeros(connection.m) if at is None else vector(at, connection.m, "--at", names)
+    (low, high), _ = limits or [(-np.pi, np.pi)] * 2
+    axis = np.linspace(low, high, samples)
+    x = np.broadcast_to(fixed, (samples, samples, connection.m)).copy()
+    x[..., pair[0]], x[..., pair[1]] = np.meshgrid(axis, axis, indexing="ij")
+    grid = connection.grid(x)
+    return {
+        "x": x, "joints": np.array(names), "local": grid.local, "curvature": grid.curvature,
+        "exterior": grid.exterior, "bracket": grid.bracket,
+    }  # fmt: skip

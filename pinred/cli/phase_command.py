@@ -1,0 +1,86 @@
+"""`pinred phase`: compute the displacement of the base by a gait, cycle after cycle."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .command_options import numbers_in, option_adder
+from .gait_options import add_source, source_of
+from .output_files import describe_file, save_figure
+
+if TYPE_CHECKING:
+    from ..analysis.phases.phase import Phase
+    from ..common.arrays import Array
+
+
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    add_source(sub)
+    add = option_adder(sub)
+    add("--momentum V1,V2,…", "initial body momentum [N·s; N·m·s], or 0")
+    add("--tolerance TOL", "tolerance of the pose", float, 1e-10)
+    add("--cycles N", "number of cycles", int, 1)
+    add("--out FILE", "figure of the cycles, or .npz or .csv file of the poses")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print the phase.  Returns 0."""
+    from ..analysis.phases.phase import phase
+    from ..common.files import DATA, FIGURES, check_path
+
+    path = None if arguments.out is None else check_path(arguments.out, (*FIGURES, *DATA))
+    source = source_of(arguments, gait=True)
+    stated = numbers_in(arguments.momentum, "momentum")
+    momentum = source.momentum if stated is None else (0 if stated == [0.0] else stated)
+    result = phase(source.connection, source.path, momentum, tolerance=arguments.tolerance)
+    print(f"{source.connection}: one cycle of {source.path.period:g} s")
+    _print(result)
+    if arguments.cycles != 1:
+        print(_pose(f"after {arguments.cycles} cycles", result, result.cycles(arguments.cycles)))
+    if path is not None:
+        _write(result, path, arguments.cycles)
+        print(describe_file(path))
+    return 0
+
+
+def _print(result: Phase) -> None:
+    print(_pose("pose", result, result.pose))
+    print(
+        f"  {'error at most':<18} {result.error.rotation:.1e} rad, {result.error.translation:.1e} m"
+    )
+    if result.momentum.any():
+        print(_pose("geometric", result, result.geometric))
+        print(_pose("dynamic", result, result.dynamic))
+    screw = result.screw
+    axis = ", ".join(f"{value:.6g}" for value in screw.axis)
+    print(f"  {'turn':<18} {screw.angle:.12g} rad about ({axis}), slide {screw.slide:.12g} m")
+    if result.length == result.length:  # not NaN
+        print(f"  {'length of the gait':<18} {result.length:.12g}, in the metric of the connection")
+    print(f"  {'samples':<18} {result.samples}")
+
+
+def _pose(label: str, result: Phase, pose: Array) -> str:
+    names = result.group.pose_names
+    values = "  ".join(f"{name} {value:.12g}" for name, value in zip(names, pose, strict=True))
+    return f"  {label:<18} {values}"
+
+
+def _write(result: Phase, path: Path, cycles: int) -> None:
+    import numpy as np
+
+    from ..common.files import write_atomic, write_table
+
+    if path.suffix == ".npz":
+        write_atomic(
+            path, lambda file: np.savez(file, t=result.times, pose=result.path, end=result.pose)
+        )
+    elif path.suffix == ".csv":
+        names = ("t", *result.group.pose_names)
+        rows = np.column_stack([result.times, result.path]).tolist()
+        write_table(path, names, (dict(zip(names, row, strict=True)) for row in rows))
+    else:
+        from ..views.plots.by_kind import plot
+
+        save_figure(plot(result, "cycles", count=max(1, cycles)), path)

@@ -1,0 +1,83 @@
+"""`pinred play`: show a motion in a browser, or write it as an HTML page or a film."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..common.errors import InputError
+from .command_options import option_adder
+from .motion_files import motion_in
+
+
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Add the options of the command."""
+    text = "motion traj.npz, or scene file (.toml)"
+    sub.add_argument("motion", metavar="MOTION", help=text)
+    add = option_adder(sub)
+    add("--robot R", "robot of a .npz file that names none")
+    add("--ghost", "show full ABA too (scene files only)")
+    add("--speed S", "initial playback speed", float, 1.0)
+    add("--pair J1,J2", "two joints for the axes of the shape panel")
+    add("--meshes FOLDER", "folder with the meshes of a URDF; repeatable", action="append")
+    add("--no-meshes", "draw bodies from their inertias instead of meshes")
+    add("--port P", "port of the web server (default: a free one)", int)
+    add("--no-open", "do not open the browser")
+    add("--out FILE", "write FILE.html, .mp4, .gif or .png instead of playing")
+    add("--fps F", "frames per second (default: 60; films 30)", float)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Play or write the motion.  Returns 0."""
+    from ..views.playback.view import FILM_FPS, FPS, View
+
+    _check(arguments)
+    pair = None if arguments.pair is None else tuple(arguments.pair.split(","))
+    out = None if arguments.out is None else Path(arguments.out)
+    fps = arguments.fps
+    if fps is None:
+        fps = FPS if out is None or out.suffix == ".html" else FILM_FPS
+    meshes = arguments.meshes or not arguments.no_meshes
+    view = View(ghost=arguments.ghost, speed=arguments.speed, fps=fps, pair=pair, meshes=meshes)
+    if out is not None:
+        from ..common.files import check_path
+        from ..views.playback.film import SUFFIXES
+
+        check_path(out, (".html", *SUFFIXES))  # Check the path before a long simulation.
+    else:
+        from ..views.playback.server import check_port
+
+        check_port(arguments.port)
+    motion = motion_in(arguments.motion, arguments.robot)
+    if out is None:
+        from ..views.playback.show import play
+
+        play(motion, view, port=arguments.port, show=not arguments.no_open, wait=True)
+    elif out.suffix == ".html":
+        from ..views.playback.page import save_html
+
+        print(f"written to {out} ({save_html(motion, out, view) / 1e6:.2f} MB)")
+    else:
+        from ..common.progress import ProgressBar
+        from ..views.playback.film import save_film
+
+        with ProgressBar("film   ") as bar:
+            count = save_film(motion, out, view, progress=bar)
+        print(f"{count} frames written to {out}")
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Raise InputError for another kind of motion, or for an option without effect."""
+    if Path(arguments.motion).suffix not in (".npz", ".toml"):
+        raise InputError(f"play takes a .npz or a scene file (.toml), got '{arguments.motion}'")
+    if arguments.out is not None and arguments.port is not None:
+        raise InputError("--port is for playing in a browser, not with --out")
+    if arguments.meshes and arguments.no_meshes:
+        raise InputError("--meshes says where to find what --no-meshes leaves out; give one")
+    page = arguments.out is None or Path(arguments.out).suffix == ".html"
+    if arguments.fps is not None and page and Path(arguments.motion).suffix == ".npz":
+        raise InputError(
+            "--fps is for films and for scenes; a page shows a .npz at the times that it holds "
+            "(`pinred simulate --samples` makes more of them)"
+        )

@@ -1,0 +1,222 @@
+"""Accepted input formats of scene options, and their conversion to one internal format.
+
+Python, the command line and scene files accept the same formats.  Joint values are an array
+or a table by joint name.  An integrator is an object or text.  The motion of a joint is a
+Signal, a number or a formula.  Pinocchio's (q, v) may replace pose, shape and velocities.
+"""
+
+from __future__ import annotations
+
+import ast
+import warnings
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from numbers import Real
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..common.arrays import Array, as_floats, read_only, vector
+from ..common.errors import InputError, PinredError, ShapeError
+from ..common.names import joint_index, nearest
+from ..common.parameter import Parameter
+from ..common.plain_names import brief, quoted
+from ..forces.signals import Constant, Expression, Signal
+from ..integrators.methods import METHODS, Method
+from ..system.coordinates import Configuration, Velocity
+from ..system.coupling import following
+from ..system.system import System
+
+_UNIT = 1e-3  # tolerance on norm 1 of a cosine and sine, for values rounded to few decimals
+
+
+def order_by_joint(value: Any, system: System, what: str) -> Any:
+    """Convert values by joint name to one array in joint order.
+
+    Args:
+        value: {joint: number}, or {joint: (N,) numbers} for N members.  Any value that is not a
+            mapping is returned unchanged.
+        system: System with the joints.
+        what: Name of the option, for messages.
+
+    Returns:
+        (m,) or (N, m), with zeros for the joints that are not named.
+
+    Raises:
+        InputError: a joint does not exist or is a mimic joint.
+        ShapeError: the lengths differ.
+    """
+    if not isinstance(value, Mapping):
+        return value
+    for name in value:
+        system.refuse_follower(name, what)
+    columns = {
+        joint_index(name, system.shape_names, what): as_floats(entry, f"{what}['{name}']")
+        for name, entry in value.items()
+    }
+    shapes = {column.shape for column in columns.values()} - {()}
+    if len(shapes) > 1 or any(len(shape) > 1 for shape in shapes):
+        raise ShapeError(
+            f"{what} must have a number for each joint, or as many for each as there are "
+            f"members, got shapes {', '.join(map(str, sorted(shapes)))}"
+        )
+    array = np.zeros((*(shapes.pop() if shapes else ()), system.m))
+    for k, column in columns.items():
+        array[..., k] = column
+    return read_only(array)
+
+
+def parse_signal(value: Any, what: str) -> Signal:
+    """Convert the motion of a prescribed joint to a Signal.
+
+    `value` is a Signal, a number, a Parameter or a formula in t.  Raises an InputError that
+    names the option `what`.
+    """
+    if isinstance(value, Signal):
+        return value
+    try:
+        if isinstance(value, str):
+            return Expression(value)
+        if isinstance(value, Parameter):
+            return Constant(value)
+        if isinstance(value, Real) and not isinstance(value, bool):
+            return Constant(float(value))
+    except OverflowError:
+        raise InputError(f"{what} is larger than any number of 64 bits") from None
+    except PinredError as error:
+        raise type(error)(f"{what}: {error}") from None
+    raise InputError(f"{what} must be a Signal, a number or a formula in t, got {brief(value)}")
+
+
+def parse_configuration(q: ArrayLike, system: System) -> Configuration:
+    """Split Pinocchio's configuration q, (nq,), into pose (size,) and shape (m,).
+
+    Angles are in (−π, π].  Raises ShapeError if q has the wrong length or is not finite,
+    InputError if a quaternion, or a cosine and sine, do not have norm 1.
+    """
+    q = vector(q, system.model.nq, "q0")
+    root, *joints = list(system.model.joints)[1:]
+    names = list(system.model.names)[2:]
+    try:
+        system.group.pose(q[: root.nq])
+    except PinredError as error:
+        raise type(error)(f"q0: {error}") from None
+    for name, joint in zip(names, joints, strict=True):
+        norm = float(np.linalg.norm(q[joint.idx_q : joint.idx_q + joint.nq]))
+        if joint.nq == 2 and abs(norm - 1.0) > _UNIT:
+            raise InputError(
+                f"q0: cosine and sine of joint '{name}' must have norm 1, got {norm:g}"
+            )
+    split = system.configuration(q)
+    if system.coupled is not None:
+        _check_followers(system, system.sorted_q(q), system.model_q(split.pose, split.x), "q0")
+    return Configuration(pose=system.group.normalize(split.pose), x=split.x)
+
+
+def parse_velocity(v: ArrayLike, system: System) -> Velocity:
+    """Split Pinocchio's velocity v, (nv,), into body twist (r,) and shape rate (m,).
+
+    Raises ShapeError if v has the wrong length or is not finite, InputError if a mimic joint
+    does not follow its coupling.
+    """
+    v = vector(v, system.model.nv, "v0")
+    split = system.velocity(v)
+    if system.coupled is not None:
+        _check_followers(system, system.sorted_v(v), system.model_v(split.xi, split.xdot), "v0")
+    return split
+
+
+def _check_followers(system: System, stated: Array, coupled: Array, what: str) -> None:
+    """Reject a model configuration or velocity in which a mimic joint violates its coupling.
+
+    `stated` is the value of the option `what`; `coupled` has followers that obey their couplings.
+    """
+    for name in system.followers:
+        joint = system.model.joints[2 + system.joint_number(name)]
+        entries = slice(joint.idx_q, joint.idx_q + joint.nq)
+        if what == "v0":
+            entries = slice(joint.idx_v, joint.idx_v + 1)
+        # The tolerance is relative above 1, because rates have no upper limit.
+        most = _UNIT * max(1.0, float(np.abs(coupled[entries]).max()))
+        if np.abs(stated[entries] - coupled[entries]).max() > most:
+            expected = ", ".join(f"{value:g}" for value in coupled[entries])
+            words = following(name, system.couplings)
+            raise InputError(
+                f"{what}: {words} and must be at {expected} there, got {stated[entries]}"
+            )
+
+
+def parse_method(value: Any) -> Method | Literal["auto"]:
+    """Return an integrator, or "auto".
+
+    `value` is one of these, or text: a name, or a name with options in Python notation, such as
+    "RKMK4(0.01)" or "DOP853(max_step=0.1)".  Raises InputError.
+    """
+    if isinstance(value, str):
+        return _method_of_text(value)
+    if isinstance(value, Method):
+        return value
+    names = " or ".join(f"{name}(…)" for name in METHODS)
+    raise InputError(
+        f"method must be 'auto' or {names}, or one of these as text, got {brief(value)}"
+    )
+
+
+def _method_of_text(text: str) -> Method | Literal["auto"]:
+    """Return the integrator that a text names; the text is parsed and never executed."""
+    if text == "auto":  # Skip the parser in the most frequent case.
+        return "auto"
+    name, positional, named = _parse_call(text)
+    if name == "auto":
+        if positional or named:
+            raise InputError(f"method auto has no options, got {quoted(text)}")
+        return "auto"
+    if name not in METHODS:
+        raise InputError(
+            f"unknown method {quoted(name)}; {nearest(name, list(METHODS))}"
+            f"the methods are {', '.join(METHODS)} and auto"
+        )
+    kind = METHODS[name]
+    options = {entry.name: entry.default for entry in fields(kind)}
+    unknown = [key for key in named if key not in options]
+    if unknown or len(positional) > len(options):
+        excess = f"option {quoted(unknown[0])}" if unknown else f"{len(positional)} options"
+        raise InputError(f"method {name} has no {excess}; its options are {', '.join(options)}")
+    repeated = [key for key in list(options)[: len(positional)] if key in named]
+    if repeated:
+        raise InputError(f"method {quoted(text)} gives {repeated[0]} twice")
+    named |= dict(zip(options, positional, strict=False))
+    missing = [key for key, default in options.items() if default is MISSING and key not in named]
+    if missing:
+        raise InputError(f"method {quoted(text)} needs a {missing[0]}, as in {name}(0.01)")
+    return kind(**named)
+
+
+def _parse_call(text: str) -> tuple[str, list[Any], dict[str, Any]]:
+    """Return name, positional and named options of a text NAME or NAME(1, key=2)."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # A syntax warning counts as an error.
+            node = ast.parse(text.strip(), mode="eval").body
+        if isinstance(node, ast.Name):
+            return node.id, [], {}
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            return (
+                node.func.id,
+                [_value(argument) for argument in node.args],
+                {str(word.arg): _value(word.value) for word in node.keywords},
+            )
+    except (ValueError, SyntaxError, MemoryError, RecursionError):
+        pass
+    raise InputError(
+        f"method {quoted(text)} must be a name, or a name with options such as RKMK4(0.01); "
+        f"the methods are {', '.join(METHODS)} and auto"
+    )
+
+
+def _value(node: ast.expr) -> Any:
+    """Return a number or text; inf and nan are numbers, as in the repr of a method."""
+    if isinstance(node, ast.Name) and node.id in ("inf", "nan"):
+        return float(node.id)
+    return ast.literal_eval(node)

@@ -1,0 +1,175 @@
+"""Checks of scene options that need more than the type of the value.
+
+They concern the seed, the keyframe, tolerances, report times, lists of forces, the passive
+forces of the robot's file, and the time span that signals and controllers cover.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..common.arrays import Array, as_floats, entries_of, positive
+from ..common.defaults import is_given
+from ..common.errors import InputError, ShapeError
+from ..common.plain_names import brief, listed, one_of
+from ..forces.force import Force
+from ..integrators.methods import DOP853_LEAST, AdaptiveGauss, ErrorControl, Method
+from ..system.system import System
+from .random_state import DURATION
+
+if TYPE_CHECKING:
+    from ..forces.force_model import ForceModel
+
+EVEN_TIMES = 201  # number of evenly spaced report times without the options times and samples
+_COUNTS = np.arange(float(EVEN_TIMES))
+MOST_CALLS = 1_000_000  # calls of one controller in one scene; each call interrupts the integrator
+
+
+def check_keyframe(system: System, name: str) -> str:
+    """Return the name of a keyframe of the robot's file; raise InputError if it has none such."""
+    if not one_of(name, system.keyframes):
+        valid = listed(list(system.keyframes), 60) or "none"
+        raise InputError(
+            f"keyframe: '{system.name}' has no keyframe {brief(name)}; the keyframes are {valid}"
+        )
+    return name
+
+
+def check_seed(seed: Any) -> int:
+    """Return a seed as a whole number; raise InputError if it is negative or not whole."""
+    if isinstance(seed, bool) or not (isinstance(seed, (int, np.integer)) and seed >= 0):
+        raise InputError(f"seed must be a whole number from 0, got {brief(seed)}")
+    return int(seed)
+
+
+def check_tolerances(method: Method, rtol: float, atol: float) -> None:
+    """Reject tolerances that both the scene and its method state.
+
+    Args:
+        method: Integrator of the scene.
+        rtol: Relative tolerance of the scene.
+        atol: Absolute tolerance of the scene.
+
+    Raises:
+        InputError: the scene and the method both have tolerances.
+    """
+    options = [name for name, value in (("rtol", rtol), ("atol", atol)) if is_given(value)]
+    if options and _has_tolerances(method):
+        raise InputError(
+            f"{options[0]} is given beside a method with tolerances of its own, {method}; give "
+            f"{method.name} without rtol and atol to have the scene's, or the scene none"
+        )
+
+
+def with_tolerances(method: Method, rtol: float, atol: float) -> Method:
+    """Return a method with the tolerances of its scene.
+
+    Args:
+        method: Integrator.  It stays unchanged if it has equal steps or its own tolerances.
+        rtol: Relative tolerance; raised to the smallest one that the method can keep.
+        atol: Absolute tolerance.
+
+    Returns:
+        The method with tolerances.
+    """
+    if not isinstance(method, ErrorControl) or _has_tolerances(method):
+        return method
+    least = 0.0 if isinstance(method, AdaptiveGauss) else DOP853_LEAST
+    return replace(method, rtol=max(rtol, least), atol=atol)
+
+
+def _has_tolerances(method: Method) -> bool:
+    return isinstance(method, ErrorControl) and (is_given(method.rtol) or is_given(method.atol))
+
+
+def compute_report_times(times: Any, duration: float | None, system: System) -> Array:
+    """Return the report times of a scene, (T,) [s].
+
+    Args:
+        times: Requested times, or None for EVEN_TIMES evenly spaced ones.
+        duration: Duration of the scene [s], or None.
+        system: System whose own duration is used if neither is stated.
+
+    Returns:
+        (T,): increasing times from 0 or later [s].
+
+    Raises:
+        InputError: the times do not increase, or are outside the duration.
+        ShapeError: `times` is not a vector of finite numbers.
+    """
+    if times is None:
+        default = system.initial.duration if system.initial else DURATION
+        last = default if duration is None else float(duration)
+        even: Array = _COUNTS * (last / _COUNTS[-1])
+        even[-1] = last
+        return even
+    requested = np.atleast_1d(as_floats(times, "times")).copy()
+    end = np.inf if duration is None else float(duration)
+    if requested.ndim != 1 or requested.size == 0 or not np.isfinite(requested).all():
+        raise ShapeError("times must be a vector of finite times")
+    if (np.diff(requested) <= 0.0).any() or requested[0] < 0.0 or requested[-1] > end:
+        raise InputError(
+            f"times must increase from 0 or later to the duration at most ({end:g} s), "
+            f"got {requested[0]:g} … {requested[-1]:g}"
+        )
+    if duration is None:
+        positive(requested[-1], "the last of times, which stands for the duration,")
+    return requested
+
+
+def list_forces(forces: Any) -> tuple[Any, ...]:
+    """Return the option `forces` (a Force, several, or None) as a tuple; raise InputError."""
+    if forces is None or isinstance(forces, Force):
+        return () if forces is None else (forces,)
+    entries = entries_of(forces)
+    if entries is None:
+        raise InputError(f"forces must be a list of those of pinred.forces, got {brief(forces)}")
+    return tuple(entries)
+
+
+def check_passive(passive: Any, friction: Any) -> tuple[bool, float | None]:
+    """Validate the options `passive` and `friction` [rad/s | m/s]; raise InputError."""
+    if not isinstance(passive, bool):
+        raise InputError(f"passive must be True or False, got {passive!r}")
+    if friction is None:
+        return passive, None
+    if isinstance(friction, bool):
+        raise InputError(
+            f"friction must be the width of the smooth law [rad/s | m/s], got {friction!r}"
+        )
+    return passive, positive(friction, "friction")
+
+
+def check_span(model: ForceModel, end: float, *, base: bool) -> None:
+    """Check that a scene has everything that its forces need.
+
+    Args:
+        model: Forces and prescribed joints.
+        end: End of the scene [s].
+        base: Whether the motion of the base is computed.
+
+    Raises:
+        InputError: a signal is not defined over the whole scene, a force observes a base that
+            is not computed, or a controller would be called too often.
+    """
+    for signal in (*model.signals, *model.references):
+        first, last = signal.span
+        if not first <= 0.0 <= end <= last:
+            raise InputError(
+                f"{signal!r} is defined from {first:g} to {last:g} s, "
+                f"but the scene goes from 0 to {end:g} s"
+            )
+    if model.sees_base and not base:
+        raise InputError(
+            "a force or controller sees the base in space, which outputs='shape' leaves out; "
+            "use outputs='all'"
+        )
+    for controller, _ in model.held:
+        if end / controller.period > MOST_CALLS:
+            raise InputError(
+                f"a period of {controller.period:g} s would call {controller.name} more than "
+                f"{MOST_CALLS} times in {end:g} s"
+            )

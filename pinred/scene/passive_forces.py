@@ -1,0 +1,66 @@
+"""Springs, dampers and dry friction of a robot's file: which of them act in a scene."""
+
+from __future__ import annotations
+
+from ..forces.force import Force
+from ..system.passive import Damper, Friction, Spring
+from ..system.system import System
+
+
+def acting_passive(system: System, *, passive: bool, friction: float | None) -> tuple[Force, ...]:
+    """Return the forces of the robot's file that act.
+
+    Args:
+        system: System with the forces of its file.
+        passive: Whether springs and dampers act.
+        friction: Width of the smooth friction law [rad/s | m/s]; None for no friction.
+
+    Returns:
+        The forces, with friction in its smooth form.
+    """
+    acting: list[Force] = []
+    for force in system.passive:
+        if not isinstance(force, Friction):
+            if passive:
+                acting.append(force)
+        elif friction is not None:
+            acting.append(force.smoothed(friction))
+    return tuple(acting)
+
+
+def passive_left_out(
+    system: System, *, passive: bool = False, friction: float | None = None, who: str = "the run"
+) -> str:
+    """Describe the forces of the robot's file that do not act.
+
+    Args:
+        system: System with the forces of its file.
+        passive: Whether springs and dampers act.
+        friction: Width of the smooth friction law [rad/s | m/s]; None for no friction.
+        who: Subject of the sentence.
+
+    Returns:
+        A sentence with the options that make them act; empty if all forces act.
+    """
+    springs = [f for f in system.passive if not passive and not isinstance(f, Friction)]
+    rubbing = [f for f in system.passive if friction is None and isinstance(f, Friction)]
+    omitted = [*springs, *rubbing]
+    if not omitted:
+        return ""
+    counts = [
+        f"{count} {singular if count == 1 else plural}"
+        for kind, singular, plural in (
+            (Damper, "damper", "dampers"),
+            (Spring, "spring", "springs"),
+            (Friction, "joint with dry friction", "joints with dry friction"),
+        )
+        if (count := sum(isinstance(force, kind) for force in omitted))
+    ]
+    names = counts[0] if len(counts) == 1 else f"{', '.join(counts[:-1])} and {counts[-1]}"
+    pronoun = "it" if len(omitted) == 1 else "them"
+    hints = []
+    if springs:
+        hints.append(f"passive=True uses {'springs and dampers' if rubbing else pronoun}")
+    if rubbing:
+        hints.append(f"friction=WIDTH uses {'the friction' if springs else pronoun}")
+    return f"the file has {names}; {who} leaves {pronoun} out ({', '.join(hints)})"

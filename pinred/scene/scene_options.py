@@ -1,0 +1,243 @@
+"""The options of a Scene, each described once.
+
+A field of SceneFields holds the Python type, the default, the meaning with its unit, the value
+type in scene files, and the name on the command line.  Scene, the keys of scene files, their
+JSON Schema, the command line and docs/scenes.md are derived from it.  SceneOptions repeats the
+types, because type checkers cannot derive a TypedDict from a dataclass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from textwrap import fill
+from typing import Any, Literal, TypeAlias, TypedDict, get_args
+
+from numpy.typing import ArrayLike
+
+from ..common.defaults import Default
+from ..forces.force import Force
+from ..forces.signals import Signal
+from ..integrators.methods import Method
+from ..system.system import System
+from .event import EVENT_TABLE, Event
+from .option_checks import EVEN_TIMES
+from .random_state import DURATION
+from .toml.force_kinds import FORCE
+from .toml.method_tables import METHOD, METHOD_NAMES
+from .toml.parameter_tables import NamedNumbers
+from .toml.schema import ByName, Either, Flag, Key, ListOf, Node, Text, Whole
+from .toml.signal_tables import NUMBER, NUMBERS, POSITIVE, SHAPE, SIGNAL
+
+Engine: TypeAlias = Literal["compiled", "pinocchio"]
+WantedOutputs: TypeAlias = Literal["all", "shape"]
+ENGINES: tuple[Engine, ...] = get_args(Engine)
+OUTPUTS: tuple[WantedOutputs, ...] = get_args(WantedOutputs)
+BY_JOINT = "V1,V2,… or J1=V1,…"  # command-line format of values in joint order or by joint
+_VECTOR = "V1,V2,…"  # command-line format of a vector
+_STATE = ("x0", "xdot0", "xi0", "momentum", "q0", "v0")
+_MOST_SAMPLES = 1_000_000  # largest number of report times in a scene file
+
+
+@dataclass(frozen=True)
+class Option(Key):
+    """The description of a scene option.
+
+    Attributes:
+        node: Type of the value in scene files.
+        text: Meaning, with unit.
+        required: Not used; every option has a default.
+        default: Value without the option, in words.
+        formats: Accepted values in Python, beyond the annotated type.
+        table: Table of the option in scene files; "" for the top level.
+        command: Name and value format on the command line, such as "--time T"; "" for none.
+        replaces: Options that cannot be combined with this one, because it sets them too.
+        scope: The quantities that this option sets in their place.
+    """
+
+    formats: str = ""
+    table: str = ""
+    command: str = ""
+    replaces: tuple[str, ...] = ()
+    scope: str = ""
+
+
+def _option(node: Node, text: str, default: str = "none", **more: Any) -> dict[str, Option]:
+    """Return the metadata of a field; the arguments are those of Option."""
+    return {"option": Option(node, text, default=default, **more)}
+
+
+class SceneOptions(TypedDict, total=False):
+    """The fields of Scene except its system, for functions that take them as `**options`."""
+
+    x0: ArrayLike | Mapping[str, ArrayLike] | None
+    xdot0: ArrayLike | Mapping[str, ArrayLike] | None
+    xi0: ArrayLike | None
+    momentum: ArrayLike | None
+    seed: int | None
+    keyframe: str | None
+    pose0: Any
+    q0: ArrayLike | None
+    v0: ArrayLike | None
+    duration: float | None
+    times: ArrayLike | None
+    rtol: float
+    atol: float
+    springs: Mapping[str, tuple[float, float]]
+    forces: Sequence[Force] | Force
+    prescribed: Mapping[str, Signal | float | str]
+    passive: bool
+    friction: float | None
+    parameters: Any
+    events: Sequence[Event] | Event
+    outputs: WantedOutputs
+    method: Method | str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SceneFields:
+    """The fields of Scene, with the description of each option in the metadata."""
+
+    system: System
+    x0: ArrayLike | Mapping[str, ArrayLike] | None = field(default=None, metadata=_option(
+        SHAPE, "initial shape [rad | m]; if joints are named, the others are at zero",
+        default="the robot's own, or zero if xdot0 is stated", formats="(m,), or {joint: value}",
+        table="start", command=f"--x0 {BY_JOINT}",
+    ))  # fmt: skip
+    xdot0: ArrayLike | Mapping[str, ArrayLike] | None = field(default=None, metadata=_option(
+        SHAPE, "initial shape rate [rad/s | m/s]; if joints are named, the others have rate zero",
+        default="the robot's own, or zero if x0 is stated", formats="(m,), or {joint: value}",
+        table="start", command=f"--xdot0 {BY_JOINT}",
+    ))  # fmt: skip
+    xi0: ArrayLike | None = field(default=None, metadata=_option(
+        NUMBERS, "initial body twist of the base, [linear; angular] [m/s; rad/s]",
+        default="the robot's own if its shape and rate are, else zero", formats="(r,)",
+        table="start", command=f"--xi0 {_VECTOR}",
+    ))  # fmt: skip
+    momentum: ArrayLike | None = field(default=None, metadata=_option(
+        Either((NUMBER, NUMBERS)),
+        "initial body momentum, [linear; angular] [N·s; N·m·s], or 0 for zero momentum",
+        default="computed from xi0", formats="(r,), or 0", table="start",
+        command=f"--momentum {_VECTOR}", replaces=("xi0",),
+    ))  # fmt: skip
+    seed: int | None = field(default=None, metadata=_option(
+        Whole(), "seed of a random initial state, which replaces all of the state except pose0",
+        table="start", command="--seed S", replaces=_STATE,
+        scope="a whole random state",
+    ))  # fmt: skip
+    keyframe: str | None = field(default=None, metadata=_option(
+        Text((), "the name of a keyframe"),
+        "name of a state in an MJCF file, which replaces all of the state except pose0",
+        formats="a name in System.keyframes", table="start",
+        command="--keyframe K", replaces=(*_STATE, "seed"), scope="a whole state",
+    ))  # fmt: skip
+    pose0: Any = field(default=None, metadata=_option(
+        NUMBERS,
+        "initial pose of the base, in the order of Trajectory.pose [m; rad or quaternion]",
+        default="identity", formats="(size,)", table="start", command=f"--pose0 {_VECTOR}",
+    ))  # fmt: skip
+    q0: ArrayLike | None = field(default=None, metadata=_option(
+        NUMBERS, "initial configuration in Pinocchio's order, which replaces x0 and pose0",
+        formats="(nq,), with angles in (−π, π]", table="start",
+        command=f"--q0 {_VECTOR}", replaces=("x0", "pose0"), scope="shape and pose",
+    ))  # fmt: skip
+    v0: ArrayLike | None = field(default=None, metadata=_option(
+        NUMBERS, "initial velocity in Pinocchio's order, which replaces xdot0, xi0 and momentum",
+        formats="(n,)", table="start", command=f"--v0 {_VECTOR}",
+        replaces=("xdot0", "xi0", "momentum"), scope="shape rate and body twist",
+    ))  # fmt: skip
+    duration: float | None = field(default=None, metadata=_option(
+        POSITIVE, "time to simulate [s]",
+        default=f"the last of times, else the robot's own, else {DURATION:g}", table="run",
+        command="--time T",
+    ))  # fmt: skip
+    times: ArrayLike | None = field(default=None, metadata=_option(
+        NUMBERS, "report times [s], increasing", default=f"{EVEN_TIMES} evenly spaced ones",
+        formats="(T,)", table="run",
+    ))  # fmt: skip
+    rtol: float = field(default=Default(1e-10), metadata=_option(
+        POSITIVE, "relative tolerance of a step; omit it if the method has its own tolerances",
+        default="1e-10", table="run", command="--rtol TOL",
+    ))  # fmt: skip
+    atol: float = field(default=Default(1e-12), metadata=_option(
+        POSITIVE, "absolute tolerance of a step; omit it if the method has its own tolerances",
+        default="1e-12", table="run", command="--atol TOL",
+    ))  # fmt: skip
+    springs: Mapping[str, tuple[float, float]] = field(default_factory=dict, metadata=_option(
+        ByName(ListOf(NUMBER, 2)),
+        "springs at joints, each a pair of stiffness [N·m/rad | N/m] and rest position [rad | m]",
+        formats="{joint: (stiffness, rest)}, short for pinred.forces.Spring",
+        command="--spring J=K,REST",
+    ))  # fmt: skip
+    forces: Sequence[Force] | Force = field(default=(), metadata=_option(
+        ListOf(FORCE), "forces on joints, base and links",
+        formats="forces of pinred.forces",
+    ))  # fmt: skip
+    prescribed: Mapping[str, Signal | float | str] = field(default_factory=dict, metadata=_option(
+        ByName(SIGNAL),
+        "joints with a prescribed motion [rad | m]: a number, or a function of time such as "
+        "0.4*sin(t)", formats="{joint: Signal, number, or formula in t}",
+        command="--prescribed J=PLAN",
+    ))  # fmt: skip
+    passive: bool = field(default=False, metadata=_option(
+        Flag(), "let the springs and dampers of the robot's file act", default="false",
+        command="--passive",
+    ))  # fmt: skip
+    friction: float | None = field(default=None, metadata=_option(
+        POSITIVE,
+        "let the dry friction of the robot's file act as −most·tanh(rate/WIDTH), with this "
+        "width [rad/s | m/s]", default="no friction", command="--friction WIDTH",
+    ))  # fmt: skip
+    parameters: Any = field(default_factory=dict, metadata=_option(
+        NamedNumbers(),
+        "values of robot parameters, such as hand.mass (docs/flow.md), and of the parameters "
+        "in formulas", formats="{name: value}, a list of names, or 'all'",
+    ))  # fmt: skip
+    events: Sequence[Event] | Event = field(default=(), metadata=_option(
+        ListOf(EVENT_TABLE), "events to detect; a terminal event ends the motion",
+    ))  # fmt: skip
+    outputs: WantedOutputs = field(default="all", metadata=_option(
+        Text(OUTPUTS), "outputs to compute: all, or shape to omit the motion of the base",
+        default="all", table="run", command="--outputs O",
+    ))  # fmt: skip
+    method: Method | str = field(default="auto", metadata=_option(
+        METHOD,
+        f"integrator of the compiled engine: {', '.join(METHOD_NAMES)}; with options, such "
+        "as Gauss(0.01, 8)", default="auto", formats="a method of pinred, or text", table="run",
+        command="--method M",
+    ))  # fmt: skip
+
+
+SCENE_OPTIONS: dict[str, Option] = {
+    entry.name: entry.metadata["option"]
+    for entry in fields(SceneFields)
+    if "option" in entry.metadata
+}
+# Options of scene files and commands that are not fields of a Scene.
+RUN_OPTIONS = {
+    "samples": Option(
+        Whole(2, _MOST_SAMPLES), "number of evenly spaced report times", default=str(EVEN_TIMES),
+        table="run", command="--samples N", replaces=("times",),
+    ),
+    "engine": Option(
+        Text(ENGINES),
+        "engine: compiled for machine code, pinocchio for Pinocchio with SciPy's DOP853",
+        default=ENGINES[0], table="run", command="--engine E",
+    ),
+}  # fmt: skip
+
+
+def list_conflicts(options: Mapping[str, Option]) -> list[tuple[str, str]]:
+    """Return the pairs of options that cannot be combined."""
+    return [(other, name) for name, option in options.items() for other in option.replaces]
+
+
+def describe_fields(options: Mapping[str, Option]) -> str:
+    """Return the section `Attributes` of the docstring of Scene."""
+    lines = ["    Attributes:", "        system: The system to simulate."]
+    for name, option in options.items():
+        formats = f"{option.formats}.  " if option.formats else ""
+        text = option.text[0].upper() + option.text[1:]
+        line = f"{name}: {formats}{text}.  Default: {option.default}."
+        lines.append(fill(line, 100, initial_indent=8 * " ", subsequent_indent=12 * " "))
+    return "\n".join(lines)

@@ -1,0 +1,127 @@
+"""Numbers, formulas and signals in scene files: their keys, and the reader of signals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ...common.errors import PinredError
+from ...forces.signals import Constant, Expression, Fourier, Hold, Linear, Signal, Spline
+from ...forces.signals.tabulated import ENDS
+from .csv_columns import read_columns
+from .file_place import Place, naming
+from .schema import ByName, Either, Key, ListOf, Named, Number, Table, Text, Whole
+
+NUMBER, POSITIVE = Number(), Number(positive=True)
+NUMBERS = ListOf(NUMBER)
+PER_JOINT = Named("per_joint", Either((NUMBER, ByName(NUMBER))))
+SHAPE = Named("shape", Either((NUMBERS, ByName(NUMBER))))
+_TABULATED: dict[str, Callable[..., Signal]] = {"spline": Spline, "linear": Linear, "hold": Hold}
+
+
+def _tabulated(words: str, **more: Key) -> Table:
+    """Return the table of a signal through points that stand in the scene or in a csv file."""
+    columns = ListOf(Either((Text((), "a name"), Whole())), 2)
+    keys = {
+        "times": Key(NUMBERS, "strictly increasing times [s], at most 1000"),
+        "values": Key(NUMBERS, "signal values, one for each time"),
+        "file": Key(Text(), "csv file with the times and values, relative to this file"),
+        "columns": Key(
+            columns,
+            "csv columns of time and value, as two names in the header or two indices from 0",
+            default="[0, 1]",
+        ),
+        **more,
+    }
+    return Table(
+        keys,
+        words,
+        needs={"times": "values", "values": "times", "columns": "file"},
+        one_of=("times", "file"),
+    )
+
+
+_END = Key(Text(ENDS), "condition at both ends of the spline", default=ENDS[0])
+_FOURIER = Table(
+    {
+        "mean": Key(NUMBER, "mean value", default="0"),
+        "cosines": Key(NUMBERS, "amplitudes of cos(2πk t/period), k from 1", default="none"),
+        "sines": Key(NUMBERS, "amplitudes of sin(2πk t/period), k from 1", default="none"),
+        "period": Key(POSITIVE, "period [s]", required=True),
+    },
+    "a Fourier series",
+)
+_KINDS = {
+    "spline": Key(_tabulated("a cubic spline", end=_END), "cubic spline through points"),
+    "linear": Key(_tabulated("straight lines"), "linear interpolation between points"),
+    "hold": Key(_tabulated("steps"), "zero-order hold: each value is kept until the next time"),
+    "fourier": Key(_FOURIER, "mean + Σ aₖ cos(2πk t/period) + bₖ sin(2πk t/period)"),
+}
+SIGNAL_TABLE = Named("signal_table", Table(_KINDS, "a signal table", one_of=tuple(_KINDS)))
+SIGNAL = Named("signal", Either((NUMBER, Text((), "a formula in t"), SIGNAL_TABLE)))
+_FORMULA = Text((), "a formula in t, x, xdot and mu")
+ACTION = Named("action", Either((NUMBER, _FORMULA, SIGNAL_TABLE)))
+
+
+class SignalReader:
+    """A reader of the signals in one file, which remembers the place of each signal.
+
+    Args:
+        folder: Folder to which the names of csv files are relative.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Store the folder."""
+        self._folder = folder
+        self._places: list[tuple[Signal, Place]] = []
+
+    def motion(self, value: Any, place: Place) -> Signal:
+        """Convert a validated value to a Signal; a number becomes a constant signal.
+
+        Args:
+            value: Number, formula in t, or signal table.
+            place: Its place in the file.
+
+        Returns:
+            The signal.
+
+        Raises:
+            InputError: the signal is not defined; the message names the place.
+            LoadError: a csv file cannot be read.
+        """
+        signal = self.value(value, place)
+        return signal if isinstance(signal, Signal) else self._remember(Constant(signal), place)
+
+    def value(self, value: Any, place: Place) -> Signal | float:
+        """Convert a validated value to a Signal, but return a number unchanged (see motion)."""
+        if isinstance(value, float):
+            return value
+        if isinstance(value, str):
+            with naming(place):
+                return self._remember(Expression(value), place)
+        ((kind, table),) = value.items()
+        place = place / kind
+        options = dict(table)
+        if "file" in options:
+            columns = options.pop("columns", [0, 1])
+            with naming(place / "file"):
+                points = read_columns(self._folder / options.pop("file"), columns)
+            options |= {"times": points[:, 0], "values": points[:, 1]}
+        with naming(place):
+            if kind == "fourier":
+                options = {"mean": 0.0, "cosines": [], "sines": [], **options}
+                return self._remember(Fourier(**options), place)
+            return self._remember(_TABULATED[kind](**options), place)
+
+    def of_error(self, error: PinredError) -> tuple[Place, str] | None:
+        """Return the place of the signal that an error names, and the message without it."""
+        text = str(error)
+        for signal, place in self._places:
+            if repr(signal) in text:
+                return place, text.replace(repr(signal), f"this {type(signal).__name__}")
+        return None
+
+    def _remember(self, signal: Signal, place: Place) -> Signal:
+        self._places.append((signal, place))
+        return signal
