@@ -151,7 +151,7 @@ def test_refusals() -> None:
     refused(r"parameters\['back.com'\] must have shape", parameters={"back.com": [1.0]})
     refused("are one body's", parameters={"back.mass": 1.0, f"{cat.model.names[4]}.mass": 1.0})
     refused(
-        "says all of a body; leave out 'back.mass'",
+        "sets all of a body; leave out 'back.mass'",
         parameters={"back.mass": 1.0, "back.log_cholesky": np.zeros(10)},
     )
 
