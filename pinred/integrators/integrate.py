@@ -1,9 +1,8 @@
-"""integrate(): one run of a stepper, and its Solution."""
+"""integrate(): one run of a method from checked arguments."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +18,7 @@ from ..common.errors import (
     TooManySteps,
 )
 from .methods.method import Method
+from .solution import Solution, checked_times
 from .stepping.run_record import (
     AUTO,
     DIVERGED,
@@ -26,12 +26,13 @@ from .stepping.run_record import (
     ENDS_KEPT,
     FIXED_POINT,
     FULL,
+    LAYOUT,
     NOT_FINITE,
     NOTHING_KEPT,
+    STAGES_KEPT,
     UNDERFLOW,
     WANTED,
     Runs,
-    copied,
     new_run,
 )
 from .stepping.state_rows import Y
@@ -40,71 +41,10 @@ Progress = Callable[[float], None]
 Tangent = Callable[[], int]
 Canonical = tuple[int, int]
 
+# Step ends for which there is room at first.
 _FIRST_KNOTS = 128
-
-
-@dataclass(frozen=True)
-class Solution:
-    """A run: the states at the times asked for, and what gives those at any other time.
-
-    times: (T,) [s].  y: (T, n).  steps, rejected, evaluations: what it cost.
-    knots: (K,) times of the ends of all steps [s].  states: (K, n) there; a quaternion in
-    them has the length that the step has left, `at` gives it length one.  complete: whether the
-    run came to its end, and was not stopped before by who watched it.
-    The kernel has to stay in memory as long as `at` is called.
-    """
-
-    method: Method
-    times: Array
-    y: Array
-    steps: int
-    rejected: int
-    evaluations: int
-    knots: Array
-    states: Array
-    complete: bool
-    _stored: Array = field(repr=False)
-    _params: Array = field(repr=False)
-    _run: Runs = field(repr=False)
-
-    @property
-    def stored(self) -> Array:
-        """The states at the knots with what is kept of the stages that led there, (K, n + …)."""
-        return self._stored
-
-    def at(self, times: ArrayLike) -> Array:
-        """Return the states (T, n) at times (T,) in any order, as if they had been asked for.
-
-        Only the steps around these times are computed again.  Raises InputError, and NoConvergence
-        if an implicit step to one of them has no solution that could be found.
-        """
-        asked = checked_times(times, float(self.knots[-1]), ordered=False)
-        order = np.argsort(asked, kind="stable")
-        n = self.states.shape[1]
-        out = np.empty((len(asked), n))
-        stepper, run = self.method.stepper(), copied(self._run)
-        stepper.loops.recall(
-            run,
-            self._params,
-            stepper.work(n, tangent=run["tangent"].item() > 0),
-            read_only(asked[order]),
-            out,
-            self.knots,
-            self._stored,
-        )
-        lost = np.flatnonzero(np.isnan(out).any(axis=1))
-        if lost.size:
-            time = float(asked[order][lost[0]])
-            before = self.states[np.searchsorted(self.knots, time) - 1]
-            raise NoConvergence(
-                f"the state at t = {time:g} s, within a step, has no solution that could be "
-                "found: take shorter steps",
-                time,
-                before,
-            )
-        y = np.empty_like(out)
-        y[order] = out
-        return y
+# Largest size of a solution with stored stage derivatives [bytes].
+MOST_STAGE_BYTES = 1 << 25
 
 
 def integrate(
@@ -119,94 +59,143 @@ def integrate(
     tangent: Tangent | None = None,
     canonical: Canonical = (0, 0),
 ) -> Solution:
-    """Integrate ẏ = f(y, params) from y0 (n,) at time 0 to t_end [s].
+    """Integrate ẏ = f(y, params) from y0 to t_end.
 
-    address: of the kernel of f.  params: (p,), all that f needs.
-    times: (T,) sorted, within [0, t_end]: when the state is wanted.
-    quaternion: index of the first of the four numbers in y that are a quaternion
-        (x, y, z, w), −1 for none; its rate is ½ q ω with the body's angular velocity ω.
-    progress: called now and then with the part of the time that is done, 0 to 1.
-    tangent: gives the address of the kernel of ∂f/∂y (see call_tangent); called at most once,
-        when the method wants it.
-    canonical: how many of y are positions, with as many momenta behind them, and how many
-        parameters are the constant momentum J with q̄ J q in the equations: for Variational.
-
-    Raises InputError, and StepSizeUnderflow, NonFiniteState, NoConvergence or TooManySteps with
-    the time and the state at which the run stopped.
+    Args:
+        method: Method with its options.
+        address: Address of a kernel of f. Kernels for Gauss and AdaptiveGauss evaluate method.lanes
+            states at once: entry i of state j is number i·lanes + j.
+        params: Parameters, (p,).
+        y0: Initial state, (n,).
+        t_end: End time [s].
+        times: Sorted report times within [0, t_end], (T,) [s].
+        quaternion: Index of the first of a quaternion's four entries (x, y, z, w) in y, −1 for
+            none. Its rate is ½ q ω with the body angular velocity ω.
+        progress: Called repeatedly with the finished fraction of the time, 0 to 1.
+        tangent: Function that returns the address of the kernel of ∂f/∂y (see call_tangent). It is
+            called at most once, when the method needs it.
+        canonical: Number of positions in y, which as many momenta follow, and number of parameters
+            that are the constant momentum J with q̄ J q in the equations; for Variational.
+    Returns:
+        The run.
+    Raises:
+        InputError: An argument is invalid.
+        StepSizeUnderflow: The tolerance requires steps below round-off.
+        NonFiniteState: A rate or a state is not finite.
+        NoConvergence: An implicit step was not solved.
+        TooManySteps: The run exceeds the limit on trial steps.
     """
     end = positive(t_end, "t_end")
     check_kernel(address)
     state = as_floats(y0, "y0")
     check_state(state, quaternion, "y0", 1)
-    asked = checked_times(times, end, ordered=True)
-    frozen = read_only(np.array(as_floats(params, "params")))
-    return integrate_checked(
-        method, address, frozen, state, end, asked, quaternion, progress, tangent, canonical
+    checked = checked_times(times, end, ordered=True)
+    copied_params = read_only(np.array(as_floats(params, "params")))
+    integration = Integration(
+        method, address, len(state), end, checked, quaternion, canonical, tangent
     )
+    return integration(copied_params, state, progress=progress)
 
 
-def integrate_checked(
-    method: Method,
-    address: int,
-    params: Array,
-    y0: Array,
-    end: float,
-    times: Array,
-    quaternion: int,
-    progress: Progress | None,
-    tangent: Tangent | None = None,
-    canonical: Canonical = (0, 0),
-    watch: Callable[[Solution], bool] | None = None,
-) -> Solution:
-    """Integrate as `integrate` does, with arguments that are known to be right.
+class Integration:
+    """A prepared integration over one time span, for any initial state and parameters."""
 
-    params and times are not changed by anybody afterwards.  watch: is given what there is now and
-    then, and before a failure, and says whether to stop there; then the Solution is not complete.
-    """
-    n = y0.shape[0]
-    stepper = method.stepper()
-    run = begun_by(method, address, n, end, quaternion, canonical, keep=ENDS_KEPT)
-    if stepper.needs_tangent:
-        give_tangent(tangent, method, run)
-    work = stepper.work(n)
-    work[Y, :n] = y0
-    out = np.empty((len(times), n))
-    knots, states = np.empty(_FIRST_KNOTS), np.empty((_FIRST_KNOTS, stepper.kept * n))
+    def __init__(
+        self,
+        method: Method,
+        address: int,
+        n: int,
+        end: float,
+        times: Array,
+        quaternion: int = -1,
+        canonical: Canonical = (0, 0),
+        tangent: Tangent | None = None,
+    ) -> None:
+        """Prepare what all runs share; the arguments are not checked.
 
-    def so_far(*, complete: bool) -> Solution:
-        steps = run["steps"].item()
-        stored = read_only(states[: steps + 1])
-        told = len(times) if complete else run["next"].item()
-        return Solution(
-            method=method,
-            times=times[:told],
-            y=read_only(out[:told]),
-            steps=steps,
-            rejected=run["rejected"].item(),
-            evaluations=run["evaluations"].item(),
-            knots=read_only(knots[: steps + 1]),
-            states=stored[:, :n],
-            complete=complete,
-            _stored=stored,
-            _params=params,
-            _run=run,
-        )
+        Args:
+            method: Integrator.
+            address: Address of the kernel of f.
+            n: Length of the state.
+            end: End time [s].
+            times: Report times, (T,) sorted and read-only [s].
+            quaternion: As for `integrate`.
+            canonical: As for `integrate`.
+            tangent: As for `integrate`.
 
-    status = -1
-    while status != DONE:
-        status = stepper.loops.advance(run, params, work, times, out, knots, states)
-        if status != DONE and watch is not None and run["steps"] and watch(so_far(complete=False)):
-            return so_far(complete=False)
-        if status == FULL:
-            knots, states = _doubled(knots), _doubled(states)
-        elif status == WANTED:
+        Raises:
+            InputError: The method needs a derivative, and `tangent` is None.
+        """
+        self.times = times
+        self._method, self._n, self._end, self._tangent = method, n, end, tangent
+        self._stepper = stepper = method.stepper()
+        run = begun_by(method, address, n, end, quaternion, canonical, keep=ENDS_KEPT)
+        if stepper.needs_tangent:
             give_tangent(tangent, method, run)
-            work = stepper.widened(n, work)
-        elif status >= UNDERFLOW:
-            raise failure(status, run, work[Y, :n].copy())
-        if progress is not None:
-            progress(run["t"].item() / end)
-    return so_far(complete=True)
+        self._registers, self._work, self._room = run.tobytes(), stepper.work(n), _FIRST_KNOTS
+
+    def __call__(
+        self,
+        params: Array,
+        y0: Array,
+        *,
+        stages: bool = False,
+        progress: Progress | None = None,
+        watch: Callable[[Solution], bool] | None = None,
+    ) -> Solution:
+        """Return the solution from y0 (n,) at time 0.
+
+        Args:
+            params: Parameters of the kernel, (p,); nobody changes them afterwards.
+            y0: Initial state, (n,).
+            stages: Whether to store stage derivatives for the backward pass, as long as they take
+                at most MOST_STAGE_BYTES.
+            progress: Called now and then with the fraction of the time that is done.
+            watch: Called with the solution so far, now and then and before a failure; if it
+                returns True, the integration stops there and the solution is not complete.
+
+        Returns:
+            The solution.
+
+        Raises:
+            IntegrationError: The integration failed; see `integrate`.
+        """
+        n, times, room, stepper = self._n, self.times, self._room, self._stepper
+        run, work = np.frombuffer(bytearray(self._registers), LAYOUT), self._work.copy()
+        work[Y, :n] = y0
+        width = (stepper.kept + stepper.stages * stages) * n
+        if stages and 8 * room * width > MOST_STAGE_BYTES:
+            stages, width = False, stepper.kept * n
+        if stages:
+            run["keep"] = STAGES_KEPT
+        out, knots, rows = np.empty((len(times), n)), np.empty(room), np.empty((room, width))
+        advance = stepper.loops.advance
+        while True:
+            status = advance(run, params, work, times, out, knots, rows)
+            if status == DONE:
+                if progress is not None:
+                    progress(run["t"].item() / self._end)
+                return Solution(self._method, times, read_only(out), True, params, run, knots, rows)
+            if watch is not None and run["steps"]:
+                told = run["next"].item()
+                part = Solution(
+                    self._method, times[:told], read_only(out[:told]), False, params, run, knots,
+                    rows,
+                )  # fmt: skip
+                if watch(part):
+                    return part
+            if status == FULL:
+                self._room = 2 * len(knots)
+                if stages and 8 * self._room * width > MOST_STAGE_BYTES:
+                    return self(params, y0, progress=progress, watch=watch)
+                knots, rows = _doubled(knots), _doubled(rows)
+            elif status == WANTED:
+                give_tangent(self._tangent, self._method, run)
+                work = stepper.widened(n, work)
+            elif status >= UNDERFLOW:
+                raise failure(status, run, work[Y, :n].copy())
+            if progress is not None:
+                progress(run["t"].item() / self._end)
 
 
 def begun_by(
@@ -218,7 +207,7 @@ def begun_by(
     canonical: Canonical,
     keep: int = NOTHING_KEPT,
 ) -> Runs:
-    """Return the registers of a run to `end` [s] before its first step."""
+    """Return the registers of a run to `end` [s] before its first step; keep: stored data."""
     pairs, spin = canonical
     return new_run(
         address=address,
@@ -233,7 +222,15 @@ def begun_by(
 
 
 def failure(status: int, run: Runs, state: Array) -> IntegrationError:
-    """Return the error for a status of `advance`; state: (n,) at the last time reached."""
+    """Return the error for a status of `advance`.
+
+    Args:
+        status: The status.
+        run: Registers of the run.
+        state: State at the last time reached, (n,).
+    Returns:
+        The error.
+    """
     end = run[0]
     time, entry = end["t"].item(), end["entry"].item()
     where = f"t = {time:g} s of {end['t_end']:g} s"
@@ -262,15 +259,20 @@ def failure(status: int, run: Runs, state: Array) -> IntegrationError:
 
 
 def check_kernel(address: int) -> None:
-    """Check what can be checked of a kernel's address.  Raises InputError."""
+    """Raise InputError if an address cannot be that of a kernel."""
     if isinstance(address, bool) or not isinstance(address, int) or address <= 0:
         raise InputError(f"address must be the address of a kernel, got {address!r}")
 
 
 def give_tangent(tangent: Tangent | None, method: Method, run: Runs) -> None:
-    """Give a run the kernel of the derivative; without one it has to do by fixed points.
+    """Set the derivative kernel of a run; without one, the run uses fixed-point iteration.
 
-    Raises InputError if it cannot.
+    Args:
+        tangent: Function that returns its address, or None.
+        method: Method of the run.
+        run: Registers, changed in place.
+    Raises:
+        InputError: The method needs the derivative and there is none.
     """
     if tangent is not None:
         address = tangent()
@@ -283,7 +285,17 @@ def give_tangent(tangent: Tangent | None, method: Method, run: Runs) -> None:
 
 
 def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
-    """Check initial states (…, n) with n > 0, and where the quaternion is.  Raises InputError."""
+    """Check initial states and the position of the quaternion.
+
+    Args:
+        y0: Initial states, (…, n).
+        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        what: Name of the argument in messages.
+        ndim: Expected number of axes.
+    Raises:
+        ShapeError: The shape is wrong or a number is not finite.
+        InputError: The quaternion is outside of the state or zero.
+    """
     if y0.ndim != ndim or y0.shape[-1] == 0:
         shape = "(n,)" if ndim == 1 else "(N, n)"
         raise ShapeError(f"{what} must have shape {shape} with n > 0, got {y0.shape}")
@@ -296,19 +308,6 @@ def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
         )
     if quaternion >= 0 and not y0[..., quaternion : quaternion + 4].any(axis=-1).all():
         raise InputError(f"the quaternion in {what} is zero")
-
-
-def checked_times(times: ArrayLike, t_end: float, *, ordered: bool) -> Array:
-    """Return times as a read-only array (T,) within [0, t_end].  Raises InputError."""
-    asked = np.array(as_floats(times, "times"))
-    if asked.ndim != 1:
-        raise ShapeError(f"times must have shape (T,), got {asked.shape}")
-    if asked.size:
-        if not (asked.min() >= 0.0 and asked.max() <= t_end):  # NaN is outside too
-            raise InputError(f"times must lie between 0 and {t_end:g} s, got {asked}")
-        if ordered and (asked[1:] < asked[:-1]).any():
-            raise InputError(f"times must be sorted, got {asked}")
-    return read_only(asked)
 
 
 def _doubled(array: Array) -> Array:
