@@ -124,7 +124,7 @@ def test_recorded_data(suffix: str, tmp_path: Path) -> None:
     close(gait.at(0.333)[0], ELLIPSE.at(0.333)[0], 1e-5)
     assert Gait.read(path, period=1.0).period == pytest.approx(1.0)
     x[-1] += 1e-3
-    with pytest.raises(pinred.InputError, match="no closed path"):
+    with pytest.raises(pinred.InputError, match="not a closed path"):
         Gait.read(write(path, t, x))
 
 
