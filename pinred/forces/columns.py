@@ -11,8 +11,8 @@ from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..system.coupling import following
 from ..system.force_interface import Load, SeenState
 from ..system.system import System
-from .by_name import Column
 from .force import Symbols, Terms
+from .named_arrays import Column
 
 
 def symbols_of(system: System, within: ca.SX | None) -> tuple[Symbols, tuple[ca.SX, ...]]:

@@ -16,6 +16,7 @@ import pinocchio as pin
 from numpy.polynomial import legendre
 
 from ..common.arrays import Array, freeze
+from ..forces.acting import ForceInputs
 from ..system.joints import axes_of
 from ..system.state_fields import State, with_base
 from .driving_torques import driving_torques
@@ -101,7 +102,7 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
         out = np.empty((len(t), len(labels)))
         for k, (s, numbers) in enumerate(seen):
             out[k, : len(forces.labels)] = forces.powers(
-                float(t[k]), s.x, s.xdot, s.xi, s.mu, numbers, full.xi[k], s.base
+                ForceInputs(float(t[k]), s.x, s.xdot, s.xi, s.mu, numbers, s.base), full.xi[k]
             )
         if forces.joints:
             drive = driving_torques(plan, t, seen)
@@ -129,7 +130,9 @@ def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalan
             out[k] = axes.T @ (parts.reshape(2, 3) @ rotation).ravel()
         if forces is not None and plan.acting.wrench:
             body = [
-                forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers, s.base).wrench
+                forces.acting(
+                    ForceInputs(float(time), s.x, s.xdot, s.xi, s.mu, numbers, s.base)
+                ).wrench
                 for time, (s, numbers) in zip(t, motion.samples(t), strict=True)
             ]
             out += system.group.spatial_momentum(full.pose, np.array(body))

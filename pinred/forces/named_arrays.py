@@ -55,7 +55,7 @@ class Vector(np.ndarray[tuple[int], np.dtype[np.float64]]):
     def of(cls, numbers: Array, joints: tuple[str, ...], what: str) -> Vector:
         """Return a copy of numbers with the names of the joints and what an error calls it."""
         vector = np.array(numbers, dtype=float).view(cls)
-        vector._joints, vector._what = joints, what
+        vars(vector).update(_joints=joints, _what=what)
         return vector
 
     def __getitem__(self, key: Any) -> Any:

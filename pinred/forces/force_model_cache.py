@@ -22,7 +22,7 @@ from .signals import Constant, Expression, Signal
 _REMEMBERED = 16  # models of one system
 
 
-def remembered_model(
+def cached_force_model(
     system: System,
     springs: Mapping[str, tuple[float, float]],
     forces: Sequence[Force],
@@ -52,7 +52,7 @@ def remembered_model(
         freed,
         links,
     )
-    models: dict[Hashable, tuple[ForceModel, object]] = once(own, remembered_model, dict)
+    models: dict[Hashable, tuple[ForceModel, object]] = once(own, cached_force_model, dict)
     if key not in models:
         model = ForceModel(own, _every(sprung, forces, prescribed), prescribed, freed, links)
         while len(models) >= _REMEMBERED:
