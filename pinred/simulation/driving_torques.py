@@ -13,8 +13,12 @@ from __future__ import annotations
 import numpy as np
 
 from ..common.arrays import Array, read_only
+<<<<<<< HEAD
 from ..forces.acting import ForceInputs
 from ..reduction.at_a_shape import Reduction
+=======
+from ..reduction.at_a_shape import PointwiseReduction
+>>>>>>> main
 from ..reduction.canonical_form import CanonicalForm
 from ..reduction.potential import shape_gravity
 from ..reduction.textbook_equations import lagrange_poincare
@@ -36,7 +40,9 @@ def driving_torques(plan: Plan, t: Array, samples: list[tuple[Sample, Array]]) -
     system, forces = plan.system, plan.forces
     if forces is None or not plan.acting.driven:
         return read_only(np.zeros((len(t), 0)))
-    red = system.workspace((Reduction, "weightless"), lambda: Reduction(_weightless(system)))
+    red = system.workspace(
+        (PointwiseReduction, "weightless"), lambda: PointwiseReduction(_weightless(system))
+    )
     form = system.workspace(CanonicalForm, lambda: CanonicalForm(system, shape_gravity(system)))
     gravity = shape_gravity(system)
     driven, free = np.array(plan.acting.driven), np.array(plan.acting.free, dtype=np.intp)

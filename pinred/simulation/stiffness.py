@@ -15,7 +15,7 @@ from ..common.errors import SingularInertiaError
 from ..common.memo import once
 from ..forces.acting import BaseInSpace, ForceInputs
 from ..forces.force_model import ForceModel
-from ..reduction.at_a_shape import Reduction
+from ..reduction.at_a_shape import PointwiseReduction
 from ..scene.scene import Scene
 from ..system.system import System
 
@@ -50,7 +50,7 @@ def rates_near_rest(scene: Scene) -> Rates:
 def _rates(system: System, forces: ForceModel, numbers: Array) -> Rates:
     m, r = system.m, system.r
     try:
-        at = Reduction(system).at(np.zeros(m))
+        at = PointwiseReduction(system).at(np.zeros(m))
     except SingularInertiaError:  # The scene need not contain shape zero.
         return Rates(0.0, 0.0)
 

@@ -20,7 +20,7 @@ from pinred.kernels import validation
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.reference_state import ReferenceState, random_state
 from pinred.kernels.validation import force_inputs
-from pinred.simulation.compiled.kernel_of_plan import kernel_of
+from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
 
 

@@ -23,7 +23,7 @@ from ...analysis.stability.variational import without_base
 from ...common.arrays import Array, freeze
 from ...common.progress import Progress, one_by_one
 from ...kernels.tangent import jacobian_of
-from ...reduction.at_a_shape import Reduction
+from ...reduction.at_a_shape import PointwiseReduction
 from ...scene.scene import Scene
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
@@ -105,7 +105,7 @@ def _sort_by_angle(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
 
 def _differences(least: RelativeEquilibrium, T: float) -> Array:
     """Return the monodromy (2m, 2m) by central differences of simulations."""
-    system, red = least.system, Reduction(least.system)
+    system, red = least.system, PointwiseReduction(least.system)
     r, m = system.r, system.m
     start = red.mass_matrix(least.x) @ np.concatenate([least.xi, least.xdot])
     scene = least.scene(duration=T)
@@ -125,7 +125,7 @@ def _differences(least: RelativeEquilibrium, T: float) -> Array:
 
 def _by_scipy(scene: Scene, T: float) -> Array:
     """Return the monodromy (k, k) by SciPy's DOP853 over the kernel and its Jacobian."""
-    flow = CompiledFlow(plan_of(without_base(scene)))
+    flow = CompiledFlow.of_plan(plan_of(without_base(scene)))
     n = len(flow.y0)
 
     def rate(_t: float, z: Array) -> Array:

@@ -12,7 +12,7 @@ import pinocchio as pin
 from ...common.progress import Progress, one_by_one
 from ...kernels.build import build_kernel
 from ...kernels.layout import Structure
-from ...reduction.at_a_shape import Reduction
+from ...reduction.at_a_shape import PointwiseReduction
 from ...reduction.cyclic_joints import cyclic_joints
 from ...system.catalogue import has_example_robots
 from ...system.load import load
@@ -80,7 +80,7 @@ def bench_kernels(
 
 def _bench_kernel(name: str) -> KernelTiming:
     system = load(name, group="SE3" if name == "ur5" else None, gravity=(0.0, 0.0, 0.0))
-    structure = Structure(zero_momentum=False, cyclic=cyclic_joints(Reduction(system)))
+    structure = Structure(zero_momentum=False, cyclic=cyclic_joints(PointwiseReduction(system)))
     began = time.perf_counter()
     kernel = build_kernel(system, structure, cache=NoCache())
     build = time.perf_counter() - began

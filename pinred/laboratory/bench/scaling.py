@@ -14,7 +14,7 @@ from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
 from ...kernels.build import build_kernel
 from ...kernels.layout import Structure
-from ...reduction.at_a_shape import Reduction
+from ...reduction.at_a_shape import PointwiseReduction
 from ...reduction.cyclic_joints import cyclic_joints
 from .chains import FAMILIES, chain
 from .timing import ROUNDS, NoCache, alternating, evaluations
@@ -107,7 +107,7 @@ def _measure(joints: Sequence[int], rounds: int, report: Progress) -> list[Scali
     for k, (family, n) in enumerate(cases):
         system = chain(family, n)
         began = time.perf_counter()
-        structure = Structure(zero_momentum=False, cyclic=cyclic_joints(Reduction(system)))
+        structure = Structure(zero_momentum=False, cyclic=cyclic_joints(PointwiseReduction(system)))
         kernels.append(build_kernel(system, structure, cache=NoCache()))
         builds.append(time.perf_counter() - began)
         report(0.5 * (k + 1) / len(cases))
