@@ -109,21 +109,12 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
         return EnergyBalance(states.t, states.energy, (), np.zeros((len(states.t), 0)))
     labels = (*forces.labels, *([_DRIVES] if forces.joints else []))
 
-<<<<<<< HEAD
-    def powers(t: Array) -> Array:
-        seen, full = motion.samples(t), with_base(motion.states(t), plan.system.name)
-        out = np.empty((len(t), len(labels)))
-        for k, (s, numbers) in enumerate(seen):
-            out[k, : len(forces.labels)] = forces.powers(
-                ForceInputs(float(t[k]), s.x, s.xdot, s.xi, s.mu, numbers, s.base), full.xi[k]
-=======
     def compute_powers(t: Array) -> Array:
         samples, full = motion.samples(t), with_base(motion.states(t), plan.system.name)
         values = np.empty((len(t), len(labels)))
         for k, (s, numbers) in enumerate(samples):
             values[k, : len(forces.labels)] = forces.powers(
-                float(t[k]), s.x, s.xdot, s.xi, s.mu, numbers, full.xi[k], s.base
->>>>>>> main
+                ForceInputs(float(t[k]), s.x, s.xdot, s.xi, s.mu, numbers, s.base), full.xi[k]
             )
         if forces.joints:
             drive = driving_torques(plan, t, samples)

@@ -13,12 +13,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..common.arrays import Array, read_only
-<<<<<<< HEAD
 from ..forces.acting import ForceInputs
-from ..reduction.at_a_shape import Reduction
-=======
 from ..reduction.at_a_shape import PointwiseReduction
->>>>>>> main
 from ..reduction.canonical_form import CanonicalForm
 from ..reduction.potential import shape_gravity
 from ..reduction.textbook_equations import lagrange_poincare

@@ -162,9 +162,7 @@ def test_what_controllers_get_is_a_vector_like_any_other() -> None:
     np.testing.assert_array_equal(2 * x - 1, 2 * given - 1)
     assert x.tolist() == given.tolist()
     for made in (np.sort(x), x.copy()):
-        with pytest.raises(
-            pinred.InputError, match="only the arguments x and xdot have names such as 'a'"
-        ):
+        with pytest.raises(pinred.InputError, match=r"only the arguments x and xdot .* 'a'"):
             made["a"]  # type: ignore[call-overload]
     x += 1.0
     x[0] = 7.0
