@@ -48,16 +48,17 @@ def add_options(sub: argparse.ArgumentParser, options: Mapping[str, Option]) -> 
         sub: Parser of the command.
         options: {name: description}.  The parsed text is stored under the name.
     """
-    from ..scene.toml.schema import ByName, Number, Whole
+    from ..scene.toml.schema import ByName, Flag, Number, Whole
 
     add = option_adder(sub)
     for name, option in options.items():
-        more: dict[str, Any] = {"dest": name, "default": None}
-        if " " in option.command:
-            more["kind"] = {Number: float, Whole: int}.get(type(option.node), str)
-            more["action"] = "append" if isinstance(option.node, ByName) else "store"
-        if option.command:
-            add(option.command, option.description, **more)
+        if isinstance(option.node, Flag):
+            text = option.description
+            sub.add_argument(option.command, dest=name, action="store_const", const=True, help=text)
+        elif option.command:
+            kind = {Number: float, Whole: int}.get(type(option.node), str)
+            action = "append" if isinstance(option.node, ByName) else "store"
+            add(option.command, option.description, kind, dest=name, action=action)
 
 
 def options_in(arguments: argparse.Namespace, options: Mapping[str, Option]) -> dict[str, Any]:

@@ -62,7 +62,7 @@ def scene_table(options: Mapping[str, Option]) -> Table:
         name: Table(
             keys_in(name),
             words,
-            apart=tuple(pair for pair in list_conflicts(options) if pair[1] in keys_in(name)),
+            apart=tuple(p for p in list_conflicts(options) if {*p} <= keys_in(name).keys()),
         )
         for name, words in _TABLES.items()
     }
