@@ -19,6 +19,7 @@ from .analysis.connections.mixed import mixed_connection as mixed_connection
 from .analysis.connections.mixed_motion import MixedMotion as MixedMotion
 from .analysis.connections.mixed_motion import follow_mixed as follow_mixed
 from .analysis.connections.mixed_motion import simulate_mixed as simulate_mixed
+from .analysis.connections.shape_field import ShapeField as ShapeField
 from .analysis.connections.viscous import Rod as Rod
 from .analysis.connections.wheels import Rolling as Rolling
 from .analysis.connections.wheels import Wheel as Wheel
@@ -33,6 +34,7 @@ from .analysis.frames.flatness import Flatness as Flatness
 from .analysis.frames.flatness import flatness as flatness
 from .analysis.frames.optimal_frame import OptimalFrame as OptimalFrame
 from .analysis.frames.optimal_frame import optimal_frame as optimal_frame
+from .analysis.full_reduction import Reduction as Reduction
 from .analysis.gaits.gait import Gait as Gait
 from .analysis.inspection import Inspection as Inspection
 from .analysis.inspection import inspect as inspect
@@ -89,8 +91,6 @@ from .planning.optimisation.optimum import Optimum as Optimum
 from .planning.reorientation.reorient import reorient as reorient
 from .planning.reorientation.turn_plan import TurnPlan as TurnPlan
 from .reduction.at_a_shape import ReducedShape as ReducedShape
-from .reduction.at_a_shape import Reduction as Reduction
-from .reduction.over_shapes import ShapeField as ShapeField
 from .scene.event import Event as Event
 from .scene.scene import Scene as Scene
 from .scene.toml.keys import scene_schema as scene_schema

@@ -1,9 +1,9 @@
-"""Poisson brackets of the reduced phase space, and its Casimirs (see reduction/poisson.py)."""
+"""Poisson brackets of the reduced phase space, and its Casimirs."""
 
-from .reduction.poisson import Casimir as Casimir
-from .reduction.poisson import Observable as Observable
-from .reduction.poisson import PhaseSpace as PhaseSpace
-from .reduction.poisson import bracket as bracket
-from .reduction.poisson import casimirs as casimirs
-from .reduction.poisson import phase_space as phase_space
-from .reduction.poisson import tensor as tensor
+from .reduction.poisson_brackets import Casimir as Casimir
+from .reduction.poisson_brackets import Observable as Observable
+from .reduction.poisson_brackets import PhaseSpace as PhaseSpace
+from .reduction.poisson_brackets import bracket as bracket
+from .reduction.poisson_brackets import casimirs as casimirs
+from .reduction.poisson_brackets import phase_space as phase_space
+from .reduction.poisson_brackets import tensor as tensor

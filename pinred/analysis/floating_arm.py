@@ -23,9 +23,9 @@ from ..common.arrays import Array, freeze, read_only, vector, vectors, whole
 from ..common.errors import InputError
 from ..common.names import joint_index, nearest
 from ..common.plain_names import listed, quoted
-from ..reduction.at_a_shape import Reduction
 from ..system.system import System, checked_system
 from .arm_workspace import Workspace, workspace_of
+from .full_reduction import Reduction
 
 Axes = Literal["local", "world"]
 _FRAMES = {"local": pin.LOCAL, "world": pin.LOCAL_WORLD_ALIGNED}

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array
 from ..common.errors import SymmetryError
-from ..reduction.at_a_shape import ReducedShape, Reduction
+from ..reduction.at_a_shape import PointwiseReduction, ReducedShape
 from ..reduction.casimirs import casimirs
 from ..reduction.cyclic_joints import cyclic_joints
 from ..reduction.potential import broken_by_gravity
@@ -107,7 +107,7 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
 
     Raises ShapeError if x has the wrong length or is not finite.
     """
-    red = Reduction(checked_system(system, "inspect"))
+    red = PointwiseReduction(checked_system(system, "inspect"))
     at = red.at(np.zeros(system.m) if x is None else x)
     names = system.shape_names
     cyclic = tuple(names[k] for k in cyclic_joints(red))
@@ -134,7 +134,7 @@ def inspect(system: System, x: ArrayLike | None = None) -> Inspection:
     )
 
 
-def _flat(red: Reduction) -> bool:
+def _flat(red: PointwiseReduction) -> bool:
     """Return whether the curvature vanishes at random shapes, relative to its terms."""
     rng = np.random.default_rng(0)
     for x in rng.uniform(-np.pi, np.pi, (_SHAPES if red.system.m > 1 else 0, red.system.m)):

@@ -1,6 +1,6 @@
-"""Integrators as values with their claims, their compiled steppers, and the drivers of runs.
+"""Numerical integrators: options and properties, compiled steppers, and functions that run them.
 
-Steppers are compiled by numba once per machine and serve every kernel, which they call by
-its address.  `methods` has the integrators as values, `integrate` runs one, `integrate_many`
-a batch.  Imports `common` alone.
+numba compiles each stepper once per machine. A stepper calls kernels by their address, so it
+serves every kernel. `methods` defines the integrators, `integrate` runs one, and
+`integrate_many` runs a batch. This package imports only `common`.
 """

@@ -1,4 +1,4 @@
-"""integrate(): one run of a stepper, and its Solution."""
+"""integrate(): one run of a method, and its Solution."""
 
 from __future__ import annotations
 
@@ -45,13 +45,21 @@ _FIRST_KNOTS = 128
 
 @dataclass(frozen=True)
 class Solution:
-    """A run: the states at the times asked for, and what gives those at any other time.
+    """A run: the states at the report times, and the steps for dense output.
 
-    times: (T,) [s].  y: (T, n).  steps, rejected, evaluations: what it cost.
-    knots: (K,) times of the ends of all steps [s].  states: (K, n) there; a quaternion in
-    them has the length that the step has left, `at` gives it length one.  complete: whether the
-    run came to its end, and was not stopped before by who watched it.
-    The kernel has to stay in memory as long as `at` is called.
+    The kernel must stay loaded as long as `at` is called.
+
+    Attributes:
+        method: Method of the run.
+        times: Report times, (T,) [s].
+        y: States at the report times, (T, n).
+        steps: Number of accepted steps.
+        rejected: Number of rejected steps.
+        evaluations: Number of evaluations of the kernel.
+        knots: Times of all step ends, (K,) [s].
+        states: States at the step ends before normalisation of the quaternion, (K, n). The states
+            returned by `at` are normalised.
+        complete: Whether the run reached its end; if not, its watcher has stopped it.
     """
 
     method: Method
@@ -69,41 +77,48 @@ class Solution:
 
     @property
     def stored(self) -> Array:
-        """The states at the knots with what is kept of the stages that led there, (K, n + …)."""
+        """States at the step ends, followed by the stored stages of each step, (K, n + …)."""
         return self._stored
 
     def at(self, times: ArrayLike) -> Array:
-        """Return the states (T, n) at times (T,) in any order, as if they had been asked for.
+        """Return the states at given times, equal to those reported by the run.
 
-        Only the steps around these times are computed again.  Raises InputError, and NoConvergence
-        if an implicit step to one of them has no solution that could be found.
+        Only the steps that contain these times are recomputed.
+
+        Args:
+            times: Times in any order, (T,) [s].
+        Returns:
+            States, (T, n).
+        Raises:
+            InputError: A time is outside of the run.
+            NoConvergence: An implicit step to one of the times was not solved.
         """
         asked = checked_times(times, float(self.knots[-1]), ordered=False)
         order = np.argsort(asked, kind="stable")
         n = self.states.shape[1]
-        out = np.empty((len(asked), n))
+        sorted_states = np.empty((len(asked), n))
         stepper, run = self.method.stepper(), copied(self._run)
         stepper.loops.recall(
             run,
             self._params,
             stepper.work(n, tangent=run["tangent"].item() > 0),
             read_only(asked[order]),
-            out,
+            sorted_states,
             self.knots,
             self._stored,
         )
-        lost = np.flatnonzero(np.isnan(out).any(axis=1))
+        lost = np.flatnonzero(np.isnan(sorted_states).any(axis=1))
         if lost.size:
             time = float(asked[order][lost[0]])
-            before = self.states[np.searchsorted(self.knots, time) - 1]
+            last_state = self.states[np.searchsorted(self.knots, time) - 1]
             raise NoConvergence(
                 f"the state at t = {time:g} s, within a step, has no solution that could be "
                 "found: take shorter steps",
                 time,
-                before,
+                last_state,
             )
-        y = np.empty_like(out)
-        y[order] = out
+        y = np.empty_like(sorted_states)
+        y[order] = sorted_states
         return y
 
 
@@ -119,29 +134,49 @@ def integrate(
     tangent: Tangent | None = None,
     canonical: Canonical = (0, 0),
 ) -> Solution:
-    """Integrate ẏ = f(y, params) from y0 (n,) at time 0 to t_end [s].
+    """Integrate ẏ = f(y, params) from y0 to t_end.
 
-    address: of the kernel of f.  params: (p,), all that f needs.
-    times: (T,) sorted, within [0, t_end]: when the state is wanted.
-    quaternion: index of the first of the four numbers in y that are a quaternion
-        (x, y, z, w), −1 for none; its rate is ½ q ω with the body's angular velocity ω.
-    progress: called now and then with the part of the time that is done, 0 to 1.
-    tangent: gives the address of the kernel of ∂f/∂y (see call_tangent); called at most once,
-        when the method wants it.
-    canonical: how many of y are positions, with as many momenta behind them, and how many
-        parameters are the constant momentum J with q̄ J q in the equations: for Variational.
-
-    Raises InputError, and StepSizeUnderflow, NonFiniteState, NoConvergence or TooManySteps with
-    the time and the state at which the run stopped.
+    Args:
+        method: Method with its options.
+        address: Address of a kernel of f. Kernels for Gauss and AdaptiveGauss evaluate method.lanes
+            states at once: entry i of state j is number i·lanes + j.
+        params: Parameters, (p,).
+        y0: Initial state, (n,).
+        t_end: End time [s].
+        times: Sorted report times within [0, t_end], (T,) [s].
+        quaternion: Index of the first of a quaternion's four entries (x, y, z, w) in y, −1 for
+            none. Its rate is ½ q ω with the body angular velocity ω.
+        progress: Called repeatedly with the finished fraction of the time, 0 to 1.
+        tangent: Function that returns the address of the kernel of ∂f/∂y (see call_tangent). It is
+            called at most once, when the method needs it.
+        canonical: Number of positions in y, which as many momenta follow, and number of parameters
+            that are the constant momentum J with q̄ J q in the equations; for Variational.
+    Returns:
+        The run.
+    Raises:
+        InputError: An argument is invalid.
+        StepSizeUnderflow: The tolerance requires steps below round-off.
+        NonFiniteState: A rate or a state is not finite.
+        NoConvergence: An implicit step was not solved.
+        TooManySteps: The run exceeds the limit on trial steps.
     """
     end = positive(t_end, "t_end")
     check_kernel(address)
     state = as_floats(y0, "y0")
     check_state(state, quaternion, "y0", 1)
-    asked = checked_times(times, end, ordered=True)
-    frozen = read_only(np.array(as_floats(params, "params")))
+    checked = checked_times(times, end, ordered=True)
+    copied_params = read_only(np.array(as_floats(params, "params")))
     return integrate_checked(
-        method, address, frozen, state, end, asked, quaternion, progress, tangent, canonical
+        method,
+        address,
+        copied_params,
+        state,
+        end,
+        checked,
+        quaternion,
+        progress,
+        tangent,
+        canonical,
     )
 
 
@@ -158,10 +193,23 @@ def integrate_checked(
     canonical: Canonical = (0, 0),
     watch: Callable[[Solution], bool] | None = None,
 ) -> Solution:
-    """Integrate as `integrate` does, with arguments that are known to be right.
+    """Integrate as `integrate` does, with valid arguments; params and times must not change later.
 
-    params and times are not changed by anybody afterwards.  watch: is given what there is now and
-    then, and before a failure, and says whether to stop there; then the Solution is not complete.
+    Args:
+        method: Method with its options.
+        address: Address of the kernel.
+        params: Parameters, (p,), read-only.
+        y0: Initial state, (n,).
+        end: End time [s].
+        times: Sorted report times, (T,) [s], read-only.
+        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        progress: Called with the finished fraction of the time.
+        tangent: Function that returns the address of the kernel of ∂f/∂y.
+        canonical: See `integrate`.
+        watch: Called repeatedly, and before an error is raised, with the run so far. If it returns
+            true, the run stops there and its Solution is not complete.
+    Returns:
+        The run.
     """
     n = y0.shape[0]
     stepper = method.stepper()
@@ -170,17 +218,17 @@ def integrate_checked(
         give_tangent(tangent, method, run)
     work = stepper.work(n)
     work[Y, :n] = y0
-    out = np.empty((len(times), n))
+    reported_states = np.empty((len(times), n))
     knots, states = np.empty(_FIRST_KNOTS), np.empty((_FIRST_KNOTS, stepper.kept * n))
 
     def so_far(*, complete: bool) -> Solution:
         steps = run["steps"].item()
         stored = read_only(states[: steps + 1])
-        told = len(times) if complete else run["next"].item()
+        reported = len(times) if complete else run["next"].item()
         return Solution(
             method=method,
-            times=times[:told],
-            y=read_only(out[:told]),
+            times=times[:reported],
+            y=read_only(reported_states[:reported]),
             steps=steps,
             rejected=run["rejected"].item(),
             evaluations=run["evaluations"].item(),
@@ -194,7 +242,7 @@ def integrate_checked(
 
     status = -1
     while status != DONE:
-        status = stepper.loops.advance(run, params, work, times, out, knots, states)
+        status = stepper.loops.advance(run, params, work, times, reported_states, knots, states)
         if status != DONE and watch is not None and run["steps"] and watch(so_far(complete=False)):
             return so_far(complete=False)
         if status == FULL:
@@ -218,7 +266,7 @@ def begun_by(
     canonical: Canonical,
     keep: int = NOTHING_KEPT,
 ) -> Runs:
-    """Return the registers of a run to `end` [s] before its first step."""
+    """Return the registers of a run to `end` [s] before its first step; keep: stored data."""
     pairs, spin = canonical
     return new_run(
         address=address,
@@ -233,7 +281,15 @@ def begun_by(
 
 
 def failure(status: int, run: Runs, state: Array) -> IntegrationError:
-    """Return the error for a status of `advance`; state: (n,) at the last time reached."""
+    """Return the error for a status of `advance`.
+
+    Args:
+        status: The status.
+        run: Registers of the run.
+        state: State at the last time reached, (n,).
+    Returns:
+        The error.
+    """
     end = run[0]
     time, entry = end["t"].item(), end["entry"].item()
     where = f"t = {time:g} s of {end['t_end']:g} s"
@@ -262,15 +318,20 @@ def failure(status: int, run: Runs, state: Array) -> IntegrationError:
 
 
 def check_kernel(address: int) -> None:
-    """Check what can be checked of a kernel's address.  Raises InputError."""
+    """Raise InputError if an address cannot be that of a kernel."""
     if isinstance(address, bool) or not isinstance(address, int) or address <= 0:
         raise InputError(f"address must be the address of a kernel, got {address!r}")
 
 
 def give_tangent(tangent: Tangent | None, method: Method, run: Runs) -> None:
-    """Give a run the kernel of the derivative; without one it has to do by fixed points.
+    """Set the derivative kernel of a run; without one, the run uses fixed-point iteration.
 
-    Raises InputError if it cannot.
+    Args:
+        tangent: Function that returns its address, or None.
+        method: Method of the run.
+        run: Registers, changed in place.
+    Raises:
+        InputError: The method needs the derivative and there is none.
     """
     if tangent is not None:
         address = tangent()
@@ -283,7 +344,17 @@ def give_tangent(tangent: Tangent | None, method: Method, run: Runs) -> None:
 
 
 def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
-    """Check initial states (…, n) with n > 0, and where the quaternion is.  Raises InputError."""
+    """Check initial states and the position of the quaternion.
+
+    Args:
+        y0: Initial states, (…, n).
+        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        what: Name of the argument in messages.
+        ndim: Expected number of axes.
+    Raises:
+        ShapeError: The shape is wrong or a number is not finite.
+        InputError: The quaternion is outside of the state or zero.
+    """
     if y0.ndim != ndim or y0.shape[-1] == 0:
         shape = "(n,)" if ndim == 1 else "(N, n)"
         raise ShapeError(f"{what} must have shape {shape} with n > 0, got {y0.shape}")
@@ -299,16 +370,27 @@ def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
 
 
 def checked_times(times: ArrayLike, t_end: float, *, ordered: bool) -> Array:
-    """Return times as a read-only array (T,) within [0, t_end].  Raises InputError."""
-    asked = np.array(as_floats(times, "times"))
-    if asked.ndim != 1:
-        raise ShapeError(f"times must have shape (T,), got {asked.shape}")
-    if asked.size:
-        if not (asked.min() >= 0.0 and asked.max() <= t_end):  # NaN is outside too
-            raise InputError(f"times must lie between 0 and {t_end:g} s, got {asked}")
-        if ordered and (asked[1:] < asked[:-1]).any():
-            raise InputError(f"times must be sorted, got {asked}")
-    return read_only(asked)
+    """Return times as a read-only array (T,) within [0, t_end].
+
+    Args:
+        times: Times [s].
+        t_end: End time [s].
+        ordered: Whether they must be sorted.
+    Returns:
+        The times.
+    Raises:
+        ShapeError: There is not exactly one axis.
+        InputError: Times are outside of the run or not sorted.
+    """
+    checked = np.array(as_floats(times, "times"))
+    if checked.ndim != 1:
+        raise ShapeError(f"times must have shape (T,), got {checked.shape}")
+    if checked.size:
+        if not (checked.min() >= 0.0 and checked.max() <= t_end):  # NaN is outside too
+            raise InputError(f"times must lie between 0 and {t_end:g} s, got {checked}")
+        if ordered and (checked[1:] < checked[:-1]).any():
+            raise InputError(f"times must be sorted, got {checked}")
+    return read_only(checked)
 
 
 def _doubled(array: Array) -> Array:

@@ -43,18 +43,24 @@ STATUS = {
     NOT_FINITE: "not finite",
     TOO_MANY: "too many steps",
 }
-_LOOK = 0.1  # s between looks at how far the threads are
-_SHARES_PER_THREAD = 8  # so that threads with short runs take over from those with long ones
+_LOOK = 0.1  # interval of progress reports [s]
+_SHARES_PER_THREAD = 8  # several, so that threads with short runs can do more of them
 
 
 @dataclass(frozen=True)
 class Solutions:
-    """Many runs, member first.
+    """A batch of runs, member first.
 
-    times: (T,) [s].  y: (N, T, n), NaN at the times that a run has not reached.
-    status: (N,), 0 or the key in STATUS of what stopped a run.  end: (N,) the last time
-    reached [s].  entry: (N,) which number was not finite, −1 if none.
-    steps, rejected, evaluations: (N,).
+    Attributes:
+        method: Method of the runs.
+        times: Report times, (T,) [s].
+        y: States, (N, T, n); NaN at times that a run did not reach.
+        status: Outcome of each run, (N,): 0 or the key in STATUS of the reason it stopped.
+        end: Last time reached, (N,) [s].
+        entry: Entry that was not finite, (N,); −1 if none.
+        steps: Accepted steps, (N,).
+        rejected: Rejected steps, (N,).
+        evaluations: Evaluations of the kernel, (N,).
     """
 
     method: Method
@@ -72,7 +78,7 @@ class Solutions:
 
     @property
     def ok(self) -> NDArray[np.bool_]:
-        """Flags of the runs that came to their end, (N,)."""
+        """Flags of the runs that reached the end, (N,)."""
         return np.asarray(self.status == DONE)
 
 
@@ -89,13 +95,27 @@ def integrate_many(
     canonical: Canonical = (0, 0),
     progress: Callable[[float], None] | None = None,
 ) -> Solutions:
-    """Integrate ẏ = f(y, params[i]) from y0[i] for every i, each as `integrate` would.
+    """Integrate ẏ = f(y, params[i]) from y0[i] for all members i, each as `integrate` does.
 
-    params: (N, p).  y0: (N, n).  times: (T,) sorted, within [0, t_end].
-    threads: as many as there are processors if None; the numbers do not depend on it.
-    params and y0 are not to be changed meanwhile.  tangent, canonical: as for
-    `integrate`.  progress: called with the part of the members that is done.
-    A run that fails has a status and leaves the others alone.  Raises InputError.
+    A failing run reports a status and does not affect the others. params and y0 must not be changed
+    meanwhile.
+
+    Args:
+        method: Method with its options.
+        address: Address of the kernel.
+        params: Parameters, (N, p).
+        y0: Initial states, (N, n).
+        t_end: End time [s].
+        times: Sorted report times within [0, t_end], (T,) [s].
+        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        threads: Number of threads, None for all processors. Results do not depend on it.
+        tangent: As for `integrate`.
+        canonical: As for `integrate`.
+        progress: Called with the finished fraction of the members.
+    Returns:
+        The runs.
+    Raises:
+        InputError: An argument is invalid.
     """
     asked = checked_batch(address, params, y0, t_end, times, quaternion, threads)
     batch, size = asked.batch, len(asked.batch.y0)
@@ -109,7 +129,7 @@ def integrate_many(
     def share(first: int, last: int) -> None:
         run, work = copied(unbegun), stepper.work(n)
         while (first := stepper.loops.members(batch, unbegun, run, work, first, last)) < last:
-            with lock:  # what makes a kernel is not for several threads
+            with lock:  # the compilation of kernels is not thread-safe
                 give_tangent(tangent, method, run)
             work = stepper.widened(n, work)
 
@@ -121,7 +141,13 @@ def integrate_many(
 
 @dataclass(frozen=True)
 class Asked:
-    """Many runs as they were asked for.  end: time [s].  threads: how many work on the batch."""
+    """A validated request for many runs.
+
+    Attributes:
+        batch: Members, and the arrays of their results.
+        end: End time [s].
+        threads: Number of threads.
+    """
 
     batch: Batch
     end: float
@@ -137,16 +163,33 @@ def checked_batch(
     quaternion: int,
     threads: int | None,
 ) -> Asked:
-    """Return what `integrate_many` was asked for, with room for the results.  Raises InputError."""
+    """Validate the arguments of `integrate_many`, and allocate the results.
+
+    Args:
+        address: Address of the kernel.
+        params: Parameters, (N, p).
+        y0: Initial states, (N, n).
+        t_end: End time [s].
+        times: Sorted report times within [0, t_end], (T,) [s].
+        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        threads: Number of threads, None for all processors.
+    Returns:
+        The request.
+    Raises:
+        InputError: An argument is invalid.
+        ShapeError: Shapes do not fit, or a number is not finite.
+    """
     end = positive(t_end, "t_end")
     check_kernel(address)
-    start = read_only(np.ascontiguousarray(as_floats(y0, "y0")).view())
-    check_state(start, quaternion, "y0", 2)
-    size, n = start.shape
-    frozen = read_only(np.ascontiguousarray(as_floats(params, "params")).view())
-    if frozen.ndim != 2 or frozen.shape[0] != size:
-        raise ShapeError(f"params must have shape ({size}, p) as y0 has, got {frozen.shape}")
-    asked = checked_times(times, end, ordered=True)
+    states = read_only(np.ascontiguousarray(as_floats(y0, "y0")).view())
+    check_state(states, quaternion, "y0", 2)
+    size, n = states.shape
+    checked_params = read_only(np.ascontiguousarray(as_floats(params, "params")).view())
+    if checked_params.ndim != 2 or checked_params.shape[0] != size:
+        raise ShapeError(
+            f"params must have shape ({size}, p) as y0 has, got {checked_params.shape}"
+        )
+    report_times = checked_times(times, end, ordered=True)
     if threads is None:
         threads = len(os.sched_getaffinity(0))
     if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
@@ -154,10 +197,10 @@ def checked_batch(
     outcomes = np.zeros(size, OUTCOME)
     outcomes["status"] = PAUSED
     batch = Batch(
-        params=frozen,
-        y0=start,
-        times=asked,
-        y=np.full((size, len(asked), n), np.nan),
+        params=checked_params,
+        y0=states,
+        times=report_times,
+        y=np.full((size, len(report_times), n), np.nan),
         outcomes=outcomes,
         stop=np.zeros(1, dtype=np.int64),
         no_times=np.empty(0),
@@ -169,7 +212,13 @@ def checked_batch(
 def over_threads(
     shares: Sequence[Callable[[], None]], asked: Asked, progress: Callable[[float], None] | None
 ) -> None:
-    """Do shares of the work on several threads, and tell how many members are done."""
+    """Run shares of the work on several threads, and report progress.
+
+    Args:
+        shares: Functions that do a share of the work.
+        asked: The request.
+        progress: Called with the finished fraction of the members, or None.
+    """
     batch = asked.batch
     with ThreadPoolExecutor(asked.threads) as pool:
         futures = [pool.submit(share) for share in shares]
@@ -182,13 +231,13 @@ def over_threads(
             for future in ended:
                 future.result()
         except BaseException:
-            batch.stop[0] = 1  # the threads see it at their next pause
+            batch.stop[0] = 1  # threads check this at their next pause
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
 
 def solutions(method: Method, batch: Batch) -> Solutions:
-    """Return the solutions of a batch that has been worked on."""
+    """Return the results of a finished batch."""
     outcomes = batch.outcomes
     return Solutions(
         method=method,

@@ -17,8 +17,14 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.errors import InputError, KernelMismatch
 from ..integrators.stepping.compiling import compiled
-from ..integrators.stepping.kernel_call import SEEDS, call, call_adjoint, call_slopes
-from ..integrators.stepping.seed_lanes import from_lanes, to_lanes
+from ..integrators.stepping.kernel_call import (
+    SEEDS,
+    call,
+    call_adjoint,
+    call_slopes,
+    from_lanes,
+    to_lanes,
+)
 from ..reduction.tree.limbs import Lanes
 from .adjoint_lanes import adjoint_in_lanes
 from .derived_code import derived_code

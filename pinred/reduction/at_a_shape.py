@@ -9,16 +9,15 @@ by stages", 2001.
 
 from __future__ import annotations
 
-import math
 from copy import copy
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, vector, vectors
+from ..common.arrays import Array, vector
 from ..common.errors import InputError, SymmetryError
 from ..lie.group import Group
 from ..system.coordinates import Velocity
@@ -34,9 +33,6 @@ from .levi_civita import (
 from .potential import Potential, Springs, pivot_weight
 from .section import MovedFrame, Section
 from .tree.second_derivatives import inertia_derivatives
-
-if TYPE_CHECKING:
-    from .over_shapes import ShapeField
 
 
 @dataclass(frozen=True)
@@ -97,7 +93,7 @@ class SplitVelocity:
     horizontal: Velocity
 
 
-class Reduction:
+class PointwiseReduction:
     """The split of one system's mass matrix, at any shape.
 
     Every method computes afresh from x: (m,) shape [rad | m], and raises ShapeError if x
@@ -116,7 +112,7 @@ class Reduction:
         self._model.gravity.setZero()
         self._data = self.system.data
         self._identity = system.group.identity()
-        self._frames: tuple[MovedFrame, ...] = ()
+        self.frames: tuple[MovedFrame, ...] = ()
         # Gravity that breaks the symmetry leaves I, A, M and B defined; only V is not.
         self._potential: Potential | SymmetryError
         self._springs: Potential | None = None
@@ -160,8 +156,8 @@ class Reduction:
 
         B[:, α, β] is antisymmetric in α, β.  The bracket is that of body twists.
         """
-        B = self._in_file.at(x).curvature if self._frames else self.at(x).curvature
-        for frame in self._frames:
+        B = self._in_file.at(x).curvature if self.frames else self.at(x).curvature
+        for frame in self.frames:
             B = frame.curvature(self._shape(x), B)
         return B
 
@@ -262,7 +258,7 @@ class Reduction:
         xi, eta = vector(xi, r, "xi"), vector(eta, r, "eta")
         return left_invariant_derivative(self.group, self.locked_inertia(x), xi, eta)
 
-    def change_section(self, h: Section) -> Reduction:
+    def change_section(self, h: Section) -> Self:
         """Return the reduction whose base frame is g h(x), moved along with the shape.
 
         h: from a shape (m,) to (group element, Θ), where Θ = h⁻¹ ∂h, (r, m), holds the body twist
@@ -272,12 +268,12 @@ class Reduction:
         Raises InputError if Θ or ∂Θ is not the derivative.
         """
         moved = copy(self)
-        moved._frames = (*self._frames, MovedFrame(self.system, h))
+        moved.frames = (*self.frames, MovedFrame(self.system, h))
         return moved
 
-    def same_section(self, other: Reduction) -> bool:
+    def same_section(self, other: PointwiseReduction) -> bool:
         """Whether another reduction is of this system in this section."""
-        sections = [[frame.section for frame in red._frames] for red in (self, other)]
+        sections = [[frame.section for frame in red.frames] for red in (self, other)]
         return self.system is other.system and sections[0] == sections[1]
 
     def at(self, x: ArrayLike) -> ReducedShape:
@@ -300,7 +296,7 @@ class Reduction:
         bracket = np.einsum("aij,jb->iab", self.group.ad(A.T), A)
         curvature, com = np.swapaxes(dA, 1, 2) - dA - bracket, split.com
         slope: Array | InputError = dA
-        for frame in self._frames:
+        for frame in self.frames:
             split, curvature = frame.split(split), frame.curvature(x, curvature)
             dI, slope = frame.inertia_slope(split, dI), frame.connection_slope(split, slope)
         known = self._potential
@@ -312,25 +308,6 @@ class Reduction:
             _dA=slope,
             _potential=(known if isinstance(known, SymmetryError) else known.value_at(x, com)),
         )
-
-    def grid(self, shapes: ArrayLike) -> ShapeField:
-        """The same quantities at many shapes (..., m), as a field over the leading axes.
-
-            a = np.linspace(-1.0, 1.0, 41)
-            field = red.grid(np.stack(np.meshgrid(a, a, indexing="ij"), axis=-1))
-            field.curvature[:, :, 2, 0, 1]  # (41, 41): the rotation part of B_01 on SE(2)
-
-        Each is computed when it is first looked at, by composite bodies and not by
-        Pinocchio.  Raises ShapeError, with the index, for a wrong length or a number that
-        is not finite.
-        """
-        from .over_shapes import ShapeField
-
-        what, names = f"shapes of {self.system.name!r}", self.system.shape_names
-        x = vectors(shapes, self.system.m, what, names).copy()
-        row = x.reshape(math.prod(x.shape[:-1]), self.system.m)
-        moves = tuple(frame.moves(row) for frame in self._frames)
-        return ShapeField(self.system, x, self._potential, moves)
 
     def checked_potential(self) -> Potential:
         """Return the potential.  Raises SymmetryError if gravity breaks the symmetry."""
@@ -349,7 +326,7 @@ class Reduction:
         """∂c/∂x of the centre of mass in the root body's frame, (3, m)."""
         split = self._split_in_file(self._shape(x))
         slope: Array = inertia_derivatives(self.system, split.x[None], of=()).dcom[0]
-        for frame in self._frames:
+        for frame in self.frames:
             split = frame.split(split)
             slope = frame.com_slope(split, slope)
         return slope
@@ -369,15 +346,15 @@ class Reduction:
 
     def _split(self, x: Array) -> InertiaSplit:
         split = self._split_in_file(x)
-        for frame in self._frames:
+        for frame in self.frames:
             split = frame.split(split)
         return split
 
     @property
-    def _in_file(self) -> Reduction:
+    def _in_file(self) -> Self:
         """The reduction in the section of the robot's file."""
         first = copy(self)
-        first._frames = ()
+        first.frames = ()
         return first
 
     def _split_in_file(self, x: Array) -> InertiaSplit:

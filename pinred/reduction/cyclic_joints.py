@@ -15,7 +15,7 @@ from ..common.errors import SymmetryError
 from ..system.joints import axes_of
 from ..system.scale import radius_of_gyration
 from ..system.system import System
-from .at_a_shape import Reduction
+from .at_a_shape import PointwiseReduction
 from .potential import pivot_weight
 
 _SAMPLES = 3  # random shapes at which a dependence would show
@@ -24,7 +24,7 @@ _ROUND_OFF = 2e-14  # of what its subtree would have at the end of the robot
 
 
 def cyclic_joints(
-    red: Reduction, touched: Collection[int] = (), *, pushed: bool = False
+    red: PointwiseReduction, touched: Collection[int] = (), *, pushed: bool = False
 ) -> tuple[int, ...]:
     """Return the indices of the joints that leave mass matrix and potential unchanged.
 
@@ -101,5 +101,5 @@ def cyclic_of(system: System, touched: frozenset[int], *, pushed: bool) -> tuple
     """Return the cyclic joints of a system that are not touched; found once."""
     return system.workspace(
         (cyclic_of, touched, pushed),
-        lambda: cyclic_joints(Reduction(system), touched, pushed=pushed),
+        lambda: cyclic_joints(PointwiseReduction(system), touched, pushed=pushed),
     )

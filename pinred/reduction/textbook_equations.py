@@ -34,7 +34,7 @@ from numpy.typing import ArrayLike
 from ..common.arrays import Array, read_only, vector
 from ..common.errors import InputError
 from ..lie.rotations import apply, rotation
-from .at_a_shape import ReducedShape, Reduction
+from .at_a_shape import PointwiseReduction, ReducedShape
 from .base_parts import root_of
 from .potential import pivot_weight
 
@@ -140,7 +140,7 @@ class EulerPoincare:
 
 
 def lagrange_poincare(
-    red: Reduction,
+    red: PointwiseReduction,
     x: ArrayLike,
     xdot: ArrayLike,
     omega: ArrayLike,
@@ -172,7 +172,7 @@ def lagrange_poincare(
 
 
 def hamilton_poincare(
-    red: Reduction,
+    red: PointwiseReduction,
     x: ArrayLike,
     p: ArrayLike,
     mu: ArrayLike,
@@ -205,7 +205,7 @@ def hamilton_poincare(
 
 
 def euler_poincare(
-    red: Reduction,
+    red: PointwiseReduction,
     x: ArrayLike,
     xi: ArrayLike,
     *,
@@ -227,7 +227,9 @@ def euler_poincare(
     return EulerPoincare(momentum, read_only(_solve(at.locked_inertia, momentum.total)))
 
 
-def _weight(red: Reduction, gamma: ArrayLike | None, pose: ArrayLike | None) -> Array | None:
+def _weight(
+    red: PointwiseReduction, gamma: ArrayLike | None, pose: ArrayLike | None
+) -> Array | None:
     """Return the weight F = m |g| Γ in the body's frame, (3,), if it turns a pivoted base."""
     fixed, name = pivot_weight(red.system), red.system.name
     if not fixed.any():
@@ -249,7 +251,7 @@ def _weight(red: Reduction, gamma: ArrayLike | None, pose: ArrayLike | None) -> 
     return np.asarray(float(np.linalg.norm(fixed)) * direction)
 
 
-def _weight_energy(red: Reduction, F: Array | None, com: Array) -> float:
+def _weight_energy(red: PointwiseReduction, F: Array | None, com: Array) -> float:
     """Return the potential energy of the weight, counted from the world's origin [J]."""
     if F is None:
         return 0.0
@@ -257,7 +259,7 @@ def _weight_energy(red: Reduction, F: Array | None, com: Array) -> float:
 
 
 def _shape_forces(
-    red: Reduction,
+    red: PointwiseReduction,
     at: ReducedShape,
     xdot: Array,
     omega: Array,
@@ -281,7 +283,7 @@ def _shape_forces(
 
 
 def _momentum_forces(
-    red: Reduction,
+    red: PointwiseReduction,
     xi: Array,
     mu: Array,
     wrench: ArrayLike | None,

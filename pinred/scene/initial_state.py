@@ -9,7 +9,7 @@ import numpy as np
 
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError
-from ..reduction.at_a_shape import Reduction
+from ..reduction.at_a_shape import PointwiseReduction
 from ..system.system import System
 
 
@@ -78,7 +78,7 @@ def start_of(system: System, given: GivenStates) -> Start:
     overflows.
     """
     r, state = system.r, given[0]
-    split = system.workspace(Reduction, lambda: Reduction(system)).split(state.x)
+    split = system.workspace(PointwiseReduction, lambda: PointwiseReduction(system)).split(state.x)
     H = split.mass_matrix
     xi, mu = state.xi, state.mu
     with np.errstate(over="ignore", invalid="ignore"):  # finite_start reports an overflow.

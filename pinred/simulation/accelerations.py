@@ -1,8 +1,8 @@
-"""Accelerations of a motion: the derivative of what it reports, along the flow it follows.
+"""Accelerations along a trajectory, from the equations of the engine that computed it.
 
-Where a trajectory is at time t, its route says how the reduced state changes, ẏ = f(t, y), and
-what velocity v(t, y) there is; v̇ is the derivative of v along (1, ẏ), by central differences of
-order 8.  So it is what the route's own equations say, whatever the integrator has made of them.
+At time t the engine gives the rate of the reduced state, ẏ = f(t, y), and the velocity v(t, y).
+The acceleration v̇ is the derivative of v along (1, ẏ), by central differences of order 8.  It
+therefore follows from the equations alone, and is independent of the integrator.
 """
 
 from __future__ import annotations
@@ -16,21 +16,28 @@ from ..common.errors import InputError
 from ..system.state_fields import State
 from .trajectory import Trajectory
 
-_WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)  # of v(t + k h) − v(t − k h), over h
-_STEP = 0.005  # rad, or part of the robot's size, that the fastest joint or the base moves by
-_SHORTER = 0.7  # of the step, for a second look
-_OF_A_STEP = 1 / 64  # of the integrator, which follows plans that depend on time
+# Weights of v(t + k h) − v(t − k h), k = 1, …, 4, in the central difference times h.
+_WEIGHTS = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+# Motion of the fastest joint or of the base within h [rad, or fraction of the robot's size].
+_STEP = 0.005
+_SHORTER = 0.7  # Factor of h in the second estimate, which shows the round-off.
+# Largest h in integrator steps if prescribed joints depend on time.
+_FRACTION_OF_STEP = 1 / 64
 
 
 @dataclass(frozen=True)
 class Accelerations:
-    """States at times and their accelerations.
+    """States and accelerations at some times.
 
-    states: at (T,) times.  v, a: (T, n) velocity and acceleration, body twist and shape.
-    spread: (T, n) how far accelerations by two lengths of difference are apart, which is what
-    round-off in v makes of them.  pace: (T,) how fast shape and attitude change, slides in parts
-    of the robot's size, or plans at times that differ by less [1/s]: round-off of a is that of
-    v, times this.
+    Attributes:
+        states: States at the times (T,).
+        v: Body twist and shape rate, (T, n).
+        a: Their derivatives, (T, n).
+        spread: Difference between the accelerations for two lengths h, (T, n); it measures the
+            round-off of v.
+        pace: Rate at which shape and attitude change, slides in units of the robot's size, (T,)
+            [1/s].  It is larger if prescribed joints need shorter differences.  The round-off of a
+            is that of v times this rate.
     """
 
     states: State
@@ -41,17 +48,24 @@ class Accelerations:
 
 
 def accelerations(traj: Trajectory, t: Array, size: float) -> Accelerations:
-    """Return states and accelerations at times t (T,).
+    """Compute states and accelerations of a trajectory.
 
-    size: of the robot [m].  Raises InputError if the base is not among the outputs.
+    Args:
+        traj: The trajectory.
+        t: Times, (T,) [s].
+        size: Length of the robot [m].
+    Returns:
+        States and accelerations at the times.
+    Raises:
+        InputError: The scene leaves out the base.
     """
     motion, system = traj.motion, traj.system
     states = motion.states(t)
     if not isinstance(states, State):
         raise InputError("accelerations need the base, which outputs='shape' leaves out")
     v = np.hstack([states.xi, states.xdot])
-    # Velocities are linear in momenta: what bends them is the shape and the attitude alone, and
-    # not how fast a wheel turns, of whose angle nothing depends.
+    # v is linear in the momenta, so only the motion of shape and attitude limits h.  Cyclic joints
+    # do not count, because nothing depends on their angles.
     units = np.ones(system.n)
     units[: system.group.linear] = 0.0
     units[system.r :][[unit == "m" for unit in system.units]] = 1.0 / size
@@ -59,32 +73,32 @@ def accelerations(traj: Trajectory, t: Array, size: float) -> Accelerations:
     pace = np.abs(v) @ units
     h = np.divide(_STEP, pace, out=np.ones(len(t)), where=pace > 0.0)
     if traj.plan.acting.driven:
-        knots = motion.knots
-        last = np.clip(np.searchsorted(knots, t), 1, len(knots) - 1)
-        h = np.minimum(h, _OF_A_STEP * (knots[last] - knots[last - 1]))
-        # A plan that turns round is slow there, and bends all the same.
-        h = np.minimum(h, _STEP / max(_pace_of_plans(traj, t), 1e-300))
+        step_ends = motion.knots
+        last = np.clip(np.searchsorted(step_ends, t), 1, len(step_ends) - 1)
+        h = np.minimum(h, _FRACTION_OF_STEP * (step_ends[last] - step_ends[last - 1]))
+        # A prescribed joint that reverses is slow, but its acceleration is large.
+        h = np.minimum(h, _STEP / max(_prescribed_pace(traj, t), 1e-300))
         pace = np.maximum(pace, _STEP / h)
     changes = motion.changes(t)
 
-    def derivative(h: Array) -> Array:
+    def differentiate(h: Array) -> Array:
         a = np.zeros_like(v)
         for k, weight in enumerate(_WEIGHTS, start=1):
-            later, before = (motion.beside(t, changes, sign * k * h) for sign in (1.0, -1.0))
-            a += (weight / h)[:, None] * (later - before)
+            after, before = (motion.beside(t, changes, sign * k * h) for sign in (1.0, -1.0))
+            a += (weight / h)[:, None] * (after - before)
         return a
 
-    a = derivative(h)
-    return Accelerations(states, v, a, np.abs(a - derivative(_SHORTER * h)), pace)
+    a = differentiate(h)
+    return Accelerations(states, v, a, np.abs(a - differentiate(_SHORTER * h)), pace)
 
 
-def _pace_of_plans(traj: Trajectory, t: Array) -> float:
-    """Return how fast the rates of prescribed joints change, |ẍ| / |ẋ| of a motion [1/s]."""
+def _prescribed_pace(traj: Trajectory, t: Array) -> float:
+    """Return the largest ratio of |ẍ| to |ẋ| of the prescribed joints at times t [1/s]."""
     forces, numbers = traj.plan.forces, traj.motion.numbers(t)
     assert forces is not None
-    plans = [forces.prescribed(at, row) for at, row in zip(t.tolist(), numbers, strict=True)]
-    rates, bends = (np.abs([getattr(each, name) for each in plans]) for name in ("xdot", "xddot"))
-    fastest = rates.max(axis=0)
-    return float(
-        np.divide(bends.max(axis=0), fastest, out=0.0 * fastest, where=fastest > 0.0).max()
-    )
+    plans = [
+        forces.prescribed(time, values) for time, values in zip(t.tolist(), numbers, strict=True)
+    ]
+    speeds = np.abs([plan.xdot for plan in plans]).max(axis=0)
+    accelerations = np.abs([plan.xddot for plan in plans]).max(axis=0)
+    return float(np.divide(accelerations, speeds, out=0.0 * speeds, where=speeds > 0.0).max())

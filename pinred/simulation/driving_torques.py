@@ -1,10 +1,11 @@
-"""Torques that make prescribed joints follow their plan: inverse dynamics on the reduced system.
+"""Torques of prescribed joints, by inverse dynamics of the reduced system.
 
-With ẍ of the prescribed joints known and the torques of the others, the shape equation
+Let F be all terms of the Lagrange–Poincaré equations except the torques τ.  The shape equation
 
-    M ẍ + (∂M ẋ) ẋ = F + τ,   F: every term of the Lagrange–Poincaré equations but τ
+    M ẍ + (∂M ẋ) ẋ = F + τ
 
-gives first the ẍ of the others and then the τ of the prescribed ones.
+gives ẍ of the free joints first, because ẍ of the prescribed joints and τ of the free ones are
+known.  It then gives τ of the prescribed joints.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..common.arrays import Array, read_only
-from ..reduction.at_a_shape import Reduction
+from ..reduction.at_a_shape import PointwiseReduction
 from ..reduction.canonical_form import CanonicalForm
 from ..reduction.potential import shape_gravity
 from ..reduction.textbook_equations import lagrange_poincare
@@ -21,20 +22,27 @@ from .plan import Plan
 from .sample import Sample
 
 
-def driving_torques(plan: Plan, t: Array, seen: list[tuple[Sample, Array]]) -> Array:
-    """Return the torques of the prescribed joints, (T, k) [N·m | N], in their order.
+def driving_torques(plan: Plan, t: Array, samples: list[tuple[Sample, Array]]) -> Array:
+    """Compute the torques of the prescribed joints.
 
-    t: (T,) times.  seen: what forces see then, and the numbers in them.
+    Args:
+        plan: The plan of the scene.
+        t: Times, (T,) [s].
+        samples: States that forces depend on, and parameters of the forces, at these times.
+    Returns:
+        (T, k) [N·m | N], in the order of the prescribed joints.
     """
     system, forces = plan.system, plan.forces
     if forces is None or not plan.acting.driven:
         return read_only(np.zeros((len(t), 0)))
-    red = system.workspace((Reduction, "weightless"), lambda: Reduction(_weightless(system)))
+    red = system.workspace(
+        (PointwiseReduction, "weightless"), lambda: PointwiseReduction(_weightless(system))
+    )
     form = system.workspace(CanonicalForm, lambda: CanonicalForm(system, shape_gravity(system)))
     gravity = shape_gravity(system)
     driven, free = np.array(plan.acting.driven), np.array(plan.acting.free, dtype=np.intp)
-    out = np.empty((len(t), len(driven)))
-    for k, (time, (s, numbers)) in enumerate(zip(t, seen, strict=True)):
+    torques = np.empty((len(t), len(driven)))
+    for k, (time, (s, numbers)) in enumerate(zip(t, samples, strict=True)):
         acting = forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers, s.base)
         at = red.at(s.x)
         torque = acting.torque - gravity.gradient(s.x)
@@ -44,17 +52,17 @@ def driving_torques(plan: Plan, t: Array, seen: list[tuple[Sample, Array]]) -> A
             wrench += np.cross(at.com, s.weight)
         omega = s.xi + at.local_connection @ s.xdot
         lp = lagrange_poincare(red, s.x, s.xdot, omega, torque=torque, wrench=wrench)
-        known = lp.shape.total - at.dM @ s.xdot @ s.xdot
+        force = lp.shape.total - at.dM @ s.xdot @ s.xdot
         M, xddot = at.reduced_metric, np.empty(system.m)
         xddot[driven] = forces.prescribed(float(time), numbers).xddot
-        held = M[np.ix_(free, driven)] @ xddot[driven]
-        xddot[free] = np.linalg.solve(M[np.ix_(free, free)], known[free] - held)
-        out[k] = M[driven] @ xddot - known[driven]
-    return read_only(out)
+        coupling = M[np.ix_(free, driven)] @ xddot[driven]
+        xddot[free] = np.linalg.solve(M[np.ix_(free, free)], force[free] - coupling)
+        torques[k] = M[driven] @ xddot - force[driven]
+    return read_only(torques)
 
 
 def _weightless(system: System) -> System:
-    """Return the system without gravity, which is added as a torque and a wrench."""
+    """Return the system without gravity, which is added as a torque and a wrench instead."""
     model = system.model.copy()
     model.gravity.linear = np.zeros(3)
     return System(model, system.name, contents=system.contents)

@@ -1,4 +1,4 @@
-"""The savings of a scene, in words: terms and numbers that its simulation skips."""
+"""Descriptions of a plan: the terms that the simulation skips and the numbers it integrates."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .plan import Plan
 
 
 def explain(plan: Plan) -> str:
-    """Return what the compiled engine skips and how many numbers it integrates, as lines."""
+    """Describe the terms that the compiled engine skips and the numbers it integrates, in lines."""
     lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=_begins_without(plan))]
     lines.append(f"integrated: {integrated(plan)}")
     lines += seen_and_integrated(plan)
@@ -22,29 +22,29 @@ def explain(plan: Plan) -> str:
 
 
 def seen_and_integrated(plan: Plan) -> list[str]:
-    """Return what forces see of the base, and why momentum is integrated or constant."""
+    """Describe how forces depend on the base, and why momentum is integrated or constant."""
     forces = plan.forces
     if forces is None:
         return []
     lines = []
-    what = [
+    observed = [
         *(["attitude"] if forces.sees_attitude else []),
         *(["place or speed"] if forces.sees_place else []),
     ]
-    if what:
-        lines.append(f"seen by forces: {' and '.join(what)} of the base")
+    if observed:
+        lines.append(f"seen by forces: {' and '.join(observed)} of the base")
     if forces.acting_on_base:
         labels = ", ".join(dict.fromkeys(forces.acting_on_base))
         lines.append(f"integrated for wrenches: momentum, which {labels} changes")
-    elif what and not plan.acting.momentum_changes:
+    elif observed and not plan.acting.momentum_changes:
         lines.append("constant: momentum, for torques do not change it, whatever they see")
     return lines
 
 
 def varying(plan: Plan, *, generic: bool = False) -> list[str]:
-    """Return which numbers of the robot are inputs of the kernel, and what that costs, as lines.
+    """Describe the robot parameters that are inputs of the kernel, and their cost, in lines.
 
-    generic: whether placements may become any, as in flows.
+    generic: whether placements may take any value, as in flows.
     """
     varied = plan.scene.varied
     if varied is None:
@@ -54,16 +54,16 @@ def varying(plan: Plan, *, generic: bool = False) -> list[str]:
     if freed.inertias:
         bodies = ", ".join(names[i + 1] for i in freed.inertias)
         lines.append(f"inputs: inertias of what moves with {bodies} (up to 1.2 × an evaluation)")
-    few = [names[i + 1] for i, pattern in freed.steps if "x" * 4 not in pattern]
-    any_turn = [names[i + 1] for i, pattern in freed.steps if "x" * 4 in pattern]
-    if few:
+    patterned = [names[i + 1] for i, pattern in freed.steps if "x" * 4 not in pattern]
+    general = [names[i + 1] for i, pattern in freed.steps if "x" * 4 in pattern]
+    if patterned:
         lines.append(
-            f"inputs: placements of {', '.join(few)}, within their pattern of zeros and quarter "
-            "turns (up to 1.2 × an evaluation)"
+            f"inputs: placements of {', '.join(patterned)}, within their pattern of zeros and "
+            "quarter turns (up to 1.2 × an evaluation)"
         )
-    if any_turn:
+    if general:
         lines.append(
-            f"inputs: placements of {', '.join(any_turn)}, of any kind (of all joints, two "
+            f"inputs: placements of {', '.join(general)}, of any kind (of all joints, two "
             "to five evaluations)"
         )
     if freed.links:
@@ -75,7 +75,7 @@ def varying(plan: Plan, *, generic: bool = False) -> list[str]:
 
 
 def integrated(plan: Plan) -> str:
-    """Return how many numbers a full simulation and the compiled engine integrate."""
+    """Describe the number of variables of a full simulation and of the compiled engine."""
     full = plan.system.model.nq + plan.system.model.nv
     kind = plan.kind(zero_momentum=_begins_without(plan))
     return f"{full} → {kind.layout.size} numbers"
@@ -87,9 +87,9 @@ def _begins_without(plan: Plan) -> bool:
 
 
 def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:
-    """Return what is not integrated or not computed, a line each.
+    """Describe the terms that are not integrated or not computed, one in each line.
 
-    zero_momentum: whether the base has no angular momentum at the start.
+    zero_momentum: whether the angular momentum of the base is zero at the start.
     """
     system, forces = plan.system, plan.forces
     names, group = system.shape_names, system.group

@@ -1,4 +1,4 @@
-"""The robot's own numbers among the columns that the begin of a flow takes, and their slopes."""
+"""Robot parameters as inputs of a flow, and the derivatives of the kernel's constants."""
 
 from __future__ import annotations
 
@@ -28,17 +28,25 @@ from ..system.variants import in_gravity, nominal
 
 Slopes = dict[str, Array]
 
-_FLAT = 1e-6  # cos δ below which the angles of a step have no slopes
+# cos δ below which the angles of a step between bodies have no derivatives.
+_FLAT = 1e-6
 
 
 class RobotColumns:
-    """The robot's parameters of a flow: where their numbers stand among its constants.
+    """The robot parameters of a flow and their places among the kernel's constants.
 
-    values: of the scene, {name: (size,)}.
+    Attributes:
+        values: Values in the scene, {name: (size,)}.
     """
 
     def __init__(self, scene: Scene, layout: Layout, numbers: int) -> None:
-        """Take the scene.  numbers: how many there are in the forces."""
+        """Prepare the robot parameters of a scene.
+
+        Args:
+            scene: The scene; some of its robot's parameters are variable.
+            layout: Layout of the kernel.
+            numbers: Number of parameters of the forces.
+        """
         assert scene.varied is not None
         self._varied: ModelParameters = scene.varied
         self._system, self._layout = nominal(scene.system), layout
@@ -49,14 +57,17 @@ class RobotColumns:
         self._fall_at = self._bodies_at + layout.freed.size + numbers
         self._gravity: tuple[Array, Array] | None = None
 
-    def now(self, given: Mapping[str, Any]) -> dict[str, Array]:
-        """Return all values, of which some are given.  Raises InputError for unphysical ones."""
-        return self._varied.checked(given, self.values)
+    def now(self, changes: Mapping[str, Any]) -> dict[str, Array]:
+        """Return all values with some replaced.  Raises InputError for unphysical values."""
+        return self._varied.checked(changes, self.values)
 
     def put(self, constants: Array, now: Mapping[str, Array], changed: Collection[str]) -> None:
-        """Write the numbers for these values among the constants, where they have changed.
+        """Write changed values into the kernel's constants.
 
-        changed: names of the parameters that are not those of the scene.
+        Args:
+            constants: Constants of the kernel, which are overwritten.
+            now: Values of all parameters.
+            changed: Names of the parameters whose values differ from the scene's.
         """
         for place, numbers, _ in self._of_bodies(now, changed):
             constants[place] = numbers
@@ -69,9 +80,16 @@ class RobotColumns:
     def slopes(
         self, now: Mapping[str, Array], changed: Collection[str]
     ) -> Iterator[tuple[slice, str, Array]]:
-        """Yield places among the constants, names, and slopes (…, size) there; see `put`."""
-        for place, _, slopes in self._of_bodies(now, changed):
-            for name, slope in slopes().items():
+        """Yield slices of the constants, parameter names, and derivatives (…, size).
+
+        Args:
+            now: Values of all parameters.
+            changed: Names of the parameters whose values differ from the scene's.
+        Yields:
+            The slice, the name, and the derivatives of the constants there.
+        """
+        for place, _, derivatives in self._of_bodies(now, changed):
+            for name, slope in derivatives().items():
                 yield place, name, slope
         if self._varied.gravity:
             _, slope = self._varied.gravity_of(now)
@@ -83,24 +101,24 @@ class RobotColumns:
     def _of_bodies(
         self, now: Mapping[str, Array], changed: Collection[str]
     ) -> Iterator[tuple[slice, Array, Callable[[], Slopes]]]:
-        """Yield places among the constants, the numbers there, and what gives their slopes."""
+        """Yield slices of the constants, their values, and functions that return derivatives."""
         freed = self._layout.freed
         for i, (moments, slopes) in self._varied.inertias(now, changed).items():
-            place, turn = freed.of_inertia(i), self._maps[i]
+            place, frame = freed.of_inertia(i), self._maps[i]
             yield (
                 self._among_constants(place),
-                turn @ moments,
-                partial(_turned, turn, slopes),
+                frame @ moments,
+                partial(_map_slopes, frame, slopes),
             )
         for i, (joint, twists) in self._varied.placements(now, changed).items():
-            body, own = self._bodies[i], self._system.model.jointPlacements[i + 1]
+            body, nominal_place = self._bodies[i], self._system.model.jointPlacements[i + 1]
             parent = self._bodies[body.parent]
-            moved = replace(body, **step_at(parent, body, own, joint))
+            placed = replace(body, **step_at(parent, body, nominal_place, joint))
             place = freed.of_step(i)
             yield (
                 self._among_constants(place),
-                step_of_body(moved),
-                partial(_step_slopes, parent, moved, twists),
+                step_of_body(placed),
+                partial(_step_slopes, parent, placed, twists),
             )
         for k, body, link, twists in self._links(now):
             place = freed.of_link(k)
@@ -116,7 +134,7 @@ class RobotColumns:
     def _links(
         self, now: Mapping[str, Array]
     ) -> Iterator[tuple[int, Body, pin.SE3, dict[str, Array]]]:
-        """Yield frame, body, place and twists by name of each link that a force acts on."""
+        """Yield frame, body, placement and twists by name of each link that a force acts on."""
         links = self._layout.freed.links
         for k, (place, twists) in self._varied.places(now).items() if links else ():
             if k in links:
@@ -124,9 +142,10 @@ class RobotColumns:
                 yield k, self._bodies[joint - 1], place, twists
 
     def _in_gravity(self, g: Array) -> tuple[Array, Array]:
-        """Return what of a gravity acts along the kernel's axes, and how the system falls.
+        """Return the components of gravity along the kernel's axes, and the free fall.
 
-        Raises SymmetryError if it breaks the symmetry, InputError if it acts along others.
+        Raises SymmetryError if gravity breaks the symmetry, and InputError if it has other
+        components.
         """
         system = in_gravity(self._system, g)
         acting, axes = acting_gravity(system), list(self._layout.gravity)
@@ -139,22 +158,21 @@ class RobotColumns:
         return acting[axes], falling(system)
 
     def _gravity_maps(self) -> tuple[Array, Array]:
-        """Return the maps from gravity in the world to what acts, and to the fall.
+        """Return the linear maps from gravity in the world frame to its components and the fall.
 
-        Raises InputError if gravity along some axis of the world would break the symmetry, where
-        all of it varies.
+        Raises InputError if all of gravity varies and some direction breaks the symmetry.
         """
         if self._gravity is not None:
             return self._gravity
         columns, falls, axes = [], [], list(self._layout.gravity)
         root = self._system.model.jointPlacements[1].rotation
-        whole = self._varied.gravity_name() == "gravity"
+        is_vector = self._varied.gravity_name() == "gravity"
         for unit in np.eye(3):
             system = in_gravity(self._system, unit)
             try:
                 acting = acting_gravity(system)
             except SymmetryError as broken:
-                if whole:
+                if is_vector:
                     raise InputError(
                         f"'gravity' has no derivatives by all its numbers: {broken}; vary "
                         "'gravity.strength'"
@@ -162,12 +180,12 @@ class RobotColumns:
                 acting = np.zeros(3)
             columns.append(acting[axes])
             falls.append(falling(system))
-        if not whole:  # along a direction that keeps the symmetry the map is linear
+        if not is_vector:  # Along a direction that keeps the symmetry the map is linear.
             g = self._system.gravity
             acting = acting_gravity(self._system)[axes]
             columns = list(np.outer(g, acting) / (g @ g))
         elif self._system.group.is_pivot and axes:
-            columns = list(root)  # row k: of the world's axis k
+            columns = list(root)  # Row k is the image of the world's axis k.
         self._gravity = (
             np.transpose(columns).reshape(len(axes), 3),
             np.transpose(falls).reshape(-1, 3),
@@ -176,29 +194,30 @@ class RobotColumns:
 
 
 def with_own(scene: Scene, names: Sequence[Any]) -> Scene:
-    """Return a scene with the robot's parameters among the names as its own, at their values.
+    """Return a scene in which the named robot parameters are variable, at their present values.
 
-    Raises InputError for bodies and joints that are not there.
+    Raises InputError for bodies and joints that the robot does not have.
     """
-    known = [name for name in names if isinstance(name, str)]
-    own = nominal(scene.system)
-    varied = ModelParameters(own, list(dict.fromkeys([*scene.parameters, *known])))
+    requested = [name for name in names if isinstance(name, str)]
+    varied = ModelParameters(
+        nominal(scene.system), list(dict.fromkeys([*scene.parameters, *requested]))
+    )
     if not varied.names:
         return scene
     values = {**varied.own(), **scene.parameters}
     return replace(scene, parameters=values)
 
 
-def _turned(turn: Array, slopes: Slopes) -> Slopes:
-    return {name: turn @ slope for name, slope in slopes.items()}
+def _map_slopes(matrix: Array, slopes: Slopes) -> Slopes:
+    return {name: matrix @ slope for name, slope in slopes.items()}
 
 
 def _step_slopes(parent: Body, body: Body, twists: Slopes) -> Slopes:
-    """Return the slopes of a step's numbers by name.  Raises InputError where there are none."""
+    """Return the derivatives of a step's entries by name.  Raises InputError at a right angle."""
     if abs(body.delta[0]) < _FLAT:
         raise InputError(
-            f"{next(iter(twists))} turns the joint by a right angle from where the robot has it; "
-            "there its numbers have no slopes: load the robot with a placement that is nearer"
+            f"{next(iter(twists))} turns the joint by a right angle from the robot's placement, "
+            "where derivatives do not exist: load the robot with a placement that is nearer"
         )
     by_twist = step_slopes(parent, body)
     return {name: by_twist @ twist for name, twist in twists.items()}

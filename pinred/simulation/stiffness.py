@@ -1,7 +1,7 @@
-"""Stiffness of the forces of a scene: the rates at which it comes to rest, and oscillates.
+"""Stiffness of the forces of a scene: rates of decay and oscillation near rest.
 
-Near rest, with no momentum, M ẍ = τ(x, ẋ) has the derivatives K = −∂τ/∂x and D = −∂τ/∂ẋ, and the
-eigenvalues of [[0, 1], [−M⁻¹K, −M⁻¹D]] are its rates.
+At zero momentum the linearisation of M ẍ = τ(x, ẋ) has K = −∂τ/∂x and D = −∂τ/∂ẋ.  The rates are
+the eigenvalues of [[0, 1], [−M⁻¹K, −M⁻¹D]].
 """
 
 from __future__ import annotations
@@ -15,25 +15,30 @@ from ..common.errors import SingularInertiaError
 from ..common.memo import once
 from ..forces.acting import BaseInSpace
 from ..forces.force_model import ForceModel
-from ..reduction.at_a_shape import Reduction
+from ..reduction.at_a_shape import PointwiseReduction
 from ..scene.scene import Scene
 from ..system.system import System
 
-_STEP = 1e-4  # rad | m, and per second: forces are rarely more curved than that
+_STEP = 1e-4  # Step of the differences of forces [rad | m, and per second].
 
 
 @dataclass(frozen=True)
 class Rates:
-    """decay: of what dies out fastest [1/s].  oscillation: of what swings fastest [rad/s]."""
+    """The fastest rates of a linear system.
+
+    Attributes:
+        decay: Rate of the fastest decay [1/s].
+        oscillation: Angular frequency of the fastest oscillation [rad/s].
+    """
 
     decay: float
     oscillation: float
 
 
 def rates_near_rest(scene: Scene) -> Rates:
-    """Return the rates of a scene's forces at shape zero, found once for the same forces.
+    """Return the rates of a scene's forces at shape zero, cached for equal forces.
 
-    Zero if nothing does work, or the forces are not defined there.
+    They are zero if no force does work, or the forces are not defined at shape zero.
     """
     forces = scene.force_model
     if forces is None or not forces.labels or len(forces.joints) == scene.system.m:
@@ -45,12 +50,12 @@ def rates_near_rest(scene: Scene) -> Rates:
 def _rates(system: System, forces: ForceModel, numbers: Array) -> Rates:
     m, r = system.m, system.r
     try:
-        at = Reduction(system).at(np.zeros(m))
-    except SingularInertiaError:  # at shape zero, where the scene need not be
+        at = PointwiseReduction(system).at(np.zeros(m))
+    except SingularInertiaError:  # The scene need not contain shape zero.
         return Rates(0.0, 0.0)
 
     def torque(x: Array, xdot: Array) -> Array:
-        xi = -at.local_connection @ xdot  # no momentum
+        xi = -at.local_connection @ xdot  # The body twist at zero momentum.
         base = BaseInSpace(system.group.identity(), xi, np.zeros(r), np.zeros(r))
         return forces.acting(0.0, x, xdot, xi, np.zeros(r), numbers, base).torque
 
@@ -64,10 +69,11 @@ def _rates(system: System, forces: ForceModel, numbers: Array) -> Rates:
     free = np.setdiff1d(np.arange(m), list(forces.joints))
     K, D, M = (matrix[np.ix_(free, free)] for matrix in (K, D, at.reduced_metric))
     with np.errstate(over="ignore", invalid="ignore"):
-        slope = np.linalg.solve(M, np.hstack([-K, -D]))
-    if not np.isfinite(slope).all():
+        accelerations = np.linalg.solve(M, np.hstack([-K, -D]))
+    if not np.isfinite(accelerations).all():
         return Rates(0.0, 0.0)
-    values = np.linalg.eigvals(np.vstack([np.hstack([np.zeros_like(M), np.eye(len(free))]), slope]))
+    rates = np.hstack([np.zeros_like(M), np.eye(len(free))])
+    values = np.linalg.eigvals(np.vstack([rates, accelerations]))
     swinging = np.abs(values.imag) > np.abs(values.real)
     return Rates(
         decay=max(0.0, float(-values.real.min())),

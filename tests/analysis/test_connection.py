@@ -9,7 +9,7 @@ from nearness import close
 from strategies import Case, cases
 
 import pinred
-from pinred.kernels.connection import connection_judge
+from pinred.kernels.connection.connection_validation import trial_shapes
 from pinred.kernels.connection.form import ConnectionForm
 
 
@@ -55,6 +55,17 @@ def test_slopes_are_those_of_the_reduction(name: str) -> None:
     close(found[r, m:], 2.0 * at.reduced_metric @ xdot, 1e-13)
 
 
+def test_locked_derivatives_equal_derivatives_of_locked_inertia() -> None:
+    """∂(I ω)/∂x at constant ω, from Pinocchio's exact dI."""
+    system = pinred.load("falling_cat")
+    rng = np.random.default_rng(5)
+    x, omega = rng.uniform(-1.0, 1.0, (2, system.m)), rng.normal(size=(2, system.r))
+    values = pinred.Connection.mechanical(system).code.locked_derivatives(x, omega)
+    for k in range(2):
+        dI = pinred.Reduction(system).at(x[k]).dI
+        close(values[k], np.einsum("ijc,j->ic", dI, omega[k]), 1e-13)
+
+
 @pytest.mark.parametrize(
     ("what", "call"),
     [
@@ -62,10 +73,11 @@ def test_slopes_are_those_of_the_reduction(name: str) -> None:
         ("velocity", lambda A, x: A.velocity(x, x)),
         ("curvature", lambda A, x: A.curvature(x)),
         ("slope", lambda A, x: A.horizontal_slopes(x[None], x[None])),
+        ("P_b", lambda A, x: A.code.locked_derivatives(x[None], np.ones((1, 3)))),
     ],
 )
 def test_code_that_disagrees_never_runs(what: str, call: object) -> None:
-    """A reference that differs by 1e-4 in one number is seen by each of the four judges."""
+    """A reference that differs by 1e-4 in two entries is detected for each function."""
     system = pinred.load("three_rods")
     own = pinred.Connection.mechanical(system).form
 
@@ -73,6 +85,7 @@ def test_code_that_disagrees_never_runs(what: str, call: object) -> None:
         G = own.reference(x).copy()
         G[2, 3] *= 1.0 + 1e-4 * (1.0 + np.sin(x[0]))
         G[3, 2] = G[2, 3]
+        G[2, 2] *= 1.0 + 1e-4 * (1.0 + np.sin(x[0]))
         return G
 
     form = ConnectionForm(**{**vars(own), "reference": wrong})
@@ -83,7 +96,7 @@ def test_code_that_disagrees_never_runs(what: str, call: object) -> None:
 def test_the_judge_looks_at_healthy_shapes() -> None:
     """The trial shapes exist: a judge without any would pass everything."""
     form = pinred.Connection.mechanical(pinred.load("falling_cat")).form
-    assert len(list(connection_judge.shapes_to_judge(form))) == 2
+    assert len(list(trial_shapes(form))) == 2
 
 
 def test_wrong_shapes_are_refused() -> None:

@@ -73,19 +73,23 @@ TESTS: dict[str, list[str]] = {
         "forces", "scene/test_odd_values.py", "simulation/test_balances.py",
         "views/test_notebook_cards.py",
     ],
-    "integrators/explicit/derivatives": [
+    "integrators/explicit/forward_sensitivities": [
         "simulation/test_step_map.py", "simulation/test_flow_map.py",
     ],
-    "integrators/explicit/reverse": ["simulation/test_flow_map.py", "simulation/test_adapters.py"],
+    "integrators/explicit/adjoint_sweep": [
+        "simulation/test_flow_map.py", "simulation/test_adapters.py",
+    ],
     "integrators/explicit": [
         "integrators/test_steppers.py", "integrators/test_claimed_orders.py",
         "integrators/test_tableaux.py", "integrators/test_tolerance_of_turns.py",
         "integrators/test_step_control.py",
     ],
-    "integrators/gauss/derivatives": [
+    "integrators/gauss/stage_sensitivities": [
         "simulation/test_step_map.py", "simulation/test_flow_map.py",
     ],
-    "integrators/gauss/reverse": ["simulation/test_flow_map.py", "simulation/test_adapters.py"],
+    "integrators/gauss/adjoint_steps": [
+        "simulation/test_flow_map.py", "simulation/test_adapters.py",
+    ],
     "integrators/gauss": [
         "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
         "integrators/test_gauss.py", "integrators/test_newton_in_gauss.py",
@@ -103,7 +107,7 @@ TESTS: dict[str, list[str]] = {
         "integrators/test_tableaux.py", "integrators/test_steppers.py",
         "integrators/test_batches.py",
     ],
-    "integrators/derivatives": ["simulation/test_step_map.py", "simulation/test_flow_map.py"],
+    "integrators/run_derivatives": ["simulation/test_step_map.py", "simulation/test_flow_map.py"],
     "integrators": [
         "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
         "integrators/test_steppers.py", "integrators/test_batches.py",

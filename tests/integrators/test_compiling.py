@@ -16,7 +16,7 @@ from numba.core.errors import TypingError
 import pinred
 from pinred.integrators import stepping
 from pinred.integrators.methods import METHODS, Method
-from pinred.integrators.stepping.compiling import SOURCES, bound, compiled, stamp, woven
+from pinred.integrators.stepping.compiling import SOURCES, bind_globals, compiled, inlined, stamp
 
 PACKAGE = Path(pinred.__file__).parent
 CASES: dict[str, Method] = {
@@ -92,9 +92,9 @@ from pinred.integrators.stepping import compiling
 def plain(function, name, **found):  # as `bound` would be without a name of its own
     return types.FunctionType(function.__code__, {{**function.__globals__, **found}})
 
-bind = compiling.bound if {named} else plain
-double = compiling.woven(lambda x: 2.0 * x)
-half = compiling.woven(lambda x: 0.5 * x)
+bind = compiling.bind_globals if {named} else plain
+double = compiling.inlined(lambda x: 2.0 * x)
+half = compiling.inlined(lambda x: 0.5 * x)
 chosen = bind(test.loop, {name!r}, one={name})
 print(compiling.compiled(chosen)(3.0))
 """
@@ -118,9 +118,9 @@ def test_a_copy_without_a_name_would_run_another(named: bool, tmp_path: Path) ->
 
 def test_a_name_is_given_once() -> None:
     """Who would run another's machine code is told so."""
-    bound(loop, "test_a_name_is_given_once")
+    bind_globals(loop, "test_a_name_is_given_once")
     with pytest.raises(RuntimeError, match="two functions cannot both be called"):
-        bound(loop, "test_a_name_is_given_once")
+        bind_globals(loop, "test_a_name_is_given_once")
 
 
 def test_machine_code_on_disk_is_as_old_as_all_sources() -> None:
@@ -149,6 +149,6 @@ def makes_an_array(n: int) -> float:
 
 def test_nobody_counts_who_holds_an_array() -> None:
     """Views of rows cost nothing, as compiled functions have no counts; so none makes an array."""
-    for kind in (compiled, woven):
+    for kind in (compiled, inlined):
         with pytest.raises(TypingError, match="zeros"):
             kind(makes_an_array)(3)

@@ -29,7 +29,7 @@ def test_steps_that_nobody_can_wait_for_are_refused(kind: type[EqualSteps], step
     """More than a trillion; that many are not."""
     method = kind(step)
     assert method.registers(step * 1e12)["total"] == pytest.approx(1e12, rel=1e-11)
-    with pytest.raises(InputError, match=r"more than 1e\+12 .* take longer ones"):
+    with pytest.raises(InputError, match=r"at most 1e\+12 steps"):
         method.registers(step * 1.1e12)
 
 

@@ -1,4 +1,4 @@
-"""Entries of the cache are signed: who can write there cannot make machine code run."""
+"""Tests of signed cache entries: users who can write into the cache cannot run machine code."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ KEY = cache_key("one")
 
 
 @pytest.fixture(autouse=True)
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A home of its own, where the key is `pinred/cache_key`."""
+def data_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Use a private data folder, in which the key is `pinred/cache_key`."""
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     signing_keys._load_key.cache_clear()
     yield tmp_path / "data"
     signing_keys._load_key.cache_clear()
 
 
-def entry(payload: bytes, signature: bytes) -> bytes:
-    """An entry in the form that is read."""
+def format_entry(payload: bytes, signature: bytes) -> bytes:
+    """Return an entry in the file format of the cache."""
     return _HEADER.pack(_MAGIC, _VERSION, KEY.encode(), len(payload)) + signature + payload
 
 
-def test_a_forged_entry_is_not_used(tmp_path: Path, home: Path) -> None:
-    """With a checksum, with nothing, or signed by another key; with the right one it would be."""
+def test_get_rejects_forged_entry(tmp_path: Path, data_home: Path) -> None:
+    """Entries with a checksum, no signature or a foreign key are rejected; a signed one is read."""
     cache = ObjectCache(tmp_path / "cache")
     cache.put(KEY, b"mine")
     file = tmp_path / f"cache/{KEY}.o"
@@ -53,18 +53,18 @@ def test_a_forged_entry_is_not_used(tmp_path: Path, home: Path) -> None:
         sha256(forged).digest(), sha256(header + forged).digest(), bytes(_SIGNATURE),
         hmac.digest(b"", header + forged, "sha256"),
     ):  # fmt: skip
-        file.write_bytes(entry(forged, signature))
+        file.write_bytes(format_entry(forged, signature))
         with pytest.warns(CacheWarning, match="signature is not this user's"):
             assert cache.get(KEY) is None
         cache.put(KEY, b"mine")
         assert cache.get(KEY) == b"mine"
-    key = (home / "pinred/cache_key").read_bytes()
-    file.write_bytes(entry(forged, hmac.digest(key, header + forged, "sha256")))
+    key = (data_home / "pinred/cache_key").read_bytes()
+    file.write_bytes(format_entry(forged, hmac.digest(key, header + forged, "sha256")))
     assert cache.get(KEY) == forged
 
 
-def test_a_forged_kernel_is_rebuilt(tmp_path: Path) -> None:
-    """The one of another user (that is, of another key) is compiled anew, and runs."""
+def test_kernel_signed_by_other_key_is_rebuilt(tmp_path: Path) -> None:
+    """A kernel with a foreign signature is compiled again and runs."""
     cat, cache = pinred.load("falling_cat"), ObjectCache(tmp_path / "cache")
     plan = plan_of(pinred.Scene(system=cat))
     structure = plan.kind(zero_momentum=False).structure
@@ -80,10 +80,10 @@ def test_a_forged_kernel_is_rebuilt(tmp_path: Path) -> None:
         build_kernel(cat, structure, cache=cache)
 
 
-def test_the_key_is_private_and_stays(home: Path) -> None:
-    """Mode 0600 in a folder of mode 0700; another process finds the same."""
+def test_signing_key_is_private_and_persistent(data_home: Path) -> None:
+    """The key has mode 0600 in a folder of mode 0700 and is read by other processes."""
     key = signing_keys.signing_key()
-    file = home / "pinred/cache_key"
+    file = data_home / "pinred/cache_key"
     assert file.read_bytes() == key
     assert len(key) == 32
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
@@ -94,17 +94,17 @@ def test_the_key_is_private_and_stays(home: Path) -> None:
 
 
 @pytest.mark.parametrize("fault", ["readable", "short", "link"])
-def test_a_key_that_is_no_secret_is_replaced(home: Path, fault: str) -> None:
-    """With a word."""
+def test_signing_key_not_private_is_replaced(data_home: Path, fault: str) -> None:
+    """A readable, short or linked key is replaced with a warning."""
     key = signing_keys.signing_key()
-    file = home / "pinred/cache_key"
+    file = data_home / "pinred/cache_key"
     if fault == "readable":
         file.chmod(0o644)
     elif fault == "short":
         file.write_bytes(key[:-1])
     else:
-        file.rename(home / "other")
-        file.symlink_to(home / "other")
+        file.rename(data_home / "other")
+        file.symlink_to(data_home / "other")
     signing_keys._load_key.cache_clear()
     with pytest.warns(CacheWarning, match="was not private"):
         new = signing_keys.signing_key()
@@ -113,17 +113,17 @@ def test_a_key_that_is_no_secret_is_replaced(home: Path, fault: str) -> None:
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
 
 
-def test_without_a_place_for_the_key(home: Path, tmp_path: Path) -> None:
-    """It is made for this process, which is said; entries of this process still serve it."""
-    home.write_bytes(b"a file where a folder should be")
+def test_signing_key_unwritable_folder_uses_temporary_key(data_home: Path, tmp_path: Path) -> None:
+    """The temporary key causes a warning and serves this process."""
+    data_home.write_bytes(b"a file where a folder should be")
     cache = ObjectCache(tmp_path / "cache")
     with pytest.warns(CacheWarning, match="cannot be kept in"):
         cache.put(KEY, b"mine")
     assert cache.get(KEY) == b"mine"
 
 
-def test_a_cache_below_a_folder_of_everyone_is_told(tmp_path: Path) -> None:
-    """Once, with the folder; not where it is sticky."""
+def test_cache_below_world_writable_folder_warns(tmp_path: Path) -> None:
+    """One warning names the folder; a sticky folder causes none."""
     (tmp_path / "open/own").mkdir(parents=True)
     (tmp_path / "open").chmod(0o777)
     cache = ObjectCache(tmp_path / "open/own/cache")

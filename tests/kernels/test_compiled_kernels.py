@@ -1,4 +1,4 @@
-"""The compiled engine: kernels against Pinocchio, scenes against the other route and ABA."""
+"""Tests of compiled kernels against Pinocchio, and of motions against ABA."""
 
 from __future__ import annotations
 
@@ -29,16 +29,18 @@ from pinred.system.catalogue import bundled_robots
 
 
 @pytest.fixture(autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Kernels of the tests go to a folder of their own."""
+def private_cache(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Use a private folder for the kernels of each test."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path_factory.mktemp("cache", numbered=True)))
 
 
 @pytest.mark.slow
 @settings(max_examples=20)
 @given(cases(0, 6))
-def test_kernels_of_random_trees(case: Case) -> None:
-    """Any group and joints, springs, with and without momentum: as the readable route."""
+def test_kernel_rate_equals_readable_route(case: Case) -> None:
+    """Random groups, joints and springs, with and without momentum."""
     system = case.system
     springs = dict.fromkeys(system.shape_names[::2], (1.5, 0.4))
     for momentum in (None, np.zeros(system.r)):
@@ -61,10 +63,10 @@ def test_kernels_of_random_trees(case: Case) -> None:
 @pytest.mark.slow
 @settings(max_examples=25)
 @given(cases(1, 5))
-def test_kernels_obey_hamilton_poincare(case: Case) -> None:
-    """ẋ and π̇ = ṗ + Ȧᵀμ + Aᵀμ̇ of the kernel are those of the equations, term by term.
+def test_kernel_rate_satisfies_hamilton_poincare(case: Case) -> None:
+    """ẋ and π̇ = ṗ + Ȧᵀμ + Aᵀμ̇ of the kernel equal those of the reduced equations.
 
-    p = π − Aᵀμ.  The equations come from the mass matrix and its derivatives, with curvature.
+    p = π − Aᵀμ.  The equations use the mass matrix, its derivatives and the curvature.
     """
     system, red = case.system, pinred.Reduction(case.system)
     scene = pinred.Scene(system=system, x0=case.x, xdot0=case.xdot, xi0=case.xi, pose0=case.pose)
@@ -85,8 +87,8 @@ def test_kernels_obey_hamilton_poincare(case: Case) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(bundled_robots()))
-def test_both_routes_agree(name: str) -> None:
-    """The compiled engine and the Pinocchio route give the same motion, all fields of it."""
+def test_compiled_and_pinocchio_engines_agree(name: str) -> None:
+    """Both engines give the same motion in all fields."""
     system = pinred.load(name)
     a = pinred.simulate(system, duration=3.0, rtol=1e-11, atol=1e-13)
     b = pinred.simulate(system, duration=3.0, rtol=1e-11, atol=1e-13, engine="pinocchio")
@@ -98,8 +100,8 @@ def test_both_routes_agree(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_gravity_on_the_shape() -> None:
-    """A pendulum chain about the vertical and a slanted cart: V(x) is in the kernel."""
+def test_kernel_with_gravity_on_shape_agrees_with_aba() -> None:
+    """A pendulum chain about the vertical and a slanted cart, with V(x) in the kernel."""
     for group, gravity in (("R", (1.0, -2.0, 3.0)), ("SO2", None)):
         model = random_model(group, 3, 12)
         if gravity is None:
@@ -111,8 +113,8 @@ def test_gravity_on_the_shape() -> None:
 
 
 @pytest.mark.slow
-def test_wheels_turn_by_quadrature() -> None:
-    """Cyclic joints leave the integrated pairs, and their angles are still right."""
+def test_cyclic_joints_are_integrated_by_quadrature() -> None:
+    """Cyclic joints have no momentum in the state, and their angles agree with ABA."""
     system = pinred.load("reaction_wheel_satellite")
     traj = pinred.simulate(system, duration=5.0)
     flow = CompiledFlow(plan_of(traj.scene))
@@ -124,8 +126,8 @@ def test_wheels_turn_by_quadrature() -> None:
     assert pinred.compare(sprung).passed
 
 
-def test_just_off_zero_momentum_is_off_zero() -> None:
-    """Zero momentum is recognised only if it is exactly zero."""
+def test_zero_momentum_kernel_needs_exact_zero() -> None:
+    """A momentum of 1e-300 uses the kernel with momentum."""
     system = pinred.load("falling_cat")
     xdot0 = np.full(system.m, 0.3)
     still = CompiledFlow(plan_of(pinred.Scene(system=system, xdot0=xdot0, momentum=0)))
@@ -136,8 +138,8 @@ def test_just_off_zero_momentum_is_off_zero() -> None:
     assert still.kernel.instructions < off.kernel.instructions
 
 
-def test_a_wrong_kernel_never_runs() -> None:
-    """A kernel of another robot, or with a number off, is refused with the numbers."""
+def test_kernel_of_other_robot_is_rejected() -> None:
+    """The error message states the deviation."""
     cat = pinred.load("falling_cat")
     kernel = kernel_of(plan_of(pinred.Scene(system=cat, seed=0)), zero_momentum=False)
     validate_kernel(kernel)
@@ -149,8 +151,8 @@ def test_a_wrong_kernel_never_runs() -> None:
         validate_kernel(replace(kernel, system=other))
 
 
-def test_kernels_come_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The second build of the same scene compiles nothing; another number is another kernel."""
+def test_build_kernel_reuses_cached_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second build compiles nothing; another parameter value needs another kernel."""
     cache = ObjectCache(tmp_path / "kernels")
     system = pinred.load("falling_cat")
     structure = Structure(zero_momentum=False)
@@ -172,8 +174,8 @@ def test_kernels_come_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyP
         build_kernel(heavier, structure, cache=cache)
 
 
-def test_slanted_axes_are_part_of_the_key(tmp_path: Path) -> None:
-    """Two robots that differ only in the direction of an axis do not share a kernel."""
+def test_cache_key_depends_on_joint_axes(tmp_path: Path) -> None:
+    """Robots that differ in the direction of an axis do not share a kernel."""
     cache = ObjectCache(tmp_path / "kernels")
     text = """<robot name="r"><link name="a"><inertial><mass value="1"/>
     <inertia ixx="1" iyy="1.5" izz="2" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -188,8 +190,8 @@ def test_slanted_axes_are_part_of_the_key(tmp_path: Path) -> None:
     assert len(cache.entries()) == 2
 
 
-def test_nan_stays_visible() -> None:
-    """A state that is not a number gives a rate that is not, in every entry that depends on it."""
+def test_kernel_propagates_nan() -> None:
+    """NaN in the state gives NaN in all dependent rates."""
     cat = pinred.load("falling_cat")
     kernel = kernel_of(plan_of(pinred.Scene(system=cat, seed=0)), zero_momentum=False)
     y, p = np.full(kernel.layout.size, 0.3), np.ones(kernel.layout.parameters)
@@ -198,8 +200,8 @@ def test_nan_stays_visible() -> None:
     assert np.isnan(kernel.evaluate_rate(y, p)).all()
 
 
-def test_failure_names_time_and_joint() -> None:
-    """A joint that runs away ends with an error that says when and where."""
+def test_diverging_motion_raises_with_robot_and_time() -> None:
+    """A diverging joint ends with an error that states robot and time."""
     system = pinred.load("coupled_planar")
     with pytest.raises(pinred.IntegrationError, match=r"coupled_planar.*t = ") as caught:
         pinred.simulate(system, x0=[1.0], duration=100.0, springs={"hinge": (-1e6, 0.0)})
@@ -207,8 +209,8 @@ def test_failure_names_time_and_joint() -> None:
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_casadi_functions(group: str) -> None:
-    """I, A, M, B and H as CasADi Functions, and the exact Jacobian of the vector field."""
+def test_casadi_functions_equal_reduction(group: str) -> None:
+    """H, I, A, M and B, and the Jacobian of the vector field."""
     system = pinred.load(random_model(group, 3, 5))
     functions, x = pinred.casadi_functions(system), np.array([0.3, -0.8, 1.1])
     at = pinred.Reduction(system).at(x)
@@ -233,8 +235,8 @@ def test_casadi_functions(group: str) -> None:
 
 
 @pytest.mark.slow
-def test_long_chain_and_extreme_numbers() -> None:
-    """Sixty joints, a mass ratio of a million, a spin of 1000 rad/s: kernels pass the judge."""
+def test_kernels_of_extreme_robots_pass_validation() -> None:
+    """Sixty joints, a mass ratio of a million, a spin of 1000 rad/s."""
     chain = pinred.load(random_model("SE3", 60, 1, armature=False))
     kernel = build_kernel(chain, Structure(zero_momentum=False))
     assert isinstance(kernel.rate, NativeCode)
@@ -247,8 +249,8 @@ def test_long_chain_and_extreme_numbers() -> None:
     assert pinred.compare(top).passed
 
 
-def test_units_do_not_matter_to_the_judge() -> None:
-    """A robot in mg and hm has momenta that cancel to less than a thousandth: it is accepted."""
+def test_validation_is_independent_of_units() -> None:
+    """A robot in mg and hm, whose momenta cancel to a thousandth, is accepted."""
     model = pinred.load("falling_cat").model.copy()
     for i in range(1, model.njoints):
         place, body = model.jointPlacements[i], model.inertias[i]
@@ -258,8 +260,8 @@ def test_units_do_not_matter_to_the_judge() -> None:
     assert pinred.compare(traj).passed
 
 
-def test_explain(capsys: pytest.CaptureFixture[str]) -> None:
-    """explain=True says what is skipped and the sizes: 37 numbers become 28, wheels go."""
+def test_explain_lists_skipped_joints_and_sizes(capsys: pytest.CaptureFixture[str]) -> None:
+    """explain=True reports skipped joints and the number of integrated entries."""
     satellite = pinred.load("reaction_wheel_satellite")
     pinred.simulate(satellite, duration=0.1, explain=True)
     text = capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Limbs as lanes of one computation: kernels against Pinocchio, vector code against NumPy."""
+"""Tests of identical branches in SIMD lanes, against Pinocchio and NumPy."""
 
 from __future__ import annotations
 
@@ -31,8 +31,10 @@ POINTER = ctypes.POINTER(ctypes.c_double)
 
 
 @pytest.fixture(autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Kernels of the tests go to a folder of their own."""
+def private_cache(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Use a private folder for the kernels of each test."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path_factory.mktemp("cache", numbered=True)))
 
 
@@ -52,8 +54,8 @@ def build(lanes: Lanes, x: ca.SX, out: ca.SX) -> Callable[[Array], Array]:
 
 
 @pytest.mark.parametrize("width", [2, 3, 4])
-def test_vector_code(width: int) -> None:
-    """Numbers, constants and both in lanes, lanes with plain numbers, and back again."""
+def test_lane_arithmetic_equals_numpy(width: int) -> None:
+    """Numbers and constants in lanes, mixed with scalars, summed and extracted."""
     x = ca.SX.sym("x", 2 * width + 1)
     constants = np.random.default_rng(width).normal(size=width)
     lanes = Lanes()
@@ -79,8 +81,8 @@ def test_vector_code(width: int) -> None:
     assert np.isnan(fast(at)[:-1]).all()
 
 
-def test_one_number_for_all_lanes_stays_one() -> None:
-    """Where limbs agree, constants fold as ever."""
+def test_pack_of_equal_constants_stays_scalar() -> None:
+    """Equal constants fold as in scalar code."""
     lanes = Lanes()
     assert lanes.pack([0.0, 0.0]) == 0.0
     assert (lanes.lane(1.5, 1, 2), lanes.sum(1.5, 3)) == (1.5, 4.5)
@@ -88,8 +90,8 @@ def test_one_number_for_all_lanes_stays_one() -> None:
 
 
 @pytest.mark.parametrize("width", [2, 3, 4, 8])
-def test_what_has_no_form_in_lanes(width: int) -> None:
-    """Functions are called lane by lane, sines of all lanes at once."""
+def test_functions_without_vector_form_equal_numpy(width: int) -> None:
+    """Such functions are called lane by lane, and sines of all lanes at once."""
     x, lanes = ca.SX.sym("x", width), Lanes()
     a = lanes.pack([x[k] for k in range(width)])
     value = ca.sqrt(a) + ca.atan2(a, 2.0) * ca.sin(a) - (a > 0.5) * ca.cos(a * 3.0)
@@ -99,8 +101,8 @@ def test_what_has_no_form_in_lanes(width: int) -> None:
     np.testing.assert_allclose(fast(at), expected, rtol=1e-14)
 
 
-def test_limbs_of_one_build_are_found() -> None:
-    """Four arms of a satellite's kind, in pairs, fours, and one left over."""
+def test_identical_branches_are_grouped() -> None:
+    """Satellite arms are grouped in fours and pairs, with one remaining."""
     for limbs, widths in ((1, {1}), (2, {1, 2}), (4, {1, 4}), (6, {1, 2, 4})):
         system = pinred.load(limbed_model("SE3", limbs, 3, 1))
         links = links_of(bodies_of(system), Lanes(), ())
@@ -113,10 +115,10 @@ def test_limbs_of_one_build_are_found() -> None:
 @pytest.mark.slow
 @settings(max_examples=20)
 @given(groups, st.integers(2, 6), st.integers(1, 4), seeds, st.sampled_from(MADE))
-def test_kernels_of_alike_limbs(
+def test_kernels_with_identical_branches_equal_readable_route(
     group: str, limbs: int, joints: int, seed: int, made: Callable[..., pin.Model]
 ) -> None:
-    """Any group, limbs and joints, with springs and without: as the readable route."""
+    """Any group, branches and joints, with and without springs."""
     system = pinred.load(made(group, limbs, joints, seed))
     rng = np.random.default_rng(seed)
     springs = dict.fromkeys(system.shape_names[::3], (1.5, 0.4))
@@ -136,14 +138,14 @@ def test_kernels_of_alike_limbs(
     rows = [*active, *(m + k for k in active), *cyclic, *range(2 * m, len(expected))]
     scale = max(1.0, float(np.abs(expected).max(initial=0.0)))
     np.testing.assert_allclose(rate, expected[rows], rtol=0, atol=1e-10 * scale)
-    # What is no number in one limb is seen.
+    # NaN in one branch reaches the rate.
     y = np.array(compiled.y0)
     y[int(rng.integers(len(active)))] = np.nan
     assert np.isnan(compiled.kernel.evaluate_rate(y, compiled.parameters)).any()
 
 
-def test_turns_of_mirrored_limbs() -> None:
-    """Every relation of cosines and sines in two lanes; half a turn in one of them is no turn."""
+def test_rotations_of_mirrored_branches_equal_pinocchio() -> None:
+    """All combinations of angles in two lanes; a half turn in one lane is a rotation."""
     angles = [0.0, np.pi, -np.pi, np.pi / 2, -np.pi / 2, 0.7, -0.7]
     v = [0.3, -0.8, 1.7]
     for first in angles:
@@ -159,8 +161,8 @@ def test_turns_of_mirrored_limbs() -> None:
             np.testing.assert_allclose(found, np.ravel(expected), rtol=0, atol=1e-15)
 
 
-def test_more_limbs_of_one_build_cost_little() -> None:
-    """The graph of four limbs is hardly larger than that of two."""
+def test_graph_size_hardly_grows_with_identical_branches() -> None:
+    """The graph of four branches is hardly larger than that of two."""
     sizes = {}
     for limbs in (1, 2, 4):
         lanes = Lanes()

@@ -1,4 +1,4 @@
-"""Machine code is not copied: what tries is told so, and llvmlite prints nothing of its own."""
+"""Tests that machine code is neither copied nor pickled, and that llvmlite prints nothing."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ ROOT = Path(__file__).parents[2]
 
 
 def kernel() -> Kernel:
-    """A kernel."""
+    """Return a kernel."""
     cat = pinred.load("falling_cat")
     plan = plan_of(pinred.Scene(system=cat))
     return build_kernel(cat, plan.kind(zero_momentum=False).structure)
 
 
 @pytest.mark.parametrize("how", [pickle.dumps, copy.deepcopy, copy.copy])
-def test_machine_code_says_that_it_cannot_be_copied(how: Callable[[Any], Any]) -> None:
-    """By name, and with what to do instead."""
+def test_copy_of_machine_code_raises_not_copyable(how: Callable[[Any], Any]) -> None:
+    """The message names the code and suggests alternatives."""
     with pytest.raises(pinred.NotCopyable, match=r"'rate' lives in this process.*load"):
         how(kernel().rate)
 
@@ -64,8 +64,8 @@ for thread in threads:
 
 
 @pytest.mark.slow
-def test_nothing_is_printed_when_kernels_go(tmp_path: Path) -> None:
-    """Not in threads that make and drop kernels, nor after copies and pickles that failed."""
+def test_dropped_kernels_print_nothing(tmp_path: Path) -> None:
+    """Threads that build and drop kernels print nothing, even after failed copies."""
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", QUIET], cwd=ROOT, capture_output=True, text=True,
         check=False, env={"PATH": "", "PINRED_CACHE_DIR": str(tmp_path)},

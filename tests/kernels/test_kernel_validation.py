@@ -1,4 +1,4 @@
-"""Every number that a kernel gives is judged: a fault in any of them is found and named."""
+"""Tests that the validation of kernels detects a fault in any value and names it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pinred.simulation.plan import plan_of
 
 
 def free_tree(**options: Any) -> Kernel:
-    """Return the kernel of a tree on a free base, with a spring."""
+    """Return the kernel of a tree on a free base with a spring."""
     system = pinred.load(random_model("SE3", 3, 1))
     springs = {system.shape_names[0]: (1.0, 0.2)}
     scene = pinred.Scene(system=system, seed=0, springs=springs, **options)
@@ -31,34 +31,40 @@ def free_tree(**options: Any) -> Kernel:
 
 
 def pushed_tree() -> Kernel:
-    """Return that of a tree with a thruster: its momentum and centre of mass are integrated."""
+    """Return the kernel of a tree with a thruster, which integrates momentum and centre of mass."""
     thruster = forces.Wrench(lambda _t, x, _xdot, _mu: [0.3, 0.1 * x[0], 0.0, 0.2, 0.0, 0.1])
     return free_tree(forces=thruster)
 
 
 def heavy_tree() -> Kernel:
-    """Return that of a tree on a pivot in gravity, whose attitude nobody asks for."""
+    """Return the kernel of a tree on a pivot under gravity, without the base in its outputs."""
     model = random_model("SO3", 3, 1)
     model.gravity.linear = np.array([1.0, -2.0, 3.0])
     scene = pinred.Scene(system=pinred.load(model), seed=0, outputs="shape")
     return kernel_of(plan_of(scene), zero_momentum=False)
 
 
-def driven_tree() -> Kernel:
-    """Return that of a tree with a joint that follows a plan."""
+def prescribed_tree() -> Kernel:
+    """Return the kernel of a tree with a prescribed joint."""
     system = pinred.load(random_model("SE3", 3, 1))
     plan = {system.shape_names[1]: pinred.signals.Expression("0.3*sin(2*t)")}
     scene = pinred.Scene(system=system, seed=0, prescribed=plan)
     return kernel_of(plan_of(scene), zero_momentum=False)
 
 
-def wheels() -> Kernel:
-    """Return that of a robot with cyclic joints."""
+def wheeled_robot() -> Kernel:
+    """Return the kernel of a robot with cyclic joints."""
     scene = pinred.Scene(system=pinred.load("reaction_wheel_satellite"), seed=0)
     return kernel_of(plan_of(scene), zero_momentum=False)
 
 
-LEAST = 3e-10  # three times what passes
+def slice_of(kernel: Kernel, name: str) -> slice:
+    """Return the slice of an output, or of a field of the state among the outputs."""
+    where: slice = getattr(kernel.where, name, None) or kernel.where.fields[name]
+    return where
+
+
+LEAST = 3e-10  # three times the tolerance
 
 
 @pytest.mark.parametrize(
@@ -76,17 +82,17 @@ LEAST = 3e-10  # three times what passes
         ("spatial_momentum", "spatial momentum"),
     ],
 )
-def test_a_wrong_output_is_found(name: str, words: str) -> None:
-    """Everything that is reported, off by three times what may be."""
+def test_validation_detects_wrong_output(name: str, words: str) -> None:
+    """Each output with an error of three times the tolerance is rejected."""
     kernel = free_tree()
     validate_kernel(kernel)
-    where = getattr(kernel.where, name)
+    where = slice_of(kernel, name)
     with pytest.raises(pinred.KernelMismatch, match=f"disagrees with Pinocchio: .*({words}) is"):
         validate_kernel(Faulty(kernel, "out", where.start, where.stop, LEAST))  # type: ignore[arg-type]
 
 
-def test_the_rate_of_a_light_joint_is_found() -> None:
-    """It hardly shows in the momenta, and is judged for itself."""
+def test_validation_detects_wrong_rate_of_light_joint() -> None:
+    """The rate hardly affects the momenta, so it is compared separately."""
     kernel = light_tree(1e-3)
     validate_kernel(kernel)
     where = kernel.where.xdot
@@ -94,8 +100,8 @@ def test_the_rate_of_a_light_joint_is_found() -> None:
         validate_kernel(Faulty(kernel, "out", where.start, where.stop, 1e-9))  # type: ignore[arg-type]
 
 
-def test_the_momentum_of_a_velocity_is_found() -> None:
-    """Where a joint is so light that velocities have little to say, momenta have more."""
+def test_validation_detects_wrong_momentum_of_velocity() -> None:
+    """If a joint is very light, momenta are more precise than velocities."""
     kernel = light_tree(1e-6)
     validate_kernel(kernel)
     where = kernel.where.xi
@@ -111,18 +117,20 @@ def test_the_momentum_of_a_velocity_is_found() -> None:
         ("rate", "pi", "acceleration is"),
     ],
 )
-def test_a_fault_in_a_feather_is_found(where: str, name: str, words: str, ratio: float) -> None:
-    """However light the last body is: its rate and its force are judged by its own size."""
+def test_validation_detects_fault_in_very_light_body(
+    where: str, name: str, words: str, ratio: float
+) -> None:
+    """Rate and force of a light last body are compared relative to their own size."""
     kernel = light_tree(ratio)
     validate_kernel(kernel)
     joint = kernel.system.m - 1
     if where == "out":
         first, last = kernel.where.xdot.start + joint, kernel.where.xdot.stop
     else:
-        last = places(kernel)[name][1]
+        last = rate_slices(kernel)[name][1]
         first = last - 1
 
-    class Feather(Faulty):
+    class FaultyLight(Faulty):
         def _spoiled(self, place: str, values: Array) -> Array:
             values = values.copy()
             if place == where:
@@ -130,29 +138,29 @@ def test_a_fault_in_a_feather_is_found(where: str, name: str, words: str, ratio:
             return values
 
     with pytest.raises(pinred.KernelMismatch, match=words):
-        validate_kernel(Feather(kernel, where, first, last, 0.0))  # type: ignore[arg-type]
+        validate_kernel(FaultyLight(kernel, where, first, last, 0.0))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     ("c0", "v0", "words"),
     [(1e-9, 0.0, "position of the centre of mass"), (0.0, 1e-9, "velocity of the centre of mass")],
 )
-def test_a_wrong_path_is_found(c0: float, v0: float, words: str) -> None:
-    """Base and centre of mass beside their path, all else as it should be."""
+def test_validation_detects_wrong_com_path(c0: float, v0: float, words: str) -> None:
+    """A displaced centre of mass is rejected if all other values are correct."""
     kernel = free_tree()
 
-    class Beside(Faulty):
+    class Displaced(Faulty):
         def evaluate_outputs(self, *arguments: Any) -> Array:
-            t, y, parameters, line = arguments
-            beside = np.concatenate([np.full(3, c0 - v0 * t), np.full(3, v0), np.zeros(3)])
-            return kernel.evaluate_outputs(t, y, parameters, line + beside)
+            t, y, parameters, com_path = arguments
+            error = np.concatenate([np.full(3, c0 - v0 * t), np.full(3, v0), np.zeros(3)])
+            return kernel.evaluate_outputs(t, y, parameters, com_path + error)
 
     with pytest.raises(pinred.KernelMismatch, match=words):
-        validate_kernel(Beside(kernel, "", 0, 0, 0.0))  # type: ignore[arg-type]
+        validate_kernel(Displaced(kernel, "", 0, 0, 0.0))  # type: ignore[arg-type]
 
 
-def test_a_wrong_energy_is_found() -> None:
-    """The last of the outputs."""
+def test_validation_detects_wrong_energy() -> None:
+    """The energy is the last output."""
     kernel = free_tree()
     size = kernel.where.size
     with pytest.raises(pinred.KernelMismatch, match="energy is off"):
@@ -163,17 +171,17 @@ def test_a_wrong_energy_is_found() -> None:
     ("name", "words"),
     [("driven_x", "prescribed positions"), ("driven_pi", "momenta of prescribed joints")],
 )
-def test_a_wrong_prescribed_joint_is_found(name: str, words: str) -> None:
-    """Where it is, and its momentum."""
-    kernel = driven_tree()
+def test_validation_detects_wrong_prescribed_joint(name: str, words: str) -> None:
+    """Position and momentum of a prescribed joint are compared."""
+    kernel = prescribed_tree()
     validate_kernel(kernel)
-    where = getattr(kernel.where, name)
+    where = slice_of(kernel, name)
     with pytest.raises(pinred.KernelMismatch, match=words):
         validate_kernel(Faulty(kernel, "out", where.start, where.stop, LEAST))  # type: ignore[arg-type]
 
 
-def places(kernel: Kernel) -> dict[str, tuple[int, int]]:
-    """Return where each kind of number stands in a rate."""
+def rate_slices(kernel: Kernel) -> dict[str, tuple[int, int]]:
+    """Return first and last index of each kind of entry in a rate."""
     layout, parts = kernel.layout, kernel.layout.base
     a, b = len(layout.active), layout.base_at
     sizes = (parts.attitude, parts.down, parts.momentum, parts.push)
@@ -188,32 +196,34 @@ def places(kernel: Kernel) -> dict[str, tuple[int, int]]:
     [
         (free_tree, "shape", "shape rate"),
         (free_tree, "attitude", "attitude rate"),
-        (wheels, "cyclic", "rate of cyclic joints"),
+        (wheeled_robot, "cyclic", "rate of cyclic joints"),
         (pushed_tree, "push", "rate of the centre of mass"),
         (heavy_tree, "down", "rate of the direction of gravity"),
         (heavy_tree, "momentum", "rate of the angular momentum"),
     ],
 )
-def test_a_wrong_rate_is_found(make: Any, name: str, words: str) -> None:
-    """Each kind of rate, off by three times what may be."""
+def test_validation_detects_wrong_rate(make: Any, name: str, words: str) -> None:
+    """Each kind of rate with an error of three times the tolerance is rejected."""
     kernel = make()
     validate_kernel(kernel)
-    first, last = places(kernel)[name]
+    first, last = rate_slices(kernel)[name]
     with pytest.raises(pinred.KernelMismatch, match=words):
         validate_kernel(Faulty(kernel, "rate", first, last, LEAST))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("make", [free_tree, pushed_tree, heavy_tree, driven_tree, wheels])
-def test_a_wrong_force_is_found(make: Any) -> None:
-    """π̇ is judged by the accelerations that follow from it."""
+@pytest.mark.parametrize(
+    "make", [free_tree, pushed_tree, heavy_tree, prescribed_tree, wheeled_robot]
+)
+def test_validation_detects_wrong_momentum_rate(make: Any) -> None:
+    """π̇ is compared by the accelerations that follow from it."""
     kernel = make()
-    first, last = places(kernel)["pi"]
+    first, last = rate_slices(kernel)["pi"]
     with pytest.raises(pinred.KernelMismatch, match="acceleration"):
         validate_kernel(Faulty(kernel, "rate", first, last, 3.0 * LEAST))  # type: ignore[arg-type]
 
 
-def test_a_slide_that_is_no_wheel_is_found() -> None:
-    """Where the base is pushed, the momentum of what slides along is no constant."""
+def test_validation_detects_joint_wrongly_declared_cyclic() -> None:
+    """A wrench on the base changes the momentum of a slide along it."""
     pushed = pin.Model()
     for i, name in enumerate(("root", "slide")):
         joint = pushed.addJoint(i, pin.JointModelPX(), pin.SE3.Identity(), name)
@@ -228,8 +238,8 @@ def test_a_slide_that_is_no_wheel_is_found() -> None:
         build_kernel(system, wrong, kind.forces)
 
 
-def single(group: str, moments: list[float], lever: float = 0.0) -> Kernel:
-    """Return the kernel of one body of 1 kg with turned principal axes."""
+def single_body(group: str, moments: list[float], lever: float = 0.0) -> Kernel:
+    """Return the kernel of one body of 1 kg with rotated principal axes."""
     model = pin.Model()
     kind = pin.JointModelSpherical() if group == "SO3" else pin.JointModelFreeFlyer()
     at = model.addJoint(0, kind, pin.SE3.Identity(), "root")
@@ -247,13 +257,15 @@ NEARLY = [[1.0] * 3, [0.4, 0.4, 0.4 + 1e-9], [1.0, 1.0, 1.0001], [1e-6] * 3, [1e
 @pytest.mark.parametrize("group", ["SO3", "SE3"])
 @pytest.mark.parametrize("moments", [*NEARLY, [1e6] * 3])
 @pytest.mark.parametrize("lever", [0.0, 0.3])
-def test_bodies_with_nearly_equal_moments(group: str, moments: list[float], lever: float) -> None:
-    """Their rates are what is left of terms that cancel; faults in what is left are found."""
-    kernel = single(group, moments, lever)
+def test_validation_of_bodies_with_nearly_equal_moments(
+    group: str, moments: list[float], lever: float
+) -> None:
+    """Rates are small differences of cancelling terms, and faults in them are detected."""
+    kernel = single_body(group, moments, lever)
     validate_kernel(kernel)
-    # A small moment beside a long lever is what is left of a large one.
+    # With a long lever, a small moment of inertia is a difference of large ones.
     fault = 1e-9 if lever == 0.0 or moments[0] > 0.1 else 1e-6
-    first, last = places(kernel)["attitude"]
+    first, last = rate_slices(kernel)["attitude"]
     with pytest.raises(pinred.KernelMismatch, match="attitude rate"):
         validate_kernel(Faulty(kernel, "rate", first, last, fault))  # type: ignore[arg-type]
     where = kernel.where.xi
@@ -261,8 +273,8 @@ def test_bodies_with_nearly_equal_moments(group: str, moments: list[float], leve
         validate_kernel(Faulty(kernel, "out", where.start, where.stop, fault))  # type: ignore[arg-type]
 
 
-def spheres(seed: int) -> pin.Model:
-    """A tree of spheres on a free base, joined at their centres or beside them."""
+def sphere_tree(seed: int) -> pin.Model:
+    """Return a tree of spheres on a free base, jointed at their centres or off-centre."""
     rng = np.random.default_rng(seed)
     model = random_model("SE3", 3, seed, armature=False)
     for i in range(1, model.njoints):
@@ -274,15 +286,15 @@ def spheres(seed: int) -> pin.Model:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
-def test_spheres_on_joints(seed: int) -> None:
-    """Nothing is refused for its symmetry, and the motion is that of ABA."""
-    system = pinred.load(spheres(seed))
+def test_sphere_trees_pass_validation_and_agree_with_aba(seed: int) -> None:
+    """Symmetric bodies pass validation, and their motion agrees with ABA."""
+    system = pinred.load(sphere_tree(seed))
     traj = pinred.simulate(system, seed=seed, duration=0.2)
     assert pinred.compare(traj).passed
 
 
 def small_tree(length: float, mass: float) -> Kernel:
-    """Return the kernel of a tree whose lengths and masses are smaller by factors."""
+    """Return the kernel of a tree with scaled lengths and masses."""
     model = random_model("SE3", 3, 1, armature=False)
     for i in range(1, model.njoints):
         at, body = model.jointPlacements[i], model.inertias[i]
@@ -294,11 +306,11 @@ def small_tree(length: float, mass: float) -> Kernel:
 
 
 @pytest.mark.parametrize("name", ["com", "mu"])
-def test_a_small_robot_is_judged_by_its_own_size(name: str) -> None:
-    """Momenta of 1e-12 N·m·s are not taken for none."""
+def test_validation_scales_with_small_robot(name: str) -> None:
+    """Momenta of 1e-12 N·m·s are not treated as zero."""
     kernel = small_tree(1e-3, 1e-6)
     validate_kernel(kernel)
-    where = getattr(kernel.where, name)
+    where = slice_of(kernel, name)
 
     class Wrong(Faulty):
         def _spoiled(self, where: str, values: Array) -> Array:
@@ -314,8 +326,8 @@ def test_a_small_robot_is_judged_by_its_own_size(name: str) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("ratio", [1e-6, 1e-12, 1e-14])
-def test_a_light_tip_is_neither_refused_nor_passed_over(ratio: float, seed: int) -> None:
-    """Its joint is not cyclic though the robot hardly feels it, and its rate is judged."""
+def test_light_tip_is_accepted_and_its_faults_detected(ratio: float, seed: int) -> None:
+    """The joint of a light tip is not cyclic, and its rate is compared."""
     model = random_model("SE3", 3, seed, armature=False)
     tip = model.inertias[model.njoints - 1]
     model.inertias[model.njoints - 1] = pin.Inertia(
@@ -325,14 +337,14 @@ def test_a_light_tip_is_neither_refused_nor_passed_over(ratio: float, seed: int)
     kernel = kernel_of(plan_of(pinred.Scene(system=system, seed=0)), zero_momentum=False)
     assert kernel.layout.cyclic == ()
     validate_kernel(kernel)
-    first, last = places(kernel)["shape"]
+    first, last = rate_slices(kernel)["shape"]
     with pytest.raises(pinred.KernelMismatch, match="shape rate"):
         validate_kernel(Faulty(kernel, "rate", first, last, 1e-9))  # type: ignore[arg-type]
     assert pinred.compare(pinred.simulate(system, seed=seed, duration=0.5)).passed
 
 
-def slide(axis: Array, gravity: float) -> Kernel:
-    """Return the kernel of one body on a slide, on which gravity acts along z."""
+def slide_under_gravity(axis: Array, gravity: float) -> Kernel:
+    """Return the kernel of one body on a slide, with gravity along z."""
     model = pin.Model()
     joint = pin.JointModelPrismaticUnaligned(axis / np.linalg.norm(axis))
     at = model.addJoint(0, joint, pin.SE3.Identity(), "root")
@@ -342,13 +354,15 @@ def slide(axis: Array, gravity: float) -> Kernel:
 
 
 @pytest.mark.slow
-def test_a_slide_that_is_not_along_gravity(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of gravity, what does not make it fall acts across; along it, round-off of that is left."""
+def test_validation_allows_round_off_of_gravity_across_slide(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Gravity across the slide leaves round-off along it, which must be tolerated."""
     axes = np.random.default_rng(0).normal(size=(12, 3))
-    kernels = [slide(axis, 9.81) for axis in [np.ones(3), *axes]]
+    kernels = [slide_under_gravity(axis, 9.81) for axis in [np.ones(3), *axes]]
     for kernel in kernels:
         validate_kernel(kernel)
-    # Scaled by what is left, that would be refused.
+    # Without the magnitude of gravity, this round-off would be rejected.
     monkeypatch.setattr(ReferenceState, "gravity_terms", np.zeros(1))
     with pytest.raises(pinred.KernelMismatch, match="acceleration"):
         list(map(validate_kernel, kernels))

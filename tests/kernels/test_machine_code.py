@@ -1,4 +1,4 @@
-"""Machine code of CasADi Functions, against CasADi's own evaluation and extended precision."""
+"""Tests of machine code against CasADi's evaluation and extended precision."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SPECIAL = [
     0.1, 1e6, -2e7, 1e22, np.pi / 2, -np.pi,
 ]  # fmt: skip
 
-# Results of these are the same to the last bit.
+# Operations whose results are equal to the last bit.
 EXACT = [
     "ADD", "SUB", "MUL", "DIV", "NEG", "SQ", "TWICE", "INV", "SQRT", "FABS", "FLOOR", "CEIL",
     "COPYSIGN", "FMIN", "FMAX", "SIGN", "LT", "LE", "EQ", "NE", "NOT", "AND", "OR",
@@ -46,12 +46,12 @@ def apply(name: str, *arguments: ca.SX) -> ca.SX:
 
 
 def reference(function: ca.Function, *arguments: Array) -> Array:
-    """Return what CasADi's interpreter gives."""
+    """Evaluate a Function with CasADi's interpreter."""
     return np.array(function(*arguments)).ravel()
 
 
 def ulps(got: Array, expected: Array) -> Array:
-    """Return the distance in units of the last place; 0 where both are NaN or one infinity."""
+    """Return the distance in units of the last place; 0 if both are NaN or the same infinity."""
     same = (got == expected) | (np.isnan(got) & np.isnan(expected))
     with np.errstate(invalid="ignore", over="ignore"):
         distance = np.abs(got - expected) / np.spacing(np.abs(expected))
@@ -59,8 +59,8 @@ def ulps(got: Array, expected: Array) -> Array:
 
 
 @pytest.mark.parametrize("name", EXACT + ROUNDED)
-def test_operation(name: str) -> None:
-    """An operation gives what CasADi gives, for NaN, infinities and zeros of both signs too."""
+def test_operation_equals_casadi(name: str) -> None:
+    """Each operation equals CasADi's, also for NaN, infinities and signed zeros."""
     x = ca.SX.sym("x", 2)
     fast, function = build(apply(name, *([x[0], x[1]] if name in BINARY else [x[0]])), inputs=[x])
     rng = np.random.default_rng(0)
@@ -73,15 +73,15 @@ def test_operation(name: str) -> None:
     bound = 0.0 if name in EXACT else 2.0
     k = int(np.argmax(ulps(got, expected)))
     assert ulps(got, expected)[k] <= bound, (points[k], got[k], expected[k])
-    if name not in {"FMIN", "FMAX"}:  # where C leaves the sign of fmin(0, −0) open
+    if name not in {"FMIN", "FMAX"}:  # C leaves the sign of fmin(0, −0) open
         signed = ~np.isnan(expected)
         wrong = np.signbit(got[signed]) != np.signbit(expected[signed])
         assert not wrong.any(), np.array(points)[signed][wrong]
 
 
 @pytest.mark.parametrize("exponent", [2.5, -1.5, 1 / 3, 7.0, 0.5])
-def test_constant_power(exponent: float) -> None:
-    """A constant exponent is an operation of its own, here without any other power."""
+def test_constant_power_equals_casadi(exponent: float) -> None:
+    """A constant exponent is a separate operation of CasADi."""
     x = ca.SX.sym("x")
     fast, function = build(x**exponent, inputs=[x])
     for at in SPECIAL:
@@ -90,16 +90,16 @@ def test_constant_power(exponent: float) -> None:
 
 
 @pytest.mark.parametrize("name", ["ERFINV", "PRINTME"])
-def test_operation_without_machine_code_is_named(name: str) -> None:
-    """What cannot be compiled is refused by its name."""
+def test_unsupported_operation_is_named_in_error(name: str) -> None:
+    """The error names the operation that cannot be compiled."""
     x = ca.SX.sym("x")
     node = x.printme(x) if name == "PRINTME" else ca.erfinv(x)
     with pytest.raises(UnsupportedOperationError, match=rf"'{name.lower()}'"):
         compile_object(ca.Function("f", [x], [node]), "f")
 
 
-def test_calls_and_free_variables_are_refused() -> None:
-    """A Function that calls another, or that has an unknown, has no machine code."""
+def test_compile_rejects_calls_and_free_variables() -> None:
+    """A Function that calls another, or has a free variable, has no machine code."""
     x = ca.SX.sym("x", 2)
     inner = ca.Function("inner", [x], [2 * x], {"never_inline": True})
     with pytest.raises(UnsupportedOperationError, match="'call'"):
@@ -109,8 +109,8 @@ def test_calls_and_free_variables_are_refused() -> None:
         compile_object(free, "f")
 
 
-def test_functions_of_another_form_are_refused() -> None:
-    """Inputs and output are dense columns of SX; the name is one in C."""
+def test_compile_rejects_invalid_functions_and_names() -> None:
+    """Inputs and output must be dense SX columns, and the name valid in C."""
     x, y = ca.SX.sym("x", 2), ca.MX.sym("y", 2)
     good = ca.Function("f", [x], [x])
     wrong = [
@@ -128,8 +128,8 @@ def test_functions_of_another_form_are_refused() -> None:
             compile_object(good, name)
 
 
-def test_constants_are_exact() -> None:
-    """Constants keep every bit."""
+def test_constants_keep_all_bits() -> None:
+    """Compiled constants equal the original ones."""
     rng = np.random.default_rng(1)
     bits = rng.integers(0, 2**64, 200, dtype=np.uint64).view(float)
     values = [0.1, 1 / 3, 5e-324, 1.7976931348623157e308, INF, -INF, NAN, 1e-310, -7.0, 0.0]
@@ -139,8 +139,8 @@ def test_constants_are_exact() -> None:
     np.testing.assert_array_equal(fast(np.empty(0)), values)
 
 
-def test_empty_and_unused() -> None:
-    """No inputs, no outputs, unused inputs, inputs handed through and repeated."""
+def test_empty_and_unused_inputs() -> None:
+    """No inputs, no outputs, unused inputs, and inputs returned unchanged."""
     x, y, z = ca.SX.sym("x", 3), ca.SX.sym("y", 2), ca.SX.sym("z", 0)
     fast, _ = build(ca.SX(0, 1), inputs=[x, z])
     assert fast(np.zeros(3), np.zeros(0)).shape == (0,)
@@ -154,8 +154,8 @@ def test_empty_and_unused() -> None:
 
 @pytest.mark.parametrize("angles", [1, 2, 3, 4, 5, 7, 12, 33])
 @pytest.mark.parametrize("fma", [True, False])
-def test_sines_of_sines(angles: int, fma: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Batches of any size, one after another; sine alone, cosine alone, both."""
+def test_nested_sines_equal_casadi(angles: int, fma: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Batches of any size in sequence, of sines, cosines, or both."""
     if not fma:
         monkeypatch.setattr(native, "_has_fma", lambda: False)
     x = ca.SX.sym("x", angles)
@@ -175,7 +175,7 @@ def test_sines_of_sines(angles: int, fma: bool, monkeypatch: pytest.MonkeyPatch)
 
 
 def multiples_of_half_pi(rng: np.random.Generator, most: int, count: int) -> Array:
-    """Return the numbers nearest to k π/2, |k| < most, or next to them, (count,)."""
+    """Return the floats nearest to k π/2, |k| < most, or their neighbours, (count,)."""
     half_pi = np.longdouble("1.57079632679489661923132169163975144")
     k = rng.integers(-most, most, count)
     nearest = (np.longdouble(k) * half_pi).astype(float)
@@ -185,8 +185,8 @@ def multiples_of_half_pi(rng: np.random.Generator, most: int, count: int) -> Arr
 
 
 @pytest.mark.skipif(np.finfo(np.longdouble).nmant < 60, reason="no extended precision")
-def test_sine_and_cosine_to_an_ulp() -> None:
-    """Sine and cosine are within 0.8 ulp, near multiples of π/2 and far from zero too."""
+def test_sine_and_cosine_within_one_ulp() -> None:
+    """Errors stay below 0.8 ulp, also near multiples of π/2 and far from zero."""
     width, count = 64, 64 * 1500
     x = ca.SX.sym("x", width)
     fast, _ = build(ca.sin(x), ca.cos(x), inputs=[x])
@@ -211,12 +211,12 @@ def test_sine_and_cosine_to_an_ulp() -> None:
             assert error.max() < 0.8, (name, ["sin", "cos"][k], float(error.max()))
 
 
-def test_nan_stays_visible() -> None:
-    """Nothing is cancelled that would hide a NaN or an infinity."""
+def test_optimisation_keeps_nan() -> None:
+    """No cancellation hides a NaN or an infinity."""
     x = ca.SX.sym("x", 2)
     a, b = x[0], x[1]
     s, p, q = apply("ADD", a, b), apply("MUL", a, b), apply("DIV", a, b)
-    # CasADi sees that x and x are the same; LLVM, that these are.
+    # CasADi would simplify equal expressions; LLVM alone recognises these as equal.
     one, two = ((((a * b) * b) * a) * b for _ in range(2))
     expressions = [
         one - two, (one + b) - two, two - (one + b), two - (b + one), one / two, (one * b) / two,
@@ -225,7 +225,9 @@ def test_nan_stays_visible() -> None:
         ca.sqrt(a) ** 2 + b, ca.fabs(a) - a, (a * 2) * 3 - b, apply("NEG", s) + a, p - p * b,
         (one - b) * (two - b), ca.if_else(one < two, a, b), apply("NE", one, two),
     ]  # fmt: skip
-    for k, expression in enumerate(expressions):  # one by one: nothing else needs what is inside
+    for k, expression in enumerate(
+        expressions
+    ):  # separately, so that no other expression needs the intermediate values
         fast, function = build(expression, inputs=[x])
         for at in [(u, v) for u in SPECIAL[:11] for v in SPECIAL[:11]]:
             got, expected = fast(np.array(at))[0], reference(function, np.array(at))[0]
@@ -236,13 +238,13 @@ Recipe = list[tuple[str, int, int]]
 
 
 def recipes(names: list[str], longest: int) -> st.SearchStrategy[Recipe]:
-    """Return programs: each line an operation on two of the values so far."""
+    """Return random programs: each line applies an operation to two earlier values."""
     line = st.tuples(st.sampled_from(names), st.integers(0, 10_000), st.integers(0, 10_000))
     return st.lists(line, min_size=1, max_size=longest)
 
 
 def graph(recipe: Recipe, start: list[ca.SX]) -> list[ca.SX]:
-    """Return every value of a program."""
+    """Return all values of a program."""
     values = list(start)
     for name, i, j in recipe:
         pair = values[i % len(values)], values[j % len(values)]
@@ -263,8 +265,8 @@ INTEGER = [
     at=st.lists(st.integers(-9, 9), min_size=4, max_size=4),
     last=st.booleans(),
 )
-def test_random_graphs_of_integers_are_exact(recipe: Recipe, at: list[int], last: bool) -> None:
-    """While every value is an integer below 2⁵³, nothing is rounded in any order."""
+def test_random_integer_graphs_are_exact(recipe: Recipe, at: list[int], last: bool) -> None:
+    """Integers below 2⁵³ are exact in any order of operations."""
     x, y = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
     values = graph(recipe, [x[0], x[1], y[0], y[1]])
     arguments = np.array(at[:2], dtype=float), np.array(at[2:], dtype=float)
@@ -280,13 +282,13 @@ def test_random_graphs_of_integers_are_exact(recipe: Recipe, at: list[int], last
     recipe=recipes(["ADD", "SUB", "MUL", "DIV", "NEG", "TWICE", "SQ", "SQRT", "INV"], 25),
     at=st.lists(st.sampled_from([NAN, INF, -INF, 0.0, 1.0, -1.0, 3.0]), min_size=3, max_size=3),
 )
-def test_random_graphs_show_the_same_nans(recipe: Recipe, at: list[float]) -> None:
-    """A result is NaN or infinite where CasADi's is."""
+def test_random_graphs_have_nan_where_casadi_has(recipe: Recipe, at: list[float]) -> None:
+    """A result is NaN or infinite exactly where CasADi's is."""
     x = ca.SX.sym("x", 3)
     values = graph(recipe, [x[0], x[1], x[2]])
     every = reference(ca.Function("all", [x], [ca.vertcat(*values)]), np.array(at))
     small = np.abs(every[np.isfinite(every) & (every != 0.0)])
-    # Where nothing is rounded, no sum is zero in one order and not in another.
+    # Without rounding, a sum is zero in all orders or in none.
     assume(((small > 1e-6) & (small < 1e6) & (small * 64 % 1 == 0)).all())
     fast, function = build(values[-1], inputs=[x])
     np.testing.assert_array_equal(fast(np.array(at)), reference(function, np.array(at)))
@@ -297,8 +299,8 @@ def test_random_graphs_show_the_same_nans(recipe: Recipe, at: list[float]) -> No
     recipe=recipes(["SIN", "COS", "MEAN", "MUL", "TANH", "SQ"], 25),
     at=st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
 )
-def test_random_graphs_of_smooth_functions(recipe: Recipe, at: list[float]) -> None:
-    """Values within ±1 and slopes at most 2: rounding grows less than 2²⁵ times."""
+def test_random_smooth_graphs_equal_casadi(recipe: Recipe, at: list[float]) -> None:
+    """With values within ±1 and slopes up to 2, round-off grows less than 2²⁵ times."""
     x = ca.SX.sym("x", 3)
     values = [x[0], x[1], x[2]]
     for name, i, j in recipe:
@@ -310,7 +312,7 @@ def test_random_graphs_of_smooth_functions(recipe: Recipe, at: list[float]) -> N
 
 
 def ladder(rungs: int) -> ca.Function:
-    """Return a graph of about 10 instructions per rung that no one can shorten."""
+    """Return a graph of about 10 instructions per rung that cannot be simplified."""
     x = ca.SX.sym("x", 40)
     v = [x[k] for k in range(4)]
     outputs = []
@@ -323,7 +325,7 @@ def ladder(rungs: int) -> ca.Function:
 
 @pytest.mark.by_hand
 def test_compile_time_grows_linearly_with_size() -> None:
-    """Measure that four times the instructions take about four times as long, not sixteen."""
+    """Four times the instructions take about four times as long to compile."""
     seconds, sizes = [], []
     for rungs in (250, 1000):
         function = ladder(rungs)
@@ -339,7 +341,7 @@ def test_compile_time_grows_linearly_with_size() -> None:
 
 @pytest.mark.slow
 def test_large_function_agrees_with_casadi() -> None:
-    """More than 10,000 instructions give the values of CasADi's own evaluation."""
+    """More than 10,000 instructions give the values of CasADi's evaluation."""
     function = ladder(1000)
     assert function.n_instructions() > 10_000
     fast = callable_of(load_object(compile_object(function, "f"), "f"), 1, function.numel_out(0))
@@ -348,8 +350,8 @@ def test_large_function_agrees_with_casadi() -> None:
     np.testing.assert_allclose(fast(at), expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
-def test_load_again_and_from_threads() -> None:
-    """One code may be loaded many times; each has a life of its own."""
+def test_code_can_be_loaded_repeatedly_and_in_threads() -> None:
+    """Each loaded copy has an independent lifetime."""
     x = ca.SX.sym("x", 2)
 
     def work(k: int) -> float:
@@ -364,8 +366,8 @@ def test_load_again_and_from_threads() -> None:
         assert list(pool.map(work, range(16))) == [2.0 * k for k in range(16)]
 
 
-def test_what_cannot_be_loaded() -> None:
-    """No object code, and object code of another function."""
+def test_load_rejects_invalid_object_code() -> None:
+    """Bytes that are no object code, and a missing function, raise errors."""
     x = ca.SX.sym("x")
     code = compile_object(ca.Function("f", [x], [2 * x]), "f")
     with pytest.raises(InputError, match="'g'"):
@@ -378,8 +380,8 @@ def test_what_cannot_be_loaded() -> None:
 
 @pytest.mark.parametrize("wide", [4, 8])
 @pytest.mark.parametrize("name", EXACT + ROUNDED)
-def test_many_places_at_once(name: str, wide: int) -> None:
-    """Every operation, in every lane, is what CasADi's interpreter gives for it alone."""
+def test_wide_code_equals_casadi_in_each_lane(name: str, wide: int) -> None:
+    """Each operation in each lane equals CasADi's scalar result."""
     x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
     value = apply(name, x[0], x[1]) if name in BINARY else apply(name, x[0])
     function = ca.Function("f", [x, p], [ca.vertcat(value, p * value, p, ca.SX(2.0))])

@@ -1,4 +1,4 @@
-"""The cache of machine code: nothing damaged or foreign comes out of it, nothing stops it."""
+"""Tests of the kernel cache: it returns no damaged or foreign code and never raises an error."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HEADER = 8 + 4 + 64 + 8 + 32
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Return a folder that does not exist yet, in one that does."""
+    """Return a missing folder in a missing parent."""
     return tmp_path / "deep" / "cache"
 
 
@@ -33,8 +33,8 @@ def filled(folder: Path) -> tuple[ObjectCache, Path]:
     return cache, folder / f"{KEY}.o"
 
 
-def test_what_is_put_is_got(folder: Path) -> None:
-    """Objects come back as they were, from another ObjectCache too."""
+def test_get_returns_what_put_wrote(folder: Path) -> None:
+    """Objects are read unchanged, also by another ObjectCache."""
     cache = ObjectCache(folder)
     assert cache.get(KEY) is None
     assert cache.entries() == []
@@ -53,8 +53,10 @@ def test_what_is_put_is_got(folder: Path) -> None:
     assert list(folder.iterdir()) == []
 
 
-def test_default_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """The environment names the folder, or else the user's own for caches is taken."""
+def test_default_folder_is_environment_or_user_cache(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """PINRED_CACHE_DIR names the folder; otherwise the user's cache folder is used."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path / "named"))
     assert ObjectCache().folder == tmp_path / "named"
     assert ObjectCache(tmp_path / "given").folder == tmp_path / "given"
@@ -65,8 +67,8 @@ def test_default_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None
     assert tmp_path in ObjectCache().folder.parents
 
 
-def test_keys() -> None:
-    """A key tells parts apart, and text from bytes."""
+def test_cache_key_distinguishes_parts() -> None:
+    """A key distinguishes the division into parts, and text from bytes."""
     keys = [
         cache_key(*parts)
         for parts in [(), ("",), ("", ""), ("ab",), ("a", "b"), (b"ab",), ("b", "a"), ("é",)]
@@ -76,8 +78,8 @@ def test_keys() -> None:
     assert cache_key("a", b"b") == cache_key("a", b"b")
 
 
-def test_bad_arguments(folder: Path) -> None:
-    """A key that is none cannot name a file elsewhere; a limit is not negative."""
+def test_cache_rejects_invalid_keys_and_limits(folder: Path) -> None:
+    """A key cannot name a file elsewhere, and a limit cannot be negative."""
     cache = ObjectCache(folder)
     for key in ("", "a" * 63, "../" + "a" * 61, "A" * 64, "a" * 64 + "\n", "a" * 63 + "/"):
         with pytest.raises(InputError, match="64 hexadecimal"):
@@ -88,15 +90,15 @@ def test_bad_arguments(folder: Path) -> None:
         ObjectCache(folder, -1)
 
 
-def test_only_the_owner_may_read_and_write(filled: tuple[ObjectCache, Path]) -> None:
+def test_entries_are_private(filled: tuple[ObjectCache, Path]) -> None:
     """Files have mode 0600 and the folder 0700."""
     _, file = filled
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
     assert stat.S_IMODE(file.parent.stat().st_mode) == 0o700
 
 
-def rejected(cache: ObjectCache, file: Path, match: str) -> None:
-    """Check that an entry is refused with a warning, removed, and can be made anew."""
+def assert_rejected(cache: ObjectCache, file: Path, match: str) -> None:
+    """Check that an entry is rejected with a warning, removed, and can be written again."""
     with pytest.warns(CacheWarning, match=match):
         assert cache.get(KEY) is None
     assert not os.path.lexists(file)
@@ -105,54 +107,56 @@ def rejected(cache: ObjectCache, file: Path, match: str) -> None:
     assert cache.get(KEY) == CODE
 
 
-# In the magic, the version, the key, the length, the checksum, the payload and its last byte.
+# Positions in magic, version, key, length, signature, payload and its last byte.
 @pytest.mark.parametrize("at", [0, 7, 8, 12, 75, 76, 83, 84, 115, HEADER, HEADER + 1000, -1])
 @pytest.mark.parametrize("bit", [1, 128])
-def test_one_wrong_bit(filled: tuple[ObjectCache, Path], at: int, bit: int) -> None:
-    """One bit anywhere, and the entry is gone."""
+def test_get_rejects_entry_with_wrong_bit(
+    filled: tuple[ObjectCache, Path], at: int, bit: int
+) -> None:
+    """A single wrong bit at any position invalidates the entry."""
     cache, file = filled
     data = bytearray(file.read_bytes())
     data[at] ^= bit
     file.write_bytes(data)
-    rejected(cache, file, KEY)
+    assert_rejected(cache, file, KEY)
 
 
 @pytest.mark.parametrize("length", [0, 1, HEADER - 1, HEADER, HEADER + 1, HEADER + 2303])
-def test_cut_off(filled: tuple[ObjectCache, Path], length: int) -> None:
-    """A file that ends too early."""
+def test_get_rejects_truncated_entry(filled: tuple[ObjectCache, Path], length: int) -> None:
+    """A truncated file is rejected."""
     cache, file = filled
     file.write_bytes(file.read_bytes()[:length])
-    rejected(cache, file, "cut off|length")
+    assert_rejected(cache, file, "cut off|length")
 
 
-def test_too_long_foreign_and_of_another_format(filled: tuple[ObjectCache, Path]) -> None:
-    """Bytes at the end, a file of something else, a format to come, another key's object."""
+def test_get_rejects_foreign_entries(filled: tuple[ObjectCache, Path]) -> None:
+    """Extra bytes, a foreign file, a later format and another key's object are rejected."""
     cache, file = filled
     data = file.read_bytes()
     file.write_bytes(data + b"x")
-    rejected(cache, file, "length")
+    assert_rejected(cache, file, "length")
     file.write_bytes(b"\x7fELF" + bytes(5000))
-    rejected(cache, file, "not written by pinred")
+    assert_rejected(cache, file, "not written by pinred")
     file.write_bytes(data[:8] + (3).to_bytes(4, "little") + data[12:])
-    rejected(cache, file, "format is 3")
+    assert_rejected(cache, file, "format is 3")
     cache.put(OTHER, CODE)
     (file.parent / f"{OTHER}.o").rename(file)
-    rejected(cache, file, "another key")
+    assert_rejected(cache, file, "another key")
 
 
-def test_links_pipes_and_folders_are_not_read(
+def test_get_rejects_links_pipes_and_folders(
     filled: tuple[ObjectCache, Path], tmp_path: Path
 ) -> None:
-    """No link is followed, though what it points to is in order; a pipe does not block."""
+    """A link to a valid entry is not followed, and a pipe does not block."""
     cache, file = filled
     target = tmp_path / "target"
     file.rename(target)
     file.symlink_to(target)
-    rejected(cache, file, KEY)
+    assert_rejected(cache, file, KEY)
     assert target.read_bytes()[HEADER:] == CODE
     file.unlink()
     os.mkfifo(file)
-    rejected(cache, file, "plain file")
+    assert_rejected(cache, file, "plain file")
     file.unlink()
     file.mkdir()
     with pytest.warns(CacheWarning, match="plain file"):
@@ -162,11 +166,11 @@ def test_links_pipes_and_folders_are_not_read(
     assert [child.name for child in file.parent.iterdir()] == [file.name]
 
 
-def test_what_others_can_write_is_not_trusted(filled: tuple[ObjectCache, Path]) -> None:
-    """Neither a file nor a folder; of the folder it is said once."""
+def test_get_rejects_files_writable_by_others(filled: tuple[ObjectCache, Path]) -> None:
+    """Files and folders are rejected; the folder causes one warning."""
     cache, file = filled
     file.chmod(0o620)
-    rejected(cache, file, "written by others")
+    assert_rejected(cache, file, "written by others")
     file.parent.chmod(0o777)
     with pytest.warns(CacheWarning, match=r"written by others \(mode 0777\)"):
         assert cache.get(KEY) is None
@@ -179,10 +183,10 @@ def test_what_others_can_write_is_not_trusted(filled: tuple[ObjectCache, Path]) 
     assert cache.get(OTHER) is None
 
 
-def test_what_belongs_to_others_is_not_trusted(
+def test_get_rejects_files_of_other_users(
     filled: tuple[ObjectCache, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Seen by another user, folder and files are foreign."""
+    """For another user, folder and files are foreign."""
     cache, file = filled
     monkeypatch.setattr(os, "geteuid", lambda: file.stat().st_uid + 1)
     with pytest.warns(CacheWarning, match="belongs to user"):
@@ -191,8 +195,8 @@ def test_what_belongs_to_others_is_not_trusted(
     assert len(list(file.parent.iterdir())) == 1
 
 
-def test_folder_that_cannot_be_used(tmp_path: Path) -> None:
-    """A file in the place of the folder or above it: one warning, no error."""
+def test_cache_in_unusable_folder_warns_once(tmp_path: Path) -> None:
+    """A file instead of the folder, or above it, causes one warning and no error."""
     (tmp_path / "file").write_bytes(b"")
     for folder in (tmp_path / "file", tmp_path / "file" / "below"):
         cache = ObjectCache(folder)
@@ -207,10 +211,10 @@ def test_folder_that_cannot_be_used(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("call", ["write", "fsync", "replace", "open"])
-def test_full_disk(
+def test_put_on_full_disk_keeps_old_entry(
     filled: tuple[ObjectCache, Path], call: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What cannot be written is said once; what was there stays, and no part is left over."""
+    """A failed write warns once, keeps the old entry, and leaves no temporary file."""
     cache, file = filled
 
     def full(*_: object, **__: object) -> None:
@@ -234,8 +238,8 @@ def test_full_disk(
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="nothing is forbidden to root")
-def test_folder_without_permission(filled: tuple[ObjectCache, Path]) -> None:
-    """A folder that may only be read still serves; one that may not be entered does not."""
+def test_cache_without_permission(filled: tuple[ObjectCache, Path]) -> None:
+    """A read-only folder is read; a folder without access is not used."""
     cache, file = filled
     file.parent.chmod(0o500)
     assert cache.get(KEY) == CODE
@@ -247,8 +251,8 @@ def test_folder_without_permission(filled: tuple[ObjectCache, Path]) -> None:
     file.parent.chmod(0o700)
 
 
-def test_least_recently_used_goes_first(folder: Path) -> None:
-    """The sum of all entries stays within the limit; use is what counts, not age."""
+def test_put_removes_least_recently_used(folder: Path) -> None:
+    """The total size stays within the limit; the last use counts, not the age."""
     keys = [cache_key(str(k)) for k in range(6)]
     cache = ObjectCache(folder, limit=3 * (HEADER + 100) + 50)
     for age, key in enumerate(keys[:3]):
@@ -269,10 +273,8 @@ def test_least_recently_used_goes_first(folder: Path) -> None:
     assert cache.entries() == before
 
 
-def test_a_full_folder_is_not_listed_at_every_put(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One put in some lists it, however full; the sum of all stays within the limit even so."""
+def test_put_lists_full_folder_rarely(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few puts list the folder, and the total size stays within the limit."""
     listed: list[int] = []
     entries = object_cache._entries
 
@@ -289,8 +291,8 @@ def test_a_full_folder_is_not_listed_at_every_put(
     assert sum(file.stat().st_size for file in folder.iterdir()) > 0.9 * limit
 
 
-def test_leftovers_and_strangers(filled: tuple[ObjectCache, Path]) -> None:
-    """What a dead process began is removed by the next put; files that are none of ours stay."""
+def test_put_removes_leftovers_and_keeps_foreign_files(filled: tuple[ObjectCache, Path]) -> None:
+    """Temporary files of dead processes are removed; foreign files stay."""
     cache, file = filled
     left = file.parent / f".pinred-{'a' * 16}.tmp"
     stranger = file.parent / "notes.txt"
@@ -305,7 +307,7 @@ def test_leftovers_and_strangers(filled: tuple[ObjectCache, Path]) -> None:
 
 
 def contend(folder: Path, seed: int) -> int:
-    """Put, get and clear two keys many times; return how often one was found."""
+    """Put, get and clear two keys many times; return the number of successful reads."""
     warnings.simplefilter("error")
     cache = ObjectCache(folder, limit=2**20)
     found = 0
@@ -322,8 +324,8 @@ def contend(folder: Path, seed: int) -> int:
 
 
 @pytest.mark.slow
-def test_processes_at_once(folder: Path) -> None:
-    """Processes that put, get and clear the same keys never see a part, nor a warning."""
+def test_concurrent_processes_see_complete_entries(folder: Path) -> None:
+    """Processes that use the same keys see neither fractions nor warnings."""
     with multiprocessing.get_context("spawn").Pool(4) as pool:
         found = pool.starmap(contend, [(folder, seed) for seed in range(4)])
     assert min(found) > 0

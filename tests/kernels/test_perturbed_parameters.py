@@ -1,7 +1,7 @@
-"""The other robot at which kernels are judged, whose numbers are their inputs.
+"""Tests of the perturbed robot with which kernels with variable parameters are validated.
 
-All that is free differs so much that a kernel which does not read it is found, and no more: a
-body stays one, of about that size; what is not free stays.
+Variable parameters change enough to detect a kernel that ignores them, and stay physical.  All
+other parameters stay equal.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pinred.reduction.tree.free_bodies import Freed, pattern_of
 
 
 def tree(*, gravity: float = 5.0) -> pinred.System:
-    """Return a tree with a link on each body, the first 0.1 m out, the last in the origin."""
+    """Return a tree with a link on each body, the first 0.1 m from the origin, the last in it."""
     model, rng = random_model("SE3", 4, 2), np.random.default_rng(0)
     model.gravity.linear = gravity * np.array([1.0, -2.0, 3.0])
     for i in range(1, model.njoints):
@@ -35,8 +35,8 @@ def moments(body: pin.Inertia) -> tuple[float, Array]:
 
 
 @pytest.mark.parametrize("arm", [0.0, 0.2, 50.0])
-def test_inertias(arm: float) -> None:
-    """Each number of a body changes by a good part, and a body it stays; others are the same."""
+def test_perturb_changes_variable_inertias_physically(arm: float) -> None:
+    """Each variable inertia changes clearly and stays physical; the others stay equal."""
     model = tree().model.copy()
     for i in range(1, model.njoints):
         own = model.inertias[i]
@@ -65,8 +65,8 @@ def test_inertias(arm: float) -> None:
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.5e-3])
-def test_small_bodies_far_out(radius: float) -> None:
-    """They are given the extent of a thousandth of their lever besides their own."""
+def test_perturb_gives_point_masses_an_extent(radius: float) -> None:
+    """A small body far out gets an extent of a thousandth of its lever."""
     model, lever = tree().model.copy(), np.array([0.3, 0.0, 0.4])
     model.inertias[5] = pin.Inertia(1.0, lever, radius**2 / 3.0 * np.eye(3))
     model.armature = np.append(np.zeros(6), np.ones(model.nv - 6))
@@ -76,8 +76,8 @@ def test_small_bodies_far_out(radius: float) -> None:
     assert 0.2 * reach < np.linalg.norm(found.lever - lever) < 4.0 * reach
 
 
-def test_what_hangs_on_a_cyclic_joint() -> None:
-    """It is made heavier as a whole, by a fifth to a half, for the joint has to stay cyclic."""
+def test_perturb_scales_bodies_on_cyclic_joints() -> None:
+    """Their inertias are scaled by 1.2 to 1.5, because the joint must stay cyclic."""
     system = pinred.load("reaction_wheel_satellite")
     wheels = range(system.m)
     freed = Freed(inertias=tuple(range(system.m + 1)))
@@ -91,7 +91,7 @@ def test_what_hangs_on_a_cyclic_joint() -> None:
         np.testing.assert_allclose(found.inertia, ratio * own.inertia, rtol=1e-12)
     root = other.model.inertias[1]
     assert np.abs(root.lever - system.model.inertias[1].lever).min() > 1e-3
-    # Of a joint that carries others: these, too, and no other.
+    # Bodies carried by a cyclic joint are scaled, too, and no others.
     chain = tree()
     parents = list(chain.model.parents)
     carrying = next(k for k in range(chain.m) if chain.joints[k] in parents)
@@ -105,8 +105,8 @@ def test_what_hangs_on_a_cyclic_joint() -> None:
         assert same is (i in carried)
 
 
-def test_steps_and_links() -> None:
-    """Placements turn and shift by a good part of their own size, of those that are free."""
+def test_perturb_changes_variable_placements() -> None:
+    """Variable placements of joints and links change by a good fraction of their size."""
     system = tree()
     moved, links = 2, (1, 2, 4, 5)
     freed = Freed(steps=((moved, pattern_of(system, moved)),), links=links)
@@ -131,8 +131,8 @@ def test_steps_and_links() -> None:
 
 
 @pytest.mark.parametrize("gravity", [0.0, 5.0])
-def test_gravity(gravity: float) -> None:
-    """Stronger by a good part, in its direction; none stays none."""
+def test_perturb_scales_gravity(gravity: float) -> None:
+    """Gravity grows by a factor and keeps its direction; zero stays zero."""
     system = tree(gravity=gravity)
     other = perturb_parameters(system, Freed(inertias=(1,)))
     np.testing.assert_allclose(other.gravity, 1.3 * system.gravity)

@@ -1,4 +1,4 @@
-"""How large the terms are of which a kernel's numbers are sums: a cart and pole in closed form."""
+"""Tests of random states, and of the magnitudes of summed terms for a cart and pole."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ CART, POLE, LEVER, MOMENT, G = 2.0, 1.0, 0.5, 0.09, 9.81  # of robots/cartpole.u
 REACH = LEVER + np.sqrt(0.19 / POLE)  # of the pole: its centre of mass and radius of gyration
 
 
-def state() -> ReferenceState:
-    """A random one, with a velocity of its own: that of the judge has no momentum along R."""
+def random_cartpole_state() -> ReferenceState:
+    """Return a random state of the cart and pole, with momentum along the slide."""
     system = pinred.load("cartpole")
     kernel = kernel_of(plan_of(pinred.Scene(system=system, seed=0)), zero_momentum=False)
     at = random_state(kernel, np.random.default_rng(3), 1.0)
@@ -29,9 +29,9 @@ def state() -> ReferenceState:
     return at
 
 
-def test_terms() -> None:
-    """Of momenta, velocities, forces and weights, before anything cancels."""
-    at = state()
+def test_terms_equal_closed_form() -> None:
+    """Terms of momenta, velocities, forces and gravity, before cancellation."""
+    at = random_cartpole_state()
     coupled = -POLE * LEVER * np.cos(at.x[0])
     H = np.array([[CART + POLE, coupled], [coupled, MOMENT + POLE * LEVER**2]])
     assert pytest.approx(H) == at.H
@@ -48,8 +48,8 @@ def test_terms() -> None:
     assert at.gravity_terms == pytest.approx([(CART + POLE) * G, POLE * G * REACH])
 
 
-def test_states_are_far_apart() -> None:
-    """Joints go round, and velocities are those of a motion; what cannot be moves nothing."""
+def test_random_states_cover_shapes_and_velocities() -> None:
+    """Joints rotate fully, and the base has zero linear momentum."""
     system = pinred.load("planar_chain5")
     kernel = kernel_of(plan_of(pinred.Scene(system=system, seed=0)), zero_momentum=False)
     rng = np.random.default_rng(0)
@@ -60,7 +60,7 @@ def test_states_are_far_apart() -> None:
     assert 0.5 < v[:, 3:].std() < 2.0
     turns = np.array([at.pose[2] for at in states if at is not None])
     assert 0.3 < np.abs(turns).max() <= 1.0
-    # The momentum of the base's translation is none, in all terms of its three components.
+    # The linear momentum is zero, and its components share the largest terms.
     at = states[0]
     assert at is not None
     assert at.mu[:2] == pytest.approx([0.0, 0.0])
@@ -69,23 +69,25 @@ def test_states_are_far_apart() -> None:
     assert at.momentum_terms == pytest.approx(terms)
 
 
-def test_terms_grow_with_velocities() -> None:
-    """Momenta as they do, forces as their square, however small they are."""
-    at = state()
+def test_terms_scale_with_velocity() -> None:
+    """Momenta scale linearly and forces quadratically, however small they are."""
+    at = random_cartpole_state()
     slow = replace(at, v=1e-6 * at.v)
     assert slow.momentum_terms == pytest.approx(1e-6 * at.momentum_terms, rel=1e-9, abs=0.0)
     assert slow.velocity_terms == pytest.approx(1e-6 * at.velocity_terms, rel=1e-9, abs=0.0)
     assert slow.force_terms == pytest.approx(1e-12 * at.force_terms, rel=1e-9, abs=0.0)
 
 
-def test_reach() -> None:
-    """Of the joint that is farthest from the root with its body, wherever the root stands."""
+def test_reach_is_largest_distance_from_root() -> None:
+    """The reach is that of the farthest joint with its body, for any position of the root."""
     model = random_model("SE3", 4, 2)
     system = pinred.load(model)
     kernel = kernel_of(plan_of(pinred.Scene(system=system, seed=0)), zero_momentum=False)
     at = random_state(kernel, np.random.default_rng(3), 1.0)
     assert at is not None
-    pin.forwardKinematics(at.model, at.data, pin.neutral(at.model))  # as others leave it
+    pin.forwardKinematics(
+        at.model, at.data, pin.neutral(at.model)
+    )  # other functions overwrite this data
     whole, data = [], system.model.createData()
     pin.forwardKinematics(system.model, data, at.q)
     for joint, body in list(zip(data.oMi, system.model.inertias, strict=True))[1:]:
@@ -94,8 +96,8 @@ def test_reach() -> None:
     assert at.reach == pytest.approx(max(whole))
 
 
-def test_states_of_a_size() -> None:
-    """Smaller ones have all of shape and velocity smaller, for momentum is linear in it."""
+def test_random_state_scales_shape_and_velocity() -> None:
+    """A smaller state has proportionally smaller shape and velocity."""
     system = pinred.load("planar_chain5")
     kernel = kernel_of(plan_of(pinred.Scene(system=system, seed=0)), zero_momentum=False)
     whole, part = (random_state(kernel, np.random.default_rng(0), size) for size in (1.0, 0.1))
@@ -105,8 +107,8 @@ def test_states_of_a_size() -> None:
     assert part.v[3:] == pytest.approx(0.1 * whole.v[3:])
 
 
-def test_states_lie_on_all_sides() -> None:
-    """Of angles and shapes both signs, of times all from 0 to 1 s, or of a table's."""
+def test_random_states_cover_both_signs_and_the_time_span() -> None:
+    """Angles and shapes have both signs; times cover 0 to 1 s or the span of a table."""
     system = pinred.load("planar_chain5")
     name = system.shape_names[0]
 
@@ -122,7 +124,7 @@ def test_states_lie_on_all_sides() -> None:
         margin = 0.07 * (high - low)
         assert low <= values.min() < low + margin
         assert high - margin < values.max() <= high
-    for first, last, count in ((-3.0, 0.7, 5), (0.0, 0.6, 6)):  # kernels of the same kind are one
+    for first, last, count in ((-3.0, 0.7, 5), (0.0, 0.6, 6)):  # both share one kernel
         knots = np.linspace(first, last, count)
         torque = forces.Torque({name: pinred.signals.Spline(knots, np.sin(knots))})
         times = np.array([at.time for at in drawn(forces=torque)])
@@ -130,8 +132,8 @@ def test_states_lie_on_all_sides() -> None:
         assert 0.8 * last < times.max() <= last
 
 
-def test_no_state_where_a_plan_is_not_defined() -> None:
-    """Others are drawn instead."""
+def test_random_state_undefined_prescription_returns_none() -> None:
+    """States at which a prescribed motion is undefined are skipped."""
     system = pinred.load("planar_chain5")
     plan = {system.shape_names[1]: pinred.signals.Expression("sqrt(0.3 - t)")}
     scene = pinred.Scene(system=system, seed=0, prescribed=plan, duration=0.1)

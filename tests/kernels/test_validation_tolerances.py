@@ -1,6 +1,6 @@
-"""What the judge of kernels allows for round-off: at least the size of all that is added up.
+"""Tests of the round-off that validation allows: at least the magnitude of all summed terms.
 
-What is a sum is never larger than the sizes of its terms together, whatever cancels.
+A sum is never larger than the total magnitude of its terms, whatever cancels.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from trees import random_model
 import pinred
 from pinred import forces
 from pinred.common.arrays import Array
-from pinred.kernels import validation as judging
+from pinred.kernels import validation
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.reference_state import ReferenceState, random_state
 from pinred.simulation.compiled.kernel_of_plan import kernel_of
@@ -24,15 +24,15 @@ from pinred.simulation.plan import plan_of
 
 
 def kernel(group: str, gravity: float = 0.0, **options: Any) -> Kernel:
-    """Return the kernel of a tree of three joints."""
+    """Return the kernel of a tree with three joints."""
     model = random_model(group, 3, 1)
     model.gravity.linear = gravity * np.array([1.0, -2.0, 3.0])
     scene = pinred.Scene(system=pinred.load(model), seed=0, **options)
     return kernel_of(plan_of(scene), zero_momentum=False)
 
 
-def pushed(force: float) -> Kernel:
-    """Return that of a body of which all moments about the centre of mass cancel."""
+def cancelling_wrench(force: float) -> Kernel:
+    """Return the kernel of a body whose moments about the centre of mass cancel."""
     model = pin.Model()
     at = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
     com = np.array([0.3, -0.2, 0.1])
@@ -40,36 +40,39 @@ def pushed(force: float) -> Kernel:
     model.appendBodyToJoint(at, body, pin.SE3.Identity())
     model.gravity.setZero()
     F = force * np.array([1.0, 2.0, -1.0])
-    whole = [*F, *np.cross(com, F)]  # of numbers the judge draws others; of functions it does not
+    whole = [
+        *F,
+        *np.cross(com, F),
+    ]  # a function, because validation replaces numbers by random ones
     wrench = forces.Wrench(lambda _t, _x, _xdot, _mu: whole)
     scene = pinred.Scene(system=pinred.load(model), seed=0, forces=wrench)
     return kernel_of(plan_of(scene), zero_momentum=False)
 
 
-def sprung(stiffness: float) -> Kernel:
-    """Return that of a tree whose potential is far larger than its kinetic energy."""
+def large_potential(stiffness: float) -> Kernel:
+    """Return the kernel of a tree whose potential exceeds its kinetic energy by far."""
     energy = forces.PotentialEnergy(lambda x: stiffness * (1.0 + x[0] ** 2))
     return kernel("SE3", forces=energy)
 
 
-def driven(size: float) -> Kernel:
-    """Return that of a tree with a joint that follows a plan of large accelerations."""
+def large_acceleration(size: float) -> Kernel:
+    """Return the kernel of a tree with a prescribed joint of large acceleration."""
     system = pinred.load(random_model("SE3", 3, 1))
     plan = {system.shape_names[1]: pinred.signals.Expression(f"{size}*t**2")}
     scene = pinred.Scene(system=system, seed=0, prescribed=plan)
     return kernel_of(plan_of(scene), zero_momentum=False)
 
 
-def forces_before_they_cancel(judged: Kernel, at: ReferenceState, a: Array) -> Array:
-    """Return |H⁻¹| (|inertial| + |weight| + |given| + |H| |a|), by Pinocchio."""
-    system, still = judged.system, at.model.copy()
+def forces_before_cancellation(tested: Kernel, at: ReferenceState, a: Array) -> Array:
+    """Return |H⁻¹| (|inertial| + |gravity| + |applied| + |H| |a|), by Pinocchio."""
+    system, still = tested.system, at.model.copy()
     still.gravity.setZero()
     data, full = still.createData(), system.joint_rates(at.v)
     sizes = np.abs(system.on_shape(pin.nonLinearEffects(still, data, at.q, full)))
     sizes += np.abs(system.on_shape(pin.computeGeneralizedGravity(at.model, data, at.q)))
-    if judged.forces is not None:
+    if tested.forces is not None:
         seen = at.time, at.x, at.v[system.r :], at.v[: system.r], at.mu, at.force_parameters
-        given = judged.forces.acting(*seen, at.in_space(at.v))
+        given = tested.forces.acting(*seen, at.in_space(at.v))
         sizes += np.abs(np.append(given.wrench, given.torque))
     whole = np.zeros(system.n)
     whole[at.free] = np.abs(a)
@@ -85,54 +88,54 @@ KERNELS: list[Callable[[], Kernel]] = [
     lambda: kernel("SO3", 1e6, outputs="shape"),
     lambda: kernel("RxSE2"),
     lambda: kernel("SE3", forces=forces.Torque(lambda *_: [1e6, 2e6, -1e6])),
-    lambda: pushed(1e9),
-    lambda: sprung(1e9),
-    lambda: driven(100.0),
+    lambda: cancelling_wrench(1e9),
+    lambda: large_potential(1e9),
+    lambda: large_acceleration(100.0),
 ]
 
 
 @pytest.mark.parametrize("make", KERNELS)
-def test_sums_are_no_larger_than_their_terms(
+def test_terms_bound_all_compared_values(
     make: Callable[[], Kernel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Everything that is compared, at all states; and accelerations as H a = b gives them."""
+    """At all states each compared value is at most the magnitude of its terms."""
     states: list[ReferenceState] = []
     seen: list[tuple[str, Array, Array]] = []
-    require_agreement = judging.require_agreement
+    require_agreement = validation.require_agreement
 
     def drawn(*arguments: Any) -> ReferenceState | None:
         at = random_state(*arguments)
         states.extend([at] if at is not None else [])
         return at
 
-    def noted(_: str, what: str, found: Array, expected: Array, terms: Array | float) -> None:
+    def record(_: str, what: str, found: Array, expected: Array, terms: Array | float) -> None:
         require_agreement("it", what, found, expected, terms)
         seen.append((what, expected, np.broadcast_to(terms, expected.shape)))
         if what == "acceleration":
-            needed = forces_before_they_cancel(judged, states[-1], expected)
+            needed = forces_before_cancellation(tested, states[-1], expected)
             seen.append(("forces", needed, seen[-1][2]))
 
-    judged = make()
-    monkeypatch.setattr(judging, "random_state", drawn)
-    monkeypatch.setattr(judging, "require_agreement", noted)
-    judging.validate_kernel(judged)
+    tested = make()
+    monkeypatch.setattr(validation, "random_state", drawn)
+    monkeypatch.setattr(validation, "require_agreement", record)
+    validation.validate_kernel(tested)
     assert len(states) == 3
     for what, expected, terms in seen:
         assert (np.abs(expected) <= (1.0 + 1e-9) * terms).all(), what
 
 
-def test_moments_before_they_cancel(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a force that turns nothing, a moment of its lever and one that takes it back."""
-    judged, sizes, require_agreement = pushed(1e9), [], judging.require_agreement
+def test_terms_of_moments_include_cancelling_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A force without moment about the centre of mass has terms of its lever and its torque."""
+    tested, sizes, require_agreement = cancelling_wrench(1e9), [], validation.require_agreement
 
-    def noted(_: str, what: str, found: Array, expected: Array, terms: Array | float) -> None:
+    def record(_: str, what: str, found: Array, expected: Array, terms: Array | float) -> None:
         if what == "rate of the angular momentum":
             sizes.append(np.array(terms))
             assert np.abs(expected).max() < 1e3
         require_agreement("it", what, found, expected, terms)
 
-    monkeypatch.setattr(judging, "require_agreement", noted)
-    judging.validate_kernel(judged)
+    monkeypatch.setattr(validation, "require_agreement", record)
+    validation.validate_kernel(tested)
     c, F = np.array([0.3, 0.2, 0.1]), 1e9 * np.array([1.0, 2.0, 1.0])
     lever = np.abs(pin.skew(c)) @ F
     N = 1e9 * np.abs(np.cross([0.3, -0.2, 0.1], [1.0, 2.0, -1.0]))
@@ -141,13 +144,13 @@ def test_moments_before_they_cancel(monkeypatch: pytest.MonkeyPatch) -> None:
         assert (terms >= 0.999 * (lever + N)).all()
 
 
-def test_the_base_in_space() -> None:
-    """Where a wrench has pushed it and it falls: Pinocchio's centre of mass and momentum."""
-    judged = kernel("SE3", 5.0, forces=forces.Wrench([0.3, 0.0, 0.2, 0.0, 0.1, 0.0]))
-    at = random_state(judged, np.random.default_rng(2), 1.0)
+def test_in_space_agrees_with_pinocchio() -> None:
+    """With a wrench and in free fall, centre of mass and momentum agree with Pinocchio."""
+    tested = kernel("SE3", 5.0, forces=forces.Wrench([0.3, 0.0, 0.2, 0.0, 0.1, 0.0]))
+    at = random_state(tested, np.random.default_rng(2), 1.0)
     assert at is not None
     assert np.abs(at.push).min() > 0.01
-    system, base = judged.system, at.in_space(at.v)
+    system, base = tested.system, at.in_space(at.v)
     model, data = system.model, system.model.createData()
     q = system.model_q(base.pose, at.x)
     v = system.joint_rates(np.concatenate([base.xi, at.v[6:]]))

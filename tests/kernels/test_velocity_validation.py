@@ -1,4 +1,4 @@
-"""Velocities of all joints are judged each for itself, at three states; NaN never passes."""
+"""Tests that the velocities of all joints are compared separately, at three states."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from pinred.simulation.plan import plan_of
 
 
 @pytest.mark.parametrize("joint", [-1, -2])
-def test_each_velocity_is_found(joint: int) -> None:
-    """Of a light joint, too, in what is reported as Pinocchio's velocity."""
+def test_validation_detects_wrong_velocity_of_each_joint(joint: int) -> None:
+    """The reported Pinocchio velocity of a light joint is compared, too."""
     kernel = light_tree(1e-3)
     validate_kernel(kernel)
     where = kernel.where.fields["v"]
@@ -27,8 +27,8 @@ def test_each_velocity_is_found(joint: int) -> None:
         validate_kernel(Faulty(kernel, "out", first, last, 1e-8))  # type: ignore[arg-type]
 
 
-def test_velocities_of_followers_are_found() -> None:
-    """They are reported beside those of the shape, from which they follow."""
+def test_validation_detects_wrong_velocity_of_followers() -> None:
+    """Velocities of mimic joints are compared with the shape rates they follow from."""
     system = make_case("SE3", 5, 0).system
     scene = pinred.Scene(system=system, seed=0)
     kernel = kernel_of(plan_of(scene), zero_momentum=False)
@@ -42,8 +42,8 @@ def test_velocities_of_followers_are_found() -> None:
 
 
 @pytest.mark.parametrize("where", ["out", "rate"])
-def test_what_is_no_number_agrees_with_nothing(where: str) -> None:
-    """Neither found nor expected."""
+def test_require_agreement_rejects_nan(where: str) -> None:
+    """NaN is rejected among computed and among expected values."""
     with pytest.raises(pinred.KernelMismatch):
         validate_kernel(Faulty(light_tree(1.0), where, 0, 1, np.nan))  # type: ignore[arg-type]
     for pair in ([np.nan, 1.0], [1.0, np.nan]):
@@ -53,8 +53,8 @@ def test_what_is_no_number_agrees_with_nothing(where: str) -> None:
     require_agreement("it", "this", np.array([1.0 + 0.9e-10]), np.array([1.0]), 0.0)
 
 
-def test_three_states_are_judged() -> None:
-    """A fault that one state hides shows at another."""
+def test_validation_compares_three_states() -> None:
+    """A fault that is hidden at one state may show at another."""
     kernel, calls = light_tree(1.0), []
 
     class Counting(Faulty):

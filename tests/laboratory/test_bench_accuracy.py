@@ -200,7 +200,7 @@ def test_wall_at_equal_error() -> None:
     assert found.wall_at("b", 1e-4) == pytest.approx(4.0)
     assert found.ratio_at("b", 1e-3, "a") == pytest.approx(2.0 * 2.0**0.5 / 2.0)
     assert str(found).count("c is left out") == 1
-    with pytest.raises(InputError, match="no method 'c'; they are a, b"):
+    with pytest.raises(InputError, match="no method 'c'; the methods are a, b"):
         found.of("c")
 
 
@@ -238,7 +238,8 @@ def test_failures_are_kept() -> None:
     broken = Solver("broken", "fails", (1e-2, 1e-4), stops)
     (found,) = bench_accuracy([short_planar()], methods=[broken, OWN[0]], effort=BRIEF)
     failures = [p for p in found.points if p.method == "broken"]
-    assert [p.failure for p in failures] == ["the end is not finite", "stopped at t = 0.5 s"]
+    messages = [p.failure for p in failures]
+    assert messages == ["the final state is not finite", "stopped at t = 0.5 s"]
     assert all(np.isnan(p.wall) and np.isnan(p.error) for p in failures)
     assert found.of("broken") == []
     assert np.isnan(found.wall_at("broken", 1e-4))
@@ -253,7 +254,7 @@ def test_what_is_too_slow_is_said() -> None:
     (found,) = bench_accuracy([short_planar()], methods=[method], effort=impatient)
     assert len(found.points) == len(method.tolerances[::4])
     assert len(found.of("aba-rk4")) == 1
-    assert all("not run: a coarser one took" in p.failure for p in found.points[1:])
+    assert all("not run: a coarser tolerance took" in p.failure for p in found.points[1:])
 
 
 def test_record_round_trip(tmp_path: Path) -> None:
@@ -331,8 +332,8 @@ def test_resumed(
 def test_commands_refuse(capsys: pytest.CaptureFixture[str]) -> None:
     """Bad names are answered with the good ones."""
     for option, message in (
-        (["--scenes", "moon"], "no scene 'moon'; they are planar1, elroys_beanie,"),
-        (["--methods", "magic"], "no method 'magic'; they are pinred, pinred-integration,"),
+        (["--scenes", "moon"], "no scene 'moon'; the scenes are planar1, elroys_beanie,"),
+        (["--methods", "magic"], "no method 'magic'; the methods are pinred, pinred-integration,"),
         (["--tolerances", "x"], "a tolerance must be a number, got 'x'"),
         (["--tolerances", "2"], "tolerances are below 1, got 2"),
     ):

@@ -65,7 +65,7 @@ class _Commuting(Group):
 
 
 CYLINDER = _Commuting(
-    name="C", axes=(2, 5), pose_names=("s", "θ"), root="cylindrical_joint", joints=("PZ+RZ",),
+    name="C", axes=(2, 5), pose_names=("s", "θ"), root="cylindrical", joints=("PZ+RZ",),
     conserved="momentum along the axis and angular momentum about it",
 )  # fmt: skip
 SHIFTS = _Commuting(

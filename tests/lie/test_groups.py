@@ -37,14 +37,14 @@ def algebra_matrix(group: Group, xi: Array) -> Array:
 
 
 def spatial_twist(group: Group, xi: Array) -> Array:
-    """Return the random_twist of SE(3), (6,), that a random_twist of the group is."""
+    """Return a twist of the group as a twist of SE(3), (6,)."""
     whole = np.zeros(6)
     whole[list(group.axes)] = xi
     return whole
 
 
 def random_twist(group: Group, rng: np.random.Generator, turn: float = 1.5) -> Array:
-    """Draw a random random_twist whose rotation has norm `turn` at most."""
+    """Draw a random twist whose rotation has norm `turn` at most."""
     xi = rng.uniform(-1.0, 1.0, group.dim)
     w = xi[group.linear :]
     if w.size:
@@ -53,7 +53,7 @@ def random_twist(group: Group, rng: np.random.Generator, turn: float = 1.5) -> A
 
 
 def is_same_pose(group: Group, g: Array, h: Array, tolerance: float = 1e-13) -> bool:
-    """Return whether two poses are the is_same_pose group element."""
+    """Return whether two poses are the same group element."""
     return bool(np.abs(group.matrix(g) - group.matrix(h)).max() <= tolerance)
 
 
@@ -167,7 +167,7 @@ def test_linear_and_angular_parts_equal_those_of_se3(group: Group, seed: int) ->
 
 @pytest.mark.parametrize("group", ALL, ids=repr)
 def test_names_and_sizes_are_consistent(group: Group) -> None:
-    """Each coordinate of a pose and of a random_twist has a distinct name."""
+    """Each coordinate of a pose and of a twist has a distinct name."""
     assert len(set(group.pose_names)) == len(group.identity()) == group.size
     assert len(set(group.twist_names)) == group.dim == group.linear + group.turns
     assert group.linear == sum(name.startswith("v") for name in group.twist_names)

@@ -9,7 +9,7 @@ from trees import random_model
 
 import pinred
 from pinred.reduction import potential
-from pinred.reduction.at_a_shape import Reduction
+from pinred.reduction.at_a_shape import PointwiseReduction as Reduction
 from pinred.reduction.cyclic_joints import cyclic_joints
 from pinred.reduction.potential import Potential, pivot_weight
 

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 import pinred
 from pinred import InputError, Parameter
 from pinred.forces import Controller, Torque, Wrench
-from pinred.integrators.derivatives import run_along
+from pinred.integrators.run_derivatives import run_along
 from pinred.laboratory.bench.flow_adjoints import beside_cvodes
 from pinred.signals import Fourier, Hold, Spline
 from pinred.simulation.flow_map import prepared

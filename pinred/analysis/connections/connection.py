@@ -18,13 +18,12 @@ from ...lie.group import Group
 from ...reduction.potential import broken_by_gravity
 from ...system.system import System
 from .fluid import Ellipse, Ellipsoid, fluid_form
-from .mechanical import mechanical_form
+from .mechanical import mechanical_code
 from .other_frames import from_link, in_section
 from .viscous import Rod, viscous_form
 from .wheels import Rolling, Wheel, kinematic_form
 
 _EXPLAINED = 16.0 * np.finfo(float).eps  # least own part of an inertia that is not singular
-_AT_ONCE = 8192  # shapes: few enough that work space stays in the cache
 _WHEELS = 1e-9  # least health of a form that is not symmetric
 
 
@@ -55,13 +54,9 @@ class ConnectionField:
     @cached_property
     def curvature(self) -> Array:
         """B_αβ = ∂_αA_β − ∂_βA_α − [A_α, A_β], (..., r, m, m)."""
-        x, r, m = self._flat, self.connection.r, self.connection.m
-        out = np.empty((len(x), r, m, m))
-        for start in range(0, len(x), _AT_ONCE):
-            some = slice(start, start + _AT_ONCE)
-            health = self.connection.code.curvature(x[some], out[some])
-            self.connection.refuse_singular(x[some], health)
-        return self._shaped(out)
+        B, health = self.connection.code.curvature(self._flat)
+        self.connection.refuse_singular(self._flat, health)
+        return self._shaped(B)
 
     @property
     def exterior(self) -> Array:
@@ -75,14 +70,7 @@ class ConnectionField:
 
     @cached_property
     def _locals(self) -> tuple[Array, Array | None]:
-        x, r, m = self._flat, self.connection.r, self.connection.m
-        A = np.empty((len(x), r, m))
-        M = np.empty((len(x), m, m)) if self.connection.has_metric else None
-        for start in range(0, len(x), _AT_ONCE):
-            some = slice(start, start + _AT_ONCE)
-            A[some], metric, _ = self.connection.locals_at(x[some])
-            if M is not None and metric is not None:
-                M[some] = metric
+        A, M, _ = self.connection.locals_at(self._flat)
         return self._shaped(A), None if M is None else self._shaped(M)
 
     @cached_property
@@ -124,10 +112,9 @@ class Connection:
     @classmethod
     def mechanical(cls, system: System) -> Connection:
         """Return the mechanical connection of a system: A = I⁻¹ H_bs, metric M (kg m², …)."""
-        return replace(
-            cls.of(mechanical_form(system)), system=system, is_mechanical=True,
-            turned_by_gravity=broken_by_gravity(system),
-        )  # fmt: skip
+        code = mechanical_code(system)
+        gravity = broken_by_gravity(system)
+        return cls(code.form, code, system, is_mechanical=True, turned_by_gravity=gravity)
 
     @classmethod
     def viscous(cls, system: System, drag: Mapping[str, Rod | ArrayLike]) -> Connection:

@@ -3,25 +3,68 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
+import pinocchio as pin
 
 from ...common.arrays import Array
+from ...common.memo import once
+from ...kernels.connection.code import ConnectionCode, cached_code
 from ...kernels.connection.form import ConnectionForm, form_of
-from ...reduction.at_a_shape import Reduction
-from ...reduction.tree.momenta import locked, momenta
+from ...kernels.evaluate import evaluate
+from ...kernels.machine.native import NativeCode
+from ...kernels.validation import require_agreement
+from ...reduction.inertia_split import mass_matrix
+from ...reduction.tree.all_joints import joint_values
+from ...reduction.tree.body_frames import bodies_of
+from ...reduction.tree.momenta import centre_of_mass, locked, momenta
 from ...system.system import System, checked_system
 
 
 def mechanical_form(system: System) -> ConnectionForm:
-    """Return the form of a system's momenta, H(x) (ξ, ẋ) = (μ, π), symmetric."""
+    """Return the symmetric form of a system's momenta, H(x) (ξ, ẋ) = (μ, π)."""
     system = checked_system(system, "Connection.mechanical")
 
     def values(x: ca.SX, v: ca.SX) -> ca.SX:
         return momenta(system, x, v)
 
     def reference(x: Array) -> Array:
-        return Reduction(system).mass_matrix(x)
+        return mass_matrix(system, x)
 
     return form_of(
         system.group, system.shape_names, system.units, f"the momenta of '{system.name}'",
         values, reference, symmetric=True, momentum=True, locked=lambda x: locked(system, x),
+    )  # fmt: skip
+
+
+def mechanical_code(system: System) -> ConnectionCode:
+    """Return the compiled mechanical connection of a system, which is made once."""
+    system = checked_system(system, "Connection.mechanical")
+    return once(system, mechanical_code, lambda: ConnectionCode(mechanical_form(system)))
+
+
+def centres_of_mass(system: System, x: Array) -> Array:
+    """Return the centre of mass in the root body's frame at shapes x (N, m), (N, 3) [m]."""
+    shape = ca.SX.sym("x", system.m)
+
+    def make() -> NativeCode:
+        joints = joint_values(system, [shape[k] for k in range(system.m)])
+        com = ca.vertcat(*centre_of_mass(bodies_of(system), joints))
+        graph = ca.Function("com", [shape, ca.SX.sym("none")], [ca.densify(com)], {"cse": True})
+        code = cached_code(graph.serialize(), "com", lambda: graph)
+        _validate_com(system, code)
+        return code
+
+    code = once(system, centres_of_mass, make)
+    return evaluate(code.address, np.zeros(1), x, 3)
+
+
+def _validate_com(system: System, code: NativeCode) -> None:
+    """Compare with Pinocchio's centre of mass at a random shape.  Raises KernelMismatch."""
+    x = np.random.default_rng(0).uniform(-2.0, 2.0, system.m)
+    model, data = system.model, system.data
+    com = pin.centerOfMass(model, data, system.model_q(system.group.identity(), x))
+    reach = sum(float(np.linalg.norm(place.translation)) for place in model.jointPlacements)
+    require_agreement(
+        f"the machine code of '{system.name}'", "the centre of mass",
+        evaluate(code.address, np.zeros(1), x[None], 3)[0], data.oMi[1].actInv(com), reach,
     )  # fmt: skip

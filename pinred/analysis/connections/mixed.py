@@ -25,7 +25,7 @@ from ...common.errors import InputError
 from ...kernels.connection.form import form_of
 from ...kernels.connection.graphs import health
 from ...kernels.machine.native import NativeCode, compile_object, load_object
-from ...reduction.at_a_shape import Reduction
+from ...reduction.inertia_split import mass_matrix
 from ...reduction.tree.momenta import bracket, momenta
 from ...system.system import System, checked_system
 from .connection import Connection
@@ -80,7 +80,7 @@ class MixedConnection:
         slip, size = np.abs(W @ v), np.abs(W) @ np.abs(v)
         if (slip > 1e-9 * np.maximum(size, 1e-300)).any():
             raise InputError(f"the wheels slip with this twist, at {W @ v} m/s; see `velocity`")
-        mu = Reduction(system).mass_matrix(at)[: system.r] @ v
+        mu = mass_matrix(system, at)[: system.r] @ v
         return np.asarray(self.free_motions(at).T @ mu)
 
     def velocity(self, x: ArrayLike, xdot: ArrayLike, p: ArrayLike) -> Array:
@@ -179,7 +179,7 @@ def mixed_connection(system: System, wheels: Sequence[Wheel | Rolling]) -> Mixed
     def reference(x: Array) -> Array:
         W = slip_matrix(system, slips, x)
         S = _kernel(W[:, :r], free)
-        return np.vstack([W, S.T @ Reduction(system).mass_matrix(x)[:r]])
+        return np.vstack([W, S.T @ mass_matrix(system, x)[:r]])
 
     form = form_of(
         system.group, system.shape_names, system.units, f"wheels and momenta of '{system.name}'",

@@ -20,7 +20,7 @@ from ...common.names import joint_index
 from ...forces.force import Force
 from ...forces.force_model import ForceModel
 from ...forces.signals import Signal
-from ...reduction.at_a_shape import Reduction
+from ...reduction.at_a_shape import PointwiseReduction
 from ...reduction.cyclic_joints import cyclic_joints
 from ...scene.scene import Scene
 from ...simulation.plan import Plan, plan_of
@@ -175,7 +175,7 @@ def _steady(system: System, model: ForceModel | None, end: float) -> tuple[Array
         return np.zeros(0), np.zeros(0)
     plans = [model.prescribed(t, model.numbers_from(t, end)) for t in _TIMES]
     first, names = plans[0], [system.shape_names[k] for k in model.joints]
-    free = cyclic_joints(Reduction(system)) if first.xdot.any() else ()
+    free = cyclic_joints(PointwiseReduction(system)) if first.xdot.any() else ()
     for k, name in enumerate(names):
         rates = np.array([plan.xdot[k] for plan in plans])
         bent = max(abs(plan.xddot[k]) for plan in plans)

@@ -11,7 +11,7 @@ import numpy as np
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ...lie.rotations import quaternion_exp
-from ...reduction.at_a_shape import Reduction
+from ...reduction.at_a_shape import PointwiseReduction
 from ...scene.scene import Scene
 from ...system.system import System
 from ..stability.verdict import Mode, Stability, Verdict
@@ -119,7 +119,7 @@ class RelativeEquilibrium:
         """Return π (m,) of the joints and the body momentum (r,) with a change."""
         system = self.system
         v = np.concatenate([self.xi, self.xdot])
-        whole = Reduction(system).mass_matrix(self.x) @ v
+        whole = PointwiseReduction(system).mass_matrix(self.x) @ v
         r, m = system.r, system.m
         mu, base = whole[:r].copy(), change[2 * m :]
         if self.problem.kind == "heavy":
@@ -131,7 +131,7 @@ class RelativeEquilibrium:
     def _velocity(self, x: Array, pi: Array, mu: Array) -> tuple[Array, Array]:
         """Return (ẋ, ξ) of momenta; rates of driven joints are given."""
         system, problem = self.system, self.problem
-        H = Reduction(system).mass_matrix(x)
+        H = PointwiseReduction(system).mass_matrix(x)
         driven = system.r + np.array(problem.driven, dtype=np.intp)
         free = np.setdiff1d(np.arange(system.n), driven)
         v = np.zeros(system.n)

@@ -7,15 +7,14 @@ With a spatial momentum J, ξ = −A x′ + I⁻¹μ, μ = Ad_gᵀ J.  If such a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from ...common.arrays import Array, freeze
 from ...integrators.gauss.tables import tables
 from ...lie.group import Group
-from ...reduction.tree.composite_bodies import CompositeBodies
 from ...system.system import System
+from ..connections.mechanical import mechanical_code
 from .lift import STAGES
 
 
@@ -34,18 +33,12 @@ class Drift:
 
     def inverse(self, x: Array) -> Array:
         """Return I⁻¹ at shapes (N, m), (N, r, r)."""
-        H = np.zeros((len(x), self.system.n, self.system.n))
-        self._bodies.mass_matrix(x, H)
-        r = self.system.r
-        return np.asarray(np.linalg.inv(H[:, :r, :r]))
+        return np.asarray(np.linalg.inv(mechanical_code(self.system).locals(x).P))
 
     def slopes(self, x: Array, inverse: Array, mu: Array) -> Array:
         """Return ∂(I⁻¹μ)/∂x = −I⁻¹ ∂I I⁻¹μ at fixed μ (N, r), (N, r, m)."""
-        r, m = self.system.r, self.system.m
-        dI = self._bodies.derivatives(x, np.zeros((len(x), r, m, m)))
-        omega = inverse @ mu[..., None]
-        moved = (dI @ omega[:, None])[..., 0]  # (N, m, r)
-        return np.asarray(-inverse @ np.swapaxes(moved, 1, 2))
+        omega = (inverse @ mu[..., None])[..., 0]
+        return np.asarray(-inverse @ mechanical_code(self.system).locked_derivatives(x, omega))
 
     def carriers(self, group: Group, h: Array, adjoints: Array, inverse: Array) -> Array:
         """Return Ψ (N, r, r): η at the end by η at the nodes, of pieces of length h (P,).
@@ -73,7 +66,3 @@ class Drift:
             out[p] = after @ own[p]
             after = after @ whole[p]
         return out.reshape(-1, r, r)
-
-    @cached_property
-    def _bodies(self) -> CompositeBodies:
-        return CompositeBodies(self.system)

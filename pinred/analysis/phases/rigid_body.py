@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from ...common.arrays import Array, freeze, vector
 from ...common.errors import InputError
 from ...lie.rotations import TAU
-from ...reduction.at_a_shape import Reduction
+from ...reduction.at_a_shape import PointwiseReduction
 from ...system.system import System, checked_system
 
 _EDGE = 1e-12  # relative; how near to the separatrix, or to a sphere, is there
@@ -64,7 +64,7 @@ def rigid_body_phase(system: System, omega: ArrayLike) -> RigidBodyPhase:
     if system.m:
         raise InputError(f"'{system.name}' has {system.m} joints; freeze them: load(…, lock={{…}})")
     w = vector(omega, 3, "omega")
-    I = Reduction(system).locked_inertia(np.zeros(0))
+    I = PointwiseReduction(system).locked_inertia(np.zeros(0))
     turning = I[-3:, -3:]
     if group.linear:  # about the centre of mass
         turning = turning - I[3:, :3] @ np.linalg.solve(I[:3, :3], I[:3, 3:])

@@ -1,1 +1,1 @@
-"""Explicit Runge–Kutta methods: of any tableau, and Munthe-Kaas's on groups."""
+"""Explicit Runge–Kutta methods: by tableau, and Munthe-Kaas's method on Lie groups."""

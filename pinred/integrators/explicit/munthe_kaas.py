@@ -4,9 +4,9 @@ H. Munthe-Kaas, Runge–Kutta methods on Lie groups, BIT 38 (1998) 92–111; Hig
 Runge–Kutta methods on manifolds, Appl. Numer. Math. 29 (1999) 115–127; E. Hairer,
 C. Lubich, G. Wanner, Geometric Numerical Integration, 2nd ed., section IV.8.
 
-In a step q = q₀ exp(u) with u in ℝ³, and body rate ω gives u̇ = dexp⁻¹₋ᵤ ω.  The rows of
-rates hold u̇ in the first three of the quaternion's entries and zero in the fourth.
-Between the ends of a step, y and u are cubic Hermite polynomials.
+Within a step q = q₀ exp(u) with u in ℝ³, and the body rate ω gives u̇ = dexp⁻¹₋ᵤ ω. A row of
+rates contains u̇ in the first three of the quaternion's entries and zero in the fourth. Dense
+output interpolates y and u by cubic Hermite polynomials.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 from math import cos, sin, sqrt, tan
 
 from ...common.arrays import Array
-from ..stepping.compiling import compiled, woven
+from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call
 from ..stepping.run_record import DONE, NOT_FINITE, Run
 from ..stepping.state_rows import (
@@ -28,10 +28,10 @@ from ..stepping.state_rows import (
 )
 from ..stepping.step_loop import Hooks, equal_steps, loops
 from ..stepping.stepper import Stepper
-from .row_sums import row_sum
+from .row_programs import row_sum
 
-# Rows of `work`: the state of a stage, the weighted mean of the stages' rates, and these; the
-# rate at the end of the step is the last.
+# Rows of `work` after the two state rows: the state of a stage, the weighted mean of the stage
+# rates, the four stage rates, and the rate at the end of the step.
 STAGE, MEAN, RATE = 2, 3, 4
 LAST = RATE + 4
 ROWS = LAST + 1
@@ -44,20 +44,20 @@ _to_end = row_sum(NEW, Y, _WEIGHTS)
 _mean = row_sum(MEAN, None, _WEIGHTS)
 
 
-@woven
-def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:
-    """Do as driver.begin."""
+@inlined
+def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
+    """Implement the hook `begin_run`."""
     unit_alone(work[Y], run.quaternion)
-    keep_state(run, work, 0.0, knots_t, knots_y)
+    keep_state(run, work, 0.0, end_times, end_states)
     _rate(run.address, params, work, work[Y], RATE, run.quaternion)
     run.evaluations += 1
     run.entry = first_not_finite(work[RATE], run.n)
     return NOT_FINITE if run.entry >= 0 else DONE
 
 
-@woven
-def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
-    """Do as driver.attempt."""
+@inlined
+def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
+    """Implement the hook `attempt_step`."""
     _step(run.address, params, work, run.quaternion, t_new - run.t)
     run.evaluations += 4
     run.entry = first_not_finite(work[NEW], run.n)
@@ -66,31 +66,31 @@ def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
     return NOT_FINITE if run.entry >= 0 else DONE
 
 
-@woven
-def accept(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
-    """Do as driver.accept."""
+@inlined
+def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
+    """Implement the hook `accept_step`."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
         work[RATE, i] = work[LAST, i]
 
 
-@woven
-def load(
+@inlined
+def load_step(
     run: Run,
     params: Array,
     work: Array,
     t_new: float,
-    knots_y: Array,  # noqa: ARG001
+    end_states: Array,  # noqa: ARG001
     k: int,  # noqa: ARG001
 ) -> None:
-    """Do as driver.load."""
+    """Implement the hook `load_step`."""
     _rate(run.address, params, work, work[Y], RATE, run.quaternion)
     _step(run.address, params, work, run.quaternion, t_new - run.t)
 
 
-@woven
-def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:  # noqa: ARG001
-    """Do as driver.state."""
+@inlined
+def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:  # noqa: ARG001
+    """Implement the hook `write_state`."""
     if not copy_an_end(run, work, time, t_new, out):
         _within(run.n, work, run.quaternion, time - run.t, t_new - run.t, out)
     return DONE
@@ -98,7 +98,7 @@ def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: 
 
 @compiled
 def _step(address: int, params: Array, work: Array, quaternion: int, h: float) -> None:
-    """Fill NEW, LAST and MEAN by one step h from row Y with rate row 0."""
+    """Fill NEW, LAST and MEAN by one step of length h from row Y with rates in row RATE."""
     stage = work[STAGE]
     _to_1(work, h)
     _turn(work[Y], work[RATE], 0.5 * h, stage, quaternion)
@@ -121,7 +121,7 @@ def _step(address: int, params: Array, work: Array, quaternion: int, h: float) -
 
 @compiled
 def _rate(address: int, params: Array, work: Array, y: Array, row: int, quaternion: int) -> None:
-    """Fill a row with the rates at y, and the quaternion's part with the body rate ω = 2 q⁻¹ q̇."""
+    """Fill a row with the rates at y, with the body rate ω = 2 q⁻¹ q̇ in place of q̇."""
     call(address, y, params, work[row])
     if quaternion >= 0:
         q, d = y[quaternion : quaternion + 4], work[row, quaternion : quaternion + 4]
@@ -129,17 +129,17 @@ def _rate(address: int, params: Array, work: Array, y: Array, row: int, quaterni
         b = q[3] * d[1] - q[1] * d[3] - (q[2] * d[0] - q[0] * d[2])
         c = q[3] * d[2] - q[2] * d[3] - (q[0] * d[1] - q[1] * d[0])
         d[0], d[1], d[2] = 2.0 * a, 2.0 * b, 2.0 * c
-        d[3] *= 0.0  # keeps what is not finite
+        d[3] *= 0.0  # stays non-finite if it was
 
 
 @compiled
 def _turn(start: Array, rate: Array, h: float, end: Array, quaternion: int) -> None:
-    """Put start exp(h rate) into end: the quaternions of three rows (n,)."""
+    """Set the quaternion of `end` to that of `start` times exp(h rate); all rows (n,)."""
     if quaternion >= 0:
         q, u = start[quaternion : quaternion + 4], rate[quaternion : quaternion + 3]
         a, b, c = h * u[0], h * u[1], h * u[2]
         half = 0.5 * sqrt(a * a + b * b + c * c)
-        # Below 1e-4 the second term of sin(half)/half is its last that counts.
+        # Below 1e-4 the third term of the series of sin(half)/half is less than round-off.
         factor = 0.5 * (sin(half) / half if half > 1e-4 else 1.0 - half * half / 6.0)
         w = cos(half)
         a, b, c = factor * a, factor * b, factor * c
@@ -172,27 +172,29 @@ def _straighten(rate: Array, h: float, row: Array, quaternion: int) -> None:
 
 @compiled
 def _within(n: int, work: Array, quaternion: int, time: float, h: float, out: Array) -> None:
-    """Write the state at a time within a step h, (n,), by cubic polynomials."""
+    """Write the state at `time` after the start of a step h, (n,), by cubic polynomials."""
     x = time / h
     y = 1.0 - x
-    from_move, from_start, from_end = x * x * (3.0 - 2.0 * x), h * x * y * y, -h * x * x * y
+    by_difference, by_start, by_end = x * x * (3.0 - 2.0 * x), h * x * y * y, -h * x * x * y
     for i in range(n):
-        move = work[NEW, i] - work[Y, i]
+        difference = work[NEW, i] - work[Y, i]
         out[i] = work[Y, i] + (
-            from_move * move + from_start * work[RATE, i] + from_end * work[LAST, i]
+            by_difference * difference + by_start * work[RATE, i] + by_end * work[LAST, i]
         )
     if quaternion >= 0:
-        u = work[STAGE]  # free now
+        u = work[STAGE]  # not in use between steps
         for i in range(quaternion, quaternion + 4):
             u[i] = work[LAST, i]
         _straighten(work[MEAN], h, u, quaternion)
         for i in range(quaternion, quaternion + 3):
-            u[i] = from_move * h * work[MEAN, i] + from_start * work[RATE, i] + from_end * u[i]
+            u[i] = by_difference * h * work[MEAN, i] + by_start * work[RATE, i] + by_end * u[i]
         _turn(work[Y], u, 1.0, out, quaternion)
         unit_alone(out, quaternion)
 
 
 STEPPER = Stepper(
-    loops("RKMK4", Hooks(begin, equal_steps, attempt, accept, load, state)),
+    loops(
+        "RKMK4", Hooks(begin_run, equal_steps, attempt_step, accept_step, load_step, write_state)
+    ),
     lambda n, tangent: padded_rows(ROWS, n),  # noqa: ARG005
 )

@@ -1,4 +1,4 @@
-"""An explicit Runge–Kutta method as numbers: its stages, its error, its dense output."""
+"""The Butcher tableau of an explicit Runge–Kutta method, with error weights and dense output."""
 
 from __future__ import annotations
 
@@ -9,21 +9,28 @@ import numpy as np
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 
-_ROUND_OFF = 1e-12  # of sums of weights
+_ROUND_OFF = 1e-12  # relative error allowed in the sums of weights
 
 
 @dataclass(frozen=True, eq=False)
 class Tableau:
-    """An explicit method of s stages, whose rate at the end of a step begins the next one.
+    """Coefficients of an explicit method of s stages; its last rate is the next step's first.
 
-    A: (s + 1 + e, s + 1 + e), below its diagonal the weights of the rates from which the states
-    come: s stages, the first of them the begin of the step; its end; e more for dense output.
-    errors: (1, s + 1), weights of what the step is apart from one of a lower order; or (2, s + 1),
-    two such that make one estimate as Hairer's DOP853 does.
-    dense: (d, s + 1 + e), for the polynomial that goes on where Hermite's cubic ends, with
-    y the rest of x to one: y₀ + x (F₀ + y (F₁ + x (F₂ + y (F₃ + x (F₄ + …))))).  F₃ and what
-    follows are sums of rates by these weights; without any it is the cubic.
-    Raises InputError for shapes and sums that are none of a method.
+    The dense output at fraction x of a step, with y = 1 − x, is
+
+        y₀ + x (F₀ + y (F₁ + x (F₂ + y (F₃ + x (F₄ + …))))).
+
+    F₀, F₁ and F₂ give Hermite's cubic polynomial. F₃ and later terms are weighted sums of rates.
+
+    Attributes:
+        A: Weights of the rates in the state of each stage, (s + 1 + e, s + 1 + e), strictly lower
+            triangular: s stages, of which the first is the start of the step; its end; e additional
+            stages for dense output.
+        errors: Weights of the error estimate. (1, s + 1): difference to a method of lower order.
+            (2, s + 1): two differences, which are combined as in Hairer's DOP853.
+        dense: Weights of F₃, F₄, …, (d, s + 1 + e).
+    Raises:
+        InputError: Shapes or sums do not fit a method.
     """
 
     A: Array
@@ -39,16 +46,18 @@ class Tableau:
             raise InputError(f"errors must have shape (1 or 2, s + 1), got {errors.shape}")
         if dense.ndim != 2 or dense.shape[1] != size:
             raise InputError(f"dense must have shape (d, {size}), got {dense.shape}")
-        for name, rows, total in (
+        for name, weights, total in (
             ("the end", A[self.stages], 1.0), ("errors", errors, 0.0), ("dense", dense, 0.0),
         ):  # fmt: skip
-            sums = np.atleast_2d(rows).sum(axis=1)
-            if not np.allclose(sums, total, rtol=0.0, atol=_ROUND_OFF * max(1.0, abs(rows).sum())):
+            sums = np.atleast_2d(weights).sum(axis=1)
+            if not np.allclose(
+                sums, total, rtol=0.0, atol=_ROUND_OFF * max(1.0, abs(weights).sum())
+            ):
                 raise InputError(f"weights of {name} must add up to {total:g}, got {sums}")
         if not np.atleast_2d(errors).any(axis=1).all():
             raise InputError("errors must have weights that are not zero")
 
     @property
     def stages(self) -> int:
-        """Number of stages without the end."""
+        """Number of stages without the end of the step."""
         return int(self.errors.shape[1]) - 1

@@ -1,1 +1,1 @@
-"""Gauss's collocation methods of order 2 to 16, with equal and with controlled steps."""
+"""Gauss's collocation methods of order 2 to 16, with equal or error-controlled steps."""

@@ -1,11 +1,11 @@
 """Gauss–Legendre collocation of order 16 with step control, for tight tolerances.
 
-Eight stages are evaluated at once, so that a turn of the iteration costs a few evaluations,
-not eight (M. Antoñana, J. Makazaga, A. Murua, SIMD-vectorized implicit symplectic integrators
-can outperform explicit ones, 2022, arXiv:2204.01603).
+The kernel evaluates all eight stages at once, so an iteration costs a few evaluations instead of
+eight (M. Antoñana, J. Makazaga, A. Murua, SIMD-vectorized implicit symplectic integrators can
+outperform explicit ones, 2022, arXiv:2204.01603).
 
-The error of a step is read off the highest Legendre coefficient of the rates: that is the
-error of order 8 that a quadrature would make, and those of order 16 fall as its square does.
+The highest Legendre coefficient of the rates estimates the error of a quadrature of order 8. The
+error of the method, of order 16, is proportional to its square.
 """
 
 from __future__ import annotations
@@ -15,17 +15,21 @@ from math import exp, log, sqrt
 import numpy as np
 
 from ...common.arrays import Array
-from ..stepping.compiling import compiled, woven
-from ..stepping.run_record import AGAIN, DONE, NOT_FINITE, STAGES_KEPT, Run
+from ...common.memo import once_for_all
+from ..stepping.compiling import compiled, inlined
+from ..stepping.run_record import DONE, NOT_FINITE, STAGES_KEPT, Run
 from ..stepping.state_rows import (
-    TURN,
     Y,
-    in_quaternion,
+    entry_size,
+    first_step_by_rate,
     keep_state,
+    reject_step,
     unit_alone,
 )
 from ..stepping.step_loop import Hooks, loops
-from .fixed_step import between, load, not_finite_in, take_the_end
+from ..stepping.stepper import Stepper
+from .fixed_step import continue_from_end, load_step, not_finite_in, write_inside_state
+from .newton import rows_of_stages
 from .stages import (
     CARRY,
     GUESS,
@@ -42,42 +46,45 @@ from .stages import (
     iterate,
     prepare_guess,
 )
+from .tables import lanes_of
 
 _SAFETY, _SHRINK, _GROW, _HALF = 0.9, 0.25, 4.0, 0.5
-_ORDER = 17.0  # of the error of a step
-_CALIBRATION = 1.0  # error over the square of the estimate, on the bundled robots
-_LEFT = 0.01  # of the tolerance: what the iteration may leave
-_FASTEST = 0.15  # quotient of changes at which a longer step takes as many more turns
+_ORDER = 17.0  # order of the error of one step
+# Ratio of the error to the square of the estimate, measured on the bundled robots.
+_CALIBRATION = 1.0
+_LEFT = 0.01  # error of the iteration, as a fraction of the tolerance
+# Contraction of the iteration above which longer steps would cost more iterations than they save.
+_FASTEST = 0.15
 
 
-@woven
-def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:
-    """Do as driver.begin."""
+@inlined
+def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
+    """Implement the hook `begin_run`."""
     unit_alone(work[Y], run.quaternion)
-    keep_state(run, work, 0.0, knots_t, knots_y)
+    keep_state(run, work, 0.0, end_times, end_states)
     for i in range(run.n):
         work[CARRY, i] = 0.0
     guess_evenly(run, params, work, L, 1.0)
     if not_finite_in(run, work, RATE):
         return NOT_FINITE
-    run.h = _first_step(run, work)
+    run.h = first_step_by_rate(run, work[Y], work[RATE], run.lanes, 0.1)
     return DONE
 
 
-@woven
-def until(run: Run) -> float:
-    """Do as driver.until."""
-    h, left = run.h, run.t_end - run.t
-    if h >= left:
-        h = left
-    elif 2.0 * h > left:
-        h = 0.5 * left  # two steps of one length, not a long one and a rest
-    return run.t_end if h == left else run.t + h
+@inlined
+def next_end_time(run: Run) -> float:
+    """Implement the hook `next_end_time`."""
+    h, remaining = run.h, run.t_end - run.t
+    if h >= remaining:
+        h = remaining
+    elif 2.0 * h > remaining:
+        h = 0.5 * remaining  # two equal steps instead of a long and a very short one
+    return run.t_end if h == remaining else run.t + h
 
 
-@woven
-def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
-    """Do as driver.attempt."""
+@inlined
+def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
+    """Implement the hook `attempt_step`."""
     n, lanes, h = run.n, run.lanes, t_new - run.t
     if run.before > 0.0:
         prepare_guess(work, lanes, run.stages, GUESS, 1.0, h / run.before)
@@ -85,61 +92,52 @@ def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
     else:
         guess_evenly(run, params, work, L, h)
     _measure_by_tolerance(run, work)
-    turns = iterate(run, params, work, L, h, _LEFT)
-    if turns == NO_SOLUTION:
+    iterations = iterate(run, params, work, L, h, _LEFT)
+    if iterations == NO_SOLUTION:
         run.before = 0.0 if not_finite_in(run, work, L) else run.before
-        return reject(run, h * _HALF)
+        return reject_step(run, h * _HALF)
     finish(work, n, lanes, L)
     error = _error(run, work)
     if not error <= 1.0:
-        return reject(run, h * (min(_growth(error), _SAFETY) if error < np.inf else _HALF))
+        return reject_step(run, h * (min(_growth(error), _SAFETY) if error < np.inf else _HALF))
     run.growth = _growth(error)
     if run.again:
         run.growth = min(run.growth, 1.0)
     quotient = work[INFO, 1]
-    if turns > 2 and quotient > 0.0:
+    if iterations > 2 and quotient > 0.0:
         run.growth = min(run.growth, max(_SHRINK, _FASTEST / quotient))
     return DONE
 
 
-@woven
-def reject(run: Run, h: float) -> int:
-    """Try again with a shorter step."""
-    run.rejected += 1
-    run.again = 1
-    run.h = h
-    return AGAIN
-
-
-@woven
-def accept(run: Run, work: Array, t_new: float) -> None:
-    """Do as driver.accept."""
-    take_the_end(run, work)
+@inlined
+def accept_step(run: Run, work: Array, t_new: float) -> None:
+    """Implement the hook `accept_step`."""
+    continue_from_end(run, work)
     run.before = t_new - run.t
     run.again, run.entry = 0, -1
     run.h = min(max(run.h, run.before) * run.growth, run.max_step)
 
 
-@woven
-def keep(run: Run, work: Array, t: float, knots_t: Array, knots_y: Array) -> None:
-    """Write down a knot; with stages, behind it the L of the step that has led there."""
-    keep_state(run, work, t, knots_t, knots_y)
+@inlined
+def store_end(run: Run, work: Array, t: float, end_times: Array, end_states: Array) -> None:
+    """Store a step end, followed by the L of the step if stages are requested."""
+    keep_state(run, work, t, end_times, end_states)
     if run.keep == STAGES_KEPT:
         for i in range(run.n * run.lanes):
-            knots_y[run.steps, run.n + i] = work[L, i]
+            end_states[run.steps, run.n + i] = work[L, i]
 
 
-@woven
-def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Do as driver.state; a step is cut where a state within it cannot be found."""
-    if between(run, params, work, time, t_new, out):
+@inlined
+def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
+    """Implement the hook `write_state`; reject the step if a state inside it is not computed."""
+    if write_inside_state(run, params, work, time, t_new, out):
         return DONE
-    return reject(run, (t_new - run.t) * _HALF)
+    return reject_step(run, (t_new - run.t) * _HALF)
 
 
 @compiled
 def _growth(error: float) -> float:
-    """Return by what the next step may be longer."""
+    """Return the factor by which the next step may be longer."""
     if error < 1e-300:
         return _GROW
     return min(_GROW, max(_SHRINK, _SAFETY * exp(-log(error) / _ORDER)))
@@ -147,13 +145,10 @@ def _growth(error: float) -> float:
 
 @compiled
 def _measure_by_tolerance(run: Run, work: Array) -> None:
-    """Fill SCALE, so that a change is measured in tolerances, in the mean."""
+    """Fill SCALE, so that the norm of a change is its root mean square in tolerances."""
     rtol, atol, mean = run.rtol, run.atol, 1.0 / sqrt(run.n * run.stages)
     for i in range(run.n):
-        size = abs(work[Y, i])
-        if in_quaternion(i, run.quaternion):
-            size = TURN
-        work[SCALE, i] = mean / (atol + rtol * size)
+        work[SCALE, i] = mean / (atol + rtol * entry_size(work[Y], i, run.quaternion))
     work[INFO, 0] = max(1.0, 1e-9 / rtol)
     work[INFO, 1] = 0.0
 
@@ -163,12 +158,12 @@ def _error(run: Run, work: Array) -> float:
     """Return the estimated error of a step in units of the tolerance."""
     lanes, total = run.lanes, 0.0
     for i in range(run.n):
-        part = 0.0
+        coefficient = 0.0
         for j in range(lanes):
-            part += work[LAST, j] * work[L, i * lanes + j]
-        part *= work[SCALE, i]
-        total += part * part
-    # In the state's own size, of which the tolerance is a part.
+            coefficient += work[LAST, j] * work[L, i * lanes + j]
+        coefficient *= work[SCALE, i]
+        total += coefficient * coefficient
+    # Relative to the size of the state.
     relative = sqrt(total * run.stages) * run.rtol
     if relative == 0.0:
         return 0.0
@@ -178,16 +173,13 @@ def _error(run: Run, work: Array) -> float:
     return error
 
 
-@compiled
-def _first_step(run: Run, work: Array) -> float:
-    """Return the first step: a part of the time in which the state changes by its size."""
-    n, lanes, quaternion = run.n, run.lanes, run.quaternion
-    rate = 0.0
-    for i in range(n):
-        scale = run.atol / run.rtol + (TURN if in_quaternion(i, quaternion) else abs(work[Y, i]))
-        rate += (work[RATE, i * lanes] / scale) ** 2
-    longest: float = min(run.t_end, run.max_step)
-    return min(longest, 0.1 * sqrt(n / rate)) if rate > 0.0 else longest
+LOOPS = loops(
+    "AdaptiveGauss",
+    Hooks(begin_run, next_end_time, attempt_step, accept_step, load_step, write_state, store_end),
+)
 
 
-LOOPS = loops("AdaptiveGauss", Hooks(begin, until, attempt, accept, load, state, keep))
+@once_for_all
+def adaptive_stepper(stages: int) -> Stepper:
+    """Return the stepper with step control, for a number of stages."""
+    return Stepper(LOOPS, rows_of_stages(stages), stages=lanes_of(stages))

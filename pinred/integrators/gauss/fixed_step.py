@@ -1,8 +1,8 @@
-"""Gauss–Legendre collocation with steps of one length: symplectic, of any even order to 16.
+"""Gauss–Legendre collocation with steps of equal length: symplectic, of any even order to 16.
 
-On the canonical form, with the quaternion as Cayley–Klein lift of the momentum, the map keeps
-the Poisson structure and the Casimirs: see docs/integrators.md.  Reports between the ends of
-steps are steps of their own, of the same order.
+On the canonical form, with the quaternion as Cayley–Klein lift of the momentum, the map preserves
+the Poisson structure and the Casimirs: see docs/integrators.md. A state inside a step is the end
+of a shorter step of the same order.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from ...common.arrays import Array
-from ..stepping.compiling import compiled, woven
+from ...common.memo import once_for_all
+from ..stepping.compiling import compiled, inlined
 from ..stepping.run_record import (
     AGAIN,
     AUTO,
@@ -32,8 +33,9 @@ from ..stepping.state_rows import (
     unit_alone,
 )
 from ..stepping.step_loop import Hooks, equal_steps, loops
-from .newton import MAIN, prepare, refine
-from .newton import SUB as OTHER
+from ..stepping.stepper import Stepper
+from .newton import MAIN, prepare, refine, rows_of_stages
+from .newton import SUB as REPORT
 from .stages import (
     CARRY,
     GUESS,
@@ -43,7 +45,6 @@ from .stages import (
     OLD,
     RATE,
     ROUND_OFF,
-    SCALE,
     SUB,
     WITHIN,
     L,
@@ -52,32 +53,34 @@ from .stages import (
     guess_evenly,
     iterate,
     prepare_guess,
+    scale_by_largest,
 )
 
-_STAY = 64  # steps by Newton's method before fixed-point iteration is tried again
-_PIECES = 64  # at most, of a step up to a report
-_SLACK = 1e-6  # of the largest number: an iteration that stops further off has not converged
+_STAY = 64  # steps with Newton's method before fixed-point iteration is tried again
+_SEGMENTS = 64  # largest number of shorter steps that replace the step to a report time
+# Change, relative to the largest number, above which a stopped iteration has not converged.
+_SLACK = 1e-6
 
 
-@woven
-def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:  # noqa: ARG001
-    """Do as driver.begin."""
+@inlined
+def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:  # noqa: ARG001
+    """Implement the hook `begin_run`."""
     unit_alone(work[Y], run.quaternion)
-    keep_state(run, work, 0.0, knots_t, knots_y)
+    keep_state(run, work, 0.0, end_times, end_states)
     for i in range(run.n):
         work[CARRY, i] = 0.0
     return DONE
 
 
-@woven
-def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa: ARG001
-    """Do as driver.attempt."""
+@inlined
+def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa: ARG001
+    """Implement the hook `attempt_step`."""
     n, lanes, stages = run.n, run.lanes, run.stages
     auto = run.solver == AUTO
     newton = run.solver == NEWTON or (auto and run.remaining > 0)
     if newton and run.tangent == 0:
         return WANTED
-    # The steps are of one length to the last bit: round-off in the clock does not count.
+    # All steps have the same length to the last bit; the clock's round-off is ignored.
     h = run.h
     if run.steps == 0:
         guess_evenly(run, params, work, L, h)
@@ -87,15 +90,17 @@ def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa:
     else:
         guess(work, n, lanes, GUESS, OLD, L)
     if newton:
-        turns = find_stages_by_newton(run, params, work, L, MAIN, abs(h - run.factored) > 0.0, h)
+        iterations = find_stages_by_newton(
+            run, params, work, L, MAIN, abs(h - run.factored) > 0.0, h
+        )
     else:
-        turns = find_stages(run, params, work, L, h)
-    if turns == NO_SOLUTION and auto and not newton:
+        iterations = find_stages(run, params, work, L, h)
+    if iterations == NO_SOLUTION and auto and not newton:
         run.remaining = _STAY
         return AGAIN
-    if turns == NO_SOLUTION:
+    if iterations == NO_SOLUTION:
         return NOT_FINITE if not_finite_in(run, work, RATE if newton else L) else DIVERGED
-    if auto and not newton and turns > _turns_worth_newton(n, stages):
+    if auto and not newton and iterations > _iterations_worth_newton(n, stages):
         run.remaining = _STAY
     elif run.remaining > 0:
         run.remaining -= 1
@@ -103,29 +108,31 @@ def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa:
     return DONE
 
 
-@woven
-def accept(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
-    """Do as driver.accept."""
-    take_the_end(run, work)
+@inlined
+def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
+    """Implement the hook `accept_step`."""
+    continue_from_end(run, work)
     run.before = run.h
 
 
-@woven
-def load(run: Run, params: Array, work: Array, t_new: float, knots_y: Array, k: int) -> None:
-    """Do as driver.load: the ends are all it takes."""
+@inlined
+def load_step(
+    run: Run, params: Array, work: Array, t_new: float, end_states: Array, k: int
+) -> None:
+    """Implement the hook `load_step`: the ends of the step suffice."""
 
 
-@woven
-def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Do as driver.state."""
-    if between(run, params, work, time, t_new, out):
+@inlined
+def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
+    """Implement the hook `write_state`."""
+    if write_inside_state(run, params, work, time, t_new, out):
         return DONE
     return WANTED if run.solver == AUTO and run.tangent == 0 else DIVERGED
 
 
 @compiled
-def take_the_end(run: Run, work: Array) -> None:
-    """Let the next step begin where this one ends, and remember this one."""
+def continue_from_end(run: Run, work: Array) -> None:
+    """Start the next step at the end of this one, and store the L of this one."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
         work[CARRY, i] = work[NEXT_CARRY, i]
@@ -135,7 +142,7 @@ def take_the_end(run: Run, work: Array) -> None:
 
 @compiled
 def not_finite_in(run: Run, work: Array, row: int) -> bool:
-    """Note which number is not finite in a row over stages, if any; return whether one is."""
+    """Set run.entry to the first non-finite entry of a stage row; return whether there is one."""
     run.entry = first_not_finite(work[row], run.n * run.lanes)
     if run.entry >= 0:
         run.entry //= run.lanes
@@ -144,8 +151,18 @@ def not_finite_in(run: Run, work: Array, row: int) -> bool:
 
 @compiled
 def find_stages(run: Run, params: Array, work: Array, row: int, h: float) -> int:
-    """Find a step's stages to round-off by fixed points; return the turns, or NO_SOLUTION."""
-    _measure(work, run.n, run.lanes, row)
+    """Solve the stages of a step to round-off by fixed-point iteration.
+
+    Args:
+        run: Registers of the run.
+        params: Parameters, (p,).
+        work: Work rows.
+        row: Row of L, which contains a first guess.
+        h: Length of the step [s].
+    Returns:
+        The number of iterations, or NO_SOLUTION.
+    """
+    scale_by_largest(work, run.n, run.lanes, Y, row)
     work[INFO, 0] = _SLACK
     return iterate(run, params, work, row, h, ROUND_OFF)
 
@@ -154,49 +171,57 @@ def find_stages(run: Run, params: Array, work: Array, row: int, h: float) -> int
 def find_stages_by_newton(
     run: Run, params: Array, work: Array, row: int, which: int, fresh: bool, h: float
 ) -> int:
-    """Solve a step to round-off by Newton's method; return the turns, or NO_SOLUTION.
+    """Solve the stages of a step to round-off by Newton's method.
 
-    which, fresh: whose factors, and whether they have to be made.
+    Args:
+        run: Registers of the run.
+        params: Parameters, (p,).
+        work: Work rows.
+        row: Row of L, which contains a first guess.
+        which: Factors to use, MAIN or REPORT.
+        fresh: Whether to compute these factors first.
+        h: Length of the step [s].
+    Returns:
+        The number of iterations, or NO_SOLUTION.
     """
-    _measure(work, run.n, run.lanes, row)
+    scale_by_largest(work, run.n, run.lanes, Y, row)
     if fresh and not prepare(run, params, work, which, h):
         return NO_SOLUTION
-    turns = refine(run, params, work, row, which, fresh, h)
+    iterations = refine(run, params, work, row, which, fresh, h)
     if which == MAIN:
-        run.factored = 0.0 if turns == NO_SOLUTION else h
-    return turns
+        run.factored = 0.0 if iterations == NO_SOLUTION else h
+    return iterations
 
 
 @compiled
-def _turns_worth_newton(n: int, stages: int) -> int:
-    """Return about how many turns of the fixed point take as long as Newton's method.
+def _iterations_worth_newton(n: int, stages: int) -> int:
+    """Return the number of fixed-point iterations that take as long as Newton's method.
 
-    Measured on the bundled robots.  So many are rare: Newton's method is for steps at which
-    fixed-point iteration hardly converges, or does not.
+    Measured on the bundled robots. So many iterations are rare: Newton's method is for steps at
+    which fixed-point iteration converges slowly or not at all.
     """
     return 40 + n * ((stages + 1) // 2)
 
 
 @compiled
-def _measure(work: Array, n: int, lanes: int, row: int) -> None:
-    """Fill SCALE with the inverse of the largest number."""
-    largest = 0.0
-    for i in range(n):
-        largest = max(largest, abs(work[Y, i]))
-        for j in range(lanes):
-            largest = max(largest, abs(work[row, i * lanes + j]))
-    inverse = 1.0 / largest if largest > 0.0 else 0.0
-    for i in range(n):
-        work[SCALE, i] = inverse
+def write_inside_state(
+    run: Run, params: Array, work: Array, time: float, t_new: float, out: Array
+) -> bool:
+    """Write the state at a time in the step from run.t to t_new.
 
+    A state inside the step is the end of a shorter step from the same start.
 
-@compiled
-def between(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> bool:
-    """Write the state at a time in the step from run.t to t_new, (n,); return whether it is one.
-
-    Between the ends it is that of a shorter step from the begin.
+    Args:
+        run: Registers of the run.
+        params: Parameters, (p,).
+        work: Work rows.
+        time: Time of the state [s].
+        t_new: End of the step [s].
+        out: State, (n,), output.
+    Returns:
+        Whether the stages of the shorter step were solved.
     """
-    n, lanes, found = run.n, run.lanes, True
+    n, lanes, solved = run.n, run.lanes, True
     if not copy_an_end(run, work, time, t_new, out):
         h = time - run.t
         if run.known == STEP:
@@ -204,55 +229,63 @@ def between(run: Run, params: Array, work: Array, time: float, t_new: float, out
             guess(work, n, lanes, WITHIN, L, SUB)
         else:
             guess_evenly(run, params, work, SUB, h)
-        found = run.solver != NEWTON and find_stages(run, params, work, SUB, h) != NO_SOLUTION
-        if not found and run.solver != FIXED_POINT and run.tangent != 0:
+        solved = run.solver != NEWTON and find_stages(run, params, work, SUB, h) != NO_SOLUTION
+        if not solved and run.solver != FIXED_POINT and run.tangent != 0:
             guess_evenly(run, params, work, SUB, h)
-            turns = find_stages_by_newton(run, params, work, SUB, OTHER, True, h)
-            found = turns != NO_SOLUTION
-        if found:
+            iterations = find_stages_by_newton(run, params, work, SUB, REPORT, True, h)
+            solved = iterations != NO_SOLUTION
+        if solved:
             for i in range(n):
                 out[i] = work[Y, i] + _sum(work, SUB, i, lanes)
         else:
-            found = _in_pieces(run, params, work, h, out)
+            solved = _write_by_segments(run, params, work, h, out)
     unit_alone(out, run.quaternion)
-    return found
+    return solved
 
 
 @compiled
-def _in_pieces(run: Run, params: Array, work: Array, h: float, out: Array) -> bool:
-    """Write the state after h from row Y, by as few shorter steps as have solutions.
+def _write_by_segments(run: Run, params: Array, work: Array, h: float, out: Array) -> bool:
+    """Write the state at time h after row Y by 2, 4, … shorter steps, NaN if none are solved.
 
-    A long step whose first guess was good can be beyond one that begins without.  Return whether
-    there is one, with NaN in out if not.
+    The stages of a long step may be solvable only from the good first guess of the whole step.
+    Return whether the state was computed.
     """
-    n, lanes, pieces = run.n, run.lanes, 2
+    n, lanes, segments = run.n, run.lanes, 2
     for i in range(n):
         out[i] = work[Y, i]
-    turns = NO_SOLUTION
-    while turns == NO_SOLUTION and pieces <= _PIECES:
-        for _ in range(pieces):
-            guess_evenly(run, params, work, SUB, h / pieces)
-            turns = find_stages(run, params, work, SUB, h / pieces)
-            if turns == NO_SOLUTION:
+    iterations = NO_SOLUTION
+    while iterations == NO_SOLUTION and segments <= _SEGMENTS:
+        for _ in range(segments):
+            guess_evenly(run, params, work, SUB, h / segments)
+            iterations = find_stages(run, params, work, SUB, h / segments)
+            if iterations == NO_SOLUTION:
                 break
             for i in range(n):
                 work[Y, i] += _sum(work, SUB, i, lanes)
         for i in range(n):
-            end = work[Y, i] if turns != NO_SOLUTION else np.nan
+            end = work[Y, i] if iterations != NO_SOLUTION else np.nan
             work[Y, i] = out[i]
-            if turns != NO_SOLUTION or pieces == _PIECES:
+            if iterations != NO_SOLUTION or segments == _SEGMENTS:
                 out[i] = end
-        pieces *= 2
-    return bool(turns != NO_SOLUTION)
+        segments *= 2
+    return bool(iterations != NO_SOLUTION)
 
 
 @compiled
 def _sum(work: Array, row: int, i: int, lanes: int) -> float:
-    """Return what a step adds to entry i."""
+    """Return the change of entry i over a step."""
     total = 0.0
     for j in range(lanes):
         total += work[row, i * lanes + j]
     return total
 
 
-LOOPS = loops("Gauss", Hooks(begin, equal_steps, attempt, accept, load, state))
+LOOPS = loops(
+    "Gauss", Hooks(begin_run, equal_steps, attempt_step, accept_step, load_step, write_state)
+)
+
+
+@once_for_all
+def fixed_stepper(stages: int, *, needs_tangent: bool) -> Stepper:
+    """Return the stepper with steps of equal length, for a number of stages."""
+    return Stepper(LOOPS, rows_of_stages(stages), needs_tangent=needs_tangent)

@@ -1,7 +1,7 @@
-"""Vector instructions for steppers whose stages are lanes: one instruction does all of them.
+"""Vector instructions for steppers that compute all stages of a step at once, one per SIMD lane.
 
-A row over stages holds lane j of entry i at i lanes + j, as the kernels take it that evaluate
-all stages at once.
+A stage row stores the value of entry i at stage j as number i·lanes + j. Kernels that evaluate
+all stages at once use the same layout.
 """
 
 from __future__ import annotations
@@ -13,55 +13,17 @@ from llvmlite import ir
 from numba.core import cgutils, types
 
 from ..stepping.compiling import make_intrinsic
+from ..stepping.vector_rows import VectorRows, add_pairwise
 
-_DOUBLE = ir.DoubleType()
 _FAST = ("contract",)
 
 
-class _Rows:
-    """Loads and stores of vectors in the rows of a work array."""
-
-    def __init__(self, context: Any, builder: Any, kind: Any, work: Any, lanes: int) -> None:
-        array = context.make_array(kind)(context, builder, work)
-        self._data, self._builder, self._lanes = array.data, builder, lanes
-        self._stride = builder.extract_value(array.shape, 1)
-        self.vector = ir.VectorType(_DOUBLE, lanes)
-
-    def at(self, row: Any, index: Any) -> Any:
-        """Return the place of an entry of a row."""
-        offset = self._builder.add(self._builder.mul(self._stride, row), index)
-        return self._builder.gep(self._data, [offset])
-
-    def number(self, row: Any, index: Any) -> Any:
-        """Return one number, in all lanes."""
-        return self.splat(self._builder.load(self.at(row, index), align=8))
-
-    def splat(self, value: Any) -> Any:
-        """Return a number in all lanes."""
-        one = self._builder.insert_element(
-            ir.Constant(self.vector, ir.Undefined), value, ir.IntType(32)(0)
-        )
-        zeros = ir.Constant(ir.VectorType(ir.IntType(32), self._lanes), [0] * self._lanes)
-        return self._builder.shuffle_vector(one, ir.Constant(self.vector, ir.Undefined), zeros)
-
-    def place(self, row: Any, index: Any) -> Any:
-        """Return the place of a vector that begins at an entry of a row."""
-        return self._builder.bitcast(self.at(row, index), self.vector.as_pointer())
-
-    def load(self, row: Any, index: Any) -> Any:
-        """Return a vector that begins at an entry of a row."""
-        return self._builder.load(self.place(row, index), align=8)
-
-    def store(self, value: Any, row: Any, index: Any) -> None:
-        """Store a vector from an entry of a row on."""
-        self._builder.store(value, self.place(row, index), align=8)
-
-
 def product(lanes: int) -> Callable[..., None]:
-    """Return multiply(work, out, base, table, row, n): out = base + table · row for n entries.
+    """Return the compiled function multiply(work, out, base, table, row, n).
 
-    out, row: over stages.  base: an entry each, or nothing if −1.  table: (lanes, lanes), the
-    column of each lane after another.
+    It computes row `out` = row `base` + table · row `row` for n entries. `out` and `row` are stage
+    rows. `base` has one number per entry, or is −1 for zero. `table` is (lanes, lanes), stored by
+    columns.
     """
 
     @make_intrinsic
@@ -75,7 +37,7 @@ def product(lanes: int) -> Callable[..., None]:
         n: Any,
     ):
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            rows = _Rows(context, builder, signature.args[0], arguments[0], lanes)
+            rows = VectorRows(context, builder, signature.args[0], arguments[0], lanes)
             out, base, table, row, n = arguments[1:]
             integer = n.type
             columns = [rows.load(table, integer(lanes * j)) for j in range(lanes)]
@@ -87,7 +49,7 @@ def product(lanes: int) -> Callable[..., None]:
                     rows.number(builder.select(with_base, base, integer(0)), loop.index),
                     ir.Constant(rows.vector, [0.0] * lanes),
                 )
-                parts = [
+                terms = [
                     builder.fmul(
                         column,
                         rows.number(row, builder.add(first, integer(j))),
@@ -95,27 +57,25 @@ def product(lanes: int) -> Callable[..., None]:
                     )
                     for j, column in enumerate(columns)
                 ]
-                while len(parts) > 1:
-                    parts = [
-                        builder.fadd(a, b, flags=_FAST)
-                        for a, b in zip(parts[::2], parts[1::2], strict=True)
-                    ]
-                rows.store(builder.fadd(start, parts[0], flags=_FAST), out, first)
+                total = builder.fadd(start, add_pairwise(builder, terms, _FAST), flags=_FAST)
+                rows.store(total, out, first)
             return context.get_dummy_value()
 
-        whole = types.int64
-        return types.void(work, whole, whole, whole, whole, whole), generate
+        integer_type = types.int64
+        return types.void(
+            work, integer_type, integer_type, integer_type, integer_type, integer_type
+        ), generate
 
     return multiply
 
 
 def refreshment(lanes: int) -> Callable[..., float]:
-    """Return refresh(work, row, rate, last, best, scale, weights, n, h).
+    """Return refresh(work, row, rate, last, best, scale, weights, n, h), one fixed-point iteration.
 
-    It puts h weights · rate into `row`, over stages, and returns Σ (change / scale)², the
-    entries of `scale` being inverse.  last: the changes of the turn before.  best: the least
-    that two turns have had so far; its entry after all stages says for how many numbers that
-    is these two.  One turn says little, as positions and momenta may change by turns.
+    It sets the stage row `row` to h weights · rate and returns Σ (change · scale)². `last` contains
+    the changes of the previous iteration. Positions and momenta may change alternately, so the
+    larger of two successive changes is compared: `best` contains its minimum so far. The vector
+    after the stages of `best` counts the numbers for which this minimum has improved.
     """
 
     @make_intrinsic
@@ -124,51 +84,54 @@ def refreshment(lanes: int) -> Callable[..., float]:
         weights: Any, n: Any, h: Any,
     ):  # fmt: skip
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            rows = _Rows(context, builder, signature.args[0], arguments[0], lanes)
+            rows = VectorRows(context, builder, signature.args[0], arguments[0], lanes)
             row, rate, last, best, scale, weights, n, h = arguments[1:]
             integer, T = n.type, rows.vector
             zero, one = ir.Constant(T, [0.0] * lanes), ir.Constant(T, [1.0] * lanes)
             factor = builder.fmul(rows.splat(h), rows.load(weights, integer(0)))
-            size, less = (_variable(builder, zero) for _ in range(2))
+            size, improvements = (_variable(builder, zero) for _ in range(2))
             fabs = _absolute(builder, T, lanes)
             with cgutils.for_range(builder, n) as loop:
                 first = builder.mul(loop.index, integer(lanes))
                 new = builder.fmul(factor, rows.load(rate, first))
                 change = builder.call(fabs, [builder.fsub(new, rows.load(row, first))])
                 rows.store(new, row, first)
-                before, least = rows.load(last, first), rows.load(best, first)
+                previous, smallest = rows.load(last, first), rows.load(best, first)
                 rows.store(change, last, first)
-                more = builder.select(builder.fcmp_ordered(">", change, before), change, before)
-                improved = builder.and_(
-                    builder.fcmp_ordered("<", more, least), builder.fcmp_ordered(">", more, zero)
+                larger = builder.select(
+                    builder.fcmp_ordered(">", change, previous), change, previous
                 )
-                rows.store(builder.select(improved, more, least), best, first)
-                counted = builder.fadd(builder.load(less), builder.select(improved, one, zero))
-                builder.store(counted, less)
+                improved = builder.and_(
+                    builder.fcmp_ordered("<", larger, smallest),
+                    builder.fcmp_ordered(">", larger, zero),
+                )
+                rows.store(builder.select(improved, larger, smallest), best, first)
+                counted = builder.fadd(
+                    builder.load(improvements), builder.select(improved, one, zero)
+                )
+                builder.store(counted, improvements)
                 relative = builder.fmul(change, rows.number(scale, loop.index))
                 total = builder.fadd(builder.load(size), builder.fmul(relative, relative))
                 builder.store(total, size)
-            rows.store(builder.load(less), best, builder.mul(n, integer(lanes)))
+            rows.store(builder.load(improvements), best, builder.mul(n, integer(lanes)))
             summed = builder.load(size)
-            parts = [builder.extract_element(summed, ir.IntType(32)(j)) for j in range(lanes)]
-            while len(parts) > 1:
-                parts = [builder.fadd(a, b) for a, b in zip(parts[::2], parts[1::2], strict=True)]
-            return parts[0]
+            sums = [builder.extract_element(summed, ir.IntType(32)(j)) for j in range(lanes)]
+            return add_pairwise(builder, sums)
 
-        whole = types.int64
-        kinds = (work, *(whole,) * 7, types.float64)
-        return types.float64(*kinds), generate
+        integer_type = types.int64
+        argument_types = (work, *(integer_type,) * 7, types.float64)
+        return types.float64(*argument_types), generate
 
     return refresh
 
 
 def _absolute(builder: Any, T: Any, lanes: int) -> Any:
-    """Return the function of the absolute values of a vector."""
-    make: Callable[..., Any] = cgutils.get_or_insert_function
-    return make(builder.module, ir.FunctionType(T, [T]), f"llvm.fabs.v{lanes}f64")
+    """Return LLVM's function for the absolute values of a vector."""
+    get_function: Callable[..., Any] = cgutils.get_or_insert_function
+    return get_function(builder.module, ir.FunctionType(T, [T]), f"llvm.fabs.v{lanes}f64")
 
 
 def _variable(builder: Any, value: Any) -> Any:
-    """Return the place of a variable with a first value."""
-    make: Callable[..., Any] = cgutils.alloca_once_value
-    return make(builder, value)
+    """Allocate a variable with an initial value; return its address."""
+    allocate: Callable[..., Any] = cgutils.alloca_once_value
+    return allocate(builder, value)

@@ -1,13 +1,15 @@
 """Newton's method for the stages of Gauss's methods, where fixed-point iteration is slow.
 
-In L of tables.py a turn solves ΔL − h (G ⊗ J) ΔL = h b f − L with G = diag(b) μ.  In the
-eigenvectors of G that is a system of n numbers for every pair of eigenvalues (E. Hairer,
-G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., section IV.8).  J is that of
-the begin of some step, so that turns go on to round-off as those of the fixed point do.
+With L of tables.py, an iteration solves ΔL − h (G ⊗ J) ΔL = h b f − L with G = diag(b) μ. In the
+eigenvectors of G this splits into one system of n numbers per pair of eigenvalues (E. Hairer,
+G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., section IV.8). J belongs to the
+start of this step or an earlier one, so the iteration continues to round-off, as for the fixed
+point.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -18,50 +20,55 @@ from ..stepping.kernel_call import SEEDS, call
 from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
 from ..stepping.run_record import Run
 from ..stepping.state_rows import Y, first_not_finite
-from .stages import BEST, MU, NO_SOLUTION, RATE, ROWS, SCALE, STAGE, B, multiply
+from .stages import BEST, MU, NO_SOLUTION, RATE, ROWS, SCALE, STAGE, B, multiply, work_rows
 from .tables import MOST_STAGES, tables
 
-_ENTRY = 2 + 4 * MOST_STAGES  # numbers of a pair: eigenvalue, and its two eigenvectors
-MAIN, SUB = 0, 1  # whose factors: of the steps, or of those that reports take
+_ENTRY = 2 + 4 * MOST_STAGES  # numbers per pair: the eigenvalue and its two eigenvectors
+MAIN, SUB = 0, 1  # separate factors: for the steps, and for the shorter steps to report times
 
-_MOST = 50  # turns
-_STALLED = 0.5  # quotient of changes above which nothing improves
-_SLOW = 0.1  # quotient of changes above which the Jacobian is renewed
-_SMALL, _SLACK = 1e-13, 1e-6  # of the largest number: round-off, and what is none
+_MOST = 50  # iterations
+_STALLED = 0.5  # ratio of successive changes above which the iteration has stalled
+_SLOW = 0.1  # ratio of successive changes above which the Jacobian is recomputed
+# Changes relative to the largest number: round-off, and the limit for a stalled iteration.
+_SMALL, _SLACK = 1e-13, 1e-6
 
 
 @cache
 def pairs(stages: int) -> Array:
-    """Return eigenvalue, right and left eigenvector of G, one of each pair, as rows of numbers.
+    """Return eigenvalue, right and left eigenvector of G for one eigenvalue of each conjugate pair.
 
-    With lanes s: λ, then v and w by their real and imaginary parts, (p, 2 + 4 MOST_STAGES).  What
-    a pair adds is twice the real part; of a real eigenvalue v is half of what it was.
+    Rows (p, 2 + 4 MOST_STAGES): λ, then v and w, by their real and imaginary parts. A pair
+    contributes twice the real part of its term. For a real eigenvalue v is halved instead.
     """
     method = tables(stages)
     G = method.b[:stages, None] * method.mu[:stages, :stages]
     values, right = np.linalg.eig(G)
     left = np.linalg.inv(right)
-    rows = np.zeros(((stages + 1) // 2, _ENTRY))
-    chosen = [k for k in range(stages) if values[k].imag > -1e-12]
-    for row, k in zip(rows, chosen, strict=True):
-        real = abs(values[k].imag) < 1e-12
-        v, w = right[:, k] * (0.5 if real else 1.0), left[k]
-        row[:2] = values[k].real, 0.0 if real else values[k].imag
-        for part, numbers in enumerate((v.real, v.imag, w.real, w.imag)):
-            row[2 + part * MOST_STAGES : 2 + part * MOST_STAGES + stages] = numbers
-    return read_only(rows)
+    table = np.zeros(((stages + 1) // 2, _ENTRY))
+    indices = [k for k in range(stages) if values[k].imag > -1e-12]
+    for entry, k in zip(table, indices, strict=True):
+        is_real = abs(values[k].imag) < 1e-12
+        v, w = right[:, k] * (0.5 if is_real else 1.0), left[k]
+        entry[:2] = values[k].real, 0.0 if is_real else values[k].imag
+        for block, values_of_stages in enumerate((v.real, v.imag, w.real, w.imag)):
+            entry[2 + block * MOST_STAGES : 2 + block * MOST_STAGES + stages] = values_of_stages
+    return read_only(table)
 
 
-def room(n: int, stages: int) -> int:
-    """Return how many numbers stand behind the rows of stages.py."""
-    wide, p = _wide(n), (stages + 1) // 2
-    return p * _ENTRY + (2 * SEEDS + 2) * wide + 2 * (p + n + 2 * n * p) * wide
+def rows_of_stages(stages: int) -> Callable[[int, bool], Array]:
+    """Return the function of (n, tangent) that allocates the work rows (see Stepper.rows)."""
 
+    def rows(n: int, tangent: bool) -> Array:
+        if not tangent:
+            return work_rows(stages, n, 0)
+        wide, p = _wide(n), (stages + 1) // 2
+        numbers = p * _ENTRY + (2 * SEEDS + 2) * wide + 2 * (p + n + 2 * n * p) * wide
+        work = work_rows(stages, n, numbers)
+        table = pairs(stages)
+        work.reshape(-1)[ROWS * work.shape[1] :][: table.size] = table.ravel()
+        return work
 
-def fill(work: Array, stages: int) -> None:
-    """Put the table of pairs behind the rows."""
-    table = pairs(stages)
-    work.reshape(-1)[ROWS * work.shape[1] :][: table.size] = table.ravel()
+    return rows
 
 
 @compiled
@@ -71,7 +78,17 @@ def _wide(n: int) -> int:
 
 @compiled
 def prepare(run: Run, params: Array, work: Array, which: int, h: float) -> bool:
-    """Factor the systems of a step h from row Y; return whether that was possible."""
+    """Factor the systems of a step h from row Y, with the Jacobian there.
+
+    Args:
+        run: Registers of the run.
+        params: Parameters, (p,).
+        work: Work rows.
+        which: Factors to compute, MAIN or SUB.
+        h: Length of the step [s].
+    Returns:
+        Whether all systems are regular.
+    """
     n, stages = run.n, run.stages
     wide, p = _wide(n), (stages + 1) // 2
     behind = work.reshape(-1)[ROWS * work.shape[1] :]
@@ -98,29 +115,38 @@ def prepare(run: Run, params: Array, work: Array, which: int, h: float) -> bool:
 
 @compiled
 def _systems(behind: Array, n: int, p: int, which: int) -> tuple[Array, Array]:
-    """Return pivots (p, wide), and the Jacobian above the systems (n + 2 n p, wide)."""
+    """Return pivots (p, wide), and the Jacobian above the systems, (n + 2 n p, wide)."""
     wide = _wide(n)
     size = (p + n + 2 * n * p) * wide
-    own = behind[p * _ENTRY + (2 * SEEDS + 2) * wide + which * size :][:size]
-    return own[: p * wide].reshape(p, wide), own[p * wide :].reshape(n + 2 * n * p, wide)
+    block = behind[p * _ENTRY + (2 * SEEDS + 2) * wide + which * size :][:size]
+    return block[: p * wide].reshape(p, wide), block[p * wide :].reshape(n + 2 * n * p, wide)
 
 
 @compiled
 def refine(
     run: Run, params: Array, work: Array, row: int, which: int, fresh: bool, h: float
 ) -> int:
-    """Bring the L in `row` from a guess to the solution; return the turns, or NO_SOLUTION.
+    """Iterate the L in `row` from a guess to the solution; SCALE contains 1 / the largest number.
 
-    fresh: whether the factors are those of this step; if not, they are renewed where they
-    serve badly.  SCALE holds the inverse of the largest number.
+    Args:
+        run: Registers of the run.
+        params: Parameters, (p,).
+        work: Work rows.
+        row: Row of L.
+        which: Factors to use, MAIN or SUB.
+        fresh: Whether the factors belong to this step. If not, they are recomputed when the
+            iteration converges slowly.
+        h: Length of the step [s].
+    Returns:
+        The number of iterations, or NO_SOLUTION.
     """
     n, lanes, stages = run.n, run.lanes, run.stages
     wide, p = _wide(n), (stages + 1) // 2
     behind = work.reshape(-1)[ROWS * work.shape[1] :]
     b, c = behind[p * _ENTRY :][:wide], behind[p * _ENTRY + wide :][:wide]
     pivots, matrix = _systems(behind, n, p, which)
-    scale, before, stalls, renewed = work[SCALE, 0], np.inf, 0, False
-    for turn in range(1, _MOST + 1):
+    scale, previous, stalls, renewed = work[SCALE, 0], np.inf, 0, False
+    for iteration in range(1, _MOST + 1):
         multiply(work, STAGE, Y, MU, row, n, lanes)
         call(run.address, work[STAGE], params, work[RATE])
         run.evaluations += stages
@@ -158,14 +184,14 @@ def refine(
         if not size < np.inf:
             return NO_SOLUTION
         if size == 0.0:
-            return turn
-        if size >= _STALLED * before:
+            return iteration
+        if size >= _STALLED * previous:
             stalls += 1
             if size <= _SMALL or (stalls > 1 and size <= _SLACK):
-                return turn
-        if not (fresh or renewed) and size > _SMALL and size > _SLOW * before:
+                return iteration
+        if not (fresh or renewed) and size > _SMALL and size > _SLOW * previous:
             if not prepare(run, params, work, which, h):
                 return NO_SOLUTION
             renewed, stalls = True, 0
-        before = size
+        previous = size
     return NO_SOLUTION

@@ -1,6 +1,6 @@
 """One step of Gauss–Legendre collocation over a kernel that evaluates all stages at once.
 
-The stages are found by fixed-point iteration, which costs one call of such a kernel a turn.
+Fixed-point iteration solves the stages; each iteration costs one call of the kernel.
 E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2nd ed., section VIII.6.
 """
 
@@ -16,44 +16,60 @@ from ..stepping.state_rows import NEW, Y
 from .lane_sums import product, refreshment
 from .tables import lanes_of, tables
 
-# Rows of `work` behind the state.  L and OLD are h b f of this step and the one before; SUB that
-# of a step for a report; CARRY what the sum of the steps has rounded away; CHANGE and BEST see
-# `refreshment`.  SCALE holds an inverse for each number, INFO what change round-off may leave,
-# and the quotient of the last two changes.
+# Rows of `work` after the two state rows. L and OLD: h b f of this step and the previous one. SUB:
+# h b f of a step to a report time. CARRY: round-off of the sum of all steps. CHANGE and BEST: see
+# `refreshment`. SCALE: factors by which changes are measured. INFO: largest change that may be
+# round-off, and the ratio of the last two changes. MU to BARY: tables of the method.
 CARRY, NEXT_CARRY, STAGE, RATE, L, OLD, SUB, CHANGE, BEST, SCALE = range(2, 12)
 MU, GUESS, WITHIN, B, C, LAST, BARY, INFO = range(12, 20)
 ROWS = 20
 
-MOST, MOST_WITHIN = 100, 300  # turns of the iteration; for a report, which is guessed worse
-_PATIENCE = 8  # turns without improvement, where round-off is far and so is convergence
-_FAST, _NEAR = 0.3, 1e-8  # quotient of changes; part of INFO: neither asks for patience
-ROUND_OFF = 0.0  # as a limit: go on until nothing improves
-NO_SOLUTION = -1  # in place of a number of turns
+MOST, MOST_WITHIN = 100, 300  # iterations; for a report time, with its worse first guess
+_PATIENCE = 8  # iterations without improvement far from round-off
+# Contraction, and fraction of INFO[0], below which one iteration without improvement suffices.
+_FAST, _NEAR = 0.3, 1e-8
+ROUND_OFF = 0.0  # limit of `iterate` that continues until the changes stop decreasing
+NO_SOLUTION = -1  # returned instead of a number of iterations
 
 _multiply4, _multiply8 = product(4), product(8)
 _refresh4, _refresh8 = refreshment(4), refreshment(8)
 
 
 def work_rows(stages: int, n: int, behind: int) -> Array:
-    """Return the rows that a step of so many stages works on, tables filled in.
+    """Allocate the work rows of a step and fill in the tables.
 
-    behind: how many numbers are to have room behind the rows.
+    Args:
+        stages: Number of stages.
+        n: Entries of the state.
+        behind: Numbers of additional space behind the rows.
+    Returns:
+        The rows, (ROWS + …, stride).
     """
     lanes = lanes_of(stages)
     stride = max((n + 1) * lanes, lanes * lanes)
     work = np.zeros((ROWS + -(-behind // stride), stride))
     method = tables(stages)
     work[MU, : lanes * lanes] = method.mu.T.ravel()
-    for row, numbers in (
+    for row, values in (
         (B, method.b), (C, method.c), (LAST, method.last), (BARY, method.bary),
     ):  # fmt: skip
-        work[row, :lanes] = numbers
+        work[row, :lanes] = values
     return work
 
 
 @compiled
 def multiply(work: Array, out: int, base: int, table: int, row: int, n: int, lanes: int) -> None:
-    """Fill row `out` with row `base`, or nothing for −1, and a table times row `row`."""
+    """Compute a table times a stage row, plus a row.
+
+    Args:
+        work: Work rows.
+        out: Stage row of the result.
+        base: Row to add, one number per entry, −1 for zero.
+        table: Row of the table, stored by columns.
+        row: Stage row to multiply.
+        n: Entries of the state.
+        lanes: Number of SIMD lanes.
+    """
     if lanes == 4:
         _multiply4(work, out, base, table, row, n)
     else:
@@ -61,10 +77,59 @@ def multiply(work: Array, out: int, base: int, table: int, row: int, n: int, lan
 
 
 @compiled
+def refresh(work: Array, row: int, n: int, lanes: int, h: float) -> float:
+    """Set L in a row to h b RATE; return the norm of the change, weighted by SCALE.
+
+    Args:
+        work: Work rows.
+        row: Row of L.
+        n: Entries of the state.
+        lanes: Number of SIMD lanes.
+        h: Length of the step [s].
+    Returns:
+        The norm.
+    """
+    if lanes == 4:
+        return float(np.sqrt(_refresh4(work, row, RATE, CHANGE, BEST, SCALE, B, n, h)))
+    return float(np.sqrt(_refresh8(work, row, RATE, CHANGE, BEST, SCALE, B, n, h)))
+
+
+@compiled
+def scale_by_largest(work: Array, n: int, lanes: int, base: int, row: int) -> None:
+    """Fill SCALE with 1 / the largest number in two rows.
+
+    Args:
+        work: Work rows.
+        n: Entries of the state.
+        lanes: Number of SIMD lanes.
+        base: Row with one number per entry.
+        row: Stage row, often a first guess of the solution.
+    """
+    largest = 0.0
+    for i in range(n):
+        largest = max(largest, abs(work[base, i]))
+        for j in range(lanes):
+            largest = max(largest, abs(work[row, i * lanes + j]))
+    inverse = 1.0 / largest if largest > 0.0 else 1.0
+    for i in range(n):
+        work[SCALE, i] = inverse
+
+
+@compiled
 def start_evenly(
     address: int, params: Array, work: Array, n: int, lanes: int, row: int, h: float
 ) -> None:
-    """Put h b ẏ at the start of the step into `row`, all lanes alike: a first guess."""
+    """Set a row of L to h b ẏ(start) at all stages, as a first guess.
+
+    Args:
+        address: Address of the kernel.
+        params: Parameters, (p,).
+        work: Work rows.
+        n: Entries of the state.
+        lanes: Number of SIMD lanes.
+        row: Row of L.
+        h: Length of the step [s].
+    """
     for i in range(n):
         for j in range(lanes):
             work[STAGE, i * lanes + j] = work[Y, i]
@@ -78,92 +143,126 @@ def start_evenly(
 def prepare_guess(
     work: Array, lanes: int, stages: int, table: int, begin: float, ratio: float
 ) -> None:
-    """Fill the table that makes, of L of a step, that of another, `ratio` times as long.
+    """Compute the table that extrapolates L of one step to L of another.
 
-    begin: of the other one, 0 where the step begins and 1 where it ends.  The rates are those
-    of the polynomial through the rates of the stages.
+    The rates of the other step are those of the polynomial through the stage rates of the first.
+
+    Args:
+        work: Work rows.
+        lanes: Number of SIMD lanes.
+        stages: Number of stages.
+        table: Row of the table.
+        begin: Start of the other step, in lengths of the first, from its start.
+        ratio: Length of the other step, in lengths of the first.
     """
     c, b, bary = work[C], work[B], work[BARY]
     for k in range(stages):
-        at = begin + ratio * c[k]
+        position = begin + ratio * c[k]
         for j in range(stages):
             basis = bary[j]
             for i in range(stages):
                 if i != j:
-                    basis *= at - c[i]
+                    basis *= position - c[i]
             work[table, j * lanes + k] = ratio * b[k] / b[j] * basis
 
 
 @compiled
 def guess(work: Array, n: int, lanes: int, table: int, source: int, row: int) -> None:
-    """Fill `row` from the L in `source` by a table of prepare_guess."""
+    """Fill a row of L from another by a table of `prepare_guess`.
+
+    Args:
+        work: Work rows.
+        n: Entries of the state.
+        lanes: Number of SIMD lanes.
+        table: Row of the table.
+        source: Row of the known L.
+        row: Row of the guess.
+    """
     multiply(work, row, -1, table, source, n, lanes)
 
 
 @compiled
 def guess_evenly(run: Run, params: Array, work: Array, row: int, h: float) -> None:
-    """Do as start_evenly, in a run that counts its evaluations."""
+    """Fill a row of L by `start_evenly`, and count the evaluations.
+
+    Args:
+        run: Registers of the run.
+        params: Parameters, (p,).
+        work: Work rows.
+        row: Row of L.
+        h: Length of the step [s].
+    """
     start_evenly(run.address, params, work, run.n, run.lanes, row, h)
     run.evaluations += run.stages
 
 
 @compiled
 def iterate(run: Run, params: Array, work: Array, row: int, h: float, limit: float) -> int:
-    """Bring the L in `row` from a guess to the solution; return the turns it took.
+    """Iterate the L in `row` from a guess to the solution, by fixed points.
 
-    limit: on what is still to come, by SCALE; ROUND_OFF to go on until no number changes by
-    less than before in two turns.  NO_SOLUTION if that does not come about.
+    Args:
+        run: Registers of the run.
+        params: Parameters, (p,).
+        work: Work rows.
+        row: Row of L.
+        h: Length of the step [s].
+        limit: Limit on the remaining error, measured by SCALE. With ROUND_OFF, the iteration
+            continues until no number's change decreases.
+    Returns:
+        The number of iterations, or NO_SOLUTION.
     """
-    address, n, lanes = run.address, run.n, run.lanes
+    n, lanes = run.n, run.lanes
     change, best = work[CHANGE], work[BEST]
     for i in range(n * lanes):
         change[i] = best[i] = np.inf
-    before = expected = np.inf
+    previous = expected = np.inf
     idle = 0
-    for turn in range(1, (MOST_WITHIN if row == SUB else MOST) + 1):
+    for iteration in range(1, (MOST_WITHIN if row == SUB else MOST) + 1):
         run.evaluations += run.stages
-        if lanes == 4:
-            _multiply4(work, STAGE, Y, MU, row, n)
-            call(address, work[STAGE], params, work[RATE])
-            size = np.sqrt(_refresh4(work, row, RATE, CHANGE, BEST, SCALE, B, n, h))
-        else:
-            _multiply8(work, STAGE, Y, MU, row, n)
-            call(address, work[STAGE], params, work[RATE])
-            size = np.sqrt(_refresh8(work, row, RATE, CHANGE, BEST, SCALE, B, n, h))
-        if not size < np.inf or (turn > 3 and size > 10.0 * before and size > work[INFO, 0]):
+        multiply(work, STAGE, Y, MU, row, n, lanes)
+        call(run.address, work[STAGE], params, work[RATE])
+        size = refresh(work, row, n, lanes, h)
+        if not size < np.inf or (iteration > 3 and size > 10.0 * previous and size > work[INFO, 0]):
             return NO_SOLUTION
         improved = 0.0
         for j in range(lanes):
             improved += best[n * lanes + j]
         if size == 0.0:
-            return turn
-        # Round-off goes to and fro; an iteration that does not converge does so by far, and one
-        # that converges slowly may do it in waves.
-        idle = idle + 1 if turn > 2 and improved == 0.0 else 0
-        expected = size if turn == 1 else _FAST * expected
+            return iteration
+        # Round-off fluctuates, so a lack of improvement ends the iteration. A diverging one grows
+        # far above round-off; a slowly converging one may improve in waves.
+        idle = idle + 1 if iteration > 2 and improved == 0.0 else 0
+        expected = size if iteration == 1 else _FAST * expected
         if idle > 0 and size <= max(limit, work[INFO, 0]):
             patient = size > expected and size > _NEAR * work[INFO, 0]
             if idle >= (_PATIENCE if patient else 1):
-                return turn
-        if turn > 1 and size <= before:
-            part = size / before
-            work[INFO, 1] = part
-            if limit > 0.0 and size * part <= limit * (1.0 - part):
-                return turn
-        before = size
+                return iteration
+        if iteration > 1 and size <= previous:
+            ratio = size / previous
+            work[INFO, 1] = ratio
+            if limit > 0.0 and size * ratio <= limit * (1.0 - ratio):
+                return iteration
+        previous = size
     return NO_SOLUTION
 
 
 @compiled
 def finish(work: Array, n: int, lanes: int, row: int) -> None:
-    """Put the end of the step into NEW, by compensated summation."""
+    """Compute the end of the step in row NEW by compensated summation.
+
+    Args:
+        work: Work rows.
+        n: Entries of the state.
+        lanes: Number of SIMD lanes.
+        row: Row of L.
+    """
     for i in range(n):
         total = work[CARRY, i]
         for j in range(lanes):
             total += work[row, i * lanes + j]
         old = work[Y, i]
         new = old + total
-        # Knuth's two-sum: exact, whichever of the two is larger.
+        # Knuth's two-sum gives the exact round-off, whichever term is larger.
         back = new - old
         work[NEXT_CARRY, i] = (old - (new - back)) + (total - back)
         work[NEW, i] = new

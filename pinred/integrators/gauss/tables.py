@@ -1,9 +1,9 @@
-"""Gauss–Legendre collocation with s stages, of order 2s, as tables for whole vectors.
+"""Tables of Gauss–Legendre collocation with s stages, of order 2s, padded to whole vectors.
 
 E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2nd ed., section II.1.3.
 The step is written in L_j = h b_j f(Y_j): Y_i = y + Σ_j μ_ij L_j, y₁ = y + Σ_j L_j, with
-μ_ij = a_ij / b_j.  The method is symplectic, and keeps quadratic invariants, where
-μ_ij + μ_ji = 1; here that holds for the floating-point numbers too (M. Antoñana, J. Makazaga,
+μ_ij = a_ij / b_j. The method is symplectic and preserves quadratic invariants if
+μ_ij + μ_ji = 1. Here this holds for the floating-point numbers, too (M. Antoñana, J. Makazaga,
 A. Murua, Reducing and monitoring round-off error propagation for symplectic implicit
 Runge–Kutta schemes, Numer. Algorithms 76 (2017) 861–880).
 """
@@ -24,16 +24,21 @@ MOST_STAGES = 8
 
 
 def lanes_of(stages: int) -> int:
-    """Return how many stages the kernels of these methods evaluate at once, idle ones too."""
+    """Return the number of SIMD lanes for a number of stages, including idle lanes."""
     return 4 if stages <= 4 else 8
 
 
 @dataclass(frozen=True)
 class Tables:
-    """The numbers of the method, padded with zeros to whole vectors of w lanes.
+    """Coefficients of the method, padded with zeros to w SIMD lanes.
 
-    mu: (w, w).  b: (w,), c: (w,).  last: (w,) of which Σ_j last_j L_j is h times the
-    highest Legendre coefficient of ẏ over the step.  bary: (w,) barycentric weights of c.
+    Attributes:
+        mu: μ, (w, w).
+        b: Weights, (w,).
+        c: Nodes, (w,).
+        last: Weights for which Σ_j last_j L_j is h times the highest Legendre coefficient of ẏ,
+            (w,).
+        bary: Barycentric weights of c, (w,).
     """
 
     mu: Array

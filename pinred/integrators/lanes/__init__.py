@@ -1,1 +1,1 @@
-"""Many runs at once: members of a batch in the lanes of vectors, each with steps of its own."""
+"""Batches of runs in SIMD lanes: one member per lane, each with its own step length."""

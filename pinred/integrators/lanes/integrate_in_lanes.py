@@ -1,22 +1,31 @@
-"""integrate_in_lanes(): many runs of an explicit method at once, on several threads."""
+"""integrate_in_lanes(): many runs of an explicit method, in SIMD lanes and on several threads."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from math import ceil
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...common.arrays import Array
 from ...common.errors import InputError
 from ...common.memo import once_for_all
+from ..explicit.row_programs import Rate, Sum
+from ..explicit.runge_kutta import bind_formulas, digest, steps_of
 from ..explicit.tableau import Tableau
 from ..integrate import begun_by
 from ..integrate_many import Solutions, checked_batch, over_threads, solutions
 from ..methods.method import Explicit
-from .of_tableau import LaneLoop, make_lane_loop
+from ..stepping.compiling import compiled
+from . import lane_loop
+from .lane_loop import READY_REGISTERS, READY_ROWS, REGISTERS, Workspace
+from .vectors import FUSED, Vector, functions_of_width
 
-WIDTHS = (8, 16)  # lanes that there are loops for
+WIDTHS = (8, 16)  # supported numbers of SIMD lanes
+_CACHE_LINE = 64  # bytes; vectors of eight numbers are aligned to it
 
 
 def integrate_in_lanes(
@@ -31,14 +40,28 @@ def integrate_in_lanes(
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Solutions:
-    """Integrate ẏ = f(y, params[i]) from y0[i] for every i, as many at once as there are lanes.
+    """Integrate ẏ = f(y, params[i]) from y0[i] for all members i, several at once in SIMD lanes.
 
-    address: of a kernel of f at `width` states at once, each with its own parameters: number j of
-    state k stands at j width + k, of y, params and rates.  The other arguments are those of
-    `integrate_many`.
-    A run's steps and numbers depend on nothing but itself: neither on the others, nor on their
-    order, nor on the number of threads.  They are those of `integrate` but for round-off.
-    A run that fails has a status and leaves the others alone.  Raises InputError.
+    Steps and results of a member do not depend on the other members, their order or the number
+    of threads. They equal those of `integrate` up to round-off. A failing member reports a status
+    and does not affect the others.
+
+    Args:
+        method: Explicit method.
+        address: Address of a kernel of f at `width` states at once, each with its parameters.
+            Entry j of state k is number j·width + k of y, params and rates.
+        width: Number of SIMD lanes, one of WIDTHS.
+        params: Parameters, (N, p).
+        y0: Initial states, (N, n).
+        t_end: End time [s].
+        times: Sorted report times within [0, t_end], (T,) [s].
+        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        threads: Number of threads, None for all processors.
+        progress: Called with the finished fraction of the members.
+    Returns:
+        The solutions, member first.
+    Raises:
+        InputError: An argument is invalid.
     """
     if width not in WIDTHS:
         raise InputError(f"width must be one of {WIDTHS}, got {width!r}")
@@ -46,17 +69,73 @@ def integrate_in_lanes(
     batch = asked.batch
     (size, n), parameters = batch.y0.shape, batch.params.shape[1]
     loop = _lane_loop(type(method).__name__, method.order, method.tableau(), width)
-    unbegun = begun_by(method, address, n, asked.end, quaternion, (0, 0))
+    initial_run = begun_by(method, address, n, asked.end, quaternion, (0, 0))
     queue = np.zeros(1, dtype=np.int64)
     most = min(width, max(1, ceil(size / asked.threads)))
 
-    def share() -> None:
-        loop.members(batch, unbegun, queue, loop.room(n, parameters), most)
+    def run_members() -> None:
+        loop.members(batch, initial_run, queue, loop.workspace(n, parameters), most)
 
-    over_threads([share] * asked.threads, asked, progress)
+    over_threads([run_members] * asked.threads, asked, progress)
     return solutions(method, batch)
+
+
+@dataclass(frozen=True)
+class LaneLoop:
+    """The compiled loop over members in SIMD lanes of one method.
+
+    Attributes:
+        width: Number of lanes.
+        members: The compiled loop, see lane_loop.run_members.
+        rows: Number of rows of `work`.
+    """
+
+    width: int
+    members: Callable[..., None]
+    rows: int
+
+    def workspace(self, n: int, parameters: int) -> Workspace:
+        """Return the workspace of a thread, for states of n numbers and so many parameters."""
+        width = self.width
+        return Workspace(
+            work=_aligned(self.rows, n * width),
+            params=_aligned(1, parameters * width)[0],
+            registers=_aligned(REGISTERS, width),
+            ready=_aligned(READY_ROWS, n * width),
+            ready_params=_aligned(1, parameters * width)[0],
+            ready_registers=_aligned(READY_REGISTERS, width),
+        )
 
 
 @once_for_all
 def _lane_loop(name: str, order: int, tableau: Tableau, width: int) -> LaneLoop:
-    return make_lane_loop(name, order, tableau, width)
+    """Compile the loop of a method for a number of lanes."""
+    steps = steps_of(tableau)
+
+    def calls(program: list[Sum | Rate]) -> float:
+        return float(sum(isinstance(step, Rate) for step in program))
+
+    numbers: dict[str, Any] = {
+        **functions_of_width(width),
+        "WIDTH": width,
+        "OUT": steps.rows,
+        "AT_STEP": calls(steps.to_end),
+        "AT_END": calls(steps.at_end),
+        "AT_DENSE": calls(steps.dense),
+    }
+    prefix = f"{name}_{digest(order, tableau)}_{width}_lanes"
+    bindings = bind_formulas(
+        prefix, order, tableau, numbers, width=width, lane_steps=Vector(width), flags=FUSED
+    )
+    for function in lane_loop.INLINED:
+        bindings.add(function)
+    for compiled_function in lane_loop.COMPILED:
+        bindings.add(compiled_function, compiled)
+    return LaneLoop(width, bindings.values["run_members"], steps.rows + 1)
+
+
+def _aligned(rows: int, size: int) -> Array:
+    """Return zeros (rows, size) that start at a cache line."""
+    raw = np.zeros(rows * size + _CACHE_LINE // 8)
+    first = -(raw.ctypes.data // 8) % (_CACHE_LINE // 8)
+    return raw[first : first + rows * size].reshape(rows, size)

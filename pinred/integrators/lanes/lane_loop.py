@@ -1,72 +1,82 @@
-"""The loop over members in lanes: each has its own step, and those at their end are replaced.
+"""The loop over members in SIMD lanes: each lane has its own step length.
 
-Members are taken from a queue that all threads share, so many at a time as there are lanes, and
-made ready together: their rates and first steps are those of vectors, too.  What a member does
-is worked out in its lane alone: its numbers are the same beside any others, in any lane.
+All threads take members from one queue, as many at a time as there are lanes, and evaluate their
+initial rates and first steps together. A lane computes with its own numbers only, so the result
+of a member depends neither on the lane nor on the other members.
 """
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array
-from ..explicit.runge_kutta import BEGIN_RATE, END_RATE, RATES
+from ..explicit.step_formulas import (
+    BEGIN_RATE,
+    CRASH,
+    END_RATE,
+    GROW,
+    RATES,
+    SAFETY,
+    SHRINK,
+    dense_value,
+    fill_hermite,
+    first_step,
+    get,
+    larger,
+    put,
+    root,
+    same,
+    smaller,
+)
 from ..stepping.compiling import compiled
 from ..stepping.kernel_call import call
 from ..stepping.run_record import DONE, NOT_FINITE, TOO_MANY, UNDERFLOW, Run, Runs
 from ..stepping.state_rows import NEW, Y, unit_alone
 from ..stepping.step_loop import Batch
-from .lane_steps import (
-    READY_RATE,
-    READY_Y,
-    accept,
-    between,
-    finite,
-    first_step,
-    get,
-    next_step,
-    prepare,
-    put,
-    same,
-    unit,
-)
-from .vectors import bits, choose, take
+from .vectors import bits, choose, fetch_and_add
 
-# Rows of the registers of lanes, as floats: time and next step [s]; whether the last trial was
-# rejected; counts; the next time to report [s] and its index; which number was not finite, −1
-# for none; whether there is a member in the lane, and which.
+# Rows of the lane registers, as floats: time and next step [s]; whether the last trial was
+# rejected; counts; the next report time [s] and its index; the entry that is not finite, −1 for
+# none; whether the lane has a member, and its number.
 TIME, STEP, AGAIN, STEPS, REJECTED, EVALUATIONS = range(6)
 NEXT_TIME, NEXT, ENTRY, LIVE, MEMBER, REGISTERS = range(6, 12)
-# Rows of the registers of what is ready: first step, member, number that is not finite; in the
-# first lane of the others, how many are ready and how many of them are in lanes.
+# Rows of the registers of prepared members: first step, member, entry that is not finite. COUNT
+# and USED have one number each: the prepared members, and how many of them are in lanes.
 FIRST_STEP, READY_MEMBER, READY_ENTRY, COUNT, USED, READY_REGISTERS = range(6)
+READY_ROWS = RATES  # rows of the states of prepared members: those that `first_step` uses
 
 _EPS = float(np.finfo(float).eps)
 
 
-class Room(NamedTuple):
-    """The room of a thread.  Rows of lanes, and columns of parameters in lanes, (p width,).
+class Workspace(NamedTuple):
+    """The arrays of a thread. Rows and parameters are in lanes: (R, n width), (p width,).
 
-    work: states and rates.  params: theirs.  own: registers.  ready, ready_params, ready_own: of
-    members that wait for a lane.
+    Attributes:
+        work: States and rates.
+        params: Parameters of the members in lanes.
+        registers: Lane registers, (REGISTERS, width).
+        ready: States and rates of prepared members.
+        ready_params: Their parameters.
+        ready_registers: Their registers, (READY_REGISTERS, width).
     """
 
     work: Array
     params: Array
-    own: Array
+    registers: Array
     ready: Array
     ready_params: Array
-    ready_own: Array
+    ready_registers: Array
 
 
-# --- what a tableau and a width give: see lane_steps ----------------------------------------
+# --- names that a tableau and a width bind ------------------------------------------------------
 
 
 WIDTH, STAGES, OUT = 1, 1, 0
-BEGUN, AT_STEP, AT_END, AT_DENSE = 2.0, 1.0, 1.0, 0.0  # evaluations
+BEGUN, AT_STEP, AT_END, AT_DENSE = 2.0, 1.0, 1.0, 0.0  # numbers of evaluations
 
 
 def _of_tableau(*arguments: Any) -> Any:
@@ -76,96 +86,159 @@ def _of_tableau(*arguments: Any) -> Any:
 fill_step = fill_end = fill_errors = fill_dense = estimate = _of_tableau
 
 
-# --- members come and go -------------------------------------------------------------------
+# --- step control -------------------------------------------------------------------------------
 
 
-def make_ready(run: Run, batch: Batch, queue: NDArray[np.int64], room: Room, most: int) -> int:
-    """Take members from the queue, at most so many, and make them ready; return how many."""
-    ready, params, own = room.ready, room.ready_params, room.ready_own
+def normalise(run: Run, rows: Array, y: int, rate: int, lanes: Any) -> None:
+    """Normalise the quaternion in row y in some lanes, and scale its rate.
+
+    Args:
+        run: Registers of the run.
+        rows: Rows in lanes.
+        y: Row of the states.
+        rate: Row of the rates.
+        lanes: Mask of the lanes.
+    """
+    if run.quaternion >= 0:
+        square = same(0.0)
+        for i in range(run.quaternion, run.quaternion + 4):
+            square = square + get(rows, y, i) * get(rows, y, i)
+        factor = choose(lanes, 1.0 / sqrt(square), 1.0)
+        for i in range(run.quaternion, run.quaternion + 4):
+            put(rows, y, i, get(rows, y, i) * factor)
+            put(rows, rate, i, get(rows, rate, i) * factor)
+
+
+def is_finite(run: Run, rows: Array, row: int) -> Any:
+    """Return the mask of the lanes in which all entries of a row are finite."""
+    total = same(0.0)
+    for i in range(run.n):
+        value = get(rows, row, i)
+        total = total + (value - value)  # NaN for infinities and NaN, else zero
+    return total == 0.0
+
+
+def accept_steps(run: Run, work: Array, accepted: Any) -> None:
+    """Continue from the step ends in the accepted lanes."""
+    for i in range(run.n):
+        put(work, Y, i, choose(accepted, get(work, NEW, i), get(work, Y, i)))
+        rate = choose(accepted, get(work, END_RATE, i), get(work, BEGIN_RATE, i))
+        put(work, BEGIN_RATE, i, rate)
+    normalise(run, work, Y, BEGIN_RATE, accepted)
+
+
+def next_step(error: Any, h: Any, accepted: Any, again: Any, max_step: float) -> Any:
+    """Return the lengths of the next steps.
+
+    Args:
+        error: Errors of the steps, in units of the tolerance.
+        h: Their lengths [s].
+        accepted: Mask of the accepted steps.
+        again: Mask of the lanes whose previous trial was rejected.
+        max_step: Longest step [s].
+    Returns:
+        A vector of lengths [s].
+    """
+    ideal = SAFETY / larger(root(error), same(1e-300))
+    growth = smaller(same(GROW), larger(same(SHRINK), ideal))
+    growth = choose(again, smaller(growth, same(1.0)), growth)
+    shrink = choose((error > 1.0) & (error < np.inf), larger(same(SHRINK), ideal), CRASH)
+    return choose(accepted, smaller(h * growth, same(max_step)), h * shrink)
+
+
+# --- members enter and leave lanes --------------------------------------------------------------
+
+
+def prepare_members(
+    run: Run, batch: Batch, queue: NDArray[np.int64], space: Workspace, most: int
+) -> int:
+    """Take up to `most` members from the queue and prepare their first steps; return how many."""
+    ready, params, registers = space.ready, space.ready_params, space.ready_registers
     size = batch.y0.shape[0]
-    first: int = take(queue, most)
+    first: int = fetch_and_add(queue, most)
     count: int = min(most, size - first)
     if count <= 0:
-        own[COUNT, 0] = own[USED, 0] = 0.0
+        registers[COUNT, 0] = registers[USED, 0] = 0.0
         return 0
     for lane in range(WIDTH):
         member = first + min(lane, count - 1)
-        own[READY_MEMBER, lane] = member
+        registers[READY_MEMBER, lane] = member
         for i in range(run.n):
-            ready[READY_Y, i * WIDTH + lane] = batch.y0[member, i]
+            ready[Y, i * WIDTH + lane] = batch.y0[member, i]
         for i in range(batch.params.shape[1]):
             params[i * WIDTH + lane] = batch.params[member, i]
-    call(run.address, ready[READY_Y], params, ready[READY_RATE])
-    unit(run, ready, READY_Y, READY_RATE, same(0.0) == 0.0)
-    put(own, FIRST_STEP, 0, first_step(run, params, ready))
+    call(run.address, ready[Y], params, ready[BEGIN_RATE])
+    normalise(run, ready, Y, BEGIN_RATE, same(0.0) == 0.0)
+    put(registers, FIRST_STEP, 0, first_step(run, params, ready))
     for lane in range(count):
-        own[READY_ENTRY, lane] = -1.0
+        registers[READY_ENTRY, lane] = -1.0
         for i in range(run.n):
-            rate = ready[READY_RATE, i * WIDTH + lane]
+            rate = ready[BEGIN_RATE, i * WIDTH + lane]
             if rate - rate != 0.0:
-                own[READY_ENTRY, lane] = i
+                registers[READY_ENTRY, lane] = i
                 break
-    own[COUNT, 0], own[USED, 0] = count, 0.0
+    registers[COUNT, 0], registers[USED, 0] = count, 0.0
     return count
 
 
-def enter(
-    run: Run, batch: Batch, queue: NDArray[np.int64], room: Room, lane: int, most: int
+def enter_lane(
+    run: Run, batch: Batch, queue: NDArray[np.int64], space: Workspace, lane: int, most: int
 ) -> bool:
     """Put the next member into a lane; return whether there is one."""
-    work, own, ready, ready_own = room.work, room.own, room.ready, room.ready_own
+    work, registers = space.work, space.registers
+    ready, ready_registers = space.ready, space.ready_registers
     while True:
-        used_up = ready_own[USED, 0] >= ready_own[COUNT, 0]
-        if used_up and make_ready(run, batch, queue, room, most) == 0:
-            # The lane idles: steps of length zero from a state whose numbers are finite.
-            own[LIVE, lane] = own[TIME, lane] = own[STEP, lane] = 0.0
-            own[NEXT_TIME, lane] = np.inf
+        used_up = ready_registers[USED, 0] >= ready_registers[COUNT, 0]
+        if used_up and prepare_members(run, batch, queue, space, most) == 0:
+            # The lane idles: steps of length zero from a finite state.
+            registers[LIVE, lane] = registers[TIME, lane] = registers[STEP, lane] = 0.0
+            registers[NEXT_TIME, lane] = np.inf
             for i in range(run.n):
                 work[Y, i * WIDTH + lane] = batch.y0[0, i]
                 work[BEGIN_RATE, i * WIDTH + lane] = 0.0
             for i in range(batch.params.shape[1]):
-                room.params[i * WIDTH + lane] = batch.params[0, i]
+                space.params[i * WIDTH + lane] = batch.params[0, i]
             return False
-        k = int(ready_own[USED, 0])
-        ready_own[USED, 0] += 1.0
-        member = int(ready_own[READY_MEMBER, k])
-        entry = int(ready_own[READY_ENTRY, k])
+        k = int(ready_registers[USED, 0])
+        ready_registers[USED, 0] += 1.0
+        member = int(ready_registers[READY_MEMBER, k])
+        entry = int(ready_registers[READY_ENTRY, k])
         if entry >= 0:
-            end = batch.outcomes[member]
-            end.t, end.entry, end.evaluations = 0.0, entry, 1
-            end.status = NOT_FINITE
+            outcome = batch.outcomes[member]
+            outcome.t, outcome.entry, outcome.evaluations = 0.0, entry, 1
+            outcome.status = NOT_FINITE
             continue
         for i in range(run.n):
-            work[Y, i * WIDTH + lane] = ready[READY_Y, i * WIDTH + k]
-            work[BEGIN_RATE, i * WIDTH + lane] = ready[READY_RATE, i * WIDTH + k]
+            work[Y, i * WIDTH + lane] = ready[Y, i * WIDTH + k]
+            work[BEGIN_RATE, i * WIDTH + lane] = ready[BEGIN_RATE, i * WIDTH + k]
         for i in range(batch.params.shape[1]):
-            room.params[i * WIDTH + lane] = room.ready_params[i * WIDTH + k]
+            space.params[i * WIDTH + lane] = space.ready_params[i * WIDTH + k]
         for row in range(REGISTERS):
-            own[row, lane] = 0.0
-        own[STEP, lane] = ready_own[FIRST_STEP, k]
-        own[EVALUATIONS, lane] = BEGUN
-        own[ENTRY, lane] = -1.0
-        own[LIVE, lane], own[MEMBER, lane] = 1.0, member
-        own[NEXT_TIME, lane] = batch.times[0] if batch.times.shape[0] else np.inf
-        while own[NEXT_TIME, lane] <= 0.0:
-            write(run, batch, room, lane, Y)
+            registers[row, lane] = 0.0
+        registers[STEP, lane] = ready_registers[FIRST_STEP, k]
+        registers[EVALUATIONS, lane] = BEGUN
+        registers[ENTRY, lane] = -1.0
+        registers[LIVE, lane], registers[MEMBER, lane] = 1.0, member
+        registers[NEXT_TIME, lane] = batch.times[0] if batch.times.shape[0] else np.inf
+        while registers[NEXT_TIME, lane] <= 0.0:
+            report_state(run, batch, space, lane, Y)
         return True
 
 
-def write(run: Run, batch: Batch, room: Room, lane: int, row: int) -> None:
-    """Write the state of a row down as that at the next time of a lane."""
-    own = room.own
-    j, count = int(own[NEXT, lane]), batch.times.shape[0]
-    out = batch.y[int(own[MEMBER, lane]), j]
+def report_state(run: Run, batch: Batch, space: Workspace, lane: int, row: int) -> None:
+    """Store the state in a row as that at the next report time of a lane."""
+    registers = space.registers
+    j, count = int(registers[NEXT, lane]), batch.times.shape[0]
+    out = batch.y[int(registers[MEMBER, lane]), j]
     for i in range(run.n):
-        out[i] = room.work[row, i * WIDTH + lane]
+        out[i] = space.work[row, i * WIDTH + lane]
     unit_alone(out, run.quaternion)
-    own[NEXT, lane] = j + 1
-    own[NEXT_TIME, lane] = batch.times[j + 1] if j + 1 < count else np.inf
+    registers[NEXT, lane] = j + 1
+    registers[NEXT_TIME, lane] = batch.times[j + 1] if j + 1 < count else np.inf
 
 
-def culprit(run: Run, work: Array, lane: int) -> int:
-    """Return the entry that was the first not to be finite in a trial step, −1 for none."""
+def non_finite_entry(run: Run, work: Array, lane: int) -> int:
+    """Return the entry that first became non-finite in a trial step of a lane, −1 for none."""
     for k in range(STAGES + 2):
         row = BEGIN_RATE
         if 0 < k < STAGES:
@@ -179,93 +252,102 @@ def culprit(run: Run, work: Array, lane: int) -> int:
     return -1
 
 
-# --- the loop ------------------------------------------------------------------------------
+@compiled
+def leave_lane(run: Run, batch: Batch, registers: Array, lane: int) -> None:
+    """Store the outcome of the member in a lane."""
+    outcome = batch.outcomes[int(registers[MEMBER, lane])]
+    outcome.t, outcome.entry = registers[TIME, lane], int(registers[ENTRY, lane])
+    outcome.steps, outcome.rejected = int(registers[STEPS, lane]), int(registers[REJECTED, lane])
+    outcome.evaluations = int(registers[EVALUATIONS, lane])
+    if registers[TIME, lane] >= run.t_end:
+        outcome.status = DONE
+    elif registers[STEPS, lane] + registers[REJECTED, lane] >= run.max_steps:
+        outcome.status = TOO_MANY
+    else:
+        outcome.status = NOT_FINITE if outcome.entry >= 0 else UNDERFLOW
 
 
-def lane_members(
-    batch: Batch, unbegun: Runs, queue: NDArray[np.int64], room: Room, most: int
+# --- the loop -----------------------------------------------------------------------------------
+
+
+def run_members(
+    batch: Batch, initial_run: Runs, queue: NDArray[np.int64], space: Workspace, most: int
 ) -> None:
-    """Run members of the queue until it is empty, or batch.stop is not zero.
+    """Integrate members of the queue until it is empty or batch.stop is not zero.
 
-    unbegun: registers of a run that has not begun.  most: how many to take from the queue at once.
+    Args:
+        batch: Members, and the arrays of their results.
+        initial_run: Registers of a run before its first step.
+        queue: Number of members taken so far, (1,); all threads share it.
+        space: Workspace of this thread.
+        most: Largest number of members to take from the queue at once.
     """
-    run: Run = unbegun[0]
-    work, own, params, times = room.work, room.own, room.params, batch.times
-    room.ready_own[COUNT, 0] = room.ready_own[USED, 0] = 0.0
+    run: Run = initial_run[0]
+    work, registers, params, times = space.work, space.registers, space.params, batch.times
+    space.ready_registers[COUNT, 0] = space.ready_registers[USED, 0] = 0.0
     live = 0
     for lane in range(WIDTH):
-        live += enter(run, batch, queue, room, lane, most)
+        live += enter_lane(run, batch, queue, space, lane, most)
     while live > 0 and batch.stop[0] == 0:
-        t, planned = get(own, TIME, 0), get(own, STEP, 0)
+        t, planned = get(registers, TIME, 0), get(registers, STEP, 0)
         t_new = choose(t + 1.01 * planned >= run.t_end, run.t_end, t + planned)
-        t_new = choose(get(own, LIVE, 0) == 1.0, t_new, 0.0)
+        t_new = choose(get(registers, LIVE, 0) == 1.0, t_new, 0.0)
         h = t_new - t
         fill_step(run.address, params, work, h)
         fill_errors(run.address, params, work, same(1.0))
         error = estimate(run, work, h)
         fill_end(run.address, params, work, h)
         small = error <= 1.0
-        taken = small & finite(run, work, END_RATE)
-        counted = get(own, EVALUATIONS, 0) + choose(small, AT_STEP + AT_END, AT_STEP)
-        next_time = get(own, NEXT_TIME, 0)
-        inside = taken & (next_time < t_new)
+        accepted = small & is_finite(run, work, END_RATE)
+        counted = get(registers, EVALUATIONS, 0) + choose(small, AT_STEP + AT_END, AT_STEP)
+        next_time = get(registers, NEXT_TIME, 0)
+        inside = accepted & (next_time < t_new)
         if bits(inside) != 0:
             fill_dense(run.address, params, work, h)
-            prepare(run, work, h)
+            fill_hermite(run, work, h)
             counted = choose(inside, counted + AT_DENSE, counted)
             due = bits(inside)
             while due != 0:
-                between(run, work, (next_time - t) / h, OUT)
+                x = (next_time - t) / h
+                for i in range(run.n):
+                    put(work, OUT, i, dense_value(work, i, x))
                 for lane in range(WIDTH):
                     if (due >> lane) & 1:
-                        write(run, batch, room, lane, OUT)
-                next_time = get(own, NEXT_TIME, 0)
-                due = bits(taken & (next_time < t_new))
-        due = bits(taken & (next_time <= t_new))
+                        report_state(run, batch, space, lane, OUT)
+                next_time = get(registers, NEXT_TIME, 0)
+                due = bits(accepted & (next_time < t_new))
+        due = bits(accepted & (next_time <= t_new))
         for lane in range(WIDTH if due else 0):
             if (due >> lane) & 1:
-                shown = int(own[NEXT, lane])
-                end = times[shown]
-                while own[NEXT_TIME, lane] <= end:
-                    write(run, batch, room, lane, NEW)
-        odd = bits(~taken & ~((error > 1.0) & (error < np.inf)))
-        for lane in range(WIDTH if odd else 0):
-            if (odd >> lane) & 1:
-                own[ENTRY, lane] = culprit(run, work, lane)
-        accept(run, work, taken)
-        again = get(own, AGAIN, 0) == 1.0
-        step = next_step(error, h, taken, again, run.max_step)
-        put(own, ENTRY, 0, choose(taken & ~again, -1.0, get(own, ENTRY, 0)))
-        t = choose(taken, t_new, t)
-        steps = get(own, STEPS, 0) + choose(taken, 1.0, 0.0)
-        rejected = get(own, REJECTED, 0) + choose(taken, 0.0, 1.0)
-        put(own, TIME, 0, t)
-        put(own, STEP, 0, step)
-        put(own, AGAIN, 0, choose(taken, 0.0, same(1.0)))
-        put(own, STEPS, 0, steps)
-        put(own, REJECTED, 0, rejected)
-        put(own, EVALUATIONS, 0, counted)
+                end = times[int(registers[NEXT, lane])]
+                while registers[NEXT_TIME, lane] <= end:
+                    report_state(run, batch, space, lane, NEW)
+        non_finite = bits(~accepted & ~((error > 1.0) & (error < np.inf)))
+        for lane in range(WIDTH if non_finite else 0):
+            if (non_finite >> lane) & 1:
+                registers[ENTRY, lane] = non_finite_entry(run, work, lane)
+        accept_steps(run, work, accepted)
+        again = get(registers, AGAIN, 0) == 1.0
+        step = next_step(error, h, accepted, again, run.max_step)
+        put(registers, ENTRY, 0, choose(accepted & ~again, -1.0, get(registers, ENTRY, 0)))
+        t = choose(accepted, t_new, t)
+        steps = get(registers, STEPS, 0) + choose(accepted, 1.0, 0.0)
+        rejected = get(registers, REJECTED, 0) + choose(accepted, 0.0, 1.0)
+        put(registers, TIME, 0, t)
+        put(registers, STEP, 0, step)
+        put(registers, AGAIN, 0, choose(accepted, 0.0, same(1.0)))
+        put(registers, STEPS, 0, steps)
+        put(registers, REJECTED, 0, rejected)
+        put(registers, EVALUATIONS, 0, counted)
         spent = steps + rejected >= float(run.max_steps)
-        over = bits(
-            (get(own, LIVE, 0) == 1.0) & ((t >= run.t_end) | spent | (0.1 * step <= _EPS * t))
-        )
+        stopped = (t >= run.t_end) | spent | (0.1 * step <= _EPS * t)
+        over = bits((get(registers, LIVE, 0) == 1.0) & stopped)
         for lane in range(WIDTH if over else 0):
             if (over >> lane) & 1:
-                leave(run, batch, own, lane)
+                leave_lane(run, batch, registers, lane)
                 live -= 1
-                live += enter(run, batch, queue, room, lane, most)
+                live += enter_lane(run, batch, queue, space, lane, most)
 
 
-@compiled
-def leave(run: Run, batch: Batch, own: Array, lane: int) -> None:
-    """Write down what became of the member in a lane."""
-    end = batch.outcomes[int(own[MEMBER, lane])]
-    end.t, end.entry = own[TIME, lane], int(own[ENTRY, lane])
-    end.steps, end.rejected = int(own[STEPS, lane]), int(own[REJECTED, lane])
-    end.evaluations = int(own[EVALUATIONS, lane])
-    if own[TIME, lane] >= run.t_end:
-        end.status = DONE
-    elif own[STEPS, lane] + own[REJECTED, lane] >= run.max_steps:
-        end.status = TOO_MANY
-    else:
-        end.status = NOT_FINITE if end.entry >= 0 else UNDERFLOW
+INLINED = (normalise, is_finite, accept_steps, next_step, report_state)
+COMPILED = (prepare_members, non_finite_entry, enter_lane, run_members)

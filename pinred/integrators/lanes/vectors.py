@@ -1,8 +1,8 @@
-"""Vectors in compiled code: a number of each lane, and truth values of each, in one register.
+"""Vectors and masks in compiled code: one number, or one truth value, per SIMD lane.
 
-What is written with them is written once for all lanes: `a + b`, `a <= b`, `sqrt(a)`, `choose`.
-Every operation gives in a lane what that lane holds alone, so that lanes know nothing of each
-other.  Rows hold lane j of entry i at i width + j, as kernels take it that evaluate many states.
+Expressions such as `a + b`, `a <= b`, `sqrt(a)` and `choose` apply to all lanes at once. The
+result in a lane depends on the operands in that lane only. A row stores the value of entry i in
+lane j as number i·width + j. Kernels that evaluate several states at once use the same layout.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import operator
 from collections.abc import Callable
 from functools import cache, partial
 from math import sqrt
-from types import SimpleNamespace
 from typing import Any
 
 from llvmlite import ir
@@ -20,8 +19,9 @@ from numba.core import cgutils, types
 from numba.core.typing import templates
 
 from ..stepping.compiling import make_intrinsic
+from ..stepping.vector_rows import VectorRows, splat
 
-# numba says nothing of the types of these.
+# numba has no type hints for these functions.
 signature: Any = templates.signature
 infer_global: Any = templates.infer_global
 lower_builtin: Any = extending.lower_builtin
@@ -33,7 +33,11 @@ _DOUBLE, _BIT, _INT32 = ir.DoubleType(), ir.IntType(1), ir.IntType(32)
 
 
 class Vector(types.Type):
-    """A float64 in each lane, to numba."""
+    """Numba type of a float64 per lane.
+
+    Attributes:
+        width: Number of lanes.
+    """
 
     def __init__(self, width: int) -> None:
         """Take the number of lanes."""
@@ -42,7 +46,11 @@ class Vector(types.Type):
 
 
 class Mask(types.Type):
-    """A truth value in each lane, to numba."""
+    """Numba type of a truth value per lane.
+
+    Attributes:
+        width: Number of lanes.
+    """
 
     def __init__(self, width: int) -> None:
         """Take the number of lanes."""
@@ -65,57 +73,58 @@ class _MaskModel(extending.models.PrimitiveModel):
 # --- operators -----------------------------------------------------------------------------
 
 
-def splatted(builder: Any, value: Any, width: int) -> Any:
-    """Return a number in all lanes."""
-    kind = ir.VectorType(value.type, width)
-    none = ir.Constant(kind, ir.Undefined)
-    one = builder.insert_element(none, value, _INT32(0))
-    zeros = ir.Constant(ir.VectorType(_INT32, width), [0] * width)
-    return builder.shuffle_vector(one, none, zeros)
-
-
-def _in_lanes(builder: Any, kinds: Any, values: Any) -> list[Any]:
-    """Return the vectors among values, and numbers in all lanes."""
-    (width,) = {kind.width for kind in kinds if isinstance(kind, Vector)}
+def _in_lanes(builder: Any, operand_types: Any, values: Any) -> list[Any]:
+    """Return the operands as vectors; numbers are copied to all lanes."""
+    (width,) = {
+        operand_type.width for operand_type in operand_types if isinstance(operand_type, Vector)
+    }
     return [
-        value if isinstance(kind, Vector) else splatted(builder, value, width)
-        for kind, value in zip(kinds, values, strict=True)
+        value if isinstance(operand_type, Vector) else splat(builder, value, width)
+        for operand_type, value in zip(operand_types, values, strict=True)
     ]
 
 
 def _operands(args: Any) -> int:
-    """Return the width of two operands of which one is a vector, 0 for others."""
-    widths = {kind.width for kind in args if isinstance(kind, Vector)}
-    known = all(isinstance(kind, Vector) or kind == types.float64 for kind in args)
-    return widths.pop() if len(args) == 2 and known and len(widths) == 1 else 0
+    """Return the width of two operands of which at least one is a vector, 0 for others."""
+    widths = {operand_type.width for operand_type in args if isinstance(operand_type, Vector)}
+    all_numeric = all(
+        isinstance(operand_type, Vector) or operand_type == types.float64 for operand_type in args
+    )
+    return widths.pop() if len(args) == 2 and all_numeric and len(widths) == 1 else 0
 
 
 def _binary(function: Any, result: type, emit: Callable[[Any, Any, Any], Any]) -> None:
-    """Tell numba an operator on vectors, or on a vector and a number."""
+    """Register an operator on two vectors, or on a vector and a number.
+
+    Args:
+        function: The operator.
+        result: Vector or Mask.
+        emit: Emits the instruction for builder and two vectors.
+    """
 
     class Typed(templates.AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002
+        def generic(self, args: Any, kws: Any) -> Any:
             width = _operands(args)
             return signature(result(width), *args) if width else None
 
     infer_global(function)(Typed)
 
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return emit(builder, *_in_lanes(builder, sig.args, args))
 
-    for kinds in ((Vector, Vector), (Vector, types.Float), (types.Float, Vector)):
-        lower_builtin(function, *kinds)(lowered)
+    for operand_types in ((Vector, Vector), (Vector, types.Float), (types.Float, Vector)):
+        lower_builtin(function, *operand_types)(lowered)
 
 
 def _arithmetic(builder: Any, x: Any, y: Any, name: str) -> Any:
-    return getattr(builder, name)(x, y, flags=_FUSED)
+    return getattr(builder, name)(x, y, flags=FUSED)
 
 
 def _comparison(builder: Any, x: Any, y: Any, sign: str) -> Any:
     return builder.fcmp_ordered(sign, x, y)
 
 
-_FUSED = ("contract",)  # a multiplication and the addition of its product may be one instruction
+FUSED = ("contract",)  # lets a multiplication and an addition become one instruction
 
 for _function, _name in (
     (operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"),
@@ -130,21 +139,27 @@ for _function, _sign in (
     (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="),
     (operator.eq, "=="),
 ):  # fmt: skip
-    # NaN compares as false.
+    # Comparisons with NaN are false.
     _binary(_function, Mask, partial(_comparison, sign=_sign))
 
 
 def _logical(function: Any, count: int, emit: Callable[..., Any]) -> None:
-    """Tell numba an operator on truth values."""
+    """Register an operator on masks.
+
+    Args:
+        function: The operator.
+        count: Number of operands.
+        emit: Emits the instruction for builder and masks.
+    """
 
     class Typed(templates.AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002
+        def generic(self, args: Any, kws: Any) -> Any:
             fits = len(args) == count and all(isinstance(a, Mask) for a in args)
             return signature(args[0], *args) if fits else None
 
     infer_global(function)(Typed)
 
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return emit(builder, *args)
 
     lower_builtin(function, *[Mask] * count)(lowered)
@@ -156,20 +171,22 @@ _logical(operator.invert, 1, lambda b, x: b.not_(x))
 
 
 def _unary(function: Any, name: str) -> None:
-    """Tell numba a function of one vector that LLVM has."""
+    """Register a function of one vector as an LLVM intrinsic."""
 
     class Typed(templates.AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:  # noqa: ARG002
+        def generic(self, args: Any, kws: Any) -> Any:
             fits = len(args) == 1 and isinstance(args[0], Vector)
             return signature(args[0], args[0]) if fits else None
 
     infer_global(function)(Typed)
 
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-        kind = args[0].type
-        whole = f"{name}.v{kind.count}f64"
-        called = insert_function(builder.module, ir.FunctionType(kind, [kind]), whole)
-        return builder.call(called, args)
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        vector_type = args[0].type
+        full_name = f"{name}.v{vector_type.count}f64"
+        callee = insert_function(
+            builder.module, ir.FunctionType(vector_type, [vector_type]), full_name
+        )
+        return builder.call(callee, args)
 
     lower_builtin(function, Vector)(lowered)
 
@@ -182,26 +199,28 @@ _unary(abs, "llvm.fabs")
 
 
 @make_intrinsic
-def choose(typing: Any, mask: Any, yes: Any, no: Any) -> Any:  # noqa: ARG001
-    """Return `yes` in the lanes where the mask is true, `no` in the others; numbers or vectors."""
+def choose(typing: Any, mask: Any, yes: Any, no: Any) -> Any:
+    """Return `yes` in the lanes where the mask is true, else `no`; both are numbers or vectors."""
     number, width = types.float64, mask.width
-    kinds = [types.float64 if kind == number else Vector(width) for kind in (yes, no)]
+    branch_types = [
+        types.float64 if branch_type == number else Vector(width) for branch_type in (yes, no)
+    ]
 
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-        both = [
-            value if isinstance(kind, Vector) else splatted(builder, value, width)
-            for kind, value in zip(sig.args[1:], args[1:], strict=True)
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        branches = [
+            value if isinstance(branch_type, Vector) else splat(builder, value, width)
+            for branch_type, value in zip(sig.args[1:], args[1:], strict=True)
         ]
-        return builder.select(args[0], *both)
+        return builder.select(args[0], *branches)
 
-    return Vector(width)(mask, *kinds), generate
+    return Vector(width)(mask, *branch_types), generate
 
 
 @make_intrinsic
-def bits(typing: Any, mask: Any) -> Any:  # noqa: ARG001
-    """Return the truth values as a whole number, lane 0 in its lowest bit; 0 if none is true."""
+def bits(typing: Any, mask: Any) -> Any:
+    """Return the mask as an integer with lane 0 in its lowest bit."""
 
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         packed = builder.bitcast(args[0], ir.IntType(mask.width))
         return builder.zext(packed, ir.IntType(64))
 
@@ -209,27 +228,24 @@ def bits(typing: Any, mask: Any) -> Any:  # noqa: ARG001
 
 
 @make_intrinsic
-def power(typing: Any, base: Any, exponent: Any) -> Any:  # noqa: ARG001
-    """Return a power of each lane, one after another."""
+def power(typing: Any, base: Any, exponent: Any) -> Any:
+    """Return a power of the number in each lane."""
 
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-        called = builder.module.declare_intrinsic("llvm.pow", [_DOUBLE])
-        out = ir.Constant(args[0].type, ir.Undefined)
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        callee = builder.module.declare_intrinsic("llvm.pow", [_DOUBLE])
+        result = ir.Constant(args[0].type, ir.Undefined)
         for lane in range(base.width):
-            at = _INT32(lane)
-            value = builder.call(called, [builder.extract_element(args[0], at), args[1]])
-            out = builder.insert_element(out, value, at)
-        return out
+            position = _INT32(lane)
+            value = builder.call(callee, [builder.extract_element(args[0], position), args[1]])
+            result = builder.insert_element(result, value, position)
+        return result
 
     return base(base, types.float64), generate
 
 
 @make_intrinsic
-def take(typing: Any, counter: Any, count: Any) -> Any:  # noqa: ARG001
-    """Add `count` to the number in counter (1,), int64, and return what it was.
-
-    No two threads get the same.
-    """
+def fetch_and_add(typing: Any, counter: Any, count: Any) -> Any:
+    """Add `count` to the int64 in counter (1,) and return its previous value, atomically."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         array = context.make_array(sig.args[0])(context, builder, args[0])
@@ -239,45 +255,35 @@ def take(typing: Any, counter: Any, count: Any) -> Any:  # noqa: ARG001
 
 
 @cache
-def of_width(width: int) -> SimpleNamespace:
-    """Return the functions that depend on how many lanes there are.
+def functions_of_width(width: int) -> dict[str, Any]:
+    """Return the functions that depend on the number of lanes, see explicit/step_formulas.py.
 
-    same(number): it in all lanes.  get(rows, row, i), put(rows, row, i, vector): entry i of a row
-    of rows (R, n width), contiguous.
+    same(number), get(rows, row, i) and put(rows, row, i, vector) use rows (R, n width).
     """
     vector = Vector(width)
 
     @make_intrinsic
-    def same(typing: Any, number: Any) -> Any:  # noqa: ARG001
-        def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:  # noqa: ARG001
-            return splatted(builder, args[0], width)
+    def same(typing: Any, number: Any) -> Any:
+        def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            return splat(builder, args[0], width)
 
         return vector(types.float64), generate
 
     @make_intrinsic
-    def get(typing: Any, rows: Any, row: Any, i: Any) -> Any:  # noqa: ARG001
+    def get(typing: Any, rows: Any, row: Any, i: Any) -> Any:
         def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            return builder.load(_place(context, builder, sig.args[0], args, width), align=8)
+            work = VectorRows(context, builder, sig.args[0], args[0], width)
+            return work.load(args[1], builder.mul(args[2], args[2].type(width)))
 
         return vector(rows, types.int64, types.int64), generate
 
     @make_intrinsic
-    def put(typing: Any, rows: Any, row: Any, i: Any, value: Any) -> Any:  # noqa: ARG001
+    def put(typing: Any, rows: Any, row: Any, i: Any, value: Any) -> Any:
         def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            place = _place(context, builder, sig.args[0], args, width)
-            builder.store(args[3], place, align=8)
+            work = VectorRows(context, builder, sig.args[0], args[0], width)
+            work.store(args[3], args[1], builder.mul(args[2], args[2].type(width)))
             return context.get_dummy_value()
 
         return types.void(rows, types.int64, types.int64, vector), generate
 
-    return SimpleNamespace(same=same, get=get, put=put)
-
-
-def _place(context: Any, builder: Any, kind: Any, args: Any, width: int) -> Any:
-    array = context.make_array(kind)(context, builder, args[0])
-    stride = builder.extract_value(array.shape, 1)
-    entry = builder.mul(args[2], args[2].type(width))
-    index = builder.add(builder.mul(stride, args[1]), entry)
-    return builder.bitcast(
-        builder.gep(array.data, [index]), ir.VectorType(_DOUBLE, width).as_pointer()
-    )
+    return {"same": same, "get": get, "put": put, "choose": choose, "power": power}

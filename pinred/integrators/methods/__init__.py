@@ -1,4 +1,4 @@
-"""The integrators as values, a file each: METHODS has every one that a file here defines."""
+"""The integrators as values, one file each. METHODS contains all that this folder defines."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from .variational import Variational as Variational
 
 
 def _methods() -> dict[str, type[Method]]:
-    """Return the methods that the files beside this one define, by their names."""
-    found: dict[str, type[Method]] = {}
+    """Return the methods that the files of this folder define, by their names."""
+    methods: dict[str, type[Method]] = {}
     for module in iter_modules(__path__):
-        home = import_module(f"{__name__}.{module.name}")
-        for value in vars(home).values():
-            own = isinstance(value, type) and value.__module__ == home.__name__
-            if own and issubclass(value, Method) and not isabstract(value):
-                found[value.__name__] = value
-    return dict(sorted(found.items()))
+        definitions = import_module(f"{__name__}.{module.name}")
+        for value in vars(definitions).values():
+            is_defined_here = isinstance(value, type) and value.__module__ == definitions.__name__
+            if is_defined_here and issubclass(value, Method) and not isabstract(value):
+                methods[value.__name__] = value
+    return dict(sorted(methods.items()))
 
 
 METHODS = _methods()
@@ -39,10 +39,17 @@ METHODS = _methods()
 
 @dataclass(frozen=True)
 class Option:
-    """An option of a method, as lists and files tell it.
+    """An option of a method, as it is listed and read from files.
 
-    kind: "float", "int" or "str".  required: whether there is no default.  among: the words it
-    may be.  least, most: of whole numbers.
+    Attributes:
+        name: Name of the field.
+        kind: "float", "int" or "str".
+        about: Description.
+        required: Whether there is no default.
+        default: Default value, None if required.
+        among: Allowed words.
+        least: Smallest allowed integer.
+        most: Largest allowed integer.
     """
 
     name: str
@@ -56,18 +63,18 @@ class Option:
 
 
 def options_of(kind: type[Method]) -> list[Option]:
-    """Return the options of a method; what a field is about may be said by a base class."""
-    told: dict[str, dict[str, Any]] = {}
+    """Return the options of a method; a base class may define the description of a field."""
+    metadata: dict[str, dict[str, Any]] = {}
     for base in reversed(kind.__mro__):
         for entry in getattr(base, "__dataclass_fields__", {}).values():
-            told.setdefault(entry.name, {}).update(entry.metadata)
+            metadata.setdefault(entry.name, {}).update(entry.metadata)
     return [
         Option(
             entry.name,
             entry.type if isinstance(entry.type, str) else entry.type.__name__,
             required=entry.default is MISSING,
             default=None if entry.default is MISSING else entry.default,
-            **{"about": entry.name, **told[entry.name]},
+            **{"about": entry.name, **metadata[entry.name]},
         )
         for entry in fields(kind)
     ]

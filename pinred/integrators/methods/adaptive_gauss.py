@@ -1,11 +1,10 @@
-"""AdaptiveGauss, as a value: see gauss/adaptive.py."""
+"""AdaptiveGauss as a value; gauss/adaptive.py implements it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from ...common.memo import once_for_all
 from ..gauss.tables import MOST_STAGES, lanes_of
 from ..stepping.run_record import FIXED_POINT
 from .method import ErrorControl
@@ -18,8 +17,16 @@ if TYPE_CHECKING:
 class AdaptiveGauss(ErrorControl):
     """Gauss–Legendre collocation of order 16 with step control, for tight tolerances.
 
-    Only for smooth fields: where a force has a kink or a jump, the error of a step is far above
-    what it is estimated to be.  rtol, atol, max_steps, max_step: as for DOP853.
+    It needs smooth vector fields. Where a force has a kink or a jump, the error of a step is far
+    larger than its estimate.
+
+    State:
+        y, (n,), in any order. The quaternion's four entries are consecutive.
+    Attributes:
+        rtol: Relative tolerance of a step.
+        atol: Absolute tolerance of a step.
+        max_steps: Largest number of trial steps, rejected ones included.
+        max_step: Longest step [s].
     """
 
     rtol: float = 1e-12
@@ -32,17 +39,12 @@ class AdaptiveGauss(ErrorControl):
     dense_order: ClassVar[int] = 2 * MOST_STAGES
 
     def stepper(self) -> Stepper:
-        """Return what runs it."""
-        return _stepper()
+        """Return the compiled stepper."""
+        from ..gauss.adaptive import adaptive_stepper
+
+        return adaptive_stepper(MOST_STAGES)
 
     def registers(self, t_end: float) -> dict[str, float]:
-        """Return the tolerances, and how the stages are evaluated and found."""
+        """Return the registers of tolerances, stages and solver, see Method.registers."""
         solved = {"stages": self.stages, "lanes": self.lanes, "solver": FIXED_POINT}
         return super().registers(t_end) | solved
-
-
-@once_for_all
-def _stepper() -> Stepper:
-    from ..gauss.steppers import adaptive
-
-    return adaptive(MOST_STAGES)

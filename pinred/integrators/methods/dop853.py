@@ -20,8 +20,14 @@ from .method import Explicit
 class DOP853(Explicit):
     """Dormand and Prince's Runge–Kutta method of order 8(5,3), in Hairer's form.
 
-    rtol, atol: the estimated error of a step stays below atol + rtol |y| in the mean.
-    max_steps: of trial steps, the rejected ones included.  max_step: their longest [s].
+    State:
+        y, (n,), in any order. The quaternion's four entries are consecutive.
+    Attributes:
+        rtol: Relative tolerance of a step.
+        atol: Absolute tolerance of a step. The root mean square of the estimated errors, each
+            divided by atol + rtol |y|, stays below 1.
+        max_steps: Largest number of trial steps, rejected ones included.
+        max_step: Longest step [s].
     """
 
     about: ClassVar[str] = "Dormand and Prince's method of order 8"

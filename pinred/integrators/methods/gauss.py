@@ -1,4 +1,4 @@
-"""Gauss, as a value: see gauss/fixed_step.py."""
+"""Gauss as a value; gauss/fixed_step.py implements it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from numbers import Integral
 from typing import TYPE_CHECKING, ClassVar
 
 from ...common.errors import InputError
-from ...common.memo import once_for_all
 from ..gauss.tables import MOST_STAGES, lanes_of
 from ..stepping.run_record import AUTO, FIXED_POINT, NEWTON
 from .method import EqualSteps, option
@@ -15,24 +14,30 @@ from .method import EqualSteps, option
 if TYPE_CHECKING:
     from ..stepping.stepper import Stepper
 
-STAGES_FOUND_BY = {"auto": AUTO, "fixed point": FIXED_POINT, "Newton": NEWTON}
+SOLVERS = {"auto": AUTO, "fixed point": FIXED_POINT, "Newton": NEWTON}
 
 
 @dataclass(frozen=True)
 class Gauss(EqualSteps):
     """Gauss–Legendre collocation with fixed steps: symplectic, symmetric, of even order.
 
-    step: longest step [s]; the end time is met by making all steps equal.  order: 2, 4, …, 16.
-    Angular momenta and Casimirs are kept to round-off, the energy stays near its value for
-    exponentially long times.  solver: how the stages are found, to round-off: "fixed point",
-    "Newton" with the exact Jacobian, or "auto", the first as long as it converges well.
+    It preserves angular momenta and Casimirs to round-off, and the energy stays near its initial
+    value for exponentially long times.
+
+    State:
+        y, (n,), canonical: positions, momenta, then the quaternion as Cayley–Klein lift, if any.
+    Attributes:
+        step: Longest step [s]. All steps are equal, and the last one ends at the end time.
+        order: 2, 4, …, 16.
+        solver: Solver of the stages, to round-off: "fixed point"; "Newton" with the exact Jacobian;
+            or "auto", the fixed point while it converges well.
     """
 
     order: int = field(
         default=6, metadata=option("order, an even number", least=2, most=2 * MOST_STAGES)
     )
     solver: str = field(
-        default="auto", metadata=option("how stages are found", among=tuple(STAGES_FOUND_BY))
+        default="auto", metadata=option("solver of the stages", among=tuple(SOLVERS))
     )
 
     about: ClassVar[str] = "Gauss–Legendre collocation with fixed steps, symplectic"
@@ -41,15 +46,13 @@ class Gauss(EqualSteps):
     def __post_init__(self) -> None:
         super().__post_init__()
         orders = range(2, 2 * MOST_STAGES + 1, 2)
-        whole = isinstance(self.order, Integral) and not isinstance(self.order, bool)
-        if not whole or self.order not in orders:
+        is_integer = isinstance(self.order, Integral) and not isinstance(self.order, bool)
+        if not is_integer or self.order not in orders:
             raise InputError(
                 f"order must be one of {', '.join(map(str, orders))}, got {self.order!r}"
             )
-        if self.solver not in [*STAGES_FOUND_BY]:
-            raise InputError(
-                f"solver must be one of {', '.join(STAGES_FOUND_BY)}, got {self.solver!r}"
-            )
+        if self.solver not in [*SOLVERS]:
+            raise InputError(f"solver must be one of {', '.join(SOLVERS)}, got {self.solver!r}")
 
     @property
     def name(self) -> str:
@@ -58,7 +61,7 @@ class Gauss(EqualSteps):
 
     @property
     def dense_order(self) -> int:
-        """That of the steps: a state between them comes from a shorter one."""
+        """Order of the dense output, that of the steps."""
         return self.order
 
     @property
@@ -72,21 +75,16 @@ class Gauss(EqualSteps):
         return lanes_of(self.stages)
 
     def stepper(self) -> Stepper:
-        """Return what runs it."""
-        return _stepper(self.stages, self.solver == "Newton")
+        """Return the compiled stepper."""
+        from ..gauss.fixed_step import fixed_stepper
+
+        return fixed_stepper(self.stages, needs_tangent=self.solver == "Newton")
 
     def registers(self, t_end: float) -> dict[str, float]:
-        """Return length and number of the steps, and how the stages are evaluated and found."""
+        """Return the registers of step, stages and solver, see Method.registers."""
         solved = {
             "stages": self.stages,
             "lanes": self.lanes,
-            "solver": STAGES_FOUND_BY[self.solver],
+            "solver": SOLVERS[self.solver],
         }
         return super().registers(t_end) | solved
-
-
-@once_for_all
-def _stepper(stages: int, needs_tangent: bool) -> Stepper:
-    from ..gauss.steppers import fixed_step
-
-    return fixed_step(stages, needs_tangent=needs_tangent)

@@ -1,4 +1,4 @@
-"""An integrator as a value: its options are its fields, its claims its attributes."""
+"""Base classes of integrators: fields are options, class attributes state the properties."""
 
 from __future__ import annotations
 
@@ -10,28 +10,36 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from ...common.arrays import positive
 from ...common.defaults import Default
 from ...common.errors import InputError
-from ...common.memo import once_for_all
 
 if TYPE_CHECKING:
     from ..explicit.tableau import Tableau
     from ..stepping.stepper import Stepper
 
-DOP853_LEAST = 2.3e-14  # relative tolerance, ours and SciPy's: below it round-off decides
-MOST_STEPS = 1e12  # of one length; the clock counts them
+DOP853_LEAST = 2.3e-14  # smallest useful relative tolerance, limited by round-off; SciPy's, too
+MOST_STEPS = 1e12  # largest number of equal steps
 
 
 def option(about: str, **more: Any) -> dict[str, Any]:
-    """Return the metadata of a field.  among: the words it may be; least, most: whole numbers."""
+    """Return the metadata of an option's field.
+
+    Args:
+        about: Description.
+        **more: `among`: allowed words; `least`, `most`: limits of an integer.
+    Returns:
+        The metadata.
+    """
     return {"about": about, **more}
 
 
 @dataclass(frozen=True)
 class Method(ABC):
-    """An integrator with its options, numbers and words.
+    """An integrator with its options.
 
-    about: it in a few words.  adaptive: whether an estimated error decides how long steps are.
-    symplectic: whether its map is, on the canonical form.
-    steady_momentum: whether it needs an angular momentum that is constant in space.
+    Attributes:
+        about: Short description.
+        adaptive: Whether an error estimate controls the step lengths.
+        symplectic: Whether its map is symplectic on the canonical form.
+        steady_momentum: Whether it needs an angular momentum that is constant in space.
     """
 
     about: ClassVar[str]
@@ -41,7 +49,7 @@ class Method(ABC):
 
     @property
     def name(self) -> str:
-        """Name, that of its class and perhaps more."""
+        """Name of the method: that of its class, possibly with options."""
         return type(self).__name__
 
     @property
@@ -52,29 +60,43 @@ class Method(ABC):
     @property
     @abstractmethod
     def order(self) -> int:
-        """That of the states at the ends of steps."""
+        """Order of the states at step ends."""
 
     @property
     @abstractmethod
     def dense_order(self) -> int:
-        """That of the states between them."""
+        """Order of the dense output."""
 
     @abstractmethod
     def stepper(self) -> Stepper:
-        """Return what runs it; imports and compiles the machine code when it is first needed."""
+        """Return the compiled stepper; the first call imports and compiles it."""
 
     @abstractmethod
     def registers(self, t_end: float) -> dict[str, float]:
-        """Return what it says of the registers of a run to t_end [s].  Raises InputError."""
+        """Return the registers of a run (see Run) that depend on the options.
+
+        Args:
+            t_end: End time [s].
+        Returns:
+            Values by the names of registers.
+        Raises:
+            InputError: The options do not fit the end time.
+        """
 
 
 @dataclass(frozen=True)
 class ErrorControl(Method):
-    """A method that keeps to a tolerance.
+    """A method that controls the error of its steps.
 
-    rtol, atol: the estimated error of a step stays below atol + rtol |y| in the mean.
-    If neither is given, a Scene gives its own; else, and outside of scenes, defaults hold.
-    max_steps: of trial steps, the rejected ones included.  max_step: their longest [s].
+    If neither tolerance is set, a Scene uses its own defaults, and functions outside of scenes use
+    those of the class.
+
+    Attributes:
+        rtol: Relative tolerance of a step.
+        atol: Absolute tolerance of a step. The root mean square of the estimated errors, each
+            divided by atol + rtol |y|, stays below 1.
+        max_steps: Largest number of trial steps, rejected ones included.
+        max_step: Longest step [s].
     """
 
     rtol: float = field(default=Default(1e-10), metadata=option("relative tolerance of a step"))
@@ -87,7 +109,7 @@ class ErrorControl(Method):
     adaptive: ClassVar[bool] = True
 
     def __init_subclass__(cls) -> None:
-        """Tell the defaults of a method's tolerances from tolerances that are given."""
+        """Mark the default tolerances of a subclass, to distinguish them from users' values."""
         super().__init_subclass__()
         for name in ("rtol", "atol"):
             value = vars(cls).get(name)
@@ -107,7 +129,7 @@ class ErrorControl(Method):
             raise InputError(f"max_steps must be at least 1, got {self.max_steps}")
 
     def registers(self, t_end: float) -> dict[str, float]:  # noqa: ARG002
-        """Return the tolerances and limits."""
+        """Return the tolerances and limits, see Method.registers."""
         return {
             "rtol": self.rtol,
             "atol": self.atol,
@@ -118,9 +140,10 @@ class ErrorControl(Method):
 
 @dataclass(frozen=True)
 class EqualSteps(Method):
-    """A method with steps of one length.
+    """A method with steps of equal length.
 
-    step: longest step [s]; the end time is met by making all steps equal.
+    Attributes:
+        step: Longest step [s]. All steps are equal, and the last one ends at the end time.
     """
 
     step: float = field(metadata=option("longest step [s]"))
@@ -131,33 +154,40 @@ class EqualSteps(Method):
         positive(self.step, "step")
 
     def registers(self, t_end: float) -> dict[str, float]:
-        """Return length and number of the steps."""
+        """Return length and number of the steps, see Method.registers.
+
+        Args:
+            t_end: End time [s].
+        Returns:
+            Values by the names of registers.
+        Raises:
+            InputError: There would be more than MOST_STEPS steps.
+        """
         if not t_end <= MOST_STEPS * self.step:
             raise InputError(
-                f"steps of {self.step:g} s are more than {MOST_STEPS:.0e} in {t_end:g} s, which "
-                "no run comes to the end of: take longer ones"
+                f"step: expected at most {MOST_STEPS:.0e} steps in {t_end:g} s, got steps of "
+                f"{self.step:g} s. Choose a longer step."
             )
-        # The part of a step that round-off adds to the quotient is no step.
+        # Round-off of the quotient must not add a step.
         total = max(1, ceil(t_end / self.step * (1.0 - 1e-12)))
         return {"h": t_end / total, "total": total, "max_steps": total}
 
 
 @dataclass(frozen=True)
 class Explicit(ErrorControl):
-    """An explicit Runge–Kutta method with step control: its tableau is all it takes."""
+    """An explicit Runge–Kutta method with step control, defined by its tableau.
+
+    State:
+        y, (n,), in any order. The quaternion's four entries are consecutive.
+    """
 
     @classmethod
     @abstractmethod
     def tableau(cls) -> Tableau:
-        """Return the numbers of the method, the same object at every call."""
+        """Return the coefficients of the method, the same object at every call."""
 
     def stepper(self) -> Stepper:
-        """Return what runs the tableau."""
-        return _stepper(type(self).__name__, self.order, self.tableau())
+        """Return the compiled stepper."""
+        from ..explicit.runge_kutta import make_stepper
 
-
-@once_for_all
-def _stepper(name: str, order: int, tableau: Tableau) -> Stepper:
-    from ..explicit.runge_kutta import make_stepper
-
-    return make_stepper(name, order, tableau)
+        return make_stepper(type(self).__name__, self.order, self.tableau())

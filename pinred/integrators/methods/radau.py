@@ -1,11 +1,10 @@
-"""Radau, as a value: see radau/radau_iia.py."""
+"""Radau as a value; radau/radau_iia.py implements it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from ...common.memo import once_for_all
 from .method import ErrorControl
 
 if TYPE_CHECKING:
@@ -16,9 +15,17 @@ if TYPE_CHECKING:
 class Radau(ErrorControl):
     """Radau IIA of order 5 with step control, in Hairer and Wanner's form: for stiff systems.
 
-    rtol, atol, max_steps, max_step: as for DOP853.  Where hard springs or strong dampers
-    would keep DOP853 at tiny steps, this goes on in those of the slow motion, damping what it
-    does not resolve; elsewhere it is slower.  Newton's method takes the exact Jacobian.
+    Hard springs or strong dampers force DOP853 to tiny steps. Radau takes steps that resolve the
+    slow motion, and damps faster motions. For other systems it is slower than DOP853. Newton's
+    method uses the exact Jacobian.
+
+    State:
+        y, (n,), in any order. The quaternion's four entries are consecutive.
+    Attributes:
+        rtol: Relative tolerance of a step.
+        atol: Absolute tolerance of a step.
+        max_steps: Largest number of trial steps, rejected ones included.
+        max_step: Longest step [s].
     """
 
     rtol: float = 1e-8
@@ -29,12 +36,7 @@ class Radau(ErrorControl):
     dense_order: ClassVar[int] = 5
 
     def stepper(self) -> Stepper:
-        """Return what runs it."""
-        return _stepper()
+        """Return the compiled stepper."""
+        from ..radau.radau_iia import STEPPER
 
-
-@once_for_all
-def _stepper() -> Stepper:
-    from ..radau.radau_iia import STEPPER
-
-    return STEPPER
+        return STEPPER

@@ -1,11 +1,10 @@
-"""RKMK4, as a value: see explicit/munthe_kaas.py."""
+"""RKMK4 as a value; explicit/munthe_kaas.py implements it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from ...common.memo import once_for_all
 from .method import EqualSteps
 
 if TYPE_CHECKING:
@@ -16,7 +15,10 @@ if TYPE_CHECKING:
 class RKMK4(EqualSteps):
     """Munthe-Kaas's form of the classical RK4: fixed steps that stay on the group.
 
-    step: longest step [s]; the end time is met by making all steps equal.
+    State:
+        y, (n,), in any order. The quaternion's four entries are consecutive.
+    Attributes:
+        step: Longest step [s]. All steps are equal, and the last one ends at the end time.
     """
 
     about: ClassVar[str] = "Munthe-Kaas's form of RK4, with fixed steps"
@@ -24,12 +26,7 @@ class RKMK4(EqualSteps):
     dense_order: ClassVar[int] = 3
 
     def stepper(self) -> Stepper:
-        """Return what runs it."""
-        return _stepper()
+        """Return the compiled stepper."""
+        from ..explicit.munthe_kaas import STEPPER
 
-
-@once_for_all
-def _stepper() -> Stepper:
-    from ..explicit.munthe_kaas import STEPPER
-
-    return STEPPER
+        return STEPPER

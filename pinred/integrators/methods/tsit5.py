@@ -1,8 +1,8 @@
 """Tsitouras's method of order 5(4).
 
 Ch. Tsitouras, Runge–Kutta pairs of order 5(4) satisfying only the first column simplifying
-assumption, Comput. Math. Appl. 62 (2011) 770–775: the pair, and its interpolant of order 4
-that takes no further stage.
+assumption, Comput. Math. Appl. 62 (2011) 770–775, gives the pair and an interpolant of order 4
+that needs no additional stage.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _ERRORS = (
     -0.00178001105222577714, -0.0008164344596567469, 0.007880878010261995, -0.1447110071732629,
     0.5823571654525552, -0.45808210592918697, 1 / 66,
 )  # fmt: skip
-# Of θ⁴ in the interpolant; what goes before follows from its values and slopes at both ends.
+# Coefficients of θ⁴ in the interpolant. Values and derivatives at both ends give the lower terms.
 _DENSE = (
     -1.0530884977290216, 0.1017, 2.490627285651253, -16.548102889244902, 47.37952196281928,
     -34.87065786149661, 2.5,
@@ -46,8 +46,15 @@ _DENSE = (
 class Tsit5(Explicit):
     """Tsitouras's Runge–Kutta method of order 5(4).
 
-    Its states between steps cost nothing.  It is seldom faster than DOP853, at errors of 1e-4.
-    rtol, atol, max_steps, max_step: as for DOP853.
+    Its dense output costs no evaluations. It is rarely faster than DOP853, at errors of 1e-4.
+
+    State:
+        y, (n,), in any order. The quaternion's four entries are consecutive.
+    Attributes:
+        rtol: Relative tolerance of a step.
+        atol: Absolute tolerance of a step.
+        max_steps: Largest number of trial steps, rejected ones included.
+        max_step: Longest step [s].
     """
 
     rtol: float = 1e-6

@@ -1,1 +1,1 @@
-"""Radau IIA of order 5, for stiff systems, with controlled steps."""
+"""Radau IIA of order 5 with step control, for stiff systems."""

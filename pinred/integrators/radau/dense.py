@@ -1,12 +1,12 @@
-"""The record of a step of Radau IIA: its knots, and the states between its ends.
+"""Stored steps and dense output of Radau IIA.
 
-A knot holds the state that a step has left, its quaternion not yet back at length one, and
-after it the stages of the step, so that the states in it follow to the last bit.
+A step end is stored as the state before its quaternion is normalised, followed by the stages of
+the step. Dense output from stored steps is thus equal to the last bit.
 
-The polynomial through the stages is of order 3 only.  What it lacks of ẏ and ÿ at the ends,
-which the exact Jacobian gives, makes it one of order 5.  In stiff directions these say little,
-ẏ magnifies errors by hλ and ÿ by its square, so they go through filters that are 1 − O(h³) in
-others: 1 − (1 − F)³ with F = (1 − hJ/γ)⁻¹, which falls as 1/(hλ), and its square.
+The polynomial through the stages has order 3 only. Corrections from ẏ and ÿ at the ends, which
+the exact Jacobian gives, raise it to order 5. In stiff directions ẏ and ÿ amplify errors by hλ
+and (hλ)². Filters remove these directions and are 1 − O(h³) in others: 1 − (1 − F)³ with
+F = (1 − hJ/γ)⁻¹, which decreases as 1/(hλ), for ẏ, and its square for ÿ.
 """
 
 from __future__ import annotations
@@ -15,118 +15,143 @@ import numpy as np
 from scipy.integrate._ivp import radau as tableau
 
 from ...common.arrays import Array
-from ..stepping.compiling import compiled, woven
+from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call, call_tangent
 from ..stepping.linear_systems import factor, jacobian, solve
 from ..stepping.run_record import DENSE, DONE, Run
 from ..stepping.state_rows import NEW, Y, copy_an_end, unit, unit_alone
 
-# Rows of `work`: the rates at both ends of a step, the stages less the state, what is lacking at
-# the ends, rows to work on, for Newton's method and for the Jacobian.
-RATE, END_RATE, Z, LACK, FREE, PIVOTS, ALONG = 2, 4, 5, 8, 11, 18, 21
+# Rows of `work`: rates at both ends of a step; stages minus the state; corrections at the ends;
+# free rows; rows of Newton's method and of the Jacobian.
+RATE, END_RATE, Z, CORRECTION, FREE, PIVOTS, ALONG = 2, 4, 5, 8, 11, 18, 21
 SLOPES = ALONG + SEEDS
-MATRIX = SLOPES + SEEDS  # the Jacobian, three systems of a step, and one for what is lacking
-KEPT = 4  # numbers at a knot for an entry of the state
+MATRIX = SLOPES + SEEDS  # the Jacobian, three systems of a step, and one of the corrections
+KEPT = 4  # numbers stored at a step end per entry of the state
 
 GAMMA = float(tableau.MU_REAL)
 _C1, _C2 = float(tableau.C[0]), float(tableau.C[1])
-# Derivatives at the ends of the polynomials that are 1 at one stage and 0 at the others and at 0.
+# End derivatives of the Lagrange polynomials of the stages, which vanish at 0.
 _POWERS = np.linalg.inv(np.vander([_C1, _C2, 1.0], 4, increasing=True)[:, 1:])
 _SLOPE, _BEND, _LAST_BEND = _POWERS[0], 2.0 * _POWERS[1], 2.0 * _POWERS[1] + 6.0 * _POWERS[2]
 
 
-@woven
-def keep(run: Run, work: Array, t: float, knots_t: Array, knots_y: Array) -> None:
-    """Do as driver.keep: write down the time, the state that a step has left, and its stages."""
+@inlined
+def store_end(run: Run, work: Array, t: float, end_times: Array, end_states: Array) -> None:
+    """Implement the hook `store_end`: store time, state and stages."""
     if run.keep:
         n, k = run.n, run.steps
         row = NEW if run.begun else Y
-        knots_t[k] = t
+        end_times[k] = t
         for i in range(n):
-            knots_y[k, i] = work[row, i]
+            end_states[k, i] = work[row, i]
             for j in range(3):
-                knots_y[k, (j + 1) * n + i] = work[Z + j, i]
+                end_states[k, (j + 1) * n + i] = work[Z + j, i]
 
 
-@woven
-def load(run: Run, params: Array, work: Array, t_new: float, knots_y: Array, k: int) -> None:  # noqa: ARG001
-    """Do as driver.load: with the stages, which the knot at the end has."""
+@inlined
+def load_step(
+    run: Run,
+    params: Array,
+    work: Array,
+    t_new: float,  # noqa: ARG001
+    end_states: Array,
+    k: int,
+) -> None:
+    """Implement the hook `load_step`, with the stages from the step end."""
     for i in range(run.n):
         for row in range(3):
-            work[Z + row, i] = knots_y[k + 1, (row + 1) * run.n + i]
+            work[Z + row, i] = end_states[k + 1, (row + 1) * run.n + i]
     call(run.address, work[Y], params, work[RATE])
     call(run.address, work[NEW], params, work[END_RATE])
     unit(work[Y], work[RATE], run.quaternion)
 
 
-@woven
-def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Do as driver.state."""
+@inlined
+def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
+    """Implement the hook `write_state`."""
     if not copy_an_end(run, work, time, t_new, out):
         if run.known < DENSE:
             run.known = DENSE
-            _complete(run, params, work, t_new - run.t)
+            _fill_corrections(run, params, work, t_new - run.t)
         x = (time - run.t) / (t_new - run.t)
         y = 1.0 - x
-        slope, bend, last = x * y**3 * (1.0 + 3.0 * x), 0.5 * x * x * y**3, 0.5 * x**3 * y * y
+        by_slope, by_bend, by_last = (
+            x * y**3 * (1.0 + 3.0 * x),
+            0.5 * x * x * y**3,
+            0.5 * x**3 * y * y,
+        )
         for i in range(run.n):
-            lack = slope * work[LACK, i] + bend * work[LACK + 1, i] + last * work[LACK + 2, i]
-            through = between(work[Z, i], work[Z + 1, i], work[Z + 2, i], x)
-            out[i] = work[Y, i] + (through + lack)
+            correction = (
+                by_slope * work[CORRECTION, i]
+                + by_bend * work[CORRECTION + 1, i]
+                + by_last * work[CORRECTION + 2, i]
+            )
+            polynomial = stage_polynomial(work[Z, i], work[Z + 1, i], work[Z + 2, i], x)
+            out[i] = work[Y, i] + (polynomial + correction)
     unit_alone(out, run.quaternion)
     return DONE
 
 
 @compiled
-def _complete(run: Run, params: Array, work: Array, h: float) -> None:
-    """Fill the rows of what the stages' polynomial lacks: hẏ at the begin, h²ÿ at both ends."""
+def _fill_corrections(run: Run, params: Array, work: Array, h: float) -> None:
+    """Fill the corrections of the stage polynomial: hẏ at the start, h²ÿ at both ends."""
     n, system, pivots = run.n, MATRIX + 4 * run.n, work[PIVOTS + 2]
     seeds, slopes = work[ALONG:SLOPES], work[SLOPES:MATRIX]
-    along, bent = seeds.reshape(-1), slopes.reshape(-1)
-    along[: n * SEEDS] = 0.0
+    directions, second_derivatives = seeds.reshape(-1), slopes.reshape(-1)
+    directions[: n * SEEDS] = 0.0
     for i in range(n):
-        along[i * SEEDS] = work[END_RATE, i]
-    call_tangent(run.tangent, work[NEW], params, along, bent)
+        directions[i * SEEDS] = work[END_RATE, i]
+    call_tangent(run.tangent, work[NEW], params, directions, second_derivatives)
     for i in range(n):
-        work[LACK + 2, i] = h * h * bent[i * SEEDS]
+        work[CORRECTION + 2, i] = h * h * second_derivatives[i * SEEDS]
     jacobian(run.tangent, work[Y], params, seeds, slopes, work, MATRIX, n)
     run.evaluations += 1 + (n + SEEDS - 1) // SEEDS
     for i in range(n):
-        bend = 0.0
+        second_derivative = 0.0
         for j in range(n):
-            bend += work[MATRIX + i, j] * work[RATE, j]
+            second_derivative += work[MATRIX + i, j] * work[RATE, j]
             work[system + i, j] = -h / GAMMA * work[MATRIX + i, j]
         work[system + i, i] += 1.0
         a, b, c = work[Z, i], work[Z + 1, i], work[Z + 2, i]
-        work[LACK, i] = h * work[RATE, i] - (_SLOPE[0] * a + _SLOPE[1] * b + _SLOPE[2] * c)
-        work[LACK + 1, i] = h * h * bend - (_BEND[0] * a + _BEND[1] * b + _BEND[2] * c)
-        work[LACK + 2, i] -= _LAST_BEND[0] * a + _LAST_BEND[1] * b + _LAST_BEND[2] * c
+        work[CORRECTION, i] = h * work[RATE, i] - (_SLOPE[0] * a + _SLOPE[1] * b + _SLOPE[2] * c)
+        work[CORRECTION + 1, i] = h * h * second_derivative - (
+            _BEND[0] * a + _BEND[1] * b + _BEND[2] * c
+        )
+        work[CORRECTION + 2, i] -= _LAST_BEND[0] * a + _LAST_BEND[1] * b + _LAST_BEND[2] * c
     if factor(work, system, n, pivots):
         for row in range(3):
-            _filter(work, system, n, pivots, work[LACK + row])
+            _filter(work, system, n, pivots, work[CORRECTION + row])
             if row > 0:
-                _filter(work, system, n, pivots, work[LACK + row])
+                _filter(work, system, n, pivots, work[CORRECTION + row])
     else:
-        work[LACK : LACK + 3, :n] = 0.0
+        work[CORRECTION : CORRECTION + 3, :n] = 0.0
 
 
 @compiled
 def _filter(work: Array, system: int, n: int, pivots: Array, v: Array) -> None:
-    """Replace v by (1 − (1 − F)³) v = 3 F v − 3 F² v + F³ v."""
-    once, total = work[FREE], work[FREE + 1]
+    """Replace v by (1 − (1 − F)³) v = 3 F v − 3 F² v + F³ v.
+
+    Args:
+        work: Work rows.
+        system: First row of the factored system 1/F.
+        n: Entries of the state.
+        pivots: Its pivots.
+        v: Vector, (n,), changed in place.
+    """
+    power, total = work[FREE], work[FREE + 1]
     for i in range(n):
-        once[i], total[i] = v[i], 0.0
+        power[i], total[i] = v[i], 0.0
     for weight in (3.0, -3.0, 1.0):
-        solve(work, system, n, pivots, once)
+        solve(work, system, n, pivots, power)
         for i in range(n):
-            total[i] += weight * once[i]
+            total[i] += weight * power[i]
     for i in range(n):
         v[i] = total[i]
 
 
 @compiled
-def between(a: float, b: float, c: float, x: float) -> float:
-    """Return the polynomial through 0 at 0 and the stages a, b, c of a step, at its part x."""
+def stage_polynomial(a: float, b: float, c: float, x: float) -> float:
+    """Return the polynomial through 0 at 0 and the stages a, b, c, at fraction x of a step."""
     first = a * (x - _C2) * (x - 1.0) / (_C1 * (_C1 - _C2) * (_C1 - 1.0))
     second = b * (x - _C1) * (x - 1.0) / (_C2 * (_C2 - _C1) * (_C2 - 1.0))
     return x * (first + second + c * (x - _C1) * (x - _C2) / ((1.0 - _C1) * (1.0 - _C2)))

@@ -1,9 +1,9 @@
-"""Radau IIA of order 5 over a kernel and its derivative: for hard springs and strong dampers.
+"""Radau IIA of order 5 over a kernel and its derivative, for hard springs and strong dampers.
 
 E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 2nd ed., Springer 1996,
-section IV.8, and Hairer's code radau5.f, whose step control and constants are used here.  The
-coefficients are SciPy's copy.  The Jacobian is exact and cheap beside its factors, so that it
-is new whenever these are.
+section IV.8, and Hairer's code radau5.f, with its step control and constants. The coefficients
+are SciPy's copy. The exact Jacobian is cheap compared to its factors, so it is recomputed
+whenever these are.
 """
 
 from __future__ import annotations
@@ -14,16 +14,17 @@ import numpy as np
 from scipy.integrate._ivp import radau as tableau
 
 from ...common.arrays import Array
-from ..stepping.compiling import compiled, woven
+from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import SEEDS, call
 from ..stepping.linear_systems import factor, factor_complex, jacobian, solve, solve_complex
-from ..stepping.run_record import AGAIN, DONE, NOT_FINITE, Run
+from ..stepping.run_record import DONE, NOT_FINITE, Run
 from ..stepping.state_rows import (
     NEW,
-    TURN,
     Y,
+    entry_size,
     first_not_finite,
-    in_quaternion,
+    first_step_by_rate,
+    reject_step,
     unit,
 )
 from ..stepping.step_loop import Hooks, loops
@@ -38,15 +39,15 @@ from .dense import (
     RATE,
     SLOPES,
     Z,
-    between,
-    keep,
-    load,
-    state,
+    load_step,
+    stage_polynomial,
+    store_end,
+    write_state,
 )
 
-# Rows of `work` besides those of dense.py.  W: stages in the coordinates in which the
-# matrix of the method is diagonal; F: rates at the stages, then what is solved; OLD: Z of the
-# step before.
+# Rows of `work` besides those of dense.py. W: stages in the coordinates that diagonalise the matrix
+# of the method. F: stage rates, then right-hand sides and solutions. OLD: Z of the previous step.
+# MISS: error estimate.
 SCALE, STAGE, W, F, OLD, MISS = 3, END_RATE, 8, 11, 14, 17
 
 _C1, _C2 = float(tableau.C[0]), float(tableau.C[1])
@@ -55,47 +56,47 @@ _E1, _E2, _E3 = (float(e) for e in tableau.E)
 _ALPHA, _BETA = float(tableau.MU_COMPLEX.real), float(tableau.MU_COMPLEX.imag)
 _EPS = float(np.finfo(float).eps)
 
-_MOST = 7  # turns of Newton's method
+_MOST = 7  # iterations of Newton's method
 _SAFETY, _SHRINK, _GROW, _CRASH, _HALF = 0.9, 0.2, 8.0, 0.1, 0.5
-_FAST = 1e-2  # contraction that lets the factors serve for the next step, too
-_SAME = 1.2  # a step that might be so much longer keeps its length, and the factors
+_FAST = 1e-2  # contraction below which the next step uses the same factors
+_SAME = 1.2  # growth below which the next step has the same length, to reuse the factors
 
 
-@woven
-def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:
-    """Do as driver.begin."""
-    keep(run, work, 0.0, knots_t, knots_y)
+@inlined
+def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
+    """Implement the hook `begin_run`."""
+    store_end(run, work, 0.0, end_times, end_states)
     call(run.address, work[Y], params, work[RATE])
     run.evaluations += 1
     unit(work[Y], work[RATE], run.quaternion)
     run.entry = first_not_finite(work[RATE], run.n)
     if run.entry >= 0:
         return NOT_FINITE
-    run.h, run.convergence = _first_step(run, work), 1.0
+    run.h, run.convergence = first_step_by_rate(run, work[Y], work[RATE], 1, 0.01), 1.0
     return DONE
 
 
-@woven
-def until(run: Run) -> float:
-    """Do as driver.until."""
+@inlined
+def next_end_time(run: Run) -> float:
+    """Implement the hook `next_end_time`."""
     return run.t_end if run.t + 1.0001 * run.h >= run.t_end else run.t + run.h
 
 
-@woven
-def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
-    """Do as driver.attempt."""
+@inlined
+def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
+    """Implement the hook `attempt_step`."""
     n, h = run.n, t_new - run.t
     if abs(h - run.factored) > 1e-9 * h:
-        run.pause -= n * n // 8  # of evaluations, which factors cost
+        run.pause -= n * n // 8  # evaluations that cost as much as the factors
         if not _prepare(run, params, work, h):
-            return reject(run, h * _HALF)
-    turns = _newton(run, params, work, h)
-    if turns == 0:
-        return reject(run, h * (_CRASH if run.entry >= 0 else run.cut))
+            return reject_step(run, h * _HALF)
+    iterations = _newton(run, params, work, h)
+    if iterations == 0:
+        return reject_step(run, h * (_CRASH if run.entry >= 0 else run.cut))
     run.error = _error(run, params, work, h)
-    # Fewer turns of Newton's method: more trust in the error.
-    trust = min(_SAFETY, _SAFETY * (1 + 2 * _MOST) / (turns + 2 * _MOST))
-    run.quotient = min(1.0 / _SHRINK, max(1.0 / _GROW, sqrt(sqrt(run.error)) / trust))
+    # The safety factor is larger if Newton's method converged quickly.
+    safety = min(_SAFETY, _SAFETY * (1 + 2 * _MOST) / (iterations + 2 * _MOST))
+    run.quotient = min(1.0 / _SHRINK, max(1.0 / _GROW, sqrt(sqrt(run.error)) / safety))
     if run.error < 1.0:
         call(run.address, work[NEW], params, work[STAGE])
         run.evaluations += 1
@@ -103,24 +104,15 @@ def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
         if entry < 0:
             return DONE
         run.entry = entry
-        return reject(run, h * _CRASH)
+        return reject_step(run, h * _CRASH)
     if run.error < np.inf and run.steps > 0:
-        return reject(run, h / run.quotient)
-    return reject(run, h * _CRASH)
+        return reject_step(run, h / run.quotient)
+    return reject_step(run, h * _CRASH)
 
 
-@woven
-def reject(run: Run, h: float) -> int:
-    """Try again with a shorter step."""
-    run.rejected += 1
-    run.again = 1
-    run.h, run.factored = h, 0.0
-    return AGAIN
-
-
-@woven
-def accept(run: Run, work: Array, t_new: float) -> None:
-    """Do as driver.accept."""
+@inlined
+def accept_step(run: Run, work: Array, t_new: float) -> None:
+    """Implement the hook `accept_step`."""
     h, quotient = t_new - run.t, run.quotient
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
@@ -137,7 +129,7 @@ def accept(run: Run, work: Array, t_new: float) -> None:
     if run.again:
         new = min(new, h)
     else:
-        run.entry = -1  # clear of what was not finite
+        run.entry = -1  # the run has left the place where an entry was not finite
     run.again, run.fresh = 0, 0
     if run.contraction <= _FAST and h <= new <= _SAME * h:
         new = h
@@ -148,9 +140,9 @@ def accept(run: Run, work: Array, t_new: float) -> None:
 
 @compiled
 def _prepare(run: Run, params: Array, work: Array, h: float) -> bool:
-    """Factor the two systems of a step h; return whether that was possible."""
+    """Factor the two systems of a step h; return whether both are regular."""
     n = run.n
-    parts, imag, one = MATRIX + 2 * n, MATRIX + 3 * n, MATRIX + n
+    real, imag, first = MATRIX + 2 * n, MATRIX + 3 * n, MATRIX + n
     if not run.fresh:
         seeds, slopes = work[ALONG:SLOPES], work[SLOPES:MATRIX]
         jacobian(run.tangent, work[Y], params, seeds, slopes, work, MATRIX, n)
@@ -159,49 +151,46 @@ def _prepare(run: Run, params: Array, work: Array, h: float) -> bool:
     for i in range(n):
         for j in range(n):
             slope = -h * work[MATRIX + i, j]
-            work[one + i, j], work[parts + i, j], work[imag + i, j] = slope, slope, 0.0
-        work[one + i, i] += GAMMA
-        work[parts + i, i] += _ALPHA
+            work[first + i, j], work[real + i, j], work[imag + i, j] = slope, slope, 0.0
+        work[first + i, i] += GAMMA
+        work[real + i, i] += _ALPHA
         work[imag + i, i] = _BETA
     run.factored = h
-    return factor(work, one, n, work[PIVOTS]) and factor_complex(
-        work, parts, imag, n, work[PIVOTS + 1]
+    return factor(work, first, n, work[PIVOTS]) and factor_complex(
+        work, real, imag, n, work[PIVOTS + 1]
     )
 
 
 @compiled
 def _tolerances(run: Run) -> tuple[float, float]:
-    """Return what the error estimate, of order 3, has to keep for an error of the tolerance."""
+    """Return tolerances for the error estimate, of order 3, that give an error of rtol and atol."""
     relative = 0.1 * run.rtol ** (2.0 / 3.0)
     return relative, relative * run.atol / run.rtol
 
 
 @compiled
 def _measure(run: Run, work: Array) -> None:
-    """Fill row SCALE with what an entry is divided by, inverse."""
+    """Fill row SCALE with the inverse tolerance of each entry."""
     n, quaternion = run.n, run.quaternion
     rtol, atol = _tolerances(run)
     for i in range(n):
-        size = abs(work[Y, i])
-        if in_quaternion(i, quaternion):
-            size = TURN
-        work[SCALE, i] = 1.0 / (atol + rtol * size)
+        work[SCALE, i] = 1.0 / (atol + rtol * entry_size(work[Y], i, quaternion))
 
 
 @compiled
 def _newton(run: Run, params: Array, work: Array, h: float) -> int:
-    """Find the stages; return the turns, or 0, with what the step is to be cut by in CUT."""
+    """Solve the stages; return the iterations, or 0 with the factor of the next step in run.cut."""
     n = run.n
-    one, parts, imag = MATRIX + n, MATRIX + 2 * n, MATRIX + 3 * n
+    first, real, imag = MATRIX + n, MATRIX + 2 * n, MATRIX + 3 * n
     _measure(run, work)
     _guess(work, n, h / run.before if run.before > 0.0 else 0.0)
     rtol, _ = _tolerances(run)
     enough = max(10.0 * _EPS / rtol, min(0.03, sqrt(rtol)))
-    left = max(run.convergence, _EPS) ** 0.8
-    contraction, before, part_before = _FAST, 0.0, 0.0
+    error_factor = max(run.convergence, _EPS) ** 0.8
+    contraction, previous, last_ratio = _FAST, 0.0, 0.0
     run.entry = run.entry if run.again else -1
     run.cut = _HALF
-    for turn in range(1, _MOST + 1):
+    for iteration in range(1, _MOST + 1):
         for k in range(3):
             for i in range(n):
                 work[STAGE, i] = work[Y, i] + work[Z + k, i]
@@ -212,8 +201,8 @@ def _newton(run: Run, params: Array, work: Array, h: float) -> int:
                 run.entry = entry
                 return 0
         _residual(work, n, h)
-        solve(work, one, n, work[PIVOTS], work[F])
-        solve_complex(work, parts, imag, n, work[PIVOTS + 1], work[F + 1], work[F + 2])
+        solve(work, first, n, work[PIVOTS], work[F])
+        solve_complex(work, real, imag, n, work[PIVOTS + 1], work[F + 1], work[F + 2])
         total = 0.0
         for k in range(3):
             for i in range(n):
@@ -221,31 +210,31 @@ def _newton(run: Run, params: Array, work: Array, h: float) -> int:
         size = sqrt(total / (3 * n))
         if not size < np.inf:
             return 0
-        if turn > 1:
-            part = size / before
-            contraction = part if turn == 2 else sqrt(part * part_before)
-            part_before = part
+        if iteration > 1:
+            ratio = size / previous
+            contraction = ratio if iteration == 2 else sqrt(ratio * last_ratio)
+            last_ratio = ratio
             if contraction >= 0.99:
                 return 0
-            left = contraction / (1.0 - contraction)
-            still = left * size * contraction ** (_MOST - 1 - turn) / enough
-            if still >= 1.0:
-                much = max(1e-4, min(20.0, still))
-                run.cut = 0.8 * much ** (-1.0 / (4 + _MOST - 1 - turn))
+            error_factor = contraction / (1.0 - contraction)
+            predicted = error_factor * size * contraction ** (_MOST - 1 - iteration) / enough
+            if predicted >= 1.0:
+                excess = max(1e-4, min(20.0, predicted))
+                run.cut = 0.8 * excess ** (-1.0 / (4 + _MOST - 1 - iteration))
                 return 0
-        before = max(size, _EPS)
+        previous = max(size, _EPS)
         _move(work, n)
-        if left * size <= enough:
-            run.contraction, run.convergence = contraction, left
+        if error_factor * size <= enough:
+            run.contraction, run.convergence = contraction, error_factor
             for i in range(n):
                 work[NEW, i] = work[Y, i] + work[Z + 2, i]
-            return turn
+            return iteration
     return 0
 
 
 @compiled
 def _residual(work: Array, n: int, h: float) -> None:
-    """Turn rates at the stages, F, into right-hand sides."""
+    """Convert stage rates in F to right-hand sides of Newton's method."""
     for i in range(n):
         a, b, c = h * work[F, i], h * work[F + 1, i], h * work[F + 2, i]
         u, v, w = work[W, i], work[W + 1, i], work[W + 2, i]
@@ -256,7 +245,7 @@ def _residual(work: Array, n: int, h: float) -> None:
 
 @compiled
 def _move(work: Array, n: int) -> None:
-    """Add the solutions in F to W, and renew Z."""
+    """Add the solutions in F to W, and update Z."""
     for i in range(n):
         for k in range(3):
             work[W + k, i] += work[F + k, i]
@@ -267,14 +256,14 @@ def _move(work: Array, n: int) -> None:
 
 @compiled
 def _guess(work: Array, n: int, ratio: float) -> None:
-    """Fill Z and W by the polynomial of the step before; ratio: of the lengths, 0 for none."""
+    """Extrapolate Z and W from the previous step; ratio: of the lengths, 0 for a first step."""
     for i in range(n):
         a, b, c = work[OLD, i], work[OLD + 1, i], work[OLD + 2, i]
         if ratio == 0.0:
             a, b, c = 0.0, 0.0, 0.0
-        u = between(a, b, c, 1.0 + ratio * _C1) - c
-        v = between(a, b, c, 1.0 + ratio * _C2) - c
-        w = between(a, b, c, 1.0 + ratio) - c
+        u = stage_polynomial(a, b, c, 1.0 + ratio * _C1) - c
+        v = stage_polynomial(a, b, c, 1.0 + ratio * _C2) - c
+        w = stage_polynomial(a, b, c, 1.0 + ratio) - c
         work[Z, i], work[Z + 1, i], work[Z + 2, i] = u, v, w
         for k in range(3):
             work[W + k, i] = _TI[k, 0] * u + _TI[k, 1] * v + _TI[k, 2] * w
@@ -304,27 +293,20 @@ def _error(run: Run, params: Array, work: Array, h: float) -> float:
 
 @compiled
 def _size(work: Array, n: int) -> float:
-    """Return the size of row MISS in tolerances, in the mean."""
+    """Return the root mean square of row MISS, in tolerances."""
     total = 0.0
     for i in range(n):
         total += (work[MISS, i] * work[SCALE, i]) ** 2
     return sqrt(total / n)
 
 
-@compiled
-def _first_step(run: Run, work: Array) -> float:
-    """Return the first step: a part of the time in which the state changes by its size."""
-    n, quaternion, least = run.n, run.quaternion, run.atol / run.rtol
-    rate = 0.0
-    for i in range(n):
-        scale = least + (TURN if in_quaternion(i, quaternion) else abs(work[Y, i]))
-        rate += (work[RATE, i] / scale) ** 2
-    longest: float = min(run.t_end, run.max_step)
-    return min(longest, 0.01 * sqrt(n / rate)) if rate > 0.0 else longest
-
-
 STEPPER = Stepper(
-    loops("Radau", Hooks(begin, until, attempt, accept, load, state, keep)),
+    loops(
+        "Radau",
+        Hooks(
+            begin_run, next_end_time, attempt_step, accept_step, load_step, write_state, store_end
+        ),
+    ),
     lambda n, tangent: np.zeros((MATRIX + 5 * n, -(-n // SEEDS) * SEEDS)),  # noqa: ARG005
     kept=KEPT,
     needs_tangent=True,

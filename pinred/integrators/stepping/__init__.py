@@ -1,1 +1,1 @@
-"""Parts of compiled steppers: calls of kernels, sums of rows, lanes, Newton's method."""
+"""Building blocks of compiled steppers: step loop, kernel calls, rows and linear systems."""

@@ -1,9 +1,10 @@
-"""Functions made machine code, and stamps that keep it on disk from being taken for another's."""
+"""Compilation of functions with numba, and cache stamps that depend on all sources."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from hashlib import sha256
+from operator import attrgetter
 from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar
@@ -15,54 +16,93 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def stamp(folder: Path) -> str:
-    """Return a digest of all sources in a folder, those in folders below it too."""
+    """Return a digest of all Python sources in a folder and its subfolders."""
     paths = sorted(folder.rglob("*.py"))
     return sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()
 
 
 SOURCES = stamp(Path(__file__).parent.parent)
-# No fast-math: numbers do not depend on where a function is inlined.  Nothing here makes an
-# array, so that nobody has to count who holds one: views of rows cost nothing (_nrt).
+# Without fast-math, results do not depend on where a function is inlined. Compiled functions
+# never allocate arrays, so reference counting (_nrt) is off and views of rows cost nothing.
 _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}
-_bound: set[str] = set()
+_names: set[str] = set()
 
 
 def compiled(function: _Function) -> _Function:
-    """Compile at the first call, keep the machine code on disk, run without the GIL."""
-    out: Any = numba.njit(cache=True, **_OPTIONS)(function)
-    # numba takes machine code from disk as long as the file of the function is the same,
-    # though it holds what other files have said.  Here it is as old as all of them.
-    out._cache._cache_file._source_stamp = SOURCES
-    typed: _Function = out
+    """Compile a function at its first call, without the GIL, and cache it on disk."""
+    dispatcher: Any = numba.njit(cache=True, **_OPTIONS)(function)
+    # numba reuses cached machine code as long as the file of the function is unchanged, although
+    # it contains code inlined from other files. The stamp makes it stale when any file changes.
+    # numba offers no public way to set it.
+    vars(attrgetter("_cache._cache_file")(dispatcher))["_source_stamp"] = SOURCES
+    typed: _Function = dispatcher
     return typed
 
 
-def woven(function: _Function) -> _Function:
-    """Compile a function only as a part of those that call it, written out in their place."""
+def inlined(function: _Function) -> _Function:
+    """Mark a function to be compiled only inline, in the functions that call it."""
     typed: _Function = numba.njit(inline="always", **_OPTIONS)(function)
     return typed
 
 
-def bound(function: _Function, name: str, **found: Any) -> _Function:
-    """Return a copy of a function, not compiled, that finds `found` under some global names.
+def bind_globals(function: _Function, name: str, **values: Any) -> _Function:
+    """Return an uncompiled copy of a function with other values of some global names.
 
-    numba tells machine code on disk by the name of a function and its instructions, which are
-    the same for all copies: without a name of its own each would load that of another.  So a
-    name is given once only.  Raises RuntimeError.
+    numba identifies cached machine code by the name and the bytecode of a function. Copies share
+    their bytecode, so each needs a unique name; otherwise one would load another's machine code.
+
+    Args:
+        function: The function, compiled or not.
+        name: Unique name of the copy, the same in every process.
+        **values: Values of global names.
+    Returns:
+        The copy.
+    Raises:
+        RuntimeError: Another copy has this name.
     """
     if isinstance(function, numba.core.dispatcher.Dispatcher):
         function = function.py_func
-    if name in _bound:
+    if name in _names:
         raise RuntimeError(f"two functions cannot both be called '{name}': one would run the other")
-    _bound.add(name)
-    space = {**function.__globals__, **found}
-    copy: Any = FunctionType(function.__code__, space, name, function.__defaults__)
+    _names.add(name)
+    copy: Any = FunctionType(
+        function.__code__, {**function.__globals__, **values}, name, function.__defaults__
+    )
     copy.__qualname__, copy.__module__ = name, function.__module__
     typed: _Function = copy
     return typed
 
 
+class Bindings:
+    """Global names of one method, and compiled copies of functions that use them.
+
+    Attributes:
+        values: Values of the global names. Each copy that `add` makes joins them.
+    """
+
+    def __init__(self, prefix: str, **values: Any) -> None:
+        """Start with values of some names; prefix: unique start of the names of the copies."""
+        self._prefix, self.values = prefix, values
+
+    def add(
+        self, function: Any, compile_as: Callable[[Any], Any] = inlined, name: str | None = None
+    ) -> Any:
+        """Bind a function to the values so far, and bind its copy to a name.
+
+        Args:
+            function: The function.
+            compile_as: `inlined` or `compiled`.
+            name: Global name of the copy, that of the function if None.
+        Returns:
+            The copy.
+        """
+        unique = f"{self._prefix}_{function.__name__}"
+        copy = compile_as(bind_globals(function, unique, **self.values))
+        self.values[name or function.__name__] = copy
+        return copy
+
+
 def make_intrinsic(generator: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function for compiled code whose instructions `generator` gives."""
-    out: Callable[..., Any] = intrinsic(generator)
-    return out
+    """Return the function that compiled code can call and whose instructions `generator` emits."""
+    function: Callable[..., Any] = intrinsic(generator)
+    return function

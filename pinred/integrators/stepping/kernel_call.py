@@ -1,8 +1,7 @@
-"""The call of a kernel by its address.
+"""Calls of kernels by their address.
 
-A kernel is machine code `void f(const double *y, const double *params, double *dydt)`.
-Its address is a number to the steppers, so that they are compiled once and not once more
-for every kernel.
+A kernel is machine code `void f(const double *y, const double *params, double *dydt)`. Steppers
+take its address as a number, so each stepper is compiled once for all kernels.
 """
 
 from __future__ import annotations
@@ -12,13 +11,14 @@ from typing import Any
 from llvmlite import ir
 from numba.core import types
 
-from .compiling import make_intrinsic
+from ...common.arrays import Array
+from .compiling import compiled, make_intrinsic
 
-SEEDS = 8  # directions that a tangent kernel takes at once
+SEEDS = 8  # directions per call of a tangent kernel
 
 
 @make_intrinsic
-def call(typing: Any, address: Any, y: Any, params: Any, dydt: Any) -> Any:  # noqa: ARG001
+def call(typing: Any, address: Any, y: Any, params: Any, dydt: Any) -> Any:
     """Let the kernel at `address` (int64) fill dydt with the rates at y.
 
     y (n,), params (p,) and dydt (n,) are contiguous arrays of float64.
@@ -27,62 +27,42 @@ def call(typing: Any, address: Any, y: Any, params: Any, dydt: Any) -> Any:  # n
 
 
 @make_intrinsic
-def call_tangent(  # type: ignore[no-untyped-def]
-    typing: Any,  # noqa: ARG001
-    address: Any,  # noqa: ARG001
-    y: Any,
-    params: Any,
-    directions: Any,
-    out: Any,
-):
-    """Let the tangent kernel at `address` (int64) fill `out` with the derivatives of ẏ.
+def call_tangent(typing: Any, address: Any, y: Any, params: Any, directions: Any, out: Any) -> Any:
+    """Let the tangent kernel at `address` (int64) fill `out` with ∂ẏ/∂y · directions.
 
-    directions, out: SEEDS values an entry, one after another: out = ∂ẏ/∂y directions.
+    directions and out contain SEEDS consecutive values per entry.
     """
     return _calling(y, params, directions, out)
 
 
 @make_intrinsic
-def call_slopes(  # type: ignore[no-untyped-def]
-    typing: Any,  # noqa: ARG001
-    address: Any,  # noqa: ARG001
-    y: Any,
-    params: Any,
-    along_y: Any,
-    along_params: Any,
-    out: Any,
-):
-    """Let the tangent at `address` (int64) fill `out` with slopes along y and parameters.
+def call_slopes(
+    typing: Any, address: Any, y: Any, params: Any, along_y: Any, along_params: Any, out: Any
+) -> Any:
+    """Let the tangent kernel at `address` (int64) fill `out` with derivatives along y and params.
 
-    along_y, along_params, out: SEEDS values an entry, one after another.
+    along_y, along_params and out contain SEEDS consecutive values per entry.
     """
     return _calling(y, params, along_y, along_params, out)
 
 
 @make_intrinsic
-def call_adjoint(  # type: ignore[no-untyped-def]
-    typing: Any,  # noqa: ARG001
-    address: Any,  # noqa: ARG001
-    y: Any,
-    params: Any,
-    covector: Any,
-    out: Any,
-):
-    """Let the adjoint at `address` (int64) fill `out` with slopes of covector · ẏ.
+def call_adjoint(typing: Any, address: Any, y: Any, params: Any, covector: Any, out: Any) -> Any:
+    """Let the adjoint kernel at `address` (int64) fill `out` with the derivative of covector · ẏ.
 
-    Those by y, then those by the parameters.
+    The derivative by y is followed by that by the parameters.
     """
     return _calling(y, params, covector, out)
 
 
 def _calling(*arrays: Any) -> Any:
-    """Return signature and instructions of a call with the data of arrays."""
+    """Return the signature and the instructions of a kernel call with the data of arrays."""
     check_contiguous(*arrays)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointers = [
-            context.make_array(kind)(context, builder, value).data
-            for kind, value in zip(signature.args[1:], arguments[1:], strict=True)
+            context.make_array(array_type)(context, builder, value).data
+            for array_type, value in zip(signature.args[1:], arguments[1:], strict=True)
         ]
         emit_call(builder, arguments[0], pointers)
         return context.get_dummy_value()
@@ -91,7 +71,7 @@ def _calling(*arrays: Any) -> Any:
 
 
 def check_contiguous(*arrays: Any) -> None:
-    """Check that numba's types are those of arrays whose numbers a kernel can take."""
+    """Check that numba's array types are contiguous arrays of float64, as kernels take them."""
     for array in arrays:
         if not (isinstance(array, types.Array) and array.layout == "C"):
             raise TypeError("a kernel takes contiguous arrays")
@@ -100,6 +80,28 @@ def check_contiguous(*arrays: Any) -> None:
 
 
 def emit_call(builder: Any, address: Any, pointers: list[Any]) -> None:
-    """Write the instructions that call a kernel with pointers to numbers."""
-    kernel = ir.FunctionType(ir.VoidType(), [pointer.type for pointer in pointers])
-    builder.call(builder.inttoptr(address, kernel.as_pointer()), pointers)
+    """Emit the instructions that call a kernel.
+
+    Args:
+        builder: LLVM builder.
+        address: Address of the kernel, an LLVM int64.
+        pointers: Pointers to the data of the arguments.
+    """
+    signature = ir.FunctionType(ir.VoidType(), [pointer.type for pointer in pointers])
+    builder.call(builder.inttoptr(address, signature.as_pointer()), pointers)
+
+
+@compiled
+def to_lanes(along: Array, out: Array) -> None:
+    """Arrange directions (n, N) as tangent kernels take them: out (B, n SEEDS)."""
+    for k in range(along.shape[0]):
+        for j in range(along.shape[1]):
+            out[j // SEEDS, k * SEEDS + j % SEEDS] = along[k, j]
+
+
+@compiled
+def from_lanes(lanes: Array, out: Array) -> None:
+    """Undo `to_lanes`: fill out (n, N) with the directions."""
+    for k in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[k, j] = lanes[j // SEEDS, k * SEEDS + j % SEEDS]

@@ -1,7 +1,7 @@
-"""The Jacobian of a kernel, and small linear systems: what Newton's method takes.
+"""The Jacobian of a kernel and small linear systems, for Newton's method.
 
-Matrices are rows of an array, from a first row on.  LAPACK is not used: its threads wait for
-each other longer than matrices of this size take.
+A matrix occupies consecutive rows of an array. LAPACK is not used: for matrices of this size its
+threads spend more time on synchronisation than on the solution.
 """
 
 from __future__ import annotations
@@ -24,25 +24,41 @@ def jacobian(
     first: int,
     n: int,
 ) -> None:
-    """Fill n rows from `first` on with ∂ẏ/∂y at y.
+    """Fill n rows of an array with the Jacobian ∂ẏ/∂y of a kernel.
 
-    seeds, slopes: contiguous, for n SEEDS numbers.  Rows are at least as long as n rounded up
-    to SEEDS.
+    Args:
+        tangent: Address of the tangent kernel.
+        y: State, (n,).
+        params: Parameters, (p,).
+        seeds: Contiguous workspace for n SEEDS numbers.
+        slopes: Contiguous workspace for n SEEDS numbers.
+        matrix: Array of the rows. A row has at least n numbers, rounded up to a multiple of SEEDS.
+        first: First row to fill.
+        n: Entries of the state.
     """
-    along, out = seeds.reshape(-1), slopes.reshape(-1)
-    for begin in range(0, n, SEEDS):
-        along[: n * SEEDS] = 0.0
-        for j in range(min(SEEDS, n - begin)):
-            along[(begin + j) * SEEDS + j] = 1.0
-        call_tangent(tangent, y, params, along, out)
+    directions, derivatives = seeds.reshape(-1), slopes.reshape(-1)
+    for start in range(0, n, SEEDS):
+        directions[: n * SEEDS] = 0.0
+        for j in range(min(SEEDS, n - start)):
+            directions[(start + j) * SEEDS + j] = 1.0
+        call_tangent(tangent, y, params, directions, derivatives)
         for i in range(n):
             for j in range(SEEDS):
-                matrix[first + i, begin + j] = out[i * SEEDS + j]
+                matrix[first + i, start + j] = derivatives[i * SEEDS + j]
 
 
 @compiled
 def factor(matrix: Array, first: int, n: int, pivots: Array) -> bool:
-    """Replace n rows by their factors, by Gauss's elimination; return whether it was possible."""
+    """Replace n rows by their factors, by Gauss's elimination with row pivots.
+
+    Args:
+        matrix: Array of the rows.
+        first: First row.
+        n: Size of the matrix.
+        pivots: Pivots, (n,), output.
+    Returns:
+        Whether the matrix is regular.
+    """
     for k in range(n):
         best, size = k, abs(matrix[first + k, k])
         for i in range(k + 1, n):
@@ -58,17 +74,25 @@ def factor(matrix: Array, first: int, n: int, pivots: Array) -> bool:
         inverse = 1.0 / top[k]
         for i in range(k + 1, n):
             row = matrix[first + i]
-            part = row[k] * inverse
-            row[k] = part
-            if part != 0.0:
+            multiplier = row[k] * inverse
+            row[k] = multiplier
+            if multiplier != 0.0:
                 for j in range(k + 1, n):
-                    row[j] -= part * top[j]
+                    row[j] -= multiplier * top[j]
     return True
 
 
 @compiled
 def solve(matrix: Array, first: int, n: int, pivots: Array, b: Array) -> None:
-    """Replace b (n,) by the solution of the system that `factor` has left."""
+    """Replace b (n,) by the solution of a system factored by `factor`.
+
+    Args:
+        matrix: Array of the rows.
+        first: First row of the factors.
+        n: Size of the matrix.
+        pivots: Its pivots.
+        b: Right-hand side, changed in place.
+    """
     for k in range(n):
         best = int(pivots[k])
         if best != k:
@@ -87,7 +111,17 @@ def solve(matrix: Array, first: int, n: int, pivots: Array, b: Array) -> None:
 
 @compiled
 def factor_complex(matrix: Array, real: int, imag: int, n: int, pivots: Array) -> bool:
-    """Do as `factor` for a complex matrix, its parts in rows from `real` and `imag` on."""
+    """Replace a complex matrix by its factors, as `factor`.
+
+    Args:
+        matrix: Array of the rows.
+        real: First row of the real part.
+        imag: First row of the imaginary part.
+        n: Size of the matrix.
+        pivots: Pivots, (n,), output.
+    Returns:
+        Whether the matrix is regular.
+    """
     for k in range(n):
         best, size = k, -1.0
         for i in range(k, n):
@@ -120,7 +154,17 @@ def factor_complex(matrix: Array, real: int, imag: int, n: int, pivots: Array) -
 def solve_complex(
     matrix: Array, real: int, imag: int, n: int, pivots: Array, b: Array, c: Array
 ) -> None:
-    """Replace b + i c (n,) by the solution of the system that `factor_complex` has left."""
+    """Replace b + i c (n,) by the solution of a system factored by `factor_complex`.
+
+    Args:
+        matrix: Array of the rows.
+        real: First row of the real part.
+        imag: First row of the imaginary part.
+        n: Size of the matrix.
+        pivots: Its pivots.
+        b: Real part of the right-hand side, changed in place.
+        c: Imaginary part, changed in place.
+    """
     for k in range(n):
         best = int(pivots[k])
         if best != k:

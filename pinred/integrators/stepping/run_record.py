@@ -1,6 +1,6 @@
-"""The registers of a run, held in a record so that it can stop and go on, and what stops it.
+"""The registers of a run, in a record from which an interrupted run continues, and status codes.
 
-Compiled code sees a `Run` and its fields by name; Python holds it in an array of one (1,).
+Compiled code uses a `Run` and its fields by name. Python stores it in an array (1,) of LAYOUT.
 """
 
 from __future__ import annotations
@@ -11,20 +11,20 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-# What `advance` returns.  WANTED: the derivative of the kernel.
+# Return values of `advance`. WANTED: it needs the derivative of the kernel.
 DONE, PAUSED, FULL, WANTED, UNDERFLOW, NOT_FINITE, TOO_MANY, DIVERGED = range(8)
-AGAIN = 8  # of an attempt: it is to be made anew
+AGAIN = 8  # return value of an attempted step that was rejected
 
-# How implicit steps are solved, by methods that have the choice.
+# Solvers of implicit steps.
 AUTO, FIXED_POINT, NEWTON = 1, 2, 3
 
-# What of a step is in the rows: its ends, all that makes it, or what its dense output takes.
+# Contents of the work rows: the ends of a step, its stages, or also the terms of its dense output.
 ENDS, STEP, DENSE = range(3)
 
-# What is kept of steps: nothing, their ends, or the rates of their stages too.
+# Stored data of steps: nothing, their ends, or also the rates of their stages.
 NOTHING_KEPT, ENDS_KEPT, STAGES_KEPT = range(3)
 
-# At most some milliseconds: Ctrl-C and progress come through.
+# This many evaluations take at most some milliseconds, so Ctrl-C and progress stay responsive.
 EVALUATIONS_BETWEEN_PAUSES = 4096
 
 
@@ -32,47 +32,47 @@ class Run:
     """The registers of a run."""
 
     t: float  # time [s]
-    h: float  # next step
+    h: float  # next step [s]
     t_end: float
     max_step: float
     rtol: float
     atol: float
-    before: float  # the step before, 0 if there is none of use
-    error: float  # of a step, in units of the tolerance
-    error_before: float  # of the step before
-    growth: float  # by what the next step may be longer
-    quotient: float  # or is to be shorter
-    factored: float  # the step that Newton's method has factors for
-    contraction: float  # by what Newton's method converges
-    convergence: float  # what it then leaves of a change
-    cut: float  # by what a step is cut where it fails
+    before: float  # previous step [s], 0 if there is none to extrapolate from
+    error: float  # error of a step, in units of the tolerance
+    error_before: float  # error of the previous step
+    growth: float  # factor by which the next step may be longer
+    quotient: float  # factor by which the next step must be shorter
+    factored: float  # length of the step for which Newton's method has factors [s]
+    contraction: float  # ratio of successive changes in Newton's method
+    convergence: float  # ratio of the remaining error to the last change
+    cut: float  # factor by which a failed step is shortened
 
-    address: int  # of the kernel
+    address: int  # address of the kernel
     tangent: int  # address of the kernel of the derivative, or 0
-    n: int  # numbers in the state
-    quaternion: int  # first of the quaternion's four, or −1
-    pairs: int  # positions, with as many momenta behind them
-    spin: int  # how many parameters are a constant momentum
-    stages: int  # that one evaluation takes at once
-    lanes: int  # with idle ones
-    solver: int  # how implicit steps are solved
-    total: int  # number of steps, if it is known beforehand
-    max_steps: int  # limit on trials
-    budget: int  # evaluations before a pause
-    keep: int  # what is kept of steps
+    n: int  # entries of the state
+    quaternion: int  # index of the first of the quaternion's four entries, or −1
+    pairs: int  # number of positions, which as many momenta follow
+    spin: int  # number of parameters that are a constant momentum
+    stages: int  # stages per evaluation
+    lanes: int  # SIMD lanes, including idle ones
+    solver: int  # solver of implicit steps
+    total: int  # number of steps, if steps are equal
+    max_steps: int  # limit on trial steps
+    budget: int  # evaluations between pauses
+    keep: int  # stored data of steps
 
-    begun: int  # whether the run has begun
-    pause: int  # evaluations at which it pauses
-    steps: int  # accepted
+    begun: int  # whether the first step was prepared
+    pause: int  # number of evaluations at the next pause
+    steps: int  # accepted steps
     rejected: int
     evaluations: int
-    next: int  # time to report
-    known: int  # what of the step is in the rows
+    next: int  # index of the next report time
+    known: int  # contents of the work rows
     again: int  # whether the last trial was rejected
-    entry: int  # which number was not finite, or −1
-    fresh: int  # whether the Jacobian is that of the state
-    remaining: int  # steps that Newton's method is still to make
-    member: int  # of a batch, or −1
+    entry: int  # entry that was not finite, or −1
+    fresh: int  # whether the Jacobian belongs to the current state
+    remaining: int  # steps before fixed-point iteration is tried again
+    member: int  # member of a batch, or −1
 
 
 Runs: TypeAlias = NDArray[np.void]  # (1,) of LAYOUT
@@ -89,12 +89,12 @@ _FIRST: dict[str, Any] = {
 
 
 def new_run(**numbers: float) -> Runs:
-    """Return the registers of a run that has not begun, with some of them given."""
+    """Return the registers of a run before its first step, with the given values."""
     first = {**_FIRST, "budget": EVALUATIONS_BETWEEN_PAUSES, **numbers}
     # Twice as fast as an array of a tuple.
     return np.frombuffer(bytearray(_PACKED.pack(*first.values())), LAYOUT)
 
 
 def copied(runs: Runs) -> Runs:
-    """Return registers that change apart from these."""
+    """Return an independent copy of registers."""
     return np.frombuffer(bytearray(runs.tobytes()), LAYOUT)

@@ -1,4 +1,4 @@
-"""Operations of all steppers on the rows that hold states."""
+"""Operations that all steppers perform on the rows that contain states."""
 
 from __future__ import annotations
 
@@ -7,31 +7,41 @@ from math import sqrt
 import numpy as np
 
 from ...common.arrays import Array
-from .compiling import compiled, woven
-from .run_record import Run
+from .compiling import compiled, inlined
+from .run_record import AGAIN, Run
 
-Y, NEW = 0, 1  # rows of `work`: the state at the begin of a step, and at its end
+Y, NEW = 0, 1  # rows of `work`: the state at the start of a step, and at its end
 WIDTH = 4  # numbers in a vector; rows are padded with zeros to a multiple of it
 
-# What a quaternion's entries are measured by: a turn by an angle changes it by half of that,
-# and the mean over four entries halves it again, so that the tolerance is that of the angle.
+# Size by which errors of a quaternion's entries are measured. Rotation by an angle changes the
+# quaternion by half of it, and the mean over four entries halves it again, so that the tolerance
+# applies to the angle.
 TURN = 0.25
 
 
 def padded_rows(count: int, n: int) -> Array:
-    """Return so many rows of zeros for n numbers each."""
+    """Return `count` rows of zeros for n numbers each, padded to whole vectors."""
     return np.zeros((count, -(-n // WIDTH) * WIDTH))
 
 
-@woven
+@inlined
 def in_quaternion(i: int, quaternion: int) -> bool:
     """Return whether entry i is one of the quaternion's four."""
     return 0 <= i - quaternion < 4 and quaternion >= 0
 
 
+@inlined
+def entry_size(y: Array, i: int, quaternion: int) -> float:
+    """Return the size of entry i by which its error is measured."""
+    size: float = abs(y[i])
+    if in_quaternion(i, quaternion):
+        size = TURN
+    return size
+
+
 @compiled
 def unit_alone(y: Array, quaternion: int) -> float:
-    """Bring the quaternion of y to length one and return the factor; −1 for none."""
+    """Normalise the quaternion of y, −1 for none; return the factor."""
     if quaternion < 0:
         return 1.0
     square = 0.0
@@ -45,10 +55,10 @@ def unit_alone(y: Array, quaternion: int) -> float:
 
 @compiled
 def unit(y: Array, rate: Array, quaternion: int) -> None:
-    """Bring the quaternion of y to length one, and its rate with it; −1 for none.
+    """Normalise the quaternion of y, −1 for none, and scale its rate by the same factor.
 
-    A kernel takes the direction of the quaternion, so that the rate of the quaternion has
-    its length as a factor and the other rates do not change.
+    A kernel uses the direction of the quaternion only. Therefore the quaternion's rate is
+    proportional to its length, and the other rates do not change.
     """
     if quaternion >= 0:
         factor = unit_alone(y, quaternion)
@@ -58,7 +68,7 @@ def unit(y: Array, rate: Array, quaternion: int) -> None:
 
 @compiled
 def first_not_finite(row: Array, n: int) -> int:
-    """Return the index of the first of n entries that is not finite, −1 if all are."""
+    """Return the index of the first of n entries that is not finite, −1 if all are finite."""
     total = 0.0
     for i in range(n):
         total += row[i] - row[i]  # NaN for infinities and NaN, else zero
@@ -70,21 +80,36 @@ def first_not_finite(row: Array, n: int) -> int:
     return -1
 
 
-@woven
-def keep_state(run: Run, work: Array, t: float, knots_t: Array, knots_y: Array) -> None:
-    """Write down a knot, after run.steps steps: the time and the state that a step has left."""
+@inlined
+def keep_state(run: Run, work: Array, t: float, end_times: Array, end_states: Array) -> None:
+    """Store step end number run.steps: the time, and the state before normalisation.
+
+    Args:
+        run: Registers of the run.
+        work: Rows of the stepper.
+        t: Time [s].
+        end_times: Times of the step ends, (K,) [s].
+        end_states: Their states, (K, n …).
+    """
     if run.keep:
         k, row = run.steps, NEW if run.begun else Y
-        knots_t[k] = t
+        end_times[k] = t
         for i in range(run.n):
-            knots_y[k, i] = work[row, i]
+            end_states[k, i] = work[row, i]
 
 
-@woven
+@inlined
 def copy_an_end(run: Run, work: Array, time: float, t_new: float, out: Array) -> bool:
-    """Write the state of a step that ends at t_new to out (n,) if a time is an end of it.
+    """Copy the state to `out` if a time is the start or the end of the current step.
 
-    Return whether it is.
+    Args:
+        run: Registers of the run.
+        work: Rows of the stepper.
+        time: Time of the requested state [s].
+        t_new: End of the step [s].
+        out: State, (n,).
+    Returns:
+        Whether the state was copied.
     """
     if run.t < time < t_new:
         return False
@@ -92,3 +117,33 @@ def copy_an_end(run: Run, work: Array, time: float, t_new: float, out: Array) ->
     for i in range(run.n):
         out[i] = work[row, i]
     return True
+
+
+@inlined
+def reject_step(run: Run, h: float) -> int:
+    """Reject a trial step and plan a shorter one, of length h, with new Newton factors."""
+    run.rejected += 1
+    run.again = 1
+    run.h, run.factored = h, 0.0
+    return AGAIN
+
+
+@compiled
+def first_step_by_rate(run: Run, y: Array, rate: Array, lanes: int, fraction: float) -> float:
+    """Return a first step: a fraction of the time in which the state changes by its size.
+
+    Args:
+        run: Registers of the run.
+        y: Initial state, (n,).
+        rate: Its rates, one every `lanes` numbers.
+        lanes: Distance between the rates of two entries.
+        fraction: Fraction of the time.
+    Returns:
+        The step [s].
+    """
+    square = 0.0
+    for i in range(run.n):
+        scale = run.atol / run.rtol + entry_size(y, i, run.quaternion)
+        square += (rate[i * lanes] / scale) ** 2
+    longest: float = min(run.t_end, run.max_step)
+    return min(longest, fraction * sqrt(run.n / square)) if square > 0.0 else longest

@@ -1,7 +1,7 @@
-"""The one loop of all methods, and what a method has to give to it.
+"""The step loop of all methods, and the hooks by which a method defines its steps.
 
-A method is a set of `Hooks`, functions written out inside the loop; nothing is called through a
-pointer.  The loop is bound to them under a name of its own: see `compiling.bound`.
+A method is a set of `Hooks`, functions inlined into the loop without calls through pointers. The
+loop is bound to them under a unique name: see `compiling.bind_globals`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import Array
-from .compiling import bound, compiled, woven
+from .compiling import bind_globals, compiled, inlined
 from .run_record import (
     AGAIN,
     DONE,
@@ -34,67 +34,109 @@ from .state_rows import NEW, Y, keep_state
 _EPS = float(np.finfo(float).eps)
 
 
-# --- what a method gives -------------------------------------------------------------------
+# --- hooks, which a method defines --------------------------------------------------------------
 
 
-def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:
-    """Keep the first knot, evaluate what the first step takes; return DONE, or why not."""
-    raise NotImplementedError
+def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
+    """Store the initial state and prepare the first step.
 
-
-def until(run: Run) -> float:
-    """Return the time at which the next step is to end."""
-    raise NotImplementedError
-
-
-def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:
-    """Make a step to t_new from row Y to row NEW.
-
-    Return DONE, AGAIN with the next step in run.h, WANTED, or why it cannot be made.
+    Args:
+        run: Registers of the run.
+        params: Parameters, (p,).
+        work: Work rows, with the initial state in row Y.
+        end_times: Times of the step ends, (K,) [s].
+        end_states: Stored states, (K, …).
+    Returns:
+        DONE, or the reason of a failure.
     """
     raise NotImplementedError
 
 
-def accept(run: Run, work: Array, t_new: float) -> None:
-    """Take the end of a step for the begin of the next, and choose its length."""
+def next_end_time(run: Run) -> float:
+    """Return the time at which the next step ends [s]."""
     raise NotImplementedError
 
 
-def load(run: Run, params: Array, work: Array, t_new: float, knots_y: Array, k: int) -> None:
-    """Fill the rows of the k-th step, whose ends are in Y and NEW, as it was made."""
-    raise NotImplementedError
+def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:
+    """Compute a step from row Y to row NEW.
 
-
-def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Write the state (n,) at a time in the step from run.t to t_new, its quaternion of length 1.
-
-    run.known says what of the step is in the rows.  Return DONE; or AGAIN, WANTED, or why there
-    is none, and NaN.
+    Args:
+        run: Registers of the run.
+        params: Parameters, (p,).
+        work: Work rows.
+        t_new: End of the step [s].
+    Returns:
+        DONE; AGAIN, with the next step in run.h; WANTED; or the reason of a failure.
     """
     raise NotImplementedError
 
 
-keep = keep_state
+def accept_step(run: Run, work: Array, t_new: float) -> None:
+    """Continue from the end of a step, and choose the length of the next.
+
+    Args:
+        run: Registers of the run.
+        work: Work rows.
+        t_new: End of the step [s].
+    """
+    raise NotImplementedError
 
 
-@woven
+def load_step(
+    run: Run, params: Array, work: Array, t_new: float, end_states: Array, k: int
+) -> None:
+    """Restore the work rows of a stored step, whose ends are in rows Y and NEW.
+
+    Args:
+        run: Registers of the run.
+        params: Parameters, (p,).
+        work: Work rows.
+        t_new: End of the step [s].
+        end_states: Stored states, (K, …).
+        k: Number of the step.
+    """
+    raise NotImplementedError
+
+
+def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
+    """Write the state at a time in the current step, with a normalised quaternion.
+
+    run.known states the contents of the work rows.
+
+    Args:
+        run: Registers of the run.
+        params: Parameters, (p,).
+        work: Work rows.
+        time: Time, from run.t to t_new [s].
+        t_new: End of the step [s].
+        out: State, (n,), output; NaN if it is not computed.
+    Returns:
+        DONE, AGAIN, WANTED, or the reason of a failure.
+    """
+    raise NotImplementedError
+
+
+store_end = keep_state
+
+
+@inlined
 def equal_steps(run: Run) -> float:
-    """Return the end of the next of run.total steps of one length, as `until` does."""
+    """Implement the hook `next_end_time` for run.total steps of equal length."""
     k = run.steps + 1
     return run.t_end if k == run.total else k * run.h
 
 
 @dataclass(frozen=True)
 class Hooks:
-    """The part of a method in the loop: compiled functions that do as those above."""
+    """The compiled functions that define the steps of a method, see the functions above."""
 
-    begin: Callable[..., int]
-    until: Callable[..., float]
-    attempt: Callable[..., int]
-    accept: Callable[..., None]
-    load: Callable[..., None]
-    state: Callable[..., int]
-    keep: Callable[..., None] = keep_state
+    begin_run: Callable[..., int]
+    next_end_time: Callable[..., float]
+    attempt_step: Callable[..., int]
+    accept_step: Callable[..., None]
+    load_step: Callable[..., None]
+    write_state: Callable[..., int]
+    store_end: Callable[..., None] = keep_state
 
 
 # --- the loops -----------------------------------------------------------------------------
@@ -106,17 +148,25 @@ def advance(
     work: Array,
     times: Array,
     out: Array,
-    knots_t: Array,
-    knots_y: Array,
+    end_times: Array,
+    end_states: Array,
 ) -> int:
-    """Integrate until the end, a pause, a full store of knots or a failure; return which.
+    """Integrate until the end, a pause, a full array of step ends, or a failure.
 
-    params: (p,).  work: rows, with the state in row Y.  times: (T,) sorted; out: (T, n) their
-    states.  knots_t: (K,), knots_y: (K, n), or what `keep` writes for a knot.
+    Args:
+        runs: Registers of the run, (1,).
+        params: Parameters, (p,).
+        work: Work rows, with the state in row Y.
+        times: Sorted report times, (T,) [s].
+        out: States at the report times, (T, n), output.
+        end_times: Times of the step ends, (K,) [s], output.
+        end_states: Stored states, (K, …), output.
+    Returns:
+        DONE, PAUSED, FULL, WANTED, or the reason of a failure.
     """
     run: Run = runs[0]
     if not run.begun:
-        status = begin(run, params, work, knots_t, knots_y)
+        status = begin_run(run, params, work, end_times, end_states)
         if status != DONE:
             return status
         run.begun = 1
@@ -125,14 +175,14 @@ def advance(
     while run.t < run.t_end:
         if run.evaluations >= run.pause:
             return PAUSED
-        if run.keep and run.steps + 1 >= knots_t.shape[0]:
+        if run.keep and run.steps + 1 >= end_times.shape[0]:
             return FULL
         if run.steps + run.rejected >= run.max_steps:
             return TOO_MANY
         if 0.1 * run.h <= _EPS * run.t:
             return NOT_FINITE if run.entry >= 0 else UNDERFLOW
-        t_new = until(run)
-        status = attempt(run, params, work, t_new)
+        t_new = next_end_time(run)
+        status = attempt_step(run, params, work, t_new)
         if status == DONE:
             status = report(run, params, work, times, out, t_new)
         if status == AGAIN:
@@ -140,18 +190,29 @@ def advance(
         if status != DONE:
             return status
         run.steps += 1
-        keep(run, work, t_new, knots_t, knots_y)
-        accept(run, work, t_new)
+        store_end(run, work, t_new, end_times, end_states)
+        accept_step(run, work, t_new)
         run.t = t_new
     return DONE
 
 
 def report(run: Run, params: Array, work: Array, times: Array, out: Array, t_new: float) -> int:
-    """Write the states at the times up to t_new; return DONE, or what stopped it."""
+    """Write the states at the report times up to t_new.
+
+    Args:
+        run: Registers of the run.
+        params: Parameters, (p,).
+        work: Work rows.
+        times: Sorted report times, (T,) [s].
+        out: States at the report times, (T, n), output.
+        t_new: End of the step [s].
+    Returns:
+        DONE, or the status of the first state that was not computed.
+    """
     run.known = STEP
     while run.next < times.shape[0] and times[run.next] <= t_new:
         j = run.next
-        status = state(run, params, work, times[j], t_new, out[j])
+        status = write_state(run, params, work, times[j], t_new, out[j])
         if status != DONE:
             return status
         run.next += 1
@@ -164,31 +225,38 @@ def recall(
     work: Array,
     times: Array,
     out: Array,
-    knots_t: Array,
-    knots_y: Array,
+    end_times: Array,
+    end_states: Array,
 ) -> None:
-    """Fill out (T, n) with the states at sorted times (T,), by the steps around them.
+    """Recompute the states at given times from stored steps, NaN where this fails.
 
-    NaN for those that cannot be found.
+    Args:
+        runs: Registers of the run, (1,).
+        params: Parameters, (p,).
+        work: Work rows.
+        times: Sorted times, (T,) [s].
+        out: States, (T, n), output.
+        end_times: Times of the step ends, (K,) [s].
+        end_states: Stored states, (K, …).
     """
     run: Run = runs[0]
     k, loaded = 0, -1
     for j in range(times.shape[0]):
-        k = step_at(times[j], k, knots_t)
+        k = step_at(times[j], k, end_times)
         if loaded != k:
             loaded = k
-            run.t, run.known = knots_t[k], ENDS
+            run.t, run.known = end_times[k], ENDS
             for i in range(run.n):
-                work[Y, i] = knots_y[k, i]
-                work[NEW, i] = knots_y[k + 1, i]
-            load(run, params, work, knots_t[k + 1], knots_y, k)
-        state(run, params, work, times[j], knots_t[k + 1], out[j])
+                work[Y, i] = end_states[k, i]
+                work[NEW, i] = end_states[k + 1, i]
+            load_step(run, params, work, end_times[k + 1], end_states, k)
+        write_state(run, params, work, times[j], end_times[k + 1], out[j])
 
 
 @compiled
-def step_at(time: float, k: int, knots_t: Array) -> int:
-    """Return the step within which a time lies, from the k-th on; its end belongs to it."""
-    while k + 1 < knots_t.shape[0] - 1 and time > knots_t[k + 1]:
+def step_at(time: float, k: int, end_times: Array) -> int:
+    """Return the number of the step that contains a time, its end included, from the k-th on."""
+    while k + 1 < end_times.shape[0] - 1 and time > end_times[k + 1]:
         k += 1
     return k
 
@@ -196,9 +264,15 @@ def step_at(time: float, k: int, knots_t: Array) -> int:
 class Batch(NamedTuple):
     """Runs of one kernel, member first.
 
-    params: (N, p).  y0: (N, n).  times: (T,), y: (N, T, n) the states there.  outcomes: (N,) of
-    OUTCOME, what became of each.  stop: (1,), not 0 to give up.  no_times, no_knots: (0,) and
-    (0, n), as nothing is kept.
+    Attributes:
+        params: Parameters, (N, p).
+        y0: Initial states, (N, n).
+        times: Sorted report times, (T,) [s].
+        y: States at the report times, (N, T, n).
+        outcomes: Outcomes of the members, (N,) of OUTCOME.
+        stop: Flag, (1,); not 0 interrupts all threads.
+        no_times: Empty array in place of times of step ends, (0,).
+        no_knots: Empty array in place of states at step ends, (0, n).
     """
 
     params: Array
@@ -221,9 +295,17 @@ OUTCOME = np.dtype(
 
 
 def members(batch: Batch, first_run: Runs, runs: Runs, work: Array, first: int, last: int) -> int:
-    """Run members first to last − 1; return the one that wants a derivative to go on, or last.
+    """Integrate members first to last − 1 of a batch.
 
-    first_run: registers of a run that has not begun.  runs: those of the one that goes on.
+    Args:
+        batch: Members, and the arrays of their results.
+        first_run: Registers of a run before its first step, (1,).
+        runs: Registers of the current run, (1,).
+        work: Work rows.
+        first: First member.
+        last: Number after the last member.
+    Returns:
+        The member that needs the derivative of the kernel to continue, or `last`.
     """
     run: Run = runs[0]
     for member in range(first, last):
@@ -242,15 +324,19 @@ def members(batch: Batch, first_run: Runs, runs: Runs, work: Array, first: int, 
             )  # fmt: skip
         if status == WANTED:
             return member
-        end = batch.outcomes[member]
-        end.t, end.status, end.entry = run.t, status, run.entry
-        end.steps, end.rejected, end.evaluations = run.steps, run.rejected, run.evaluations
+        outcome = batch.outcomes[member]
+        outcome.t, outcome.status, outcome.entry = run.t, status, run.entry
+        outcome.steps, outcome.rejected, outcome.evaluations = (
+            run.steps,
+            run.rejected,
+            run.evaluations,
+        )
     return last
 
 
 @dataclass(frozen=True)
 class Loops:
-    """The loops above, bound to a method and compiled."""
+    """The compiled loops of a method, see the functions of these names."""
 
     advance: Callable[..., int]
     recall: Callable[..., None]
@@ -258,12 +344,21 @@ class Loops:
 
 
 def loops(name: str, hooks: Hooks) -> Loops:
-    """Return the loops of a method.  name: of this method alone, and the same in every process."""
-    parts = vars(hooks)
-    told = woven(bound(report, f"{name}_report", **parts))
-    run = compiled(bound(advance, f"{name}_advance", **parts, report=told))
+    """Compile the loops of a method.
+
+    Args:
+        name: Unique name of the method, the same in every process.
+        hooks: Its hooks.
+    Returns:
+        The loops.
+    """
+    bindings = vars(hooks)
+    bound_report = inlined(bind_globals(report, f"{name}_report", **bindings))
+    bound_advance = compiled(
+        bind_globals(advance, f"{name}_advance", **bindings, report=bound_report)
+    )
     return Loops(
-        run,
-        compiled(bound(recall, f"{name}_recall", **parts)),
-        compiled(bound(members, f"{name}_members", advance=run)),
+        bound_advance,
+        compiled(bind_globals(recall, f"{name}_recall", **bindings)),
+        compiled(bind_globals(members, f"{name}_members", advance=bound_advance)),
     )

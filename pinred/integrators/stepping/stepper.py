@@ -1,4 +1,4 @@
-"""The stepper of a method: its compiled loops, and the rows that they work on."""
+"""The stepper of a method: its compiled loops, and the allocation of its work rows."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from .step_loop import Loops
 
 @dataclass(frozen=True)
 class Stepper:
-    """The compiled loops of a method.
+    """The compiled loops of a method, and its memory needs.
 
-    rows: of (n, tangent) the rows for n numbers in the state, with room for what Newton's
-    method takes besides where `tangent` is true.  kept: numbers at a knot for one in the state.
-    stages: those besides where stages are kept, 0 if they cannot be.
-    needs_tangent: whether nothing goes without the derivative of the kernel.
+    Attributes:
+        loops: Compiled loops.
+        rows: Function of (n, tangent) that allocates the work rows for n entries of the state. If
+            `tangent` is true they have space for Newton's method.
+        kept: Numbers stored at a step end per entry of the state.
+        stages: Additional numbers per entry if stages are stored, 0 if they cannot be.
+        needs_tangent: Whether the method always needs the derivative of the kernel.
     """
 
     loops: Loops
@@ -26,11 +29,11 @@ class Stepper:
     needs_tangent: bool = False
 
     def work(self, n: int, *, tangent: bool = False) -> Array:
-        """Return the rows (…, stride) that the loops work on, for n numbers in the state."""
+        """Allocate the work rows (…, stride) for n entries of the state."""
         return self.rows(n, tangent or self.needs_tangent)
 
     def widened(self, n: int, work: Array) -> Array:
-        """Return rows that hold what `work` does, with room for Newton's method."""
+        """Copy `work` to rows that also have space for Newton's method."""
         larger = self.work(n, tangent=True)
         larger[: len(work)] = work
         return larger

@@ -1,23 +1,24 @@
-"""A discrete Lagrange–Poincaré integrator on shape, momentum and attitude, of order 2.
+"""A discrete Lagrange–Poincaré integrator of order 2 for shape, momentum and attitude.
 
-The discrete Lagrangian of a step takes the trapezoidal rule and Cayley's map on SO(3): with
+The discrete Lagrangian of a step uses the trapezoidal rule and Cayley's map on SO(3): with
 u = cay⁻¹(R₀ᵀ R₁) and stage velocities whose means are (x₁ − x₀)/h and u/h,
 
-    L_d = h/2 [ℓ(x₀, v₀, Ω₀) + ℓ(x₁, v₁, Ω₁)], made stationary in the differences of the stages.
+    L_d = h/2 [ℓ(x₀, v₀, Ω₀) + ℓ(x₁, v₁, Ω₁)],
 
-Both stages then have the same momenta p of the shape and m of the attitude, and the discrete
-Euler–Lagrange and Euler–Poincaré equations become, with Hamilton's function H(x, p, m),
+made stationary with respect to the difference of the stages. Both stages then have the same
+momenta, p of the shape and m of the attitude. With Hamilton's function H(x, p, m), the discrete
+Euler–Lagrange and Euler–Poincaré equations are
 
     p = π₀ − h/2 ∂H/∂x(x₀),   x₁ = x₀ + h/2 (∂H/∂p(x₀) + ∂H/∂p(x₁)),   π₁ = p − h/2 ∂H/∂x(x₁),
-    u = h/2 (∂H/∂m(x₀) + ∂H/∂m(x₁)),   (dcay⁻¹_u)* m = R₀ᵀ J,   R₁ = R₀ cay u,
+    u = h/2 (∂H/∂m(x₀) + ∂H/∂m(x₁)),   (dcay⁻¹_u)* m = R₀ᵀ J,   R₁ = R₀ cay u.
 
-which keeps J, is symplectic and its own adjoint, and without an attitude is the method of
-Störmer and Verlet.  J. E. Marsden, S. Pekarsky, S. Shkoller, Discrete Euler–Poincaré and
-Lie–Poisson equations, Nonlinearity 12 (1999) 1647–1662; N. Bou-Rabee, J. E. Marsden,
-Hamilton–Pontryagin integrators on Lie groups I, Found. Comput. Math. 9 (2009) 197–219.
+The method preserves J, is symplectic and self-adjoint. Without an attitude it is the method of
+Störmer and Verlet. J. E. Marsden, S. Pekarsky, S. Shkoller, Discrete Euler–Poincaré and Lie–Poisson
+equations, Nonlinearity 12 (1999) 1647–1662; N. Bou-Rabee, J. E. Marsden, Hamilton–Pontryagin
+integrators on Lie groups I, Found. Comput. Math. 9 (2009) 197–219.
 
-Forces that have no potential act in both stages, as in the principle of Lagrange and
-d'Alembert.  Reports between the ends of steps are steps of their own.
+Forces without a potential act in both stages, by the principle of Lagrange and d'Alembert. A state
+inside a step is the end of a shorter step.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from math import sqrt
 import numpy as np
 
 from ...common.arrays import Array
-from ..stepping.compiling import compiled, woven
+from ..stepping.compiling import compiled, inlined
 from ..stepping.kernel_call import call
 from ..stepping.run_record import DIVERGED, DONE, NOT_FINITE, Run
 from ..stepping.state_rows import (
@@ -42,31 +43,31 @@ from ..stepping.state_rows import (
 from ..stepping.step_loop import Hooks, equal_steps, loops
 from ..stepping.stepper import Stepper
 
-# Rows of `work` behind the state: what a step and one for a report work on each, the end of the
-# step, the two stages with p and a quaternion for m, their rates, and u with half of h Ω₁.
+# Rows of `work` after the state: six for the step and six for a step to a report time. Each six
+# are the end, the two stages with p and a quaternion for m, their rates, and u with h Ω₁ / 2.
 MAIN, SUB = NEW, NEW + 6
 END, BEGIN, STOP, BEGIN_RATE, STOP_RATE, TURN = range(6)
-ROWS, LEAST = SUB + 6, 6  # numbers in a row, at least: u takes three, and so does h Ω₁
+ROWS, LEAST = SUB + 6, 6  # number of rows; smallest row length, for the six numbers of TURN
 
-_MOST = 100  # turns of the iteration
-_STALLED, _SLOWEST = 0.5, 0.95  # quotients of changes
-_SMALL, _SLACK = 1e-14, 1e-11  # of the largest number
-_NOTHING = 1e-17  # of it: what is still to come does not count
+_MOST = 100  # iterations
+_STALLED, _SLOWEST = 0.5, 0.95  # ratios of successive changes
+_SMALL, _SLACK = 1e-14, 1e-11  # changes relative to the largest number
+_NOTHING = 1e-17  # predicted next change, relative to the largest number, that is negligible
 
 
-@woven
-def begin(run: Run, params: Array, work: Array, knots_t: Array, knots_y: Array) -> int:
-    """Do as driver.begin."""
+@inlined
+def begin_run(run: Run, params: Array, work: Array, end_times: Array, end_states: Array) -> int:
+    """Implement the hook `begin_run`."""
     unit_alone(work[Y], run.quaternion)
-    keep_state(run, work, 0.0, knots_t, knots_y)
+    keep_state(run, work, 0.0, end_times, end_states)
     _begin(run, params, work, MAIN, run.h)
     run.entry = first_not_finite(work[MAIN + BEGIN_RATE], run.n)
     return NOT_FINITE if run.entry >= 0 else DONE
 
 
-@woven
-def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa: ARG001
-    """Do as driver.attempt."""
+@inlined
+def attempt_step(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa: ARG001
+    """Implement the hook `attempt_step`."""
     status = _step(run, params, work, MAIN, run.h)
     if status == NOT_FINITE:
         run.entry = first_not_finite(work[MAIN + BEGIN_RATE], run.n)
@@ -75,33 +76,35 @@ def attempt(run: Run, params: Array, work: Array, t_new: float) -> int:  # noqa:
     return status
 
 
-@woven
-def accept(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
-    """Do as driver.accept."""
+@inlined
+def accept_step(run: Run, work: Array, t_new: float) -> None:  # noqa: ARG001
+    """Implement the hook `accept_step`."""
     for i in range(run.n):
         work[Y, i] = work[NEW, i]
 
 
-@woven
-def load(run: Run, params: Array, work: Array, t_new: float, knots_y: Array, k: int) -> None:
-    """Do as driver.load: the ends are all it takes."""
+@inlined
+def load_step(
+    run: Run, params: Array, work: Array, t_new: float, end_states: Array, k: int
+) -> None:
+    """Implement the hook `load_step`: the ends of the step suffice."""
 
 
-@woven
-def state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
-    """Do as driver.state, by a step of its own."""
+@inlined
+def write_state(run: Run, params: Array, work: Array, time: float, t_new: float, out: Array) -> int:
+    """Implement the hook `write_state` by a shorter step."""
     if copy_an_end(run, work, time, t_new, out):
         return DONE
     _begin(run, params, work, SUB, time - run.t)
-    good = _step(run, params, work, SUB, time - run.t) == DONE
+    solved = _step(run, params, work, SUB, time - run.t) == DONE
     for i in range(run.n):
-        out[i] = work[SUB + END, i] if good else np.nan
-    return DONE if good else DIVERGED
+        out[i] = work[SUB + END, i] if solved else np.nan
+    return DONE if solved else DIVERGED
 
 
 @compiled
 def _begin(run: Run, params: Array, work: Array, first: int, h: float) -> None:
-    """Fill rates and turn of a step with those at its begin, for a first guess."""
+    """Fill rates and rotation of a step with those at its start, as a first guess."""
     n, quaternion, address = run.n, run.quaternion, run.address
     call(address, work[Y], params, work[first + BEGIN_RATE])
     run.evaluations += 1
@@ -113,9 +116,9 @@ def _begin(run: Run, params: Array, work: Array, first: int, h: float) -> None:
 
 @compiled
 def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
-    """Make a step from row Y to row END; return DONE, or why its equations were not solved.
+    """Compute a step from row Y to row END; return DONE or the reason of a failure.
 
-    Rates and turn of the step before, gone on with, are the first guess.
+    The first guess extrapolates rates and rotation of the previous step.
     """
     n, pairs, quaternion, half = run.n, run.pairs, run.quaternion, 0.5 * h
     address, spin = run.address, run.spin
@@ -127,11 +130,11 @@ def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
     for i in range(pairs):
         begin[pairs + i] = stop[pairs + i] = y[pairs + i] + half * last[pairs + i]
         stop[i] = y[i] + h * (1.5 * last[i] - 0.5 * rate[i])
-    before, stalls = np.inf, 0
-    for turn in range(_MOST):
+    previous, stalls = np.inf, 0
+    for iteration in range(_MOST):
         largest = size = 0.0
         if quaternion >= 0 and spin:
-            _place(y, u, params, begin, quaternion)
+            _write_stage_quaternion(y, u, params, begin, quaternion)
         call(address, begin, params, rate)
         for i in range(pairs, 2 * pairs):
             new = y[i] + half * rate[i]
@@ -139,9 +142,9 @@ def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
             largest = max(largest, abs(new), abs(y[i]))
             begin[i] = stop[i] = new
         for i in range(2 * pairs, n):
-            # A clock is at its end; nothing depends on the others, but for a quaternion.
-            turned = quaternion >= 0 and 0 <= i - quaternion < 4
-            stop[i] = begin[i] if turned else y[i] + h * rate[i]
+            # A clock is exact at the end. Rates depend on no other entry except the quaternion.
+            is_quaternion = quaternion >= 0 and 0 <= i - quaternion < 4
+            stop[i] = begin[i] if is_quaternion else y[i] + h * rate[i]
         call(address, stop, params, last)
         run.evaluations += 2
         for i in range(pairs):
@@ -158,18 +161,18 @@ def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
                 u[i] = new
             largest = max(largest, 1.0)
         if not size < np.inf or first_not_finite(last, n) >= 0:
-            # What is finite to begin with grows only in an iteration that diverges.
-            return NOT_FINITE if turn == 0 else DIVERGED
-        if turn > 0 and size > 10.0 * before and size > _SLACK * largest:
+            # An initially finite iteration becomes non-finite only if it diverges.
+            return NOT_FINITE if iteration == 0 else DIVERGED
+        if iteration > 0 and size > 10.0 * previous and size > _SLACK * largest:
             return DIVERGED
-        stalls += size >= _SLOWEST * before
-        if size == 0.0 or (size <= _SMALL * largest and size >= _STALLED * before):
+        stalls += size >= _SLOWEST * previous
+        if size == 0.0 or (size <= _SMALL * largest and size >= _STALLED * previous):
             break
-        if turn > 0 and size * size <= _NOTHING * largest * before:
+        if iteration > 0 and size * size <= _NOTHING * largest * previous:
             break
         if stalls > 2 and size <= _SLACK * largest:
             break
-        before = size
+        previous = size
     else:
         return DIVERGED
     for i in range(pairs):
@@ -177,16 +180,16 @@ def _step(run: Run, params: Array, work: Array, first: int, h: float) -> int:
     for i in range(2 * pairs, n):
         end[i] = y[i] + half * (rate[i] + last[i])
     if quaternion >= 0:
-        _turn(y, 0.5 * u[0], 0.5 * u[1], 0.5 * u[2], 1.0, end, quaternion)
+        _multiply(y, 0.5 * u[0], 0.5 * u[1], 0.5 * u[2], 1.0, end, quaternion)
         unit_alone(end, quaternion)
         for i in range(3):
-            u[i] = 4.0 * u[3 + i] - u[i]  # a guess for the next
+            u[i] = 4.0 * u[3 + i] - u[i]  # first guess of the next step
     return DONE
 
 
 @compiled
 def _body_rate(y: Array, rate: Array, quaternion: int, h: float, out: Array) -> None:
-    """Write h times the body's angular velocity, (3,), out of a quaternion and its rate ½ q ω."""
+    """Write h times the body angular velocity ω, (3,), from a quaternion q and its rate ½ q ω."""
     a, b, c, w = y[quaternion], y[quaternion + 1], y[quaternion + 2], y[quaternion + 3]
     p, q, r, s = (
         rate[quaternion], rate[quaternion + 1], rate[quaternion + 2], rate[quaternion + 3],
@@ -198,8 +201,10 @@ def _body_rate(y: Array, rate: Array, quaternion: int, h: float, out: Array) -> 
 
 
 @compiled
-def _turn(y: Array, a: float, b: float, c: float, w: float, out: Array, quaternion: int) -> None:
-    """Write the product of the quaternion of y and (a, b, c, w)."""
+def _multiply(
+    y: Array, a: float, b: float, c: float, w: float, out: Array, quaternion: int
+) -> None:
+    """Write the product of the quaternion of y and the quaternion (a, b, c, w)."""
     p, q, r, s = y[quaternion], y[quaternion + 1], y[quaternion + 2], y[quaternion + 3]
     out[quaternion] = s * a + w * p + q * c - r * b
     out[quaternion + 1] = s * b + w * q + r * a - p * c
@@ -208,11 +213,11 @@ def _turn(y: Array, a: float, b: float, c: float, w: float, out: Array, quaterni
 
 
 @compiled
-def _place(y: Array, u: Array, params: Array, out: Array, quaternion: int) -> None:
+def _write_stage_quaternion(y: Array, u: Array, params: Array, out: Array, quaternion: int) -> None:
     """Write a quaternion whose lift q̄ J q is m, with (dcay⁻¹_u)* m = Rᵀ J.
 
-    That is m = (μ − ½ u × μ) / (1 + ¼ |u|²) with μ = Rᵀ J.  Of all quaternions the one that
-    turns m into μ on the shortest way.  J is the first three parameters.
+    With μ = Rᵀ J, m = (μ − ½ u × μ) / (1 + ¼ |u|²). Among all such quaternions this is the one
+    whose rotation from m to μ is shortest. J is the first three parameters.
     """
     x, s, z, w = y[quaternion], y[quaternion + 1], y[quaternion + 2], y[quaternion + 3]
     a, b, c = params[0], params[1], params[2]
@@ -223,17 +228,20 @@ def _place(y: Array, u: Array, params: Array, out: Array, quaternion: int) -> No
     p = factor * (a - 0.5 * (u[1] * c - u[2] * b))
     q = factor * (b - 0.5 * (u[2] * a - u[0] * c))
     r = factor * (c - 0.5 * (u[0] * b - u[1] * a))
-    whole, part = sqrt(a * a + b * b + c * c), sqrt(p * p + q * q + r * r)
+    norm_mu, norm_m = sqrt(a * a + b * b + c * c), sqrt(p * p + q * q + r * r)
     # The quaternion (m × μ, |m| |μ| + m · μ), at a length whose square is |m| / |μ|.
-    d = whole * part + p * a + q * b + r * c
-    scale = sqrt(part / whole) / sqrt(2.0 * whole * part * d)
-    _turn(
+    d = norm_mu * norm_m + p * a + q * b + r * c
+    scale = sqrt(norm_m / norm_mu) / sqrt(2.0 * norm_mu * norm_m * d)
+    _multiply(
         y, scale * (q * c - r * b), scale * (r * a - p * c), scale * (p * b - q * a), scale * d,
         out, quaternion,
     )  # fmt: skip
 
 
 STEPPER = Stepper(
-    loops("Variational", Hooks(begin, equal_steps, attempt, accept, load, state)),
+    loops(
+        "Variational",
+        Hooks(begin_run, equal_steps, attempt_step, accept_step, load_step, write_state),
+    ),
     lambda n, tangent: padded_rows(ROWS, max(n, LEAST)),  # noqa: ARG005
 )

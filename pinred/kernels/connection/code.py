@@ -1,4 +1,4 @@
-"""Machine code of a connection, made when it is first asked for, judged, and kept on disk."""
+"""Machine code of a connection, compiled at first use, compared with its reference, and cached."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.memo import once
@@ -14,20 +15,36 @@ from ...integrators.stepping.compiling import compiled
 from ..evaluate import evaluate
 from ..machine.native import NativeCode, compile_object, load_object
 from ..object_cache import ObjectCache, cache_key
-from .connection_judge import judge_curvature, judge_local, judge_slope, judge_velocity
-from .covariant import covariant_graph, judge_covariant
+from .connection_validation import (
+    validate_column_derivatives,
+    validate_columns,
+    validate_covariant,
+    validate_locked_derivative,
+    validate_slope,
+    validate_velocity,
+)
 from .form import ConnectionForm
-from .graphs import curvature_graph, local_graph, velocity_graph, velocity_slope_graph
+from .graphs import (
+    column_derivative_graph,
+    column_graph,
+    covariant_graph,
+    locked_derivative_graph,
+    velocity_graph,
+    velocity_slope_graph,
+)
+from .unit_rates import WIDTH, columns_at
 
 _NONE = np.zeros(1)
 
 
 @dataclass(frozen=True)
 class Velocities:
-    """Horizontal motion at N shapes and rates.
+    """Horizontal motion at N shapes and shape rates.
 
-    xi: (N, r) body velocities −A ẋ.  health: (N,) of P_b (see graphs).  square: (N,) ẋᵀ M ẋ;
-    NaN where there is no metric.
+    Attributes:
+        xi: Body twists −A ẋ, (N, r).
+        health: Distance of P_b from singular, (N,); see `graphs.health`.
+        square: ẋᵀ M ẋ, (N,); NaN without a metric.
     """
 
     xi: Array
@@ -39,20 +56,33 @@ class Velocities:
 class Locals:
     """The connection at N shapes.
 
-    A: (N, r, m).  P: (N, r, r).  health: (N,).  M: (N, m, m), or None without a metric.
+    Attributes:
+        matrix: The matrix of the form F, (N, r, n), or (N, n, n) if it is symmetric.
+        A: Local connection, (N, r, m).
+        health: Distance of P_b from singular, (N,); see `graphs.health`.
+        M: Metric, (N, m, m), or None.
     """
 
+    matrix: Array
     A: Array
-    P: Array
     health: Array
     M: Array | None
+
+    @property
+    def P(self) -> Array:
+        """P_b, (N, r, r): the columns of the form for body twists."""
+        r = self.A.shape[1]
+        return self.matrix[:, :r, :r]
 
 
 @dataclass(frozen=True)
 class Curvatures:
-    """The two parts of the curvature at N shapes, B = exterior − bracket.
+    """The two terms of the curvature at N shapes, B = exterior − bracket.
 
-    exterior: (N, r, m, m), ∂_αA_β − ∂_βA_α.  bracket: (N, r, m, m), [A_α, A_β].  health: (N,).
+    Attributes:
+        exterior: ∂_αA_β − ∂_βA_α, (N, r, m, m).
+        bracket: [A_α, A_β], (N, r, m, m).
+        health: Distance of P_b from singular, (N,); see `graphs.health`.
     """
 
     exterior: Array
@@ -62,121 +92,184 @@ class Curvatures:
 
 @dataclass(frozen=True, eq=False)
 class ConnectionCode:
-    """Machine code of one form.  Shapes x and rates ẋ are (N, m)."""
+    """Machine code of one form.  Shapes x and shape rates ẋ are (N, m) [rad | m], [rad/s | m/s]."""
 
     form: ConnectionForm
 
     def velocities(self, x: Array, xdot: Array) -> Velocities:
-        """Return the horizontal motions."""
-        form, code = self.form, self._code("velocity", velocity_graph, judge_velocity)
+        """Compute the horizontal motions."""
+        form, code = self.form, self._code("velocity", velocity_graph, validate_velocity)
         r = form.r
-        out = evaluate(code.address, _NONE, np.hstack([x, xdot]), r + 1 + form.symmetric)
-        square = out[:, r + 1] if form.symmetric else np.full(len(x), np.nan)
-        return Velocities(out[:, :r], out[:, r], square)
+        values = evaluate(code.address, _NONE, np.hstack([x, xdot]), r + 1 + form.symmetric)
+        square = values[:, r + 1] if form.symmetric else np.full(len(x), np.nan)
+        return Velocities(values[:, :r], values[:, r], square)
 
     def velocity_slopes(self, x: Array, xdot: Array) -> Array:
-        """Return the derivative of (ξ, ẋᵀ M ẋ) by (x, ẋ), (N, r + 1, 2m); r rows without M."""
-        form, code = self.form, self._code("slope", velocity_slope_graph, judge_slope)
+        """Return the derivative of (ξ, ẋᵀ M ẋ) by (x, ẋ), (N, r + 1, 2m).
+
+        Without a metric, it has r rows.
+        """
+        form, code = self.form, self._code("slope", velocity_slope_graph, validate_slope)
         rows, columns = form.r + form.symmetric, 2 * form.m
-        out = evaluate(code.address, _NONE, np.hstack([x, xdot]), rows * columns)
-        return np.swapaxes(out.reshape(len(x), columns, rows), 1, 2)
+        values = evaluate(code.address, _NONE, np.hstack([x, xdot]), rows * columns)
+        return _matrices(values, rows, columns)
 
     def covariant_forces(
         self, x: Array, xdot: Array, xddot: Array, along: Array
     ) -> tuple[Array, Array]:
-        """Return the covariant forces f of motions, (N, m), and the slopes of λᵀf, (N, 3m).
+        """Compute the covariant forces f of motions, and the gradients of λᵀf.
 
-        along: λ (N, m).  The slopes are by (x, ẋ, ẍ).  Only where there is a metric.
+        The form must have a metric.
+
+        Args:
+            x: Shapes, (N, m).
+            xdot: Shape rates, (N, m).
+            xddot: Shape accelerations, (N, m).
+            along: Weights λ, (N, m).
+        Returns:
+            f (N, m), and the derivatives of λᵀf by (x, ẋ, ẍ), (N, 3m).
         """
-        code, m = self._code("covariant", covariant_graph, judge_covariant), self.form.m
-        out = evaluate(code.address, _NONE, np.hstack([x, xdot, xddot, along]), 4 * m)
-        return out[:, :m], out[:, m:]
+        code, m = self._code("covariant", covariant_graph, validate_covariant), self.form.m
+        values = evaluate(code.address, _NONE, np.hstack([x, xdot, xddot, along]), 4 * m)
+        return values[:, :m], values[:, m:]
 
     def locals(self, x: Array) -> Locals:
-        """Return A, P_b and M."""
-        form, code = self.form, self._code("local", local_graph, judge_local)
-        r, m = form.r, form.m
-        ends = np.cumsum([r * m, r * r, 1, m * m * form.symmetric])
-        out = evaluate(code.address, _NONE, x, int(ends[-1]))
-        return Locals(
-            A=_columns(out[:, : ends[0]], r, m),
-            P=_columns(out[:, ends[0] : ends[1]], r, r),
-            health=out[:, ends[1]],
-            M=_columns(out[:, ends[2] :], m, m) if form.symmetric else None,
-        )
+        """Compute the matrix of the form, A and M."""
+        r, m, symmetric = self.form.r, self.form.m, self.form.symmetric
+        rows, metric = (r + m, m) if symmetric else (r, 0)
+        matrix, A = np.empty((len(x), rows, r + m)), np.empty((len(x), r, m))
+        health, M = np.empty(len(x)), np.empty((len(x), metric, metric))
+        code = self._code("columns", column_graph, validate_columns, wide=True)
+        for chunk, columns in columns_at(code.address, x, rows + r + r * r + 1 + metric):
+            _unpack(columns, matrix[chunk], A[chunk], health[chunk], M[chunk])
+        return Locals(matrix, A, health, M if symmetric else None)
 
     def curvatures(self, x: Array) -> Curvatures:
-        """Return the curvature in its two parts."""
-        form, code = self.form, self._code("curvature", curvature_graph, judge_curvature)
-        r, m = form.r, form.m
-        out = evaluate(code.address, _NONE, x, 1 + r * m * (m - 1))
-        exterior, bracket = np.empty((2, len(x), r, m, m))
-        _spread(out, exterior, bracket)
-        return Curvatures(exterior, bracket, out[:, 0])
+        """Compute the curvature in its two terms."""
+        exterior, bracket = np.zeros((2, len(x), self.form.r, self.form.m, self.form.m))
+        health = self._add_curvature(x, exterior, bracket, 1.0)
+        return Curvatures(exterior, bracket, health)
 
-    def curvature(self, x: Array, B: Array) -> Array:
-        """Fill B (N, r, m, m) with the curvature; return the health of P_b, (N,)."""
-        form, code = self.form, self._code("curvature", curvature_graph, judge_curvature)
-        out = evaluate(code.address, _NONE, x, 1 + form.r * form.m * (form.m - 1))
-        _spread_difference(out, B)
-        return out[:, 0].copy()
+    def curvature(self, x: Array) -> tuple[Array, Array]:
+        """Return the curvature (N, r, m, m) and the health of P_b, (N,)."""
+        B = np.zeros((len(x), self.form.r, self.form.m, self.form.m))
+        return B, self._add_curvature(x, B, B, -1.0)
+
+    def locked_derivatives(self, x: Array, omega: Array) -> Array:
+        """Return ∂(P_b ω)/∂x at constant body twists ω (N, r), (N, r, m)."""
+        r, m = self.form.r, self.form.m
+        code = self._code("locked_derivative", locked_derivative_graph, validate_locked_derivative)
+        return _matrices(evaluate(code.address, _NONE, np.hstack([x, omega]), r * m), r, m)
+
+    def _add_curvature(self, x: Array, exterior: Array, bracket: Array, sign: float) -> Array:
+        """Add both terms of the curvature to zeros, the bracket times sign; return the health."""
+        r, m = self.form.r, self.form.m
+        name = "column_derivatives"
+        code = self._code(name, column_derivative_graph, validate_column_derivatives, wide=True)
+        constants = self.form.group.ad(np.eye(r))  # [a, i, b]: entry i of [e_a, e_b]
+        entries = np.argwhere(constants)
+        factors, health = sign * constants[tuple(entries.T)], np.empty(len(x))
+        for chunk, columns in columns_at(code.address, x, r + 1 + r * m):
+            _antisymmetrise(columns, entries, factors, exterior[chunk], bracket[chunk])
+            health[chunk] = columns[:, 0, r]
+        return health
 
     def _code(
         self,
         name: str,
         graph: Callable[[ConnectionForm], ca.Function],
-        judge: Callable[[ConnectionForm, NativeCode], None],
+        validate: Callable[[ConnectionForm, NativeCode], None],
+        *,
+        wide: bool = False,
     ) -> NativeCode:
+        """Return machine code; wide: of a function of directions, compiled for SIMD lanes."""
+
         def make() -> NativeCode:
-            cache, key = ObjectCache(), cache_key(self.form.key, f"connection {name}")
-            code = cache.get(key)
-            if code is None:
-                code = compile_object(graph(self.form), name)
-                cache.put(key, code)
-            made = load_object(code, name)
-            judge(self.form, made)
-            return made
+            code = cached_code(self.form.key, name, lambda: graph(self.form), wide=wide)
+            validate(self.form, code)
+            return code
 
         return once(self, name, make)
 
 
-@compiled
-def _spread(out: Array, exterior: Array, bracket: Array) -> None:
-    """Put the columns of pairs α < β, of both parts, where they belong."""
-    count, r, m, _ = exterior.shape
-    half = r * m * (m - 1) // 2
-    for k in range(count):
-        at = 1
-        for a in range(m):
-            for i in range(r):
-                exterior[k, i, a, a] = bracket[k, i, a, a] = 0.0
-            for b in range(a + 1, m):
-                for i in range(r):
-                    exterior[k, i, a, b] = out[k, at]
-                    exterior[k, i, b, a] = -out[k, at]
-                    bracket[k, i, a, b] = out[k, at + half]
-                    bracket[k, i, b, a] = -out[k, at + half]
-                    at += 1
+def cached_code(
+    key: str | bytes, name: str, graph: Callable[[], ca.Function], *, wide: bool = False
+) -> NativeCode:
+    """Return machine code from the cache on disk, or compile it.
+
+    Args:
+        key: Identifies the graph.
+        name: Name of the compiled function.
+        graph: Returns the Function to compile, of (x, none), or (x, none, u) if wide.
+        wide: Whether the last input is one of WIDTH directions, evaluated in SIMD lanes.
+    Returns:
+        The code.  The caller must validate it.
+    """
+    width, inputs = (WIDTH, (2,)) if wide else (1, (0,))
+    cache, entry = ObjectCache(), cache_key(key, f"connection {name} {width}")
+    binary = cache.get(entry)
+    if binary is None:
+        binary = compile_object(graph(), name, wide=width, wide_inputs=inputs)
+        cache.put(entry, binary)
+    return load_object(binary, name)
 
 
 @compiled
-def _spread_difference(out: Array, B: Array) -> None:
-    """Put the differences of both parts where they belong."""
-    count, r, m, _ = B.shape
-    half = r * m * (m - 1) // 2
-    for k in range(count):
-        at = 1
-        for a in range(m):
+def _unpack(columns: Array, matrix: Array, A: Array, health: Array, M: Array) -> None:
+    """Fill the terms of `Locals` from the outputs of `column_graph`.
+
+    Symmetric matrices are symmetric up to round-off there, and exactly so here.
+    """
+    r, m, rows, metric = A.shape[1], A.shape[2], matrix.shape[1], M.shape[1]
+    for k in range(len(columns)):
+        locked = rows + r
+        health[k] = columns[k, 0, locked + r * r]
+        for j in range(r):
             for i in range(r):
-                B[k, i, a, a] = 0.0
-            for b in range(a + 1, m):
+                matrix[k, i, j] = columns[k, 0, locked + r * j + i]
+        for j in range(m):
+            for i in range(r):
+                A[k, i, j] = columns[k, j, rows + i]
+                matrix[k, i, r + j] = columns[k, j, i]
+        for j in range(metric):
+            for i in range(r):
+                matrix[k, r + j, i] = columns[k, j, i]
+            for i in range(metric):
+                both = columns[k, j, r + i] + columns[k, i, r + j]
+                matrix[k, r + i, r + j] = 0.5 * both
+                both = columns[k, j, locked + r * r + 1 + i] + columns[k, i, locked + r * r + 1 + j]
+                M[k, i, j] = 0.5 * both
+
+
+@compiled
+def _antisymmetrise(
+    columns: Array, entries: NDArray[np.intp], factors: Array, exterior: Array, bracket: Array
+) -> None:
+    """Fill both terms of the curvature, which are zero, from columns A_α and ∂A_α.
+
+    columns: (N, m, r + 1 + r m), with entry (i, β) of ∂_β A_iα at r + 1 + r β + i.  entries,
+    factors: indices (a, i, b) and values of the structure constants.  The outputs may be one array,
+    which then holds the sum.
+    """
+    r, m = exterior.shape[1], exterior.shape[2]
+    for k in range(len(exterior)):
+        for alpha in range(m):
+            for beta in range(alpha + 1, m):
                 for i in range(r):
-                    value = out[k, at] - out[k, at + half]
-                    B[k, i, a, b] = value
-                    B[k, i, b, a] = -value
-                    at += 1
+                    by_alpha = columns[k, beta, r + 1 + r * alpha + i]
+                    by_beta = columns[k, alpha, r + 1 + r * beta + i]
+                    exterior[k, i, alpha, beta] = by_alpha - by_beta
+                for e in range(len(entries)):
+                    a, i, b = entries[e]
+                    term = factors[e] * columns[k, alpha, a] * columns[k, beta, b]
+                    bracket[k, i, alpha, beta] += term
+        for i in range(r):
+            for alpha in range(m):
+                for beta in range(alpha):
+                    exterior[k, i, alpha, beta] = -exterior[k, i, beta, alpha]
+                    bracket[k, i, alpha, beta] = -bracket[k, i, beta, alpha]
 
 
-def _columns(flat: Array, rows: int, columns: int) -> Array:
-    """Return matrices (N, rows, columns) of their entries by columns, (N, rows · columns)."""
+def _matrices(flat: Array, rows: int, columns: int) -> Array:
+    """Return matrices (N, rows, columns) from their entries by columns, (N, rows · columns)."""
     return np.swapaxes(flat.reshape(len(flat), columns, rows), 1, 2)

@@ -1,10 +1,9 @@
-"""The expressions of a connection: body velocity, A, metric, and curvature with its two parts."""
+"""CasADi expressions of a connection: body velocity, columns of A and M, and their derivatives."""
 
 from __future__ import annotations
 
 import casadi as ca
 
-from ...reduction.tree.momenta import bracket
 from ...reduction.tree.scalars import factor_ldl, solve_factored
 from .form import ConnectionForm
 
@@ -31,41 +30,61 @@ def velocity_slope_graph(form: ConnectionForm) -> ca.Function:
     return _function("slope", y, [ca.vec(ca.densify(ca.jacobian(out[rows], y)))])
 
 
-def local_graph(form: ConnectionForm) -> ca.Function:
-    """Return x → A, P_b, the health of P_b, and M if there is a metric, by columns."""
+def column_graph(form: ConnectionForm) -> ca.Function:
+    """Return x, joint rates u → F(x) (0, u), A u, P_b by columns, its health, and M u.
+
+    M u is missing without a metric.  Evaluated at unit rates, these are columns of F, A and M.
+    """
     r, m = form.r, form.m
-    x, P, S = _parts(form)
-    A = _solved(form, P, S[:r, :])
-    out = [ca.vec(A), ca.vec(P), health(form, P)]
-    if form.symmetric:
-        out.append(ca.vec(S[r:, :] - S[:r, :].T @ A) if m else ca.SX(0, 1))
-    return _function("local", x, out)
+    x, u = ca.SX.sym("x", m), ca.SX.sym("u", m)
+    P = _locked(form, x)
+    F = form.values(x, ca.vertcat(ca.SX.zeros(r, 1), u))
+    Au = _solved(form, P, F[:r])
+    outputs = [F, Au, ca.vec(P), health(form, P)]
+    if form.symmetric and m:
+        outputs.append(form.values(x, ca.vertcat(-Au, u))[r:])
+    return _directional_function("columns", x, u, outputs)
 
 
-def curvature_graph(form: ConnectionForm) -> ca.Function:
-    """Return x → the health of P_b, then dA_αβ and [A_α, A_β], each (r,), for every α < β."""
+def column_derivative_graph(form: ConnectionForm) -> ca.Function:
+    """Return x, joint rates u → A u, the health of P_b, and ∂(A u)/∂x by columns, (r m,).
+
+    From P_b A u = P_s u, the derivative is P_b⁻¹ ∂F/∂x at the constant velocity (−A u, u).
+    """
     r, m = form.r, form.m
-    x, P, S = _parts(form)
-    A = _solved(form, P, S[:r, :])
-    dP, dS = ca.jacobian(ca.vec(P), x), ca.jacobian(ca.vec(S[:r, :]), x)
-    twisted, brackets = [], []
-    for a in range(m):
-        for b in range(a + 1, m):
-            moved = dS[r * b : r * b + r, a] - dS[r * a : r * a + r, b]
-            moved -= ca.reshape(dP[:, a], r, r) @ A[:, b] - ca.reshape(dP[:, b], r, r) @ A[:, a]
-            twisted.append(moved)
-            brackets.append(bracket(form.group, A[:, a], A[:, b]))
-    columns = _solved(form, P, ca.horzcat(*twisted)) if twisted else ca.SX(r, 0)
-    out = [health(form, P), ca.vec(columns), *brackets]
-    return _function("curvature", x, out)
+    x, u, xi = ca.SX.sym("x", m), ca.SX.sym("u", m), ca.SX.sym("xi", r)
+    P = _locked(form, x)
+    Au = _solved(form, P, form.values(x, ca.vertcat(ca.SX.zeros(r, 1), u))[:r])
+    by_x = ca.densify(ca.jacobian(form.values(x, ca.vertcat(xi, u))[:r], x))
+    derivative = _solved(form, P, ca.substitute(by_x, xi, -Au))
+    outputs = [Au, health(form, P), ca.vec(derivative)]
+    return _directional_function("column_derivatives", x, u, outputs)
 
 
-def _parts(form: ConnectionForm) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return x, P_b (r, r), and the columns of the form that joint rates have, (r or n, m)."""
-    r, m = form.r, form.m
-    x, v = ca.SX.sym("x", m), ca.SX.sym("v", r + m)
-    F = form.values(x, v)
-    return x, _locked(form, x), ca.densify(ca.jacobian(F, v[r:]))
+def locked_derivative_graph(form: ConnectionForm) -> ca.Function:
+    """Return (x, ω) → ∂(P_b ω)/∂x at constant body twist ω (r,), by columns, (r m,)."""
+    x, omega = ca.SX.sym("x", form.m), ca.SX.sym("omega", form.r)
+    derivative = ca.jacobian(_locked(form, x) @ omega, x)
+    return _function("locked_derivative", ca.vertcat(x, omega), [ca.vec(ca.densify(derivative))])
+
+
+def covariant_graph(form: ConnectionForm) -> ca.Function:
+    """Return (x, ẋ, ẍ, λ) → the force f (m,), then the derivative of λᵀf by (x, ẋ, ẍ), (3m,).
+
+    A motion of a shape with the Lagrangian ½ ẋᵀMẋ needs f_α = d/dt (M ẋ)_α − ½ ẋᵀ ∂_αM ẋ, M times
+    its covariant acceleration.  If M is the reduced metric of inertia and nothing else acts, f are
+    the joint torques at zero momentum.
+    """
+    m, none = form.m, ca.SX.sym("none")
+    motion, along = ca.SX.sym("motion", 3 * m), ca.SX.sym("along", m)
+    state, rate = motion[: 2 * m], motion[m:]
+    square = velocity_graph(form)(state, none)[-1]
+    slope = 0.5 * ca.gradient(square, motion)
+    by_rate = slope[m : 2 * m]
+    force = ca.jtimes(by_rate, motion, ca.vertcat(rate, ca.SX.zeros(m))) - slope[:m]
+    derivative = ca.gradient(ca.dot(along, force), motion)
+    out = ca.densify(ca.vertcat(force, derivative))
+    return ca.Function("covariant", [ca.vertcat(motion, along), none], [out], {"cse": True})
 
 
 def _locked(form: ConnectionForm, x: ca.SX) -> ca.SX:
@@ -128,6 +147,12 @@ def health(form: ConnectionForm, P: ca.SX) -> ca.SX:
     for k in range(form.r):
         size = size * ca.norm_2(P[k, :])
     return ca.det(P) / size
+
+
+def _directional_function(name: str, x: ca.SX, u: ca.SX, outputs: list[ca.SX]) -> ca.Function:
+    """Return the Function of shape, no parameters, and joint rates, to be compiled for lanes."""
+    column = ca.densify(ca.vertcat(*outputs))
+    return ca.Function(name, [x, ca.SX.sym("none"), u], [column], {"cse": True})
 
 
 def _function(name: str, y: ca.SX, out: list[ca.SX]) -> ca.Function:

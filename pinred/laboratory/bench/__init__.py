@@ -1,10 +1,10 @@
-"""Measurements that anyone can repeat, by `pinred bench …` or from Python.
+"""Benchmarks, run by `pinred bench …` or from Python.
 
     from pinred.laboratory.bench import bench_accuracy
-    for found in bench_accuracy():
-        print(found)
+    for result in bench_accuracy():
+        print(result)
 
-Names are imported when they are first used; the stub beside this file says where each stands.
+Names are imported on first use; the stub `__init__.pyi` lists their modules.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Every name and where it stands: for type checkers, and for the first use of a name."""
+"""Public names and their modules, for type checkers and for the lazy import."""
 
 from .accuracy import DEFAULT as DEFAULT
 from .accuracy import FULL as FULL

@@ -1,4 +1,4 @@
-"""Run time against error: each method at each tolerance, in one run of alternating rounds."""
+"""Run time against error: every method at every tolerance, timed in alternating rounds."""
 
 from __future__ import annotations
 
@@ -20,16 +20,19 @@ from .solver import PreparedRun, Solver
 from .timing import alternating, repeated
 from .work_precision import Point, WorkPrecision
 
-YARDSTICK = "pinred"  # measured in every run, so that each has ratios of its own
+YARDSTICK = "pinred"  # method in every run, so that ratios compare times of the same run
 
 
 @dataclass(frozen=True)
 class Effort:
-    """The time that a measurement may take.
+    """The time that a benchmark may take.
 
-    rounds: of which the median counts.  patience: s; once a run of a method takes longer, it
-    is not refined any more.  budget: s of timing for one point.  every: of the tolerances,
-    which are measured.
+    Attributes:
+        name: Name of the effort, stored in the record.
+        rounds: Number of rounds, of which the median is reported.
+        patience: Longest run [s]; after a longer one, finer tolerances of the method are skipped.
+        budget: Time for all rounds of one point [s].
+        every: Stride through the tolerances of a method; 1 measures all.
     """
 
     name: str
@@ -45,7 +48,7 @@ FULL = Effort("full", rounds=15, patience=10.0, budget=30.0)
 
 
 def run_name() -> str:
-    """Return a name for a run of this process, which no other has."""
+    """Return a unique name for a run, from the time and the process id."""
     return f"{time.strftime('%Y%m%dT%H%M%S')}-{os.getpid()}"
 
 
@@ -57,28 +60,35 @@ def bench_accuracy(
     effort: Effort = DEFAULT,
     progress: Progress | bool | None = None,
 ) -> list[WorkPrecision]:
-    """Return what accuracy costs on each problem, by each method.
+    """Measure run time against error for each method on each problem.
 
-    problems: those of `scenes.BARS` if None.  methods: SOLVERS if None.
-    tolerances: of the methods that have one; each method's own if None.  progress: as for
-    `simulate`.
+    Args:
+        problems: Problems; `scenes.BARS` if None.
+        methods: Methods; SOLVERS if None.
+        tolerances: Relative tolerances for methods with step control; their defaults if None.
+        effort: Time that the measurement may take.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        One result for each problem.
+    Raises:
+        IntegrationError: The reference solution of a problem cannot be computed.
     """
     from .solvers import SOLVERS
 
     problems = problems_named()[0] if problems is None else problems
     methods = SOLVERS if methods is None else methods
-    run, found = run_name(), []
+    run, results = run_name(), []
     with shown(progress, "accuracy") as bar:
-        done = bar or quiet
+        report_all = bar or quiet
         for k, problem in enumerate(problems):
 
-            def part(inner: float, k: int = k) -> None:
-                done((k + inner) / len(problems))
+            def report(fraction: float, k: int = k) -> None:
+                report_all((k + fraction) / len(problems))
 
-            found.append(
-                bench_problem(problem, methods, tolerances, effort, run=run, progress=part)
+            results.append(
+                bench_problem(problem, methods, tolerances, effort, run=run, progress=report)
             )
-    return found
+    return results
 
 
 def bench_problem(
@@ -90,35 +100,48 @@ def bench_problem(
     run: str = "",
     progress: Progress = quiet,
 ) -> WorkPrecision:
-    """Return what accuracy costs on one problem.  Raises IntegrationError without a reference."""
+    """Measure run time against error on one problem.
+
+    Args:
+        problem: The problem.
+        methods: Methods to measure; those that cannot run here are listed as missing.
+        tolerances: Relative tolerances for methods with step control; their defaults if None.
+        effort: Time that the measurement may take.
+        run: Name of the run.
+        progress: Called with the completed fraction.
+    Returns:
+        Points of all methods.
+    Raises:
+        IntegrationError: The reference solution cannot be computed.
+    """
     missing = {method.name: method.missing(problem) for method in methods}
-    able = [method for method in methods if not missing[method.name]]
-    truth = reference_of(problem)
+    available = [method for method in methods if not missing[method.name]]
+    reference = reference_of(problem)
     progress(0.1)
     points: list[Point] = []
-    running: list[tuple[int, PreparedRun]] = []
-    for k, method in enumerate(able):
-        for point, prepared in _first_runs(problem, truth, method, tolerances, effort):
+    prepared_runs: list[tuple[int, PreparedRun]] = []
+    for k, method in enumerate(available):
+        for point, prepared in _first_runs(problem, reference, method, tolerances, effort):
             if prepared is not None:
-                running.append((len(points), prepared))
+                prepared_runs.append((len(points), prepared))
             points.append(point)
-        progress(0.1 + 0.4 * (k + 1) / len(able))
+        progress(0.1 + 0.4 * (k + 1) / len(available))
     times = alternating(
-        [repeated(prepared.run) for _, prepared in running],
+        [repeated(prepared.run) for _, prepared in prepared_runs],
         rounds=effort.rounds,
         budget=effort.budget,
-        progress=lambda part: progress(0.5 + 0.5 * part),
+        progress=lambda fraction: progress(0.5 + 0.5 * fraction),
     )
-    for j, (k, _) in enumerate(running):
+    for j, (k, _) in enumerate(prepared_runs):
         points[k] = replace(points[k], wall=float(np.nanmedian(times[:, j])))
     return WorkPrecision(
         problem=problem.name,
         description=problem.about,
         joints=problem.system.m,
         duration=problem.start.duration,
-        reference_error=truth.error,
-        reference=truth.about,
-        about={method.name: method.about for method in able},
+        reference_error=reference.error,
+        reference=reference.about,
+        about={method.name: method.about for method in available},
         points=tuple(points),
         missing={name: line for name, line in missing.items() if line},
         run=run,
@@ -127,63 +150,66 @@ def bench_problem(
 
 def _first_runs(
     problem: Problem,
-    truth: Reference,
+    reference: Reference,
     method: Solver,
     tolerances: Sequence[float] | None,
     effort: Effort,
 ) -> Iterator[tuple[Point, PreparedRun | None]]:
-    """Yield the points of a method, judged but not timed, with what runs them again."""
+    """Run a method once at each tolerance; yield its errors, and the prepared run for timing."""
     if tolerances is None or method.fixed:
-        wanted = method.tolerances[:: effort.every]
+        tolerances = method.tolerances[:: effort.every]
     else:
-        wanted = tuple(sorted(tolerances, reverse=True))
+        tolerances = tuple(sorted(tolerances, reverse=True))
     slow = ""
-    for tolerance in wanted:
+    for tolerance in tolerances:
         if slow:
             yield Point(method.name, tolerance, failure=slow), None
             continue
         try:
             prepared = method.prepare(problem, tolerance)
-            found, took = _timed(prepared)
-            if took > effort.patience:  # a first run may compile and load
-                found, took = _timed(prepared)
-            point = _judged(problem, truth, method.name, tolerance, prepared, found)
+            result, wall = _run_timed(prepared)
+            if wall > effort.patience:  # the first run may have compiled or loaded code
+                result, wall = _run_timed(prepared)
+            point = _point(problem, reference, method.name, tolerance, prepared, result)
         except PinredError as error:
             yield Point(method.name, tolerance, failure=str(error)), None
             continue
         yield point, prepared
-        if took > effort.patience:
-            slow = f"not run: a coarser one took {took:.2g} s, and {effort.patience:g} s is all"
+        if wall > effort.patience:
+            slow = (
+                f"not run: a coarser tolerance took {wall:.2g} s, more than the limit of "
+                f"{effort.patience:g} s"
+            )
 
 
-def _timed(prepared: PreparedRun) -> tuple[object, float]:
+def _run_timed(prepared: PreparedRun) -> tuple[object, float]:
     began = time.perf_counter()
-    found = prepared.run()
-    return found, time.perf_counter() - began
+    result = prepared.run()
+    return result, time.perf_counter() - began
 
 
-def _judged(
+def _point(
     problem: Problem,
-    truth: Reference,
+    reference: Reference,
     method: str,
     tolerance: float,
     prepared: PreparedRun,
-    found: object,
+    result: object,
 ) -> Point:
-    """Return the point of a first run, without its time.  Raises IntegrationError."""
-    end = prepared.end(found)
-    if not all(np.isfinite(part).all() for part in (end.x, end.q, end.v)):
-        raise IntegrationError("the end is not finite")
-    apart = problem.full.distance(truth.end, FullMotion(x=end.x[None], q=end.q[None]))
-    changed = compute_drift(problem, end.q, end.v)
+    """Return the errors of a first run, without its time; raise IntegrationError if not finite."""
+    end = prepared.end(result)
+    if not all(np.isfinite(values).all() for values in (end.x, end.q, end.v)):
+        raise IntegrationError("the final state is not finite")
+    distance = problem.full.distance(reference.end, FullMotion(x=end.x[None], q=end.q[None]))
+    drift = compute_drift(problem, end.q, end.v)
     return Point(
         method=method,
         tolerance=tolerance,
         build=prepared.build,
         evaluations=end.evaluations,
-        shape=float(apart.shape[0]),
-        rotation=float(apart.rotation[0]),
-        position=float(apart.position[0]),
-        energy=changed.energy,
-        momentum=changed.momentum,
+        shape=float(distance.shape[0]),
+        rotation=float(distance.rotation[0]),
+        position=float(distance.position[0]),
+        energy=drift.energy,
+        momentum=drift.momentum,
     )

@@ -1,7 +1,7 @@
-"""Trajectories per second on one thread, of many members at an error asked for.
+"""Trajectories per second on one thread, for batches of members at a requested error.
 
-Seconds are those of the processor: whole calls take milliseconds, and on a machine with other work
-the time on the wall says more of that than of them.
+Processor time is measured instead of wall time: calls take milliseconds, and wall time would mostly
+show other work of the machine.
 """
 
 from __future__ import annotations
@@ -24,16 +24,20 @@ from .problems import Problem
 from .scenes import problems_named
 
 MEMBERS, ROUNDS, ERROR = 512, 5, 1e-8
-JUDGED = 2  # members whose ends Pinocchio's ABA judges
+JUDGED = 2  # number of members whose final state is compared with Pinocchio's ABA
 BATCH_SOLVERS = (*OWN, *HEYOKA_BATCH, *ROLLOUT)
-_BUDGET = 10.0  # s, beyond which a way takes no further turn
+_BUDGET = 10.0  # processor time [s] after which a solver runs in no further round
 
 
 @dataclass(frozen=True)
 class Rate:
-    """Trajectories per second of one way.
+    """Trajectories per second of one solver.
 
-    tolerance: with which the error was kept.  error: of the members that were judged [rad | m].
+    Attributes:
+        solver: Name of the solver.
+        tolerance: Coarsest tolerance that reaches the requested error.
+        error: Largest error of the compared members [rad | m].
+        per_second: Trajectories per second of processor time.
     """
 
     solver: str
@@ -44,9 +48,14 @@ class Rate:
 
 @dataclass(frozen=True)
 class ManyTiming:
-    """Ways to solve all members of one problem, on one thread.
+    """Trajectories per second of all solvers for the members of one problem, on one thread.
 
-    rates: of each.  missing: a line on each that was left out, or did not reach the error.
+    Attributes:
+        problem: Name of the problem.
+        members: Number of members.
+        duration: Duration of each motion [s].
+        rates: Results of the solvers.
+        missing: Reasons why solvers were left out or did not reach the error.
     """
 
     problem: str
@@ -56,7 +65,13 @@ class ManyTiming:
     missing: tuple[str, ...]
 
     def times(self, solver: str) -> float:
-        """Return how many times the trajectories per second of the scalar integrator it makes."""
+        """Return a solver's trajectories per second relative to the scalar integrator's.
+
+        Args:
+            solver: Name of the solver.
+        Returns:
+            The ratio; NaN if the scalar integrator is missing.
+        """
         by_name = {rate.solver: rate.per_second for rate in self.rates}
         return by_name[solver] / by_name.get(OWN[1].name, float("nan"))
 
@@ -81,35 +96,41 @@ def bench_many(
     rounds: int = ROUNDS,
     progress: Progress | bool | None = None,
 ) -> list[ManyTiming]:
-    """Return how many trajectories per second there are on each scene, by pinred and by others.
+    """Measure trajectories per second of pinred and other tools on each scene.
 
-    scenes: names in SCENES, those of `bench accuracy` if None.  members: they start near the
-    scene's start.  error: at the end [rad | m], against Pinocchio's ABA on the full state; each way
-    has the coarsest tolerance that keeps to it.  rounds: of which the median counts.
-    Raises InputError for names and numbers that make no sense.
+    Args:
+        scenes: Names in SCENES; those of `bench accuracy` if None.
+        members: Number of members; their initial states are near that of the scene.
+        error: Largest error of the final state against Pinocchio's ABA [rad | m]. Each solver
+            runs at the coarsest tolerance that reaches it.
+        rounds: Number of rounds, of which the median is reported.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        One result for each scene.
+    Raises:
+        InputError: Unknown scene, or too few members.
     """
     if members < JUDGED:
         raise InputError(f"members must be at least {JUDGED}, got {members}")
     problems, _ = problems_named(scenes)
-    measure = partial(_measured, count=members, error=error, rounds=rounds)
+    measure = partial(_measure, count=members, error=error, rounds=rounds)
     return one_by_one(problems, measure, progress, "many")
 
 
-def _measured(problem: Problem, count: int, error: float, rounds: int) -> ManyTiming:
+def _measure(problem: Problem, count: int, error: float, rounds: int) -> ManyTiming:
     members = generate_members(problem, count)
-    truth = [each.full.run(each.full_start(), each.times, *FINEST) for each in members[:JUDGED]]
+    truth = [m.full.run(m.full_start(), m.times, *FINEST) for m in members[:JUDGED]]
     ready: list[tuple[BatchSolver, float, float, PreparedBatch]] = []
     missing = []
     for solver in BATCH_SOLVERS:
         if why := solver.missing(problem):
             missing.append(why)
             continue
-        some = members[: solver.most]
         try:
-            ready.append((solver, *_tolerance(solver, some, truth, error)))
-        except PinredError as stopped:
-            missing.append(f"{solver.name}: {stopped}")
-    seconds = _processor_seconds([way.run for *_, way in ready], rounds)
+            ready.append((solver, *_find_tolerance(solver, members[: solver.most], truth, error)))
+        except PinredError as failure:
+            missing.append(f"{solver.name}: {failure}")
+    seconds = _processor_seconds([prepared.run for *_, prepared in ready], rounds)
     rates = tuple(
         Rate(solver.name, tolerance, reached, min(count, solver.most) / spent)
         for (solver, tolerance, reached, _), spent in zip(ready, seconds, strict=True)
@@ -118,10 +139,10 @@ def _measured(problem: Problem, count: int, error: float, rounds: int) -> ManyTi
 
 
 def _processor_seconds(actions: Sequence[Callable[[], object]], rounds: int) -> list[float]:
-    """Return the median seconds of a processor that each action takes, the actions taking turns."""
+    """Return the median processor time of each action [s], measured in alternating rounds."""
     seconds: list[list[float]] = [[] for _ in actions]
     for action in actions:
-        action()  # what is compiled or loaded first does not count
+        action()  # compilation and loading do not count
     for _ in range(rounds):
         for spent, action in zip(seconds, actions, strict=True):
             if sum(spent) < _BUDGET:
@@ -131,21 +152,29 @@ def _processor_seconds(actions: Sequence[Callable[[], object]], rounds: int) -> 
     return [float(np.median(spent)) for spent in seconds]
 
 
-def _tolerance(
+def _find_tolerance(
     solver: BatchSolver, members: Sequence[Problem], truth: Sequence[FullMotion], error: float
 ) -> tuple[float, float, PreparedBatch]:
-    """Return the coarsest tolerance of a way that keeps to an error, that error, and the way.
+    """Find the coarsest tolerance of a solver that reaches an error.
 
-    Raises InputError if there is none.
+    Args:
+        solver: The solver.
+        members: Members of the batch.
+        truth: Reference solutions of the first members.
+        error: Requested error [rad | m].
+    Returns:
+        The tolerance, its error, and the prepared run.
+    Raises:
+        InputError: No tolerance reaches the error.
     """
     reached = np.inf
     for tolerance in solver.tolerances:
-        way = solver.prepare(members, tolerance)
-        ends = way.ends(way.run(), len(truth))
+        prepared = solver.prepare(members, tolerance)
+        ends = prepared.ends(prepared.run(), len(truth))
         reached = max(
-            member.apart(FullMotion(x=end.x[None], q=end.q[None]), true)
-            for member, end, true in zip(members, ends, truth, strict=False)
+            member.apart(FullMotion(x=end.x[None], q=end.q[None]), reference)
+            for member, end, reference in zip(members, ends, truth, strict=False)
         )
         if reached <= error:
-            return tolerance, reached, way
-    raise InputError(f"the error does not come below {reached:.1e}")
+            return tolerance, reached, prepared
+    raise InputError(f"its smallest error is {reached:.1e}")

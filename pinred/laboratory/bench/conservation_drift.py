@@ -1,4 +1,4 @@
-"""Drift of energy and momentum: by Pinocchio, for every method alike."""
+"""Drift of energy and momentum from start to end, computed by Pinocchio for every method."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from .problems import Problem
 
 @dataclass(frozen=True)
 class Drift:
-    """Change from start to end, relative.
+    """Relative change from start to end.
 
-    energy: over the kinetic energy T at the start, less that of a centre of mass that goes
-    on as it is.  momentum: the largest of the conserved components, over √(2mT), for angular
-    ones times the radius of gyration.  Angular momentum is that about the centre of mass
-    where the group translates, about the pivot elsewhere.
+    Attributes:
+        energy: Change of energy over the initial kinetic energy T, without the uniform motion of
+            the centre of mass.
+        momentum: Largest change of a conserved component over √(2mT), times the radius of
+            gyration for angular ones. Angular momentum is taken about the centre of mass if the
+            group translates, else about the pivot.
     """
 
     energy: float
@@ -25,7 +27,7 @@ class Drift:
 
 
 def compute_drift(problem: Problem, q: Array, v: Array) -> Drift:
-    """Return the drift of a problem that has come to q (nq,) and v (n,)."""
+    """Compute the drift of a motion of a problem that ends at q (nq,) and v (n,)."""
     full, system, start = problem.full, problem.system, problem.start
     k = system.group.linear
     q0, v0 = problem.q0, problem.v0
@@ -33,8 +35,9 @@ def compute_drift(problem: Problem, q: Array, v: Array) -> Drift:
     internal = total - full.totals.com_kinetic_energy(q0, v0)
     scale = internal if internal > 1e-9 * total else total
     fall = system.mass * system.gravity * start.duration
-    before = full.totals.momentum(q0, v0, np.zeros(3), about_pivot=not system.group.turns_about_com)
-    after = full.totals.momentum(q, v, fall, about_pivot=not system.group.turns_about_com)
+    about_pivot = not system.group.turns_about_com
+    before = full.totals.momentum(q0, v0, np.zeros(3), about_pivot=about_pivot)
+    after = full.totals.momentum(q, v, fall, about_pivot=about_pivot)
     unit = np.full(system.r, np.sqrt(2.0 * system.mass * scale))
     unit[k:] *= full.totals.radius_of_gyration(q0)
     energy = total + full.totals.potential_energy(q0)

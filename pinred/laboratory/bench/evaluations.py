@@ -1,11 +1,11 @@
-"""Evaluations one after another that an error costs, by published methods of many kinds.
+"""Number of sequential evaluations that published methods need for an error.
 
-SciPy's and, if it is installed, extensisq's methods run over the compiled vector field, called
-from Python; what counts is how often, not how long.  AdaptiveGauss evaluates eight stages at
-once: what it needs one after another are sweeps, which cost 1.9 evaluations for a chain and
-more where limbs are lanes already (see choose_method.py).  DOP853 is there with other
-norms of the error, too: it leaves out the pose of the base, or gives each kind of number (shape,
-momenta, pose) one scale, its largest over the motion.
+Methods of SciPy and, if installed, of extensisq run over the compiled vector field, called from
+Python; only evaluations are counted, not time. AdaptiveGauss evaluates eight stages at once, so its
+sequential sweeps are counted. A sweep costs 1.9 evaluations for a chain, and more where identical
+branches already use the SIMD lanes (see choose_method.py). DOP853 is also run with other error
+norms: without the pose of the base, or with one scale for each kind of number (shape, momenta,
+pose), its largest value over the motion.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from .problems import Problem
 from .scenes import problems_named
 from .solver import ATOL
 
-Tolerances: TypeAlias = tuple[float, float | Array]  # rtol and atol, as SciPy takes them
+Tolerances: TypeAlias = tuple[float, float | Array]  # rtol and atol in SciPy's form
 Norm: TypeAlias = Callable[[float], Tolerances]
 
 FEW_SCENES = ("planar5", "satellite", "solo12", "talos")
 ERRORS = (1e-4, 1e-6, 1e-8, 1e-10)
 INSTALL = "pip install extensisq"
-_OF_THE_BASE = "DOP853, base left out"
-_OF_A_KIND = "DOP853, a scale a kind"
-_NEVER = 1e30  # as a tolerance: what has it takes no part in the norm
+_WITHOUT_BASE = "DOP853, base left out"
+_ONE_SCALE = "DOP853, a scale a kind"
+_IGNORED = 1e30  # weight of the absolute tolerance that removes an entry from the error norm
 _TOLERANCES = tuple(10.0 ** (-0.5 * k) for k in range(4, 27))
 _SCIPY = {
     "Dormand–Prince 5(4)": "RK45",
@@ -58,7 +58,13 @@ _EXTENSISQ = {
 
 @dataclass(frozen=True)
 class Evaluations:
-    """The cost of errors on one problem.  counts: method → evaluations for each of ERRORS."""
+    """Evaluations needed for errors on one problem.
+
+    Attributes:
+        problem: Name and description of the problem.
+        counts: Method → evaluations for each error of ERRORS; NaN if it is not reached.
+        missing: How to install further methods; "" if all ran.
+    """
 
     problem: str
     counts: Mapping[str, tuple[float, ...]]
@@ -77,33 +83,39 @@ class Evaluations:
 def bench_evaluations(
     scenes: Sequence[str] = FEW_SCENES, *, progress: Progress | bool | None = None
 ) -> list[Evaluations]:
-    """Return what errors cost on scenes, by their names.
+    """Count the evaluations that errors cost on scenes.
 
-    progress: as for `simulate`.  Raises InputError.
+    Args:
+        scenes: Names of scenes in SCENES.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        One result for each scene.
+    Raises:
+        InputError: Unknown scene.
     """
     problems, _ = problems_named(scenes)
-    return one_by_one(problems, _measured, progress, "evaluations")
+    return one_by_one(problems, _count_evaluations, progress, "evaluations")
 
 
-def _measured(problem: Problem) -> Evaluations:
+def _count_evaluations(problem: Problem) -> Evaluations:
     truth = problem.full.run(problem.full_start(), problem.times, *FINEST)
     runs: dict[str, Callable[[float], tuple[float, float]]] = {
-        name: partial(_explicit, problem, truth, kind)
+        name: partial(_run_explicit, problem, truth, kind)
         for name, kind in METHODS.items()
         if issubclass(kind, Explicit)
     }
-    runs["AdaptiveGauss, sweeps"] = lambda tol: _own(
+    runs["AdaptiveGauss, sweeps"] = lambda tol: _run_pinred(
         problem, truth, AdaptiveGauss(tol, ATOL * tol), AdaptiveGauss.stages
     )
-    others: dict[str, Any] = dict(_SCIPY)
+    published: dict[str, Any] = dict(_SCIPY)
     missing = "" if find_spec("extensisq") else f"more methods: {INSTALL}"
     if not missing:
         module = import_module("extensisq")
-        others |= {name: getattr(module, kind) for name, kind in _EXTENSISQ.items()}
-    for name, kind in others.items():
-        runs[name] = partial(_other, problem, truth, kind, _own_norm)
-    runs[_OF_THE_BASE] = partial(_other, problem, truth, "DOP853", _without_base(problem))
-    runs[_OF_A_KIND] = partial(_other, problem, truth, "DOP853", _scale_a_kind(problem))
+        published |= {name: getattr(module, kind) for name, kind in _EXTENSISQ.items()}
+    for name, kind in published.items():
+        runs[name] = partial(_run_scipy, problem, truth, kind, _standard_norm)
+    runs[_WITHOUT_BASE] = partial(_run_scipy, problem, truth, "DOP853", _without_base(problem))
+    runs[_ONE_SCALE] = partial(_run_scipy, problem, truth, "DOP853", _norm_by_kind(problem))
     counts = {
         name: _at_errors([run(tolerance) for tolerance in _TOLERANCES])
         for name, run in runs.items()
@@ -112,14 +124,17 @@ def _measured(problem: Problem) -> Evaluations:
 
 
 def _at_errors(points: list[tuple[float, float]]) -> tuple[float, ...]:
-    """Return the evaluations at ERRORS of (error, evaluations), the least that reach each."""
+    """Return the least evaluations of points (error, evaluations) that reach each of ERRORS."""
     return tuple(
-        min((count for error, count in points if error <= wanted), default=np.nan)
-        for wanted in ERRORS
+        min((count for error, count in points if error <= target), default=np.nan)
+        for target in ERRORS
     )
 
 
-def _own(problem: Problem, truth: FullMotion, method: Any, stages: int) -> tuple[float, float]:
+def _run_pinred(
+    problem: Problem, truth: FullMotion, method: Any, stages: int
+) -> tuple[float, float]:
+    """Return error and sequential evaluations of a method of pinred."""
     from ...simulation.simulate import simulate
 
     traj = simulate(problem.scene(method=method))
@@ -127,29 +142,29 @@ def _own(problem: Problem, truth: FullMotion, method: Any, stages: int) -> tuple
     return problem.apart(truth, end), traj.run.evaluations / stages
 
 
-def _explicit(
+def _run_explicit(
     problem: Problem, truth: FullMotion, kind: type[Explicit], tol: float
 ) -> tuple[float, float]:
-    return _own(problem, truth, kind(*_own_norm(tol)), 1)
+    return _run_pinred(problem, truth, kind(*_standard_norm(tol)), 1)
 
 
-def _own_norm(tol: float) -> tuple[float, float]:
+def _standard_norm(tol: float) -> tuple[float, float]:
     return max(tol, 1e-13), ATOL * tol
 
 
 def _without_base(problem: Problem) -> Norm:
     weights = np.ones(len(CompiledFlow(plan_of(problem.scene())).y0))
-    weights[2 * problem.system.m :] = _NEVER
+    weights[2 * problem.system.m :] = _IGNORED
     return lambda tol: (max(tol, 1e-13), ATOL * tol * weights)
 
 
-def _scale_a_kind(problem: Problem) -> Norm:
+def _norm_by_kind(problem: Problem) -> Norm:
     flow = CompiledFlow(plan_of(problem.scene()))
     largest = np.abs(_solve(flow, problem, "DOP853", 1e-6, 1e-8).y).max(axis=1)
     m = problem.system.m
     for kind in (slice(0, m), slice(m, 2 * m), slice(2 * m, None)):
         largest[kind] = largest[kind].max(initial=0.0)
-    # The relative tolerance is as small as SciPy takes without a warning.
+    # The relative tolerance is the smallest that SciPy accepts without a warning.
     return lambda tol: (1e-13, tol * largest)
 
 
@@ -162,17 +177,18 @@ def _solve(
     return solve_ivp(rate, (0.0, problem.start.duration), flow.y0, kind, rtol=rtol, atol=atol)
 
 
-def _other(
+def _run_scipy(
     problem: Problem, truth: FullMotion, kind: Any, norm: Norm, tol: float
 ) -> tuple[float, float]:
+    """Return error and evaluations of a SciPy method; (inf, NaN) if it fails."""
     scene = problem.scene()
     flow = CompiledFlow(plan_of(scene))
     try:
-        found = _solve(flow, problem, kind, *norm(tol))
+        solution = _solve(flow, problem, kind, *norm(tol))
     except (ValueError, InputError, IntegrationError):
         return np.inf, np.nan
-    if not found.success:
+    if not solution.success:
         return np.inf, np.nan
-    y = found.y[:, -1:].T
+    y = solution.y[:, -1:].T
     states = with_base(flow.states(scene.report_times, y, flow.numbers), problem.name)
-    return problem.apart(truth, FullMotion(x=states.x, q=states.q)), float(found.nfev)
+    return problem.apart(truth, FullMotion(x=states.x, q=states.q)), float(solution.nfev)

@@ -1,4 +1,4 @@
-"""Gradients of flows beside CVODES's adjoints, by CasADi, of the same equations."""
+"""Gradients of flows compared with CVODES's adjoints (by CasADi) of the same equations."""
 
 from __future__ import annotations
 
@@ -10,21 +10,24 @@ import casadi as ca
 import numpy as np
 
 from ...common.arrays import Array
-from ...integrators.derivatives import run_back
+from ...integrators.run_derivatives import run_back
 from ...kernels.reduced_graph import ReducedGraph
 from ...simulation.flow_map.flow import Flow
 from .timing import alternating, repeated
 
 _MOST = 1_000_000  # steps
-_LONGEST = 3.0  # s for one of both in all
+_LONGEST = 3.0  # total time for each of the two [s]
 
 
 @dataclass(frozen=True)
 class Adjoints:
-    """The slopes of λ · y at the end by the reduced state at the begin, and by the parameters.
+    """Gradients of λ · y at the end with respect to the initial reduced state and parameters.
 
-    cvodes, own: (n + p,), the run included.  slower: how many times as long CVODES takes, the least
-    of some rounds in which both take turns; NaN if nothing was timed.
+    Attributes:
+        cvodes: Gradient by CVODES, (n + p,).
+        own: Gradient by pinred, (n + p,).
+        slower: Ratio of CVODES's time to pinred's, forward run included; the fastest of several
+            alternating rounds. NaN if not timed.
     """
 
     cvodes: Array
@@ -33,15 +36,22 @@ class Adjoints:
 
     @property
     def error(self) -> float:
-        """The largest difference, in parts of the largest slope."""
+        """Largest difference relative to the largest entry of the gradient."""
         return float(np.abs(self.cvodes - self.own).max() / np.abs(self.own).max())
 
 
 def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoints:
-    """Return a flow's adjoint and that of CVODES at a relative tolerance.
+    """Compute the adjoint of a flow by pinred and by CVODES.
 
-    The flow is one of an explicit method over a single stretch.  Along the length of a quaternion,
-    which is no motion, both differ: the flow brings it to one, CVODES does not; that is left out.
+    The flow must use an explicit method over a single segment. The component along a quaternion's
+    length is excluded: the flow normalises quaternions, CVODES does not.
+
+    Args:
+        made: The flow.
+        tolerance: Relative tolerance of CVODES.
+        timed: Whether to time both.
+    Returns:
+        Both gradients and the time ratio.
     """
     course, kernel = made._course, made._course.kernel
     (part,) = made._run({}).stretches
@@ -78,7 +88,7 @@ def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoin
 
 
 def _cvodes(made: Flow, tolerance: float) -> Any:
-    """Return (y₀, parameters, λ) → slopes by both, by CasADi's integrator."""
+    """Return (y₀, parameters, λ) → gradient by y₀ and parameters, by CasADi's CVODES."""
     kernel = made._course.kernel
     rate = ReducedGraph(kernel.system, kernel.structure, kernel.forces).rate()
     y, p = ca.SX.sym("y", rate.numel_in(0)), ca.SX.sym("p", rate.numel_in(1))

@@ -1,4 +1,4 @@
-"""The cost of flows: a call beside its integration, gradients beside a run, inertias that vary."""
+"""Cost of flows: overhead of a call, of gradients, and of variable inertias."""
 
 from __future__ import annotations
 
@@ -26,27 +26,37 @@ from .timing import alternating, repeated
 BUNDLED = ("planar_chain5", "satellite_two_arms")
 EXAMPLES = ("solo12", "talos")
 _SPAN = 2.0  # s
-_COUNT = 200  # evaluations at once
-_ROUNDS, _BURST = 300, 1e-3  # many short ones [s], of which some are undisturbed
+_COUNT = 200  # evaluations in one timed call
+_ROUNDS, _BURST = 300, 1e-3  # many short rounds [s], so that some are not interrupted
 
 
 @dataclass(frozen=True)
 class FlowTiming:
-    """The cost of one robot's flow: the least of several rounds, in which all take turns.
+    """Cost of one robot's flow: the fastest of several alternating rounds.
 
-    Every call of a flow is at another initial shape.  steps: of DOP853 at 1e-8.
-    integration, call, simulate: µs of the integrator alone, of a flow's call with a look at its x,
-    of simulate with the same scene.  step: µs of one step with its Jacobians.  gradient: of a
-    function of the end by initial shape, rates and twist, forward included, in runs; inertias: by
-    the masses and centres of all bodies besides.  gauss: the first by AdaptiveGauss at 1e-10, in
-    its runs.  jax, jax_gradient: µs of a call of JAX, and of its gradient, beside those of the
-    flow; NaN without JAX.
-    cvodes: how many times as long the adjoint of CVODES takes, by CasADi at the same tolerance;
-    apart: by how much its slopes differ, in parts of the largest.  adjoint: an evaluation of the
-    adjoint, in those of the rate.  free: an evaluation with all inertias as inputs, in those of the
-    folded kernel; placed: with all placements besides, within their pattern of zeros and quarter
-    turns; generic: with placements that may be any.  knots, stages: bytes a step that a gradient
-    rests on, without stages and with them.
+    Every call of a flow uses another initial shape.
+
+    Attributes:
+        robot: Name of the robot.
+        steps: Number of steps of DOP853 at tolerance 1e-8.
+        integration: Time of the integrator alone [µs].
+        call: Time of a call of the flow, including access to x [µs].
+        simulate: Time of simulate with the same scene [µs].
+        step: Time of one step with its Jacobians [µs].
+        gradient: Time of a gradient by initial shape, rates and twist, in forward runs; includes
+            the forward run.
+        inertias: The same with the masses and centres of mass of all bodies as further inputs.
+        gauss: As `gradient`, with AdaptiveGauss at tolerance 1e-10.
+        jax: Additional time of a call through JAX [µs]; NaN without JAX.
+        jax_gradient: Additional time of a gradient through JAX [µs]; NaN without JAX.
+        cvodes: Ratio of the time of CVODES's adjoint (CasADi, same tolerance) to the gradient's.
+        apart: Relative difference of the two gradients.
+        adjoint: Time of an evaluation of the adjoint kernel, in evaluations of the rate.
+        free: Time of a rate with all inertias as inputs, relative to the folded kernel.
+        placed: The same with all placements as inputs, with their pattern of zeros.
+        generic: The same with arbitrary placements as inputs.
+        knots: Bytes per step stored for a gradient, without stages.
+        stages: Bytes per step stored for a gradient, with stages.
     """
 
     robot: str
@@ -71,7 +81,7 @@ class FlowTiming:
 
     @staticmethod
     def header() -> str:
-        """Return the head of the table of timings."""
+        """Return the header of the table."""
         return (
             f"{'robot':<20} {'steps':>6} {'integration':>12} {'call':>7} {'simulate':>9} "
             f"{'step':>7} {'gradient':>9} {'inertias':>9} {'by Gauss':>9} {'JAX':>6} "
@@ -96,10 +106,13 @@ class FlowTiming:
 def bench_flow(
     robots: Sequence[str] = (), *, progress: Progress | bool | None = None
 ) -> list[FlowTiming]:
-    """Return what the flow of each robot costs.
+    """Measure the cost of each robot's flow.
 
-    robots: names or files; two bundled ones and, if there, solo12 and talos by default.
-    progress: as for `simulate`.
+    Args:
+        robots: Names or files; two bundled robots and, if installed, solo12 and talos by default.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        One result for each robot.
     """
     names = list(robots) or [*BUNDLED, *(EXAMPLES if has_example_robots() else ())]
     return one_by_one(names, _bench_flow, progress, "flows")
@@ -163,7 +176,7 @@ def _bench_flow(name: str) -> FlowTiming:
 
 
 class _Elsewhere:
-    """Initial shapes of which no two are the same."""
+    """Source of distinct initial shapes."""
 
     def __init__(self, made: Flow) -> None:
         self._own, self._calls = made.own("x0"), 0
@@ -182,7 +195,7 @@ def _gradient(made: Flow, at: _Elsewhere, covector: Array) -> object:
 
 
 def _of_jax(made: Flow) -> list[Callable[[], object]]:
-    """Return calls of JAX, of the flow and of a gradient; none without JAX."""
+    """Return functions that call the flow and its gradient through JAX; none without JAX."""
     try:
         import jax
     except ImportError:
@@ -198,7 +211,7 @@ def _of_jax(made: Flow) -> list[Callable[[], object]]:
 
 
 def _evaluations(made: Flow) -> list[float]:
-    """Return evaluations over the rate's: of the adjoint, and of kernels with free numbers."""
+    """Return times relative to the rate: the adjoint, and kernels with variable parameters."""
     course = made._course
     kernel = course.kernel
     system = kernel.system

@@ -1,8 +1,8 @@
-"""The cost of forces that see the base, paired with the same kernel without any force.
+"""Cost of forces that depend on the base, relative to the same kernel without forces.
 
-A torque at every joint and a wrench, each by the attitude and the twist of the base: damping and a
-pull towards a pose.  The torque needs nothing more to be integrated, a wrench momentum and the
-path of the centre of mass.
+The forces are a torque at every joint and a wrench. Both depend on the attitude and the twist of
+the base: damping, and attraction to a pose. The torque adds no integrated state. The wrench adds
+momentum and the path of the centre of mass.
 """
 
 from __future__ import annotations
@@ -26,16 +26,20 @@ from .timing import alternating, evaluations
 
 BUNDLED = ("planar_chain5", "satellite_two_arms")
 EXAMPLES = ("solo12", "talos")
-_ROUNDS, _SPAN = 400, 5e-4  # s; short, so that some of them are not interrupted
+_ROUNDS, _SPAN = 400, 5e-4  # many short rounds [s], so that some are not interrupted
 
 
 @dataclass(frozen=True)
 class ForcesTiming:
-    """The cost of a kernel, each the fastest of many rounds in which all took turns.
+    """Cost of kernels with forces: the fastest of many alternating rounds.
 
-    free: µs an evaluation without forces.  torque, wrench, full: ratios to it, of a torque that
-    sees attitude and angular velocity, a constant wrench, and one that sees pose and twist.
-    numbers: (4,) that are integrated.
+    Attributes:
+        robot: Name of the robot.
+        free: Time of an evaluation without forces [µs].
+        torque: Ratio to `free` with torques that depend on attitude and angular velocity.
+        wrench: Ratio to `free` with a constant wrench.
+        full: Ratio to `free` with a wrench that depends on pose and twist.
+        numbers: Number of integrated states of the four kernels.
     """
 
     robot: str
@@ -47,7 +51,7 @@ class ForcesTiming:
 
     @staticmethod
     def header() -> str:
-        """Return the head of the table."""
+        """Return the header of the table."""
         return (
             f"{'robot':<20} {'free [µs]':>10} {'torque, attitude':>17} {'wrench':>8} "
             f"{'wrench, pose and twist':>23}   integrated"
@@ -63,9 +67,13 @@ class ForcesTiming:
 def bench_forces(
     robots: Sequence[str] = (), *, progress: Progress | bool | None = None
 ) -> list[ForcesTiming]:
-    """Return what forces that see the base cost with each robot.
+    """Measure the cost of forces that depend on the base, for each robot.
 
-    robots: names or files; four by default.  progress: as for `simulate`.
+    Args:
+        robots: Names or files; two bundled robots and, if installed, solo12 and talos by default.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        One result for each robot.
     """
     names = list(robots) or [*BUNDLED, *(EXAMPLES if has_example_robots() else ())]
     return one_by_one(names, _bench, progress, "forces")
@@ -75,7 +83,7 @@ def _bench(name: str) -> ForcesTiming:
     system = load(name, gravity=(0.0, 0.0, 0.0))
     kernels = [_kernel(system, force) for force in (None, *_forces(system))]
     times = alternating([evaluations(kernel) for kernel in kernels], rounds=_ROUNDS, span=_SPAN)
-    # A few percent show only where nothing else ran: the fastest of many rounds each.
+    # Differences of a few percent are visible only in rounds without interruption.
     fastest = times.min(axis=0)
     torque, wrench, full = (fastest[1:] / fastest[0]).tolist()
     numbers = tuple(kernel.layout.size for kernel in kernels)
@@ -83,7 +91,7 @@ def _bench(name: str) -> ForcesTiming:
 
 
 def _kernel(system: System, force: Any) -> Kernel:
-    # All joints are active, whether something acts on them or not.
+    # Without forces on them, cyclic joints would be skipped; here all kernels integrate all joints.
     forces = None if force is None else ForceModel(system, [force], {})
     return build_kernel(system, Structure(zero_momentum=False), forces)
 
@@ -91,21 +99,21 @@ def _kernel(system: System, force: Any) -> Kernel:
 def _forces(system: System) -> list[Torque | Wrench]:
     group, r, k = system.group, system.r, system.group.linear
 
-    def turning(s: SeenState) -> tuple[list[ca.SX], list[ca.SX]]:
+    def rotation_of(s: SeenState) -> tuple[list[ca.SX], list[ca.SX]]:
         attitude = ca.vertsplit(s.pose)[k:][: r - k]
         return attitude, ca.vertsplit(s.xi)[k:]
 
     def torque(s: SeenState) -> dict[str, ca.SX]:
-        attitude, omega = turning(s)
-        pull = [-2.0 * a - 0.3 * w for a, w in zip(attitude, omega, strict=True)]
-        return {name: pull[j % len(pull)] for j, name in enumerate(system.shape_names)}
+        attitude, omega = rotation_of(s)
+        torques = [-2.0 * a - 0.3 * w for a, w in zip(attitude, omega, strict=True)]
+        return {name: torques[j % len(torques)] for j, name in enumerate(system.shape_names)}
 
     def wrench(s: SeenState) -> ca.SX:
-        attitude, omega = turning(s)
-        place, velocity = ca.vertsplit(s.pose)[:k], ca.vertsplit(s.xi)[:k]
-        both = zip([*place, *attitude], [*velocity, *omega], strict=True)
-        column: ca.SX = ca.vertcat(*(-0.5 * a - 0.3 * b for a, b in both))
-        return column
+        attitude, omega = rotation_of(s)
+        position, velocity = ca.vertsplit(s.pose)[:k], ca.vertsplit(s.xi)[:k]
+        pairs = zip([*position, *attitude], [*velocity, *omega], strict=True)
+        components: ca.SX = ca.vertcat(*(-0.5 * a - 0.3 * b for a, b in pairs))
+        return components
 
-    steady: Callable[..., list[float]] = lambda *_: [0.1] * group.dim  # noqa: E731
-    return [Torque(torque), Wrench(steady), Wrench(wrench)]
+    constant: Callable[..., list[float]] = lambda *_: [0.1] * group.dim  # noqa: E731
+    return [Torque(torque), Wrench(constant), Wrench(wrench)]

@@ -1,8 +1,8 @@
-"""Pinocchio's ABA on the full state as a vector field for SciPy, with little around it.
+"""Pinocchio's ABA on the full state as a fast vector field for SciPy.
 
-The state is that of full_state.py, (root, x, v).  The judge's own vector field takes ten
-times as long as `pin.aba` and would handicap what it is measured for here; this one makes
-no array but its result, and does the kinematics of the root in plain floats.
+The state is (root, x, v) as in judge/reference_solution.py. The judge's vector field takes ten
+times as long as `pin.aba` and would make SciPy's methods look slow. This one allocates no array
+except its result and computes the kinematics of the root with Python floats.
 """
 
 from __future__ import annotations
@@ -21,43 +21,43 @@ Floats = Sequence[float]
 
 
 def full_vector_field(system: System) -> Callable[[float, Array], Array]:
-    """Return (t, y) → dy/dt of a system without forces but its gravity."""
+    """Return the vector field (t, y) → dy/dt of a system under gravity alone."""
     model, data = system.model, system.model.createData()
-    size, r, at = system.group.size, system.r, system.group.size + system.m
+    size, r, first_v = system.group.size, system.r, system.group.size + system.m
     root_rate, tau = _root_rate(system.group), np.zeros(system.n)
     circles = _circles(system)
-    plain = not any(circles)
+    has_circles = any(circles)
     aba, empty = pin.aba, np.empty
-    space = np.empty(model.nq)
+    buffer = np.empty(model.nq)
 
     def rate(t: float, y: Array) -> Array:  # noqa: ARG001
-        out = empty(y.shape)
-        v = y[at:]
-        if plain:
-            q = y[:at]
-        else:
-            q = space
+        ydot = empty(y.shape)
+        v = y[first_v:]
+        if has_circles:
+            q = buffer
             values: list[float] = []
-            for value, circle in zip(y[:at].tolist(), circles, strict=True):
+            for value, circle in zip(y[:first_v].tolist(), circles, strict=True):
                 values += (cos(value), sin(value)) if circle else (value,)
             q[:] = values
-        out[:size] = root_rate(y[:size].tolist(), v[:r].tolist())
-        out[size:at] = v[r:]
-        out[at:] = aba(model, data, q, v, tau)
-        return out
+        else:
+            q = y[:first_v]
+        ydot[:size] = root_rate(y[:size].tolist(), v[:r].tolist())
+        ydot[size:first_v] = v[r:]
+        ydot[first_v:] = aba(model, data, q, v, tau)
+        return ydot
 
     return rate
 
 
 def _circles(system: System) -> list[bool]:
-    """Return which of the coordinates (root, x) Pinocchio keeps as cosine and sine."""
+    """Return for each coordinate of (root, x) whether Pinocchio stores its cosine and sine."""
     joints = system.model.joints
     root = [False] * system.group.size
     root[-1] = joints[1].nq > system.group.size
     return root + [joints[i].nq == 2 for i in range(2, system.model.njoints)]
 
 
-def _same(_: Floats, v: Floats) -> Floats:
+def _translating(_: Floats, v: Floats) -> Floats:
     return v
 
 
@@ -91,7 +91,7 @@ def _free(root: Floats, v: Floats) -> Floats:
 
 
 def _root_rate(group: Group) -> Callable[[Floats, Floats], Floats]:
-    """Return (root, body twist) → the rate of the root's coordinates."""
+    """Return the map (root coordinates, body twist) → rate of the root coordinates."""
     if group.turns == 3:
         return _free if group.linear else _attitude
-    return _planar if group.plane else _same
+    return _planar if group.plane else _translating

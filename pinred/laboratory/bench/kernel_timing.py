@@ -1,4 +1,4 @@
-"""The cost of an evaluation of a compiled kernel, against `pin.aba` called from Python."""
+"""Time of an evaluation of a compiled kernel, against `pin.aba` called from Python."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pinocchio as pin
 from ...common.progress import Progress, one_by_one
 from ...kernels.build import build_kernel
 from ...kernels.layout import Structure
-from ...reduction.at_a_shape import Reduction
+from ...reduction.at_a_shape import PointwiseReduction
 from ...reduction.cyclic_joints import cyclic_joints
 from ...system.catalogue import has_example_robots
 from ...system.load import load
@@ -24,7 +24,16 @@ EXAMPLES = ("ur5", "solo12", "talos")
 
 @dataclass(frozen=True)
 class KernelTiming:
-    """The cost of a kernel.  kernel, aba: µs an evaluation.  build: s from model to address."""
+    """Cost of the kernel of one robot.
+
+    Attributes:
+        robot: Name of the robot.
+        joints: Number of joints m.
+        instructions: Number of instructions of the CasADi graph.
+        build: Time from the model to the address of machine code [s].
+        kernel: Time of an evaluation of the kernel [µs].
+        aba: Time of an evaluation of `pin.aba` from Python [µs].
+    """
 
     robot: str
     joints: int
@@ -35,12 +44,12 @@ class KernelTiming:
 
     @property
     def ratio(self) -> float:
-        """Ratio of times: `pin.aba` called from Python over the kernel."""
+        """Time of `pin.aba` called from Python over that of the kernel."""
         return self.aba / self.kernel
 
     @staticmethod
     def header() -> str:
-        """Return the head of the table of timings."""
+        """Return the header of the table."""
         return (
             f"{'robot':<20} {'joints':>6} {'instructions':>12} {'build [s]':>10} "
             f"{'kernel [µs]':>12} {'pin.aba [µs]':>13} {'ratio':>7}"
@@ -56,10 +65,14 @@ class KernelTiming:
 def bench_kernels(
     robots: Sequence[str] = (), *, progress: Progress | bool | None = None
 ) -> list[KernelTiming]:
-    """Return what the kernel of each robot costs, with momentum and without forces.
+    """Measure the cost of each robot's kernel, with momentum and without forces.
 
-    robots: names or files; the bundled ones and, if there, ur5, solo12 and talos by default.
-    progress: as for `simulate`.
+    Args:
+        robots: Names or files; four bundled robots and, if installed, ur5, solo12 and talos by
+            default.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        One result for each robot.
     """
     names = list(robots) or [*BUNDLED, *(EXAMPLES if has_example_robots() else ())]
     return one_by_one(names, _bench_kernel, progress, "kernels")
@@ -67,7 +80,7 @@ def bench_kernels(
 
 def _bench_kernel(name: str) -> KernelTiming:
     system = load(name, group="SE3" if name == "ur5" else None, gravity=(0.0, 0.0, 0.0))
-    structure = Structure(zero_momentum=False, cyclic=cyclic_joints(Reduction(system)))
+    structure = Structure(zero_momentum=False, cyclic=cyclic_joints(PointwiseReduction(system)))
     began = time.perf_counter()
     kernel = build_kernel(system, structure, cache=NoCache())
     build = time.perf_counter() - began

@@ -1,4 +1,4 @@
-"""A crowd: many members of one problem, and ways to solve all of them."""
+"""Batches of members of one problem, and pinred's ways to integrate them."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ from .problems import Problem
 from .solver import End
 
 _TOLERANCES = tuple(10.0 ** (-k / 3) for k in range(18, 40))
-_SPREAD = 0.05  # of rates, relative, and of shapes [rad | m]
+_SPREAD = 0.05  # standard deviation of members: of rates (relative) and of shapes [rad | m]
 
 
 @dataclass(frozen=True)
 class PreparedBatch:
-    """A way to solve a crowd, ready to run.
+    """A solver that is ready to integrate a batch.
 
-    run: what is timed, from all initial values to all ends.  ends: takes what `run` returns and
-    how many members are to be judged; not timed.
+    Attributes:
+        run: Timed function: integrates all members from their initial to their final states.
+        ends: Converts the result of `run` to the final states of the first members (not timed).
     """
 
     run: Callable[[], Any]
@@ -40,11 +41,16 @@ class PreparedBatch:
 
 @dataclass(frozen=True)
 class BatchSolver:
-    """A way to solve all members of a crowd.
+    """A solver for all members of a batch.
 
-    about: what is timed.  tolerances: from coarse to fine, or with fixed steps their length in
-    parts of the whole time.  most: how many members it is given.  missing: why it is not run, ""
-    if it is.
+    Attributes:
+        name: Name of the solver.
+        about: Description of the timed work.
+        tolerances: Tolerances from coarse to fine; step lengths relative to the duration for
+            solvers with fixed steps.
+        prepare: Prepares a run of some members at a tolerance.
+        missing: Returns why the solver cannot run a problem; "" if it can.
+        most: Largest number of members that it gets.
     """
 
     name: str
@@ -56,14 +62,14 @@ class BatchSolver:
 
 
 def generate_members(problem: Problem, count: int) -> list[Problem]:
-    """Return members that start near a problem's start."""
+    """Generate members with random initial states near that of a problem."""
     rng, start, members = np.random.default_rng(0), problem.start, []
     for _ in range(count):
-        apart = [1.0 + _SPREAD * rng.normal(size=len(part)) for part in (start.xdot, start.xi)]
+        factors = [1.0 + _SPREAD * rng.normal(size=len(v)) for v in (start.xdot, start.xi)]
         state = InitialState(
             x=start.x + _SPREAD * rng.normal(size=len(start.x)),
-            xdot=start.xdot * apart[0],
-            xi=start.xi * apart[1],
+            xdot=start.xdot * factors[0],
+            xi=start.xi * factors[1],
             duration=start.duration,
         )
         members.append(Problem(problem.name, problem.about, problem.system, state))
@@ -71,24 +77,24 @@ def generate_members(problem: Problem, count: int) -> list[Problem]:
 
 
 def compile_members(members: Sequence[Problem]) -> CompiledFlows:
-    """Return the reduced states and parameters of a crowd, which has momentum."""
+    """Return reduced initial states and parameters of members with momentum."""
     (group,) = of_scenes([member.scene(method="DOP853") for member in members]).groups
     ((_, flows),) = flows_of(group.plan, group.given)
     return flows
 
 
 def final_states(members: Sequence[Problem], flows: CompiledFlows, y: Any, count: int) -> list[End]:
-    """Return the full states of the first members, from reduced ones (N, k) at their end."""
+    """Reconstruct the full final states of the first members from reduced states y (N, k)."""
     ends = []
     for k in range(count):
         flow = CompiledFlow.of(flows, k)
-        found = flow.states(members[k].times, np.array(y[k])[None], flow.numbers)
-        states = with_base(found, members[k].name)
+        reduced = flow.states(members[k].times, np.array(y[k])[None], flow.numbers)
+        states = with_base(reduced, members[k].name)
         ends.append(End(states.x[0], states.q[0], states.v[0], float("nan")))
     return ends
 
 
-def _own(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> PreparedBatch:
+def _prepare(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> PreparedBatch:
     flows, method = compile_members(members), DOP853(rtol, 1e-2 * rtol)
     kernel, end, times = flows.kernel, members[0].start.duration, members[0].times
     y0, params, quaternion = flows.y0, flows.parameters, kernel.layout.quaternion
@@ -103,10 +109,10 @@ def _own(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> Prepared
         address = kernel.rate.address
         run = partial(integrate_many, method, address, params, y0, end, times, quaternion, 1)
 
-    def ends(found: Solutions, count: int) -> list[End]:
-        if not found.ok.all():
-            raise IntegrationError(f"{method.name} has not brought all members to their end")
-        return final_states(members, flows, found.y[:, -1], count)
+    def ends(solutions: Solutions, count: int) -> list[End]:
+        if not solutions.ok.all():
+            raise IntegrationError(f"{method.name} did not integrate all members to their end")
+        return final_states(members, flows, solutions.y[:, -1], count)
 
     return PreparedBatch(run, ends)
 
@@ -114,14 +120,14 @@ def _own(members: Sequence[Problem], rtol: float, *, in_lanes: bool) -> Prepared
 OWN = (
     BatchSolver(
         "lanes",
-        "DOP853, members in lanes",
+        "DOP853, members in SIMD lanes",
         _TOLERANCES,
-        partial(_own, in_lanes=True),
+        partial(_prepare, in_lanes=True),
     ),
     BatchSolver(
         "one by one",
         "DOP853, the scalar integrator, one after another",
         _TOLERANCES,
-        partial(_own, in_lanes=False),
+        partial(_prepare, in_lanes=False),
     ),
 )

@@ -1,4 +1,4 @@
-"""Scenes of an accuracy benchmark side by side: what others take, and what tolerances mean."""
+"""Tables of an accuracy benchmark over scenes: time ratios, and errors relative to tolerances."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ import numpy as np
 from .accuracy import YARDSTICK
 from .work_precision import WorkPrecision
 
-Table: TypeAlias = tuple[str, list[tuple[str, list[str]]]]  # a title, and rows with their names
+Table: TypeAlias = tuple[str, list[tuple[str, list[str]]]]  # title, and (name, cells) of each row
 
 ERRORS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-13)
-LOOSEST, TIGHTEST = 1e-4, 1e-13  # tolerances between which errors are held against them
-FOLLOWING = (YARDSTICK, "pinred-dop853", "pinred-gauss")  # the methods for which that is said
-_SIDE_BY_SIDE = 6  # scenes
+LOOSEST, TIGHTEST = 1e-4, 1e-13  # range of tolerances for the ratio error / tolerance
+FOLLOWING = (YARDSTICK, "pinred-dop853", "pinred-gauss")  # methods with that ratio
+_SIDE_BY_SIDE = 6  # scenes in one table
 
 
 def overview(results: Sequence[WorkPrecision]) -> str:
-    """Return the tables of several results, a column a scene.
+    """Format tables of several results, with one column for each scene.
 
-    At each error, pinred's wall time and how many times longer each other method takes, within
-    the run that has both; then the errors of pinred's methods over the tolerances asked for.
+    The tables give pinred's wall time at each error, and the ratio of other methods' times in the
+    same run. The last table gives errors of pinred's methods relative to their tolerances.
     """
-    scenes = list(dict.fromkeys(found.problem for found in results))
+    scenes = list(dict.fromkeys(result.problem for result in results))
     blocks = [scenes[k : k + _SIDE_BY_SIDE] for k in range(0, len(scenes), _SIDE_BY_SIDE)]
     return "\n\n".join(_tables(results, block) for block in blocks)
 
 
 def _tables(results: Sequence[WorkPrecision], scenes: list[str]) -> str:
-    names = list(dict.fromkeys(n for each in results if each.problem in scenes for n in each.about))
+    names = list(dict.fromkeys(n for r in results if r.problem in scenes for n in r.about))
     runs = {name: [_run(results, scene, name) for scene in scenes] for name in names}
 
-    def table(title: str, told: Callable[[WorkPrecision, str], str]) -> Table:
-        rows = {n: [told(each, n) if each else "—" for each in found] for n, found in runs.items()}
+    def table(title: str, cell: Callable[[WorkPrecision, str], str]) -> Table:
+        rows = {n: [cell(run, n) if run else "—" for run in runs[n]] for n in runs}
         return title, [(name, cells) for name, cells in rows.items() if set(cells) != {"—"}]
 
     tables = [
@@ -48,44 +48,44 @@ def _tables(results: Sequence[WorkPrecision], scenes: list[str]) -> str:
     tables.append(
         table(f"error / tolerance, for tolerances of {LOOSEST:.0e} … {TIGHTEST:.0e}", _following)
     )
-    first = max(map(len, names))
+    name_width = max(map(len, names))
     columns = zip(scenes, *(cells for _, rows in tables for _, cells in rows), strict=True)
-    wide = [2 + max(map(len, column)) for column in columns]
+    widths = [2 + max(map(len, column)) for column in columns]
     texts = []
     for title, rows in tables:
-        lines = [_row(name, cells, first, wide) for name, cells in [("", scenes), *rows]]
+        lines = [_row(name, cells, name_width, widths) for name, cells in [("", scenes), *rows]]
         texts += ["\n".join([title, *lines])] if rows else []
     return "\n\n".join(texts)
 
 
 def _run(results: Sequence[WorkPrecision], scene: str, method: str) -> WorkPrecision | None:
-    """Return the run of a scene that has a method, and pinred to compare it with."""
-    for found in results:
-        if found.problem == scene and {method, YARDSTICK} <= set(found.about):
-            return found
+    """Return the run of a scene that contains both a method and pinred, or None."""
+    for result in results:
+        if result.problem == scene and {method, YARDSTICK} <= set(result.about):
+            return result
     return None
 
 
-def _time(error: float, found: WorkPrecision, name: str) -> str:
-    """Return pinred's milliseconds, or how many times longer another method takes."""
-    own = name == YARDSTICK
-    value = 1e3 * found.wall_at(name, error) if own else found.ratio_at(name, error)
+def _time(error: float, result: WorkPrecision, name: str) -> str:
+    """Format pinred's wall time [ms], or the ratio of another method's time to it."""
+    is_pinred = name == YARDSTICK
+    value = 1e3 * result.wall_at(name, error) if is_pinred else result.ratio_at(name, error)
     return "—" if np.isnan(value) else f"{value:.3g}"
 
 
-def _following(found: WorkPrecision, method: str) -> str:
-    """Return the least and the largest error over tolerance, of errors that are known."""
+def _following(result: WorkPrecision, method: str) -> str:
+    """Format the range of error / tolerance, for errors above the reference's."""
     if method not in FOLLOWING:
         return "—"
     ratios = [
         point.error / point.tolerance
-        for point in found.of(method)
+        for point in result.of(method)
         if 0.99 * TIGHTEST < point.tolerance < 1.01 * LOOSEST
-        and point.error > found.reference_error
+        and point.error > result.reference_error
     ]
     return f"{min(ratios):.2g} … {max(ratios):.2g}" if ratios else "—"
 
 
-def _row(name: str, cells: list[str], first: int, wide: list[int]) -> str:
-    ends = (f"{cell:>{width}}" for cell, width in zip(cells, wide, strict=True))
-    return f"{name:<{first}}" + "".join(ends)
+def _row(name: str, cells: list[str], name_width: int, widths: list[int]) -> str:
+    padded = (f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
+    return f"{name:<{name_width}}" + "".join(padded)

@@ -1,8 +1,7 @@
-"""pinred's own methods: one row for each integrator of pinred.integrators.
+"""Methods of the accuracy benchmark that use pinred's integrators.
 
-Explicit methods are there by themselves.  A further one of another kind is one more call of
-`own_method`, with what makes its value from a tolerance, or from a step for those that take
-equal steps.
+All explicit methods are included. Another method is added by one call of `own_method`, with a
+function that creates the integrator from a tolerance, or from a step for methods with fixed steps.
 """
 
 from __future__ import annotations
@@ -34,20 +33,27 @@ def own_method(
     tolerances: tuple[float, ...] = FROM_TOLERANCE,
     fixed: bool = False,
 ) -> Solver:
-    """Return the method that simulates with an integrator of pinred, whole call.
+    """Return a benchmark method that calls `simulate` with an integrator of pinred.
 
-    make: the integrator of a tolerance, or with fixed=True of a step [s]; what `simulate`
-    takes by itself if None.  tolerances: as Solver has them.
+    Args:
+        name: Name of the method.
+        about: Description of the timed work.
+        make: Creates the integrator from a tolerance, or from a step [s] if `fixed`. If None,
+            `simulate` chooses it.
+        tolerances: Tolerances from coarse to fine, see Solver.
+        fixed: Whether the integrator has fixed steps.
+    Returns:
+        The method.
     """
 
     def prepare(problem: Problem, tolerance: float) -> PreparedRun:
         from ...simulation.simulate import simulate
 
         start, times = problem.start, problem.times
-        given = tolerance * start.duration if fixed else tolerance
+        value = tolerance * start.duration if fixed else tolerance
         options: dict[str, Any] = {"rtol": tolerance, "atol": ATOL * tolerance}
         if make is not None:
-            options = {"method": make(given)}
+            options = {"method": make(value)}
 
         def run() -> Any:
             traj = simulate(
@@ -55,7 +61,7 @@ def own_method(
             )
             return traj.states, traj.run.evaluations
 
-        return PreparedRun(run, lambda found: _end(*found))
+        return PreparedRun(run, lambda result: _end(*result))
 
     return Solver(name, about, tolerances, prepare, fixed=fixed)
 
@@ -69,10 +75,10 @@ def _integration(problem: Problem, tolerance: float) -> PreparedRun:
     plan = plan_of(scene)
     flow = CompiledFlow(plan)
 
-    def end(found: Any) -> End:
+    def end(solution: Any) -> End:
         times = scene.report_times
-        states = with_base(flow.states(times, found.at(times), flow.numbers), scene.system.name)
-        return _end(states, found.evaluations)
+        states = with_base(flow.states(times, solution.at(times), flow.numbers), scene.system.name)
+        return _end(states, solution.evaluations)
 
     integrate = integrator(flow, plan, None)
     return PreparedRun(lambda: integrate(0.0, scene.end, flow.y0), end)
@@ -94,7 +100,7 @@ OWN = (
     own_method("pinred", "simulate(), whole call from initial values"),
     Solver(
         "pinred-integration",
-        "its integration alone: as heyoka is timed",
+        "its integration alone, as heyoka is timed",
         FROM_TOLERANCE,
         _integration,
     ),

@@ -1,4 +1,4 @@
-"""Problems on which accuracy is measured: a system, its start, and for how long."""
+"""Problems of the accuracy benchmark: a system, its initial state and duration."""
 
 from __future__ import annotations
 
@@ -18,9 +18,13 @@ from ...system.system import System
 
 @dataclass(frozen=True)
 class Problem:
-    """An initial value problem, with its base at the identity; only its end is judged.
+    """An initial value problem with the base at the identity; only its final state is compared.
 
-    about: what it is, in a line.  start: x, xdot, xi and duration.
+    Attributes:
+        name: Name of the problem.
+        about: Description in one line.
+        system: The system.
+        start: Initial shape x, shape rate, body twist, and the duration.
     """
 
     name: str
@@ -33,7 +37,7 @@ class Problem:
 
     @property
     def times(self) -> Array:
-        """The end, (1,) [s]: the only time at which the state is wanted."""
+        """The final time, (1,) [s]; no other state is requested."""
         return np.array([self.start.duration])
 
     @property
@@ -47,7 +51,13 @@ class Problem:
         return self.system.v(self.start.xi, self.start.xdot)
 
     def scene(self, **options: Any) -> Scene:
-        """Return the problem as a Scene.  options: further ones."""
+        """Return the problem as a Scene.
+
+        Args:
+            **options: Further options of Scene.
+        Returns:
+            The scene.
+        """
         start = self.start
         return Scene(
             system=self.system,
@@ -60,15 +70,22 @@ class Problem:
 
     @cached_property
     def full(self) -> FullState:
-        """Pinocchio's ABA on the full state, and its judgement of distances."""
+        """Full simulation by Pinocchio's ABA, which also measures distances of motions."""
         return FullState(self.scene())
 
     def full_start(self) -> Array:
-        """Return the full state at the start, as FullState has it."""
+        """Return the initial full state, see FullState."""
         start = self.start
         return self.full.state(self.system.group.identity(), start.x, start.xi, start.xdot)
 
     def apart(self, a: FullMotion, b: FullMotion) -> float:
-        """Return how far two ends are apart: the largest of shape, rotation and position."""
+        """Return the largest of shape, rotation and position error between two final states.
+
+        Args:
+            a: Motion with one time.
+            b: Motion with one time.
+        Returns:
+            The distance [rad | m].
+        """
         d = self.full.distance(a, b)
         return float(np.max([d.shape[0], d.rotation[0], d.position[0]]))

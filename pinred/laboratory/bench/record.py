@@ -1,8 +1,8 @@
-"""Measurements of accuracy on disk: one csv file in which every row says all about itself.
+"""Accuracy benchmarks on disk: one csv file whose rows are self-contained.
 
-A scene is measured in one run, so its rows are written together: whoever is interrupted has
-all scenes that were finished, and goes on with the next.  Every row names its run, and what
-is read back keeps runs apart, so that no ratio is ever taken between two of them.
+The rows of a scene are written together. An interrupted benchmark keeps all finished scenes and can
+continue with the next. Every row names its run. Reading keeps runs separate, so that ratios never
+compare times of different runs.
 """
 
 from __future__ import annotations
@@ -27,28 +27,39 @@ COLUMNS = (*_ABOUT, "about", *_POINT, "error")
 
 
 def write_record(path: Path, effort: str, results: Iterable[WorkPrecision]) -> None:
-    """Write results to a file, whole or not at all.
+    """Write results to a csv file; on failure the old file stays.
 
-    effort: what they were measured with.  Raises OutputError.
+    Args:
+        path: The file.
+        effort: Name of the effort of the measurement.
+        results: Results of `bench_accuracy`.
+    Raises:
+        OutputError: The file cannot be written.
     """
     rows: list[dict[str, object]] = []
-    for found in results:
-        head = {name: getattr(found, name) for name in _ABOUT[1:]} | {"effort": effort}
-        for point in found.points:
+    for result in results:
+        head = {name: getattr(result, name) for name in _ABOUT[1:]} | {"effort": effort}
+        for point in result.points:
             row = {name: getattr(point, name) for name in _POINT}
-            about = found.about[point.method]
+            about = result.about[point.method]
             rows.append({**head, **row, "about": about, "error": point.error})
         rows += [
-            {**head, "method": method, "failure": line} for method, line in found.missing.items()
+            {**head, "method": method, "failure": line} for method, line in result.missing.items()
         ]
     write_table(path, COLUMNS, rows)
 
 
 def read_record(path: Path, effort: str | None = None) -> list[WorkPrecision]:
-    """Return the results in a file, in its order.
+    """Read the results of a csv file, in their order.
 
-    effort: what they must have been measured with, if anything.  Raises LoadError if it
-    cannot be read or is no such record, InputError if another effort was made.
+    Args:
+        path: The file.
+        effort: Required effort of the measurement; any if None.
+    Returns:
+        The results.
+    Raises:
+        LoadError: The file cannot be read, or is not a record of `bench accuracy`.
+        InputError: The file was measured with another effort.
     """
     try:
         with path.open(encoding="utf-8", newline="") as file:
@@ -59,16 +70,16 @@ def read_record(path: Path, effort: str | None = None) -> list[WorkPrecision]:
     try:
         for row in rows:
             groups.setdefault((row["problem"], row["run"]), []).append(row)
-        others = {row["effort"] for row in rows} - {effort}
+        other_efforts = {row["effort"] for row in rows} - {effort}
         results = [_result(group) for group in groups.values()]
     except (KeyError, ValueError, TypeError) as error:
-        told = f"it has no column {error}" if isinstance(error, KeyError) else error
+        reason = f"it has no column {error}" if isinstance(error, KeyError) else error
         raise LoadError(
-            f"'{path}' is not accuracy.csv of `pinred bench accuracy`: {told}"
+            f"'{path}' is not accuracy.csv of `pinred bench accuracy`: {reason}"
         ) from None
-    if effort is not None and others:
+    if effort is not None and other_efforts:
         raise InputError(
-            f"'{path}' was measured as '{min(others)}', not '{effort}': "
+            f"'{path}' was measured as '{min(other_efforts)}', not '{effort}': "
             "give another folder, or the same options"
         )
     return results
@@ -76,7 +87,7 @@ def read_record(path: Path, effort: str | None = None) -> list[WorkPrecision]:
 
 def _result(rows: list[dict[str, str]]) -> WorkPrecision:
     head = rows[0]
-    there = [row for row in rows if row["tolerance"]]
+    measured = [row for row in rows if row["tolerance"]]
     return WorkPrecision(
         problem=head["problem"],
         description=head["description"],
@@ -84,8 +95,8 @@ def _result(rows: list[dict[str, str]]) -> WorkPrecision:
         duration=float(head["duration"]),
         reference_error=float(head["reference_error"]),
         reference=head["reference"],
-        about={row["method"]: row["about"] for row in there},
-        points=tuple(_point(row) for row in there),
+        about={row["method"]: row["about"] for row in measured},
+        points=tuple(_point(row) for row in measured),
         missing={row["method"]: row["failure"] for row in rows if not row["tolerance"]},
         run=head["run"],
     )

@@ -1,9 +1,8 @@
-"""The true end of a problem, and how well it is known.
+"""Reference solution for the final state of a problem, with an estimate of its error.
 
-With heyoka: Taylor's method in quadruple precision on pinred's reduced equations, at two
-tolerances, and once more from a state that differs by round-off.  Without it: Hairer's DOP853.
-Either way Pinocchio's ABA on the full state, another formulation under another integrator,
-is asked to confirm it.
+With heyoka it is Taylor's method in quadruple precision on pinred's reduced equations. It runs at
+two tolerances, and from an initial state that differs by round-off. Without heyoka it is Hairer's
+DOP853 on the full state. In both cases Pinocchio's ABA on the full state confirms it.
 """
 
 from __future__ import annotations
@@ -24,16 +23,18 @@ from .taylor import has_heyoka, reduced_graph, taylor_expressions
 
 _QUAD = (1e-23, 1e-20)  # tolerances in quadruple precision
 _EPS = float(np.finfo(float).eps)
-CONFIRMED = 1e-9  # rad | m; if ABA is farther away, it counts as the reference's error
+CONFIRMED = 1e-9  # rad | m; a larger distance from ABA counts as the error of the reference
 
 
 @dataclass(frozen=True)
 class Reference:
-    """The end of a problem.
+    """The final state of a problem.
 
-    error: how far it may be from the truth [rad | m]; smaller errors of a method say nothing.
-    independent: how far Pinocchio's ABA under DOP853 in double precision is from it.
-    about: how it was found.
+    Attributes:
+        end: The final state.
+        error: Estimated error [rad | m]; smaller errors of methods cannot be resolved.
+        independent: Distance from Pinocchio's ABA under DOP853 in double precision [rad | m].
+        about: Description of the computation.
     """
 
     end: FullMotion
@@ -43,7 +44,15 @@ class Reference:
 
 
 def reference_of(problem: Problem) -> Reference:
-    """Return the end of a problem.  Raises IntegrationError if it cannot be followed."""
+    """Compute the final state of a problem.
+
+    Args:
+        problem: The problem.
+    Returns:
+        The reference.
+    Raises:
+        IntegrationError: The motion cannot be integrated at the tightest tolerance.
+    """
     y0, times = problem.full_start(), problem.times
     aba = problem.full.run(y0, times, *FINEST)
     if has_heyoka():
@@ -65,8 +74,8 @@ def _quadruple(problem: Problem, aba: FullMotion) -> Reference:
     expressions = taylor_expressions(reduced_graph(problem), flow.parameters.tolist())
 
     def end(y: Any) -> FullMotion:
-        row = np.array([[float(value) for value in y]])
-        states = with_base(flow.states(scene.report_times, row, flow.numbers), problem.name)
+        reduced = np.array([[float(value) for value in y]])
+        states = with_base(flow.states(scene.report_times, reduced, flow.numbers), problem.name)
         return FullMotion(x=states.x, q=states.q)
 
     def integrator(tolerance: float) -> Any:
@@ -75,7 +84,7 @@ def _quadruple(problem: Problem, aba: FullMotion) -> Reference:
             expressions, y0, tol=hy.real128(tolerance), compact_mode=True, fp_type=hy.real128
         )
 
-    def followed(ta: Any, y0: Array) -> Any:
+    def propagate(ta: Any, y0: Array) -> Any:
         ta.time = hy.real128(0.0)
         ta.state[:] = [hy.real128(value) for value in y0.tolist()]
         outcome, *_ = ta.propagate_until(hy.real128(scene.end))
@@ -83,22 +92,22 @@ def _quadruple(problem: Problem, aba: FullMotion) -> Reference:
             raise IntegrationError(f"heyoka stopped with {outcome.name} at t = {float(ta.time):g}")
         return np.array(ta.state)
 
-    if not flow.y0.size:  # one body that only translates
+    if not flow.y0.size:  # a single body in pure translation
         return Reference(aba, _EPS, 0.0, "closed form")
-    ends = [followed(integrator(_QUAD[0]), flow.y0)]
+    ends = [propagate(integrator(_QUAD[0]), flow.y0)]
     coarse = integrator(_QUAD[1])
-    ends.append(followed(coarse, flow.y0))
+    ends.append(propagate(coarse, flow.y0))
     rng = np.random.default_rng(0)
-    kicked = followed(coarse, flow.y0 * (1.0 + _EPS * rng.choice([-1.0, 1.0], flow.y0.size)))
+    perturbed = propagate(coarse, flow.y0 * (1.0 + _EPS * rng.choice([-1.0, 1.0], flow.y0.size)))
     converged = max(float(abs(a - b)) for a, b in zip(*ends, strict=True))
     truth = end(ends[0])
-    # What round-off does to the initial momenta and to the end, even of an exact integration.
-    rounding = max(problem.apart(truth, end(kicked)), 4.0 * _EPS)
+    # Round-off of the initial momenta and of the final state limits even an exact integration.
+    rounding = max(problem.apart(truth, end(perturbed)), 4.0 * _EPS)
     independent = problem.apart(truth, aba)
     error = max(converged, rounding)
     about = (
         f"heyoka in quadruple precision (converged to {converged:.0e}; round-off of the initial "
-        f"values makes {rounding:.0e}); ABA on the full state in double precision is "
+        f"values changes it by {rounding:.0e}); ABA on the full state in double precision is "
         f"{independent:.0e} away"
     )
     return Reference(truth, error if independent < CONFIRMED else independent, independent, about)

@@ -1,4 +1,4 @@
-"""Growth of the cost of an evaluation, and of making the kernel, with the number of joints."""
+"""Growth of evaluation time and build time of kernels with the number of joints."""
 
 from __future__ import annotations
 
@@ -14,21 +14,25 @@ from ...common.errors import InputError
 from ...common.progress import Progress, quiet, shown
 from ...kernels.build import build_kernel
 from ...kernels.layout import Structure
-from ...reduction.at_a_shape import Reduction
+from ...reduction.at_a_shape import PointwiseReduction
 from ...reduction.cyclic_joints import cyclic_joints
 from .chains import FAMILIES, chain
 from .timing import ROUNDS, NoCache, alternating, evaluations
 
 JOINTS = (5, 10, 20, 50, 100)
-LONG = 20  # joints from which on the slope is taken
+LONG = 20  # smallest number of joints for the fitted exponent
 
 
 @dataclass(frozen=True)
 class Scaling:
-    """One family of chains.  joints, instructions: (K,).
+    """Costs of one family of K chains; arrays are read-only.
 
-    build: (K,) s from System to address, with the search for cyclic joints.  kernel: (K,)
-    µs an evaluation, with momentum and without forces.
+    Attributes:
+        family: "planar" or "spatial".
+        joints: Numbers of joints, (K,).
+        instructions: Numbers of instructions of the CasADi graphs, (K,).
+        build: Times from System to machine code, including the search for cyclic joints, (K,) [s].
+        kernel: Times of an evaluation, with momentum and without forces, (K,) [µs].
     """
 
     family: str
@@ -42,12 +46,12 @@ class Scaling:
 
     @property
     def slope(self) -> float:
-        """Exponent of joints in the time of an evaluation, for long chains; 1 is linear."""
+        """Exponent of the number of joints in the evaluation time of long chains; 1 is linear."""
         return self._slope(self.kernel)
 
     @property
     def instructions_slope(self) -> float:
-        """Exponent of joints in the number of instructions, for long chains."""
+        """Exponent of the number of joints in the instructions of long chains."""
         return self._slope(self.instructions)
 
     def _slope(self, cost: NDArray[np.float64] | NDArray[np.int64]) -> float:
@@ -80,43 +84,49 @@ def bench_scaling(
     rounds: int = ROUNDS,
     progress: Progress | bool | None = None,
 ) -> list[Scaling]:
-    """Return what chains of so many joints cost, planar and spatial.
+    """Measure the costs of planar and spatial chains.
 
-    joints: increasing.  rounds: of which the median counts.  progress: as for
-    `simulate`.  Raises InputError.
+    Args:
+        joints: Increasing numbers of joints.
+        rounds: Number of rounds, of which the median is reported.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        One result for each family.
+    Raises:
+        InputError: `joints` is empty or not increasing.
     """
     if not joints or (np.diff(joints) <= 0).any():
         raise InputError(f"joints must be increasing numbers, got {tuple(joints)}")
     with shown(progress, "scaling") as bar:
-        return _measured(joints, rounds, bar or quiet)
+        return _measure(joints, rounds, bar or quiet)
 
 
-def _measured(joints: Sequence[int], rounds: int, done: Progress) -> list[Scaling]:
+def _measure(joints: Sequence[int], rounds: int, report: Progress) -> list[Scaling]:
     cases = [(family, n) for family in FAMILIES for n in joints]
     kernels, builds = [], []
     for k, (family, n) in enumerate(cases):
         system = chain(family, n)
         began = time.perf_counter()
-        structure = Structure(zero_momentum=False, cyclic=cyclic_joints(Reduction(system)))
+        structure = Structure(zero_momentum=False, cyclic=cyclic_joints(PointwiseReduction(system)))
         kernels.append(build_kernel(system, structure, cache=NoCache()))
         builds.append(time.perf_counter() - began)
-        done(0.5 * (k + 1) / len(cases))
+        report(0.5 * (k + 1) / len(cases))
     times = alternating(
         [evaluations(kernel) for kernel in kernels],
         rounds=rounds,
-        progress=lambda part: done(0.5 + 0.5 * part),
+        progress=lambda fraction: report(0.5 + 0.5 * fraction),
     )
     medians = np.median(times, axis=0) * 1e6
-    found = []
+    results = []
     for k, family in enumerate(FAMILIES):
-        part = slice(k * len(joints), (k + 1) * len(joints))
-        found.append(
+        members = slice(k * len(joints), (k + 1) * len(joints))
+        results.append(
             Scaling(
                 family=family,
                 joints=np.array(joints),
-                instructions=np.array([kernel.instructions for kernel in kernels[part]]),
-                build=np.array(builds[part]),
-                kernel=medians[part].copy(),
+                instructions=np.array([kernel.instructions for kernel in kernels[members]]),
+                build=np.array(builds[members]),
+                kernel=medians[members].copy(),
             )
         )
-    return found
+    return results

@@ -1,4 +1,4 @@
-"""The problems on which accuracy is measured, by name.  A further one is one more entry."""
+"""Problems of the accuracy benchmark by name; SCENES gets one entry for each."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from .problems import Problem
 
 BARS = ("planar1", "planar5", "satellite", "solo12", "talos")
 CHAINS = {"planar": (2, 3, 5, 10, 20, 50), "spatial": (2, 3, 5, 10, 20, 50)}
-CHAIN_TIME = 2.0  # s; long chains are chaotic within some seconds more
-_EXAMPLES = {"solo12": (4.0, 1.0), "talos": (2.0, 2.0)}  # s, and by how much rates are larger
-# Bundled robots that move faster than the state they come with has it.
+CHAIN_TIME = 2.0  # duration [s]; long chains become chaotic a few seconds later
+_EXAMPLES = {"solo12": (4.0, 1.0), "talos": (2.0, 2.0)}  # duration [s], factor of initial rates
+# Bundled robots with their initial rates multiplied by a factor.
 _FASTER = {"planar5": ("planar_chain5", 2.0), "satellite": ("satellite_two_arms", 3.0)}
-_AFLOAT = (0.0, 0.0, 0.0)
+_NO_GRAVITY = (0.0, 0.0, 0.0)
 
 
 def planar_joint() -> Problem:
-    """Return two coupled bodies in the plane, where the joint's angle matters."""
+    """Return two coupled planar bodies whose locked inertia depends on the joint angle."""
     system = load("planar_chain5", lock=("joint2", "joint3", "joint4", "joint5"))
     start = InitialState(
         x=np.array([0.3]), xdot=np.array([1.2]), xi=np.array([0.1, 0.2, -0.3]), duration=10.0
@@ -34,26 +34,26 @@ def planar_joint() -> Problem:
 
 
 def bundled(name: str) -> Problem:
-    """Return a bundled robot from the state it comes with."""
+    """Return a bundled robot with its default initial state."""
     system = load(name)
     if system.initial is None:
-        raise InputError(f"'{name}' comes with no initial state")
+        raise InputError(f"'{name}' has no default initial state")
     return Problem(
-        name, f"{bundled_robots()[name].description}, its own state", system, system.initial
+        name, f"{bundled_robots()[name].description}, default initial state", system, system.initial
     )
 
 
 def faster(name: str) -> Problem:
-    """Return a bundled robot from the state it comes with, all rates multiplied."""
+    """Return a bundled robot with its default initial state, with all rates multiplied."""
     robot, factor = _FASTER[name]
     slow = bundled(robot)
-    about = f"{robot} from its own state with rates times {factor:g}"
+    about = f"{robot} from its default state with rates times {factor:g}"
     return Problem(name, about, slow.system, _scaled(slow.start, factor, slow.start.duration))
 
 
 def example(name: str) -> Problem:
-    """Return a robot of example-robot-data tumbling without gravity, from a generic state."""
-    system = load(name, gravity=_AFLOAT)
+    """Return a robot of example-robot-data without gravity, from a random initial state."""
+    system = load(name, gravity=_NO_GRAVITY)
     duration, factor = _EXAMPLES[name]
     about = f"{name} tumbling without torque or gravity, seed 0"
     about += f", rates times {factor:g}" if factor != 1.0 else ""
@@ -65,36 +65,40 @@ def _scaled(state: InitialState, factor: float, duration: float) -> InitialState
 
 
 def chained(family: str, joints: int) -> Problem:
-    """Return a chain of equal links, from a generic state."""
+    """Return a chain of equal links, from a random initial state."""
     system = chain(family, joints)
     start = _scaled(random_state(system, 0), 1.0, CHAIN_TIME)
     name = f"{family}-{joints}"
     return Problem(name, f"a {family} chain of {joints} joints, seed 0", system, start)
 
 
-def _makers() -> dict[str, Callable[[], Problem]]:
-    makers: dict[str, Callable[[], Problem]] = {"planar1": planar_joint}
-    makers |= {name: partial(bundled, name) for name in bundled_robots()}
-    makers |= {name: partial(faster, name) for name in _FASTER}
-    makers |= {name: partial(example, name) for name in _EXAMPLES}
+def _factories() -> dict[str, Callable[[], Problem]]:
+    factories: dict[str, Callable[[], Problem]] = {"planar1": planar_joint}
+    factories |= {name: partial(bundled, name) for name in bundled_robots()}
+    factories |= {name: partial(faster, name) for name in _FASTER}
+    factories |= {name: partial(example, name) for name in _EXAMPLES}
     for family, sizes in CHAINS.items():
-        makers |= {f"{family}-{n}": partial(chained, family, n) for n in sizes}
-    return makers
+        factories |= {f"{family}-{n}": partial(chained, family, n) for n in sizes}
+    return factories
 
 
-SCENES = _makers()
+SCENES = _factories()
 
 
 def problems_named(names: Sequence[str] | None = None) -> tuple[list[Problem], list[str]]:
-    """Return the problems of these names, those of BARS if None, and a line on each left out.
+    """Build the problems with the given names.
 
-    Raises InputError for a name that is none, listing them.
+    Args:
+        names: Names in SCENES; BARS if None.
+    Returns:
+        The problems, and one sentence for each that needs a package that is not installed.
+    Raises:
+        InputError: Unknown name.
     """
-    wanted = list(dict.fromkeys(BARS if names is None else names))
-    for name in wanted:
+    requested = list(dict.fromkeys(BARS if names is None else names))
+    for name in requested:
         if name not in SCENES:
-            raise InputError(f"no scene '{name}'; they are {', '.join(SCENES)}")
-    there = has_example_robots()
-    left = [name for name in wanted if name in _EXAMPLES and not there]
-    missing = [f"{name} is left out: {INSTALL_ROBOTS}" for name in left]
-    return [SCENES[name]() for name in wanted if name not in left], missing
+            raise InputError(f"no scene '{name}'; the scenes are {', '.join(SCENES)}")
+    unavailable = [n for n in requested if n in _EXAMPLES and not has_example_robots()]
+    missing = [f"{name} is left out: {INSTALL_ROBOTS}" for name in unavailable]
+    return [SCENES[name]() for name in requested if name not in unavailable], missing

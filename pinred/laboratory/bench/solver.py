@@ -1,23 +1,28 @@
-"""A solver: a way to solve a problem, with its cost and where it ends."""
+"""Interface of solvers in the accuracy benchmark."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ...common.arrays import Array
 from .problems import Problem
 
-ATOL = 0.01  # absolute tolerance, in parts of the relative one, where a method takes both
+ATOL = 0.01  # ratio of absolute to relative tolerance, for methods with both
 UNKNOWN = float("nan")
 
 
 @dataclass(frozen=True)
 class End:
-    """The end of a motion.
+    """The final state of a motion.
 
-    x: (m,) shape, unwrapped.  q: (nq,) and v: (n,), Pinocchio's.  evaluations: see Solver.
+    Attributes:
+        x: Shape, unwrapped, (m,) [rad | m].
+        q: Pinocchio's configuration, (nq,).
+        v: Pinocchio's velocity, (n,).
+        evaluations: Number of evaluations of the vector field, of steps for Taylor methods; NaN
+            if unknown.
     """
 
     x: Array
@@ -28,10 +33,13 @@ class End:
 
 @dataclass(frozen=True)
 class PreparedRun:
-    """A method ready to run a problem at a tolerance.
+    """A method that is ready to solve a problem at a tolerance.
 
-    run: what is timed, from the initial values to the end; raises IntegrationError if it
-    does not get there.  end: takes what `run` returns; not timed.  build: s before, once.
+    Attributes:
+        run: Timed function: integrates from the initial to the final state. Raises
+            IntegrationError if it fails.
+        end: Converts the result of `run` to the final state (not timed).
+        build: Time of preparation, once [s].
     """
 
     run: Callable[[], Any]
@@ -41,19 +49,23 @@ class PreparedRun:
 
 @dataclass(frozen=True)
 class Solver:
-    """A way to solve a problem.
+    """A method of the accuracy benchmark.
 
-    about: what is timed.  tolerances: those at which it is measured, from coarse to fine:
-    relative tolerances, or with fixed=True the step in parts of the whole time.  missing:
-    says of a problem why the method is not run, "" if it is.  Its evaluations are of the
-    vector field, or steps if it is Taylor's; NaN where it does not tell.
+    Attributes:
+        name: Name of the method.
+        about: Description of the timed work.
+        tolerances: Relative tolerances from coarse to fine; if `fixed`, step lengths relative to
+            the duration.
+        prepare: Prepares a run of a problem at a tolerance.
+        missing: Returns why the method cannot run a problem; "" if it can.
+        fixed: Whether the method has fixed steps.
     """
 
     name: str
     about: str
     tolerances: tuple[float, ...]
     prepare: Callable[[Problem, float], PreparedRun]
-    missing: Callable[[Problem], str] = lambda _: ""
+    missing: Callable[[Problem], str] = field(default_factory=lambda: lambda _: "")
     fixed: bool = False
 
 
@@ -63,10 +75,10 @@ def decades(first: int, last: int, by: int = 1) -> tuple[float, ...]:
 
 
 def halvings(first: int, count: int) -> tuple[float, ...]:
-    """Return steps in parts of the whole time: 1/first, and each half of the one before."""
+    """Return step lengths relative to the duration: 1/first, each half the one before."""
     return tuple(1.0 / (first * 2**k) for k in range(count))
 
 
-def steps_of(part: float) -> int:
-    """Return how many steps of this part of the whole time there are."""
-    return round(1.0 / part)
+def steps_of(fraction: float) -> int:
+    """Return the number of steps whose length is this fraction of the duration."""
+    return round(1.0 / fraction)

@@ -1,4 +1,4 @@
-"""The methods whose accuracy is measured.  A further one is one more entry of SOLVERS."""
+"""The methods of the accuracy benchmark; add a method to SOLVERS."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from .pinred_methods import OWN
 from .solver import Solver
 
 SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA)
-# With what takes minutes to prepare.
+# Includes methods that take minutes to prepare.
 ALL_SOLVERS: tuple[Solver, ...] = (*OWN, *ABA, *MUJOCO, *EXUDYN, *DRAKE, *CVODES, *HEYOKA_SLOW)
 
 
 def solvers_named(
     names: Sequence[str] | None, among: Sequence[Solver] = SOLVERS
 ) -> tuple[Solver, ...]:
-    """Return the methods of these names, all if None.  Raises InputError listing them."""
+    """Return the methods with these names, all if None; raise InputError for an unknown name."""
     if names is None:
         return tuple(among)
-    found = {method.name: method for method in among}
+    by_name = {method.name: method for method in among}
     for name in names:
-        if name not in found:
-            raise InputError(f"no method '{name}'; they are {', '.join(found)}")
-    return tuple(found[name] for name in dict.fromkeys(names))
+        if name not in by_name:
+            raise InputError(f"no method '{name}'; the methods are {', '.join(by_name)}")
+    return tuple(by_name[name] for name in dict.fromkeys(names))

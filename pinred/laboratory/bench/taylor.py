@@ -21,7 +21,7 @@ def has_heyoka() -> bool:
 
 
 def reduced_graph(problem: Problem) -> ca.Function:
-    """Return the CasADi Function of the reduced vector field that pinred compiles."""
+    """Return the reduced vector field that pinred compiles, as a CasADi Function."""
     from ...kernels.reduced_graph import ReducedGraph
     from ...simulation.compiled.compiled_flow import CompiledFlow
     from ...simulation.plan import plan_of
@@ -31,11 +31,10 @@ def reduced_graph(problem: Problem) -> ca.Function:
 
 
 def taylor_expressions(function: ca.Function, parameters: Sequence[Any]) -> list[tuple[Any, Any]]:
-    """Return [(yᵢ, dyᵢ/dt)] as heyoka expressions, of a Function (y, parameters) → dy/dt.
+    """Translate a CasADi Function (y, parameters) → dy/dt to heyoka expressions [(yᵢ, dyᵢ/dt)].
 
-    The numbers in `parameters` become constants, and what has only constants in it a number;
-    expressions in it stay what they are.
-    Raises UnsupportedOperationError for an operation that heyoka has not.
+    Numbers in `parameters` become constants, and constant subexpressions are folded. Expressions in
+    `parameters` stay symbolic. Raises UnsupportedOperationError for an unknown operation.
     """
     hy = import_module("heyoka")
     y = [hy.expression(f"y{k}") for k in range(function.numel_in(0))]
@@ -56,8 +55,8 @@ def taylor_expressions(function: ca.Function, parameters: Sequence[Any]) -> list
             value[target[0]] = operations[op](*(value[i] for i in source))
         else:
             raise UnsupportedOperationError(
-                f"instruction {k} of '{function.name()}' is an operation that is not told to "
-                "heyoka; add it to pinred/laboratory/bench/taylor.py"
+                f"instruction {k} of '{function.name()}' has no translation to heyoka; add it to "
+                "pinred/laboratory/bench/taylor.py"
             )
     return [
         (v, hy.expression(f) if isinstance(f, float) else f) for v, f in zip(y, rate, strict=True)
@@ -72,10 +71,17 @@ def taylor_integrator(
     *,
     unrolled: bool,
 ) -> Any:
-    """Return a `heyoka.taylor_adaptive` of (y, parameters) → dy/dt from y0 at time 0.
+    """Return a `heyoka.taylor_adaptive` integrator with initial time 0.
 
-    unrolled: not heyoka's compact mode.  It runs up to four times as fast, and for a
-    quadruped takes minutes to compile.
+    Args:
+        function: Vector field (y, parameters) → dy/dt.
+        parameters: Values of the parameters.
+        y0: Initial state, (n,).
+        tolerance: Tolerance of the Taylor method.
+        unrolled: Unroll the code instead of heyoka's compact mode. It runs up to four times as
+            fast, but takes minutes to compile for a quadruped.
+    Returns:
+        The integrator.
     """
     hy = import_module("heyoka")
     system = taylor_expressions(function, parameters)
@@ -84,12 +90,12 @@ def taylor_integrator(
 
 @cache
 def _operations() -> dict[int, Any]:
-    """Return what each CasADi operation is, of numbers and expressions alike."""
+    """Return CasADi operation code → function of numbers or heyoka expressions."""
     hy = import_module("heyoka")
 
     def function(name: str) -> Any:
-        of = getattr(hy, name)
-        return lambda a: of(hy.expression(a)) if isinstance(a, float) else of(a)
+        apply = getattr(hy, name)
+        return lambda a: apply(hy.expression(a)) if isinstance(a, float) else apply(a)
 
     return {
         ca.OP_ADD: lambda a, b: a + b,

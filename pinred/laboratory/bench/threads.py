@@ -1,4 +1,4 @@
-"""The gain of threads in simulate_many(), and the memory it needs besides its results."""
+"""Speedup by threads in simulate_many(), and its memory use."""
 
 from __future__ import annotations
 
@@ -16,24 +16,30 @@ from ...scene.random_state import random_state
 from ...simulation.members.trajectories import Trajectories
 from ...simulation.simulate_many import simulate_many
 from ...system.system import System
-from .timing import alternating
+from .timing import alternating, repeated
 
 Counts = NDArray[np.int64]
 
 DURATION = 2.0  # s
 MEMBERS = 1000
-FEW = 0.25  # of the members, with which memory is compared
+FEW = 0.25  # fraction of the members in the smaller of two memory measurements
 ROUNDS = 5
 
 
 @dataclass(frozen=True)
 class ThreadsTiming:
-    """Whole calls of simulate_many.
+    """Time and memory of calls of simulate_many; arrays are read-only.
 
-    wall: (2,) s with one thread and with two.  speedup: median of their ratio in each round.
-    sizes: (2,) members of two calls whose memory was watched.  results: (2,) bytes of their
-    reduced states.  kept: (2,) bytes that the trajectories hold, results included.  extra:
-    (2,) bytes at the peak beyond what is kept.
+    Attributes:
+        robot: Name of the robot.
+        members: Number of members.
+        duration: Duration of each motion [s].
+        wall: Median wall times with one thread and with two, (2,) [s].
+        speedup: Median over rounds of the ratio of the two times.
+        sizes: Numbers of members of the two calls whose memory was measured, (2,).
+        results: Bytes of their reduced states, (2,).
+        kept: Bytes kept by the trajectories, reduced states included, (2,).
+        extra: Peak bytes in addition to `kept`, (2,).
     """
 
     robot: str
@@ -75,23 +81,32 @@ def bench_threads(
     rounds: int = ROUNDS,
     progress: Progress | bool | None = None,
 ) -> ThreadsTiming:
-    """Return what many random states of a system cost on one thread and on two.
+    """Measure simulate_many from random states on one thread and on two.
 
-    members: at least 4; memory is watched with all of them and with a quarter.  rounds: of
-    which the median counts.  progress: as for `simulate`.
-    Memory is what Python and numpy ask for; the compiled code asks for none of its own.
+    Memory allocated by Python and numpy is measured; the compiled code allocates none.
+
+    Args:
+        system: The system.
+        members: Number of members, at least 4. Memory is measured with all, and with a quarter.
+        duration: Duration of each motion [s].
+        rounds: Number of rounds, of which the median is reported.
+        progress: True for a progress bar, or a function of the completed fraction.
+    Returns:
+        Times and memory.
+    Raises:
+        InputError: Fewer than 4 members.
     """
     if members < 4:
         raise InputError(f"members must be at least 4, got {members}")
     with shown(progress, "threads") as bar:
-        return _measured(system, members, duration, rounds, bar or quiet)
+        return _measure(system, members, duration, rounds, bar or quiet)
 
 
-def _measured(
-    system: System, members: int, duration: float, rounds: int, done: Progress
+def _measure(
+    system: System, members: int, duration: float, rounds: int, report: Progress
 ) -> ThreadsTiming:
-    drawn = [random_state(system, seed) for seed in range(members)]
-    x0, xdot0, xi0 = (np.array([getattr(s, name) for s in drawn]) for name in ("x", "xdot", "xi"))
+    states = [random_state(system, seed) for seed in range(members)]
+    x0, xdot0, xi0 = (np.array([getattr(s, name) for s in states]) for name in ("x", "xdot", "xi"))
 
     def call(size: int, threads: int) -> Trajectories:
         return simulate_many(
@@ -104,27 +119,27 @@ def _measured(
             threads=threads,
         )
 
-    def on(threads: int) -> Callable[[int], None]:
-        def several(count: int) -> None:
-            for _ in range(count):
-                call(members, threads)
+    def calls_with(threads: int) -> Callable[[int], None]:
+        return repeated(lambda: call(members, threads))
 
-        return several
-
-    times = alternating([on(1), on(2)], rounds=rounds, progress=lambda part: done(0.8 * part))
+    times = alternating(
+        [calls_with(1), calls_with(2)],
+        rounds=rounds,
+        progress=lambda fraction: report(0.8 * fraction),
+    )
     sizes = (round(FEW * members), members)
     results, kept, extra = [], [], []
     for k, size in enumerate(sizes):
         tracemalloc.start()
         try:
-            found = call(size, 2)
+            trajectories = call(size, 2)
             current, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
-        results.append(found.y.nbytes)
+        results.append(trajectories.y.nbytes)
         kept.append(current)
         extra.append(peak - current)
-        done(0.8 + 0.1 * (k + 1))
+        report(0.8 + 0.1 * (k + 1))
     return ThreadsTiming(
         robot=system.name,
         members=members,

@@ -1,4 +1,4 @@
-"""Times that can be compared: medians of rounds in which what is measured takes turns."""
+"""Comparable timings: actions run alternately in several rounds."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from ...kernels.evaluate import repeat
 from ...kernels.kernel import Kernel
 from ...kernels.object_cache import ObjectCache
 
-ROUNDS = 15  # of which the median counts
-SPAN = 0.01  # s, at least, of one action in a round
-LOADING = 20.0  # s, at most, that a first call may take to compile or load what it needs
-FEWEST = 3  # rounds in which even a slow action takes part
+ROUNDS = 15  # default number of rounds, of which the median is reported
+SPAN = 0.01  # least duration of an action in a round [s]; short actions are repeated
+LOADING = 20.0  # a shorter first call [s] may include compilation, and is repeated
+FEWEST = 3  # least number of rounds of a slow action
 
 
 class NoCache(ObjectCache):
-    """A cache of kernels that keeps nothing, so that building is measured."""
+    """A kernel cache that stores nothing, so that compilation is measured."""
 
     def get(self, key: str) -> None:
-        """Find nothing."""
+        """Return None: nothing is cached."""
 
     def put(self, key: str, code: bytes) -> None:
-        """Keep nothing."""
+        """Discard the code."""
 
 
 def alternating(
@@ -37,15 +37,21 @@ def alternating(
     budget: float = np.inf,
     progress: Progress = quiet,
 ) -> Array:
-    """Return seconds per call, (rounds, actions), the actions taking turns.
+    """Time actions that run alternately.
 
-    actions: each does its work as often as it is told.  It is called once or twice before the clock
-    runs, and then so often in each round that a round takes it at least `span` [s], SPAN
-    if None.
-    budget: s an action may take in all; a slow one sits out some of the rounds, though never
-    so many that it has less than FEWEST, and its time there is NaN.
+    Args:
+        actions: Functions that repeat their work a given number of times. Each is called once or
+            twice before timing.
+        rounds: Number of rounds.
+        span: Least duration of an action in a round [s]; SPAN if None. The number of repetitions
+            is chosen for it.
+        budget: Time of an action in all rounds [s]. A slow action skips rounds, but takes part in
+            at least FEWEST.
+        progress: Called with the completed fraction.
+    Returns:
+        (rounds, actions) seconds per repetition; NaN in skipped rounds.
     """
-    counts, turns = [], []
+    counts, numbers_of_rounds = [], []
     span = SPAN if span is None else span
     for j, action in enumerate(actions):
         first, count = _seconds(action, 1), 1
@@ -54,19 +60,20 @@ def alternating(
         while (last := _seconds(action, count) if first < span else first) < span:
             count *= 2
         counts.append(count)
-        turns.append(int(min(rounds, max(FEWEST, budget / last))))
+        numbers_of_rounds.append(int(min(rounds, max(FEWEST, budget / last))))
         progress((j + 1) / len(actions) / (rounds + 1))
-    out = np.full((rounds, len(actions)), np.nan)
+    seconds = np.full((rounds, len(actions)), np.nan)
     for k in range(rounds):
         for j, (action, count) in enumerate(zip(actions, counts, strict=True)):
-            if k * turns[j] // rounds < (k + 1) * turns[j] // rounds:
-                out[k, j] = _seconds(action, count) / count
+            n = numbers_of_rounds[j]
+            if k * n // rounds < (k + 1) * n // rounds:  # n of the rounds, evenly spread
+                seconds[k, j] = _seconds(action, count) / count
         progress((k + 2) / (rounds + 1))
-    return out
+    return seconds
 
 
 def evaluations(kernel: Kernel) -> Callable[[int], None]:
-    """Return what evaluates a kernel, at one random state, as often as it is told."""
+    """Return a function that evaluates a kernel at a random state a given number of times."""
     rng = np.random.default_rng(0)
     y = rng.normal(size=kernel.layout.size)
     parameters = rng.normal(size=kernel.layout.parameters)
@@ -74,13 +81,13 @@ def evaluations(kernel: Kernel) -> Callable[[int], None]:
 
 
 def repeated(action: Callable[[], object]) -> Callable[[int], None]:
-    """Return what calls an action as often as it is told."""
+    """Return a function that calls an action a given number of times."""
 
-    def several(count: int) -> None:
+    def repeat_action(count: int) -> None:
         for _ in range(count):
             action()
 
-    return several
+    return repeat_action
 
 
 def _seconds(action: Callable[[int], object], count: int) -> float:

@@ -1,4 +1,4 @@
-"""The cost of accuracy on one problem: points of run time and error, and ratios at equal error."""
+"""Work–precision results of one problem: run times, errors, and time ratios at equal error."""
 
 from __future__ import annotations
 
@@ -14,13 +14,20 @@ ERRORS = tuple(float(f"1e-{k}") for k in range(4, 14))
 
 @dataclass(frozen=True)
 class Point:
-    """One method at one tolerance, at the end of a problem.
+    """Result of one method at one tolerance, at the final time of a problem.
 
-    tolerance: relative, or the step in parts of the whole time where a method takes steps.
-    wall: s of a run.  build: s before the first.  evaluations: of the vector field, or steps
-    of a Taylor method.  shape: largest |Δx| [rad | m]; rotation [rad] and position [m] of the
-    base: norms of the parts of log(g⁻¹ĝ).  energy, momentum: drift, relative (see drift.py).
-    failure: why it did not come to its end; then the numbers are NaN.
+    Attributes:
+        method: Name of the method.
+        tolerance: Relative tolerance; for fixed steps, their length relative to the duration.
+        wall: Median wall time of a run [s].
+        build: Time of preparation [s].
+        evaluations: Evaluations of the vector field; steps for Taylor methods.
+        shape: Largest |Δx| [rad | m].
+        rotation: Norm of the rotational part of log(g⁻¹ĝ) of the base [rad].
+        position: Norm of its translational part [m].
+        energy: Relative drift of energy, see conservation_drift.py.
+        momentum: Relative drift of momentum.
+        failure: Why the method failed; the numbers are then NaN.
     """
 
     method: str
@@ -37,18 +44,26 @@ class Point:
 
     @property
     def error(self) -> float:
-        """The largest of the three errors [rad | m]; NaN stays."""
+        """Largest of shape, rotation and position error [rad | m]; NaN if one is NaN."""
         return float(np.max([self.shape, self.rotation, self.position]))
 
 
 @dataclass(frozen=True)
 class WorkPrecision:
-    """The cost of accuracy on one problem, measured in one run.
+    """Run times and errors of methods on one problem, measured in one run.
 
-    problem, description: its name, and what it is.  reference_error: how far the reference may be
-    from the truth [rad | m]; smaller errors of a point say nothing.  reference: how it was
-    found.  about: method to what is timed of it.  missing: method to why it could not run
-    here.  run: name of the run; times of different runs are not to be compared.
+    Attributes:
+        problem: Name of the problem.
+        joints: Number of joints m.
+        duration: Duration of the motion [s].
+        reference_error: Estimated error of the reference [rad | m]; smaller errors cannot be
+            resolved.
+        about: Method → description of its timed work.
+        points: Results of all methods and tolerances.
+        description: Description of the problem.
+        reference: Description of the reference solution.
+        missing: Method → why it could not run.
+        run: Name of the run; times of different runs must not be compared.
     """
 
     problem: str
@@ -63,19 +78,32 @@ class WorkPrecision:
     run: str = ""
 
     def of(self, method: str) -> list[Point]:
-        """Return the points of a method that came to their end.  Raises InputError."""
+        """Return the successful points of a method.
+
+        Args:
+            method: Name of the method.
+        Returns:
+            Its points without failure.
+        Raises:
+            InputError: Unknown method.
+        """
         if method not in self.about:
-            raise InputError(f"no method '{method}'; they are {', '.join(self.about)}")
+            raise InputError(f"no method '{method}'; the methods are {', '.join(self.about)}")
         return [p for p in self.points if p.method == method and not p.failure]
 
     def wall_at(self, method: str, error: float) -> float:
-        """Return the seconds a method takes for an error [rad | m], NaN if it never gets there.
+        """Interpolate the wall time of a method at an error.
 
-        Between measured points, of which only those count that no other beats in both time
-        and error, the logarithms are interpolated.  Above the largest error measured it is
-        the time of the fastest point.
+        The logarithms of error and time are interpolated between Pareto-optimal points. Above the
+        largest measured error the time of the fastest point is returned.
+
+        Args:
+            method: Name of the method.
+            error: Error [rad | m].
+        Returns:
+            Wall time [s]; NaN if the method does not reach the error.
         """
-        front: list[tuple[float, float]] = []  # (log error, log wall), errors falling
+        front: list[tuple[float, float]] = []  # (log error, log wall) of Pareto-optimal points
         best = np.inf
         for p in sorted(self.of(method), key=lambda p: (p.error, p.wall)):
             if p.wall < best:
@@ -87,7 +115,13 @@ class WorkPrecision:
         return float(np.exp(np.interp(np.log(error), errors, walls)))
 
     def only(self, methods: Iterable[str]) -> WorkPrecision:
-        """Return the results of some methods alone.  Raises InputError."""
+        """Select some methods.
+
+        Args:
+            methods: Names of the methods.
+        Returns:
+            Their results.
+        """
         points = {name: self.of(name) for name in methods}
         return replace(
             self,
@@ -96,9 +130,14 @@ class WorkPrecision:
         )
 
     def fastest_of_tools(self, error: float) -> list[str]:
-        """Return pinred's methods, and of each other tool the fastest at an error [rad | m].
+        """Return pinred's methods and the fastest method of each other tool.
 
-        A tool is what stands before the first hyphen in its methods' names.
+        The tool is the method's name up to its first hyphen.
+
+        Args:
+            error: Error at which times are compared [rad | m].
+        Returns:
+            Names of methods.
         """
         tools: dict[str, list[str]] = {}
         for name in self.about:
@@ -106,13 +145,21 @@ class WorkPrecision:
             tools.setdefault(tool, []).append(name)
 
         def wall(name: str) -> float:
-            found = self.wall_at(name, error)
-            return np.inf if np.isnan(found) else found
+            wall_time = self.wall_at(name, error)
+            return np.inf if np.isnan(wall_time) else wall_time
 
         return [min(names, key=wall) for names in tools.values()]
 
     def ratio_at(self, peer: str, error: float, method: str = "pinred") -> float:
-        """Return how many times longer a peer takes than a method at equal error."""
+        """Return the ratio of a peer's wall time to that of a method at equal error.
+
+        Args:
+            peer: Name of the peer's method.
+            error: Error [rad | m].
+            method: Name of the method to compare with.
+        Returns:
+            The ratio; NaN if one does not reach the error.
+        """
         return self.wall_at(peer, error) / self.wall_at(method, error)
 
     def _repr_html_(self) -> str:
@@ -161,18 +208,18 @@ class WorkPrecision:
             *_table(self.about, lambda name, e: 1e3 * self.wall_at(name, e)),
         ]
         peers = [name for name in self.about if not name.startswith("pinred")]
-        for own in (name for name in self.about if name.startswith("pinred")):
+        for method in (name for name in self.about if name.startswith("pinred")):
             if peers:
 
-                def ratio(peer: str, error: float, own: str = own) -> float:
-                    return self.ratio_at(peer, error, own)
+                def ratio(peer: str, error: float, method: str = method) -> float:
+                    return self.ratio_at(peer, error, method)
 
-                lines += ["", f"how many times faster {own} is", *_table(peers, ratio)]
+                lines += ["", f"how many times faster {method} is", *_table(peers, ratio)]
         return "\n".join(lines)
 
 
 def _table(names: Iterable[str], value: Callable[[str, float], float]) -> list[str]:
-    """Return a row for each name and a column for each error."""
+    """Format a table with a row for each name and a column for each error."""
     head = f"{'error':<19}" + "".join(f"{error:>9.0e}" for error in ERRORS)
     rows = (
         f"{name:<19}" + "".join(_cell(value(name, error)) for error in ERRORS) for name in names

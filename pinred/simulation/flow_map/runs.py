@@ -8,9 +8,9 @@ import numpy as np
 
 from ...common.arrays import Array, read_only
 from ...common.errors import InputError, IntegrationError
-from ...integrators.derivatives import Slopes, refuse_without_derivatives, run_along, run_back
 from ...integrators.integrate import Solution, integrate_checked
 from ...integrators.methods import AdaptiveGauss, Explicit
+from ...integrators.run_derivatives import Slopes, refuse_without_derivatives, run_along, run_back
 from ...kernels.differentiable import call_value
 from ...kernels.evaluate import evaluate
 from ...kernels.flow_functions import Row, initial_conditions_of, outcome_of, rate_of, sizes_of

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...analysis.full_reduction import Reduction
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
-from ...reduction.at_a_shape import Reduction
 from ...system.system import System
 
 _FINE = 61  # shapes along each axis of the field

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from ...analysis.full_reduction import Reduction
 from ...common.arrays import Array, vector
 from ...common.errors import InputError
 from ...lie.group import Group
-from ...reduction.at_a_shape import Reduction
 from ...simulation.recording import Recording
 from ...simulation.trajectory import Trajectory
 from ...system.system import System, checked_system

@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
+from ...analysis.full_reduction import Reduction
 from ...common.arrays import Array
 from ...common.errors import InputError
 from ...lie.groups import GROUPS, group_named
-from ...reduction.at_a_shape import Reduction
 from ...system.state_fields import with_base
 from ...system.system import System
 from ..motion_source import MotionSource

@@ -9,9 +9,9 @@ import pinocchio as pin
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ...analysis.full_reduction import Reduction
 from ...common.arrays import Array
 from ...common.errors import InputError, SymmetryError
-from ...reduction.at_a_shape import Reduction
 from ...reduction.inertia_split import symmetric
 from ...simulation.trajectory import Trajectory
 from ...system.state_fields import State, with_base

@@ -1,5 +1,5 @@
-"""Other tools on the same physics: each a file, its package imported when it is used.
+"""Other tools that solve the same problems; one module each, whose package is imported on use.
 
-A peer whose package is not installed, or which cannot have the system, or whose mass matrix
-or accelerations are not Pinocchio's, is left out with a line that says so.
+A peer is left out, with a message, if its package is not installed, if it cannot represent the
+system, or if its mass matrix or accelerations differ from Pinocchio's.
 """

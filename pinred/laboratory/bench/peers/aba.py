@@ -1,7 +1,7 @@
-"""Pinocchio's ABA, called from Python, under integrators that one would write or take from SciPy.
+"""Pinocchio's ABA called from Python, under hand-written integrators and SciPy's.
 
-The methods of equal steps go on Pinocchio's (q, v), with pin.integrate; SciPy's on the state of
-full_vector_field.py.
+The methods with fixed steps integrate Pinocchio's (q, v) with pin.integrate. SciPy's methods
+integrate the state of full_vector_field.py.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Preparing = Callable[[Problem, float], PreparedRun]
 
 
 def aba_field(problem: Problem) -> Field:
-    """Return the vector field of a problem, by pin.aba."""
+    """Return the vector field of a problem, evaluated by pin.aba."""
     size, m = problem.system.group.size, problem.system.m
 
     def end(y: Array, evaluations: float) -> End:
@@ -36,23 +36,23 @@ def aba_field(problem: Problem) -> Field:
 
 
 def _stepped(scheme: Callable[[Problem, float], Step], stages: int) -> Preparing:
-    """Return what prepares a method of equal steps."""
+    """Return the `prepare` function of a method with fixed steps."""
 
-    def prepare(problem: Problem, part: float) -> PreparedRun:
-        count, model, r = steps_of(part), problem.system.model, problem.system.r
+    def prepare(problem: Problem, fraction: float) -> PreparedRun:
+        count, model, r = steps_of(fraction), problem.system.model, problem.system.r
         step = scheme(problem, problem.start.duration / count)
         start = (problem.q0, problem.start.x, problem.v0)
 
         def run() -> State:
             q, x, v = start
-            with np.errstate(all="ignore"):  # what overflows is found by its end
+            with np.errstate(all="ignore"):  # overflow shows in the final state
                 for _ in range(count):
                     u, v = step(q, v)
                     q, x = pin.integrate(model, q, u), x + u[r:]
             return q, x, v
 
-        def end(found: State) -> End:
-            q, x, v = found
+        def end(state: State) -> End:
+            q, x, v = state
             return End(x, q, v, float(stages * count))
 
         return PreparedRun(run, end)
@@ -61,8 +61,8 @@ def _stepped(scheme: Callable[[Problem, float], Step], stages: int) -> Preparing
 
 
 def _euler(problem: Problem, h: float) -> Step:
-    """Return the step of semi-implicit Euler: the new velocity moves the configuration."""
-    model, data, tau = _space(problem)
+    """Return the step of semi-implicit Euler, which moves q with the new velocity."""
+    model, data, tau = _workspace(problem)
 
     def step(q: Array, v: Array) -> tuple[Array, Array]:
         v = v + h * pin.aba(model, data, q, v, tau)
@@ -74,10 +74,10 @@ def _euler(problem: Problem, h: float) -> Step:
 def _rk4(problem: Problem, h: float, *, corrected: bool) -> Step:
     """Return the step of the classical Runge–Kutta method on (q, v).
 
-    corrected: by dexp⁻¹, as Munthe-Kaas has it.  Without it body velocities of different
-    stages are added as they are, and the order is 2 where the base turns.
+    corrected: apply dexp⁻¹ (Munthe-Kaas). Without it, body velocities of different stages are
+    added although they refer to different frames, and the order drops to 2 if the base rotates.
     """
-    model, data, tau = _space(problem)
+    model, data, tau = _workspace(problem)
     correct = _correction(problem.system.group) if corrected else None
     aba, integrate = pin.aba, pin.integrate
 
@@ -102,15 +102,15 @@ def _rk4(problem: Problem, h: float, *, corrected: bool) -> Step:
     return step
 
 
-def _space(problem: Problem) -> tuple[pin.Model, pin.Data, Array]:
+def _workspace(problem: Problem) -> tuple[pin.Model, pin.Data, Array]:
     model = problem.system.model
     return model, model.createData(), np.zeros(model.nv)
 
 
 def _planar_bracket(a: Array, b: Array) -> Array:
-    out = np.zeros(len(a))
-    out[-3], out[-2] = b[-1] * a[-2] - a[-1] * b[-2], a[-1] * b[-3] - b[-1] * a[-3]
-    return out
+    bracket = np.zeros(len(a))
+    bracket[-3], bracket[-2] = b[-1] * a[-2] - a[-1] * b[-2], a[-1] * b[-3] - b[-1] * a[-3]
+    return bracket
 
 
 def _free_bracket(a: Array, b: Array) -> Array:
@@ -118,16 +118,16 @@ def _free_bracket(a: Array, b: Array) -> Array:
 
 
 def _dexp_inverse(bracket: Callable[[Array, Array], Array], r: int) -> Tangent:
-    """Return (u, v) → du/dt where q = q0 ⊕ u moves with v, up to the fourth order in u.
+    """Return (u, v) → du/dt for q = q0 ⊕ u that moves with velocity v, to fourth order in u.
 
-    Joints commute, so only the root, the first r entries, needs it.
+    Joint motions commute, so only the root (the first r entries) is corrected.
     """
 
     def correct(u: Array, v: Array) -> Array:
-        a, out = u[:r], v.copy()
-        once = bracket(a, v[:r])
-        out[:r] += 0.5 * once + bracket(a, once) / 12.0
-        return out
+        a, udot = u[:r], v.copy()
+        first = bracket(a, v[:r])
+        udot[:r] += 0.5 * first + bracket(a, first) / 12.0
+        return udot
 
     return correct
 

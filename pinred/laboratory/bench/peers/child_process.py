@@ -1,4 +1,4 @@
-"""A first try of what may take the whole process with it."""
+"""A first run in a child process, for libraries that may abort the whole process."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ....common.errors import IntegrationError
 
 
 def check_in_child_process(run: Callable[[], object], who: str) -> None:
-    """Run once in a child process.  Raises IntegrationError if that is killed.
+    """Run once in a child process, and raise IntegrationError if the child is killed.
 
-    Some libraries abort where others raise.  What `run` raises by itself is left to the
-    run that counts.
+    Some libraries abort instead of raising. Exceptions of `run` are ignored here; the timed run
+    raises them again.
     """
-    with warnings.catch_warnings():  # of JAX, where it is imported: the child has no use for it
+    with warnings.catch_warnings():  # JAX warns about fork, but the child does not use JAX
         warnings.simplefilter("ignore", RuntimeWarning)
         child = os.fork()
     if child == 0:

@@ -1,4 +1,4 @@
-"""Drake on the same model: a continuous MultibodyPlant built by code, RK3 and RK5."""
+"""Drake on the same model: a continuous MultibodyPlant, integrated by RK3 and RK5."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from ..problems import Problem
 from ..solver import End, PreparedRun, Solver, decades
 from .child_process import check_in_child_process
 from .equality import missing_unless_equal
-from .fixed_axes import carried, turn
+from .fixed_axes import frame_rotation_term, root_rotation
 
-_MAX_STEP = 0.1  # s, Drake's own
+_MAX_STEP = 0.1  # s, Drake's default
 
 
 class DrakeModel:
-    """A MultibodyPlant of a system, and its coordinates.
+    """A MultibodyPlant of a system, and the conversion of coordinates.
 
-    A free base has a quaternion; a pivot has roll, pitch and yaw, which are all that Drake
-    offers there.  Angular and linear velocities of the base are in the fixed axes.
+    A free base has a quaternion. A spherical pivot has roll, pitch and yaw, the only
+    representation that Drake offers. Velocities of the base are expressed in fixed axes.
     """
 
     def __init__(self, system: System) -> None:
@@ -42,9 +42,10 @@ class DrakeModel:
         bodies, joints = [plant.world_body()], []
         for i in range(1, model.njoints):
             body = plant.AddRigidBody(f"body{i}", _inertia(tree, model.inertias[i]))
-            place, above = model.jointPlacements[i], bodies[model.parents[i]].body_frame()
-            where = math.RigidTransform(math.RotationMatrix(place.rotation), place.translation)
-            frame = plant.AddFrame(tree.FixedOffsetFrame(f"frame{i}", above, where))
+            placement, parent = model.jointPlacements[i], bodies[model.parents[i]].body_frame()
+            rotation = math.RotationMatrix(placement.rotation)
+            offset = math.RigidTransform(rotation, placement.translation)
+            frame = plant.AddFrame(tree.FixedOffsetFrame(f"frame{i}", parent, offset))
             S = np.array(data.joints[i].S).reshape(6, -1)
             if i == 1 and not self._has_joint:
                 frame, S = self._add_slides(tree, frame, S)
@@ -58,7 +59,7 @@ class DrakeModel:
         plant.Finalize()
         self.context = plant.CreateDefaultContext()
         r, m = system.r, system.m
-        # Where the root's and the shape's coordinates stand in Drake's q and v.
+        # Indices of the root's and the shape's coordinates in Drake's q and v.
         first = plant.GetJointByName("joint1" if self._has_joint else "slide0")
         self._root_q, self._root_v = first.position_start(), first.velocity_start()
         self._root_nq = plant.num_positions() - m
@@ -79,12 +80,12 @@ class DrakeModel:
 
     @property
     def _has_joint(self) -> bool:
-        """Whether one joint of Drake's moves as the root does."""
+        """Whether Drake has a single joint with the motion of the root."""
         group = self.system.group
         return group.dim == 1 or group.turns == 3 or (bool(group.plane) and group.linear == 2)
 
     def _add_slides(self, tree: Any, frame: Any, S: Array) -> tuple[Any, Array]:
-        """Add a joint for each axis but the last; return the frame behind them, and that axis."""
+        """Add a joint for each axis except the last; return the last child frame and that axis."""
         for k in range(S.shape[1] - 1):
             link = self.plant.AddRigidBody(f"link{k}", tree.SpatialInertia.Zero())
             ends = (f"slide{k}", frame, link.body_frame())
@@ -93,24 +94,24 @@ class DrakeModel:
         return frame, S[:, -1:]
 
     def positions(self, q: Array, x: Array) -> Array:
-        """Return Drake's positions of Pinocchio's q and the unwrapped shape."""
-        pose, out = self.system.configuration(q).pose, np.empty(self._size)
+        """Convert Pinocchio's q and the unwrapped shape to Drake's positions."""
+        pose, positions = self.system.configuration(q).pose, np.empty(self._size)
         if self._is_free:
             pose = np.concatenate([pose[6:], pose[3:6], pose[:3]])
         elif self.system.group.is_pivot:
             pose = pin.rpy.matrixToRpy(self.system.group.matrix(pose)[:3, :3])
-        out[self._root_q : self._root_q + self._root_nq] = pose
-        out[self._x] = x
-        return out
+        positions[self._root_q : self._root_q + self._root_nq] = pose
+        positions[self._x] = x
+        return positions
 
     def velocities(self, q: Array, v: Array) -> Array:
-        """Return Drake's velocities."""
-        out = np.empty(self.system.n)
-        out[self._v] = self._turn(q) @ v
-        return out
+        """Convert Pinocchio's v to Drake's velocities."""
+        velocities = np.empty(self.system.n)
+        velocities[self._v] = self._turn(q) @ v
+        return velocities
 
     def end(self, y: Array, rates: Array, evaluations: float) -> End:
-        """Return the end of a motion in Pinocchio's terms."""
+        """Convert a final state to Pinocchio's coordinates."""
         pose = y[self._root_q : self._root_q + self._root_nq].copy()
         if self._is_free:
             attitude = np.append(pose[1:4], pose[0])
@@ -122,7 +123,7 @@ class DrakeModel:
         return End(x, q, self._turn(q).T @ rates[self._v], evaluations)
 
     def mass_matrix(self, q: Array) -> Array:
-        """Return the mass matrix for Pinocchio's velocities, (n, n)."""
+        """Return the mass matrix (n, n) with respect to Pinocchio's velocities."""
         self.put(q, np.zeros(self.system.n), self.system.configuration(q).x)
         H = self.plant.CalcMassMatrix(self.context)[np.ix_(self._v, self._v)]
         T = self._turn(q)
@@ -132,9 +133,9 @@ class DrakeModel:
         """Return Pinocchio's dv/dt without torques, (n,)."""
         self.put(q, v, self.system.configuration(q).x)
         rates = self.plant.EvalTimeDerivatives(self.context)
-        out = self._turn(q).T @ rates.get_generalized_velocity().CopyToVector()[self._v]
-        out[: self.system.group.linear] -= carried(self.system, v)
-        return np.asarray(out)
+        a = self._turn(q).T @ rates.get_generalized_velocity().CopyToVector()[self._v]
+        a[: self.system.group.linear] -= frame_rotation_term(self.system, v)
+        return np.asarray(a)
 
     def put(self, q: Array, v: Array, x: Array) -> None:
         """Set the state."""
@@ -142,16 +143,16 @@ class DrakeModel:
         self.plant.SetVelocities(self.context, self.velocities(q, v))
 
     def _turn(self, q: Array) -> Array:
-        """Return the matrix from Pinocchio's velocities to Drake's, (n, n), orthogonal."""
+        """Return the orthogonal matrix (n, n) from Pinocchio's velocities to Drake's."""
         system, T = self.system, np.eye(self.system.n)
         k = system.group.linear
         if self._is_free:
             T[:6, :6] = 0.0
-            T[:3, 3:6] = T[3:6, :3] = turn(system, q)
+            T[:3, 3:6] = T[3:6, :3] = root_rotation(system, q)
         elif system.group.is_pivot:
             T[:3, :3] = system.group.matrix(system.configuration(q).pose)
         else:
-            T[:k, :k] = turn(system, q)
+            T[:k, :k] = root_rotation(system, q)
         return T
 
     @property
@@ -166,7 +167,7 @@ def _inertia(tree: Any, body: pin.Inertia) -> Any:
 
 
 def drake_model(system: System) -> DrakeModel:
-    """Return Drake's model of a system, made once for a thread."""
+    """Return Drake's model of a system, built once for each thread."""
     return system.workspace("drake", lambda: DrakeModel(system))
 
 
@@ -194,8 +195,9 @@ def _prepare(problem: Problem, tolerance: float, scheme: str) -> PreparedRun:
         count = float(integrator.get_num_derivative_evaluations())
         return plant.GetPositions(context), plant.GetVelocities(context), count
 
-    check_in_child_process(run, "Drake")  # it does so when a trial step leaves the finite numbers
-    return PreparedRun(run, lambda found: bridge.end(*found))
+    # Drake aborts the process if a trial step overflows.
+    check_in_child_process(run, "Drake")
+    return PreparedRun(run, lambda result: bridge.end(*result))
 
 
 _missing = missing_unless_equal("pydrake", "Drake", drake_model)

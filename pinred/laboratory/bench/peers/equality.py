@@ -1,4 +1,4 @@
-"""Whether a peer's model is Pinocchio's: mass matrix and accelerations at random states."""
+"""Check of a peer's model: mass matrix and accelerations against Pinocchio at random states."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _STATES = 5
 
 
 class Bridge(Protocol):
-    """A peer's model of a system, told and asked in Pinocchio's coordinates."""
+    """A peer's model of a system, in Pinocchio's coordinates."""
 
     def mass_matrix(self, q: Array) -> Array:
-        """Return the mass matrix, (n, n), for Pinocchio's velocities."""
+        """Return the mass matrix (n, n) with respect to Pinocchio's velocities."""
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """Return Pinocchio's dv/dt without torques, (n,)."""
@@ -35,9 +35,11 @@ class Bridge(Protocol):
 
 @dataclass(frozen=True)
 class Equality:
-    """Largest differences from Pinocchio, over the largest entry there.
+    """Largest differences from Pinocchio, relative to the largest entry.
 
-    mass: of the mass matrix, NaN where the peer has none.  acceleration: of dv/dt.
+    Attributes:
+        mass: Difference of the mass matrix; NaN if the peer has none.
+        acceleration: Difference of dv/dt.
     """
 
     mass: float
@@ -45,13 +47,13 @@ class Equality:
 
     @property
     def holds(self) -> bool:
-        """Whether both are small; a mass matrix that the peer has not is not asked for."""
+        """Whether both are small; a missing mass matrix is ignored."""
         worst = np.nanmax([self.mass, self.acceleration])
         return bool(np.isfinite(self.acceleration) and worst <= EQUAL)
 
 
 def equality(system: System, bridge: Bridge) -> Equality:
-    """Return how a peer's model of a system differs from Pinocchio's."""
+    """Compare a peer's model of a system with Pinocchio's."""
     model, data = system.model, system.model.createData()
     rng = np.random.default_rng(0)
     mass, acceleration = [], []
@@ -66,26 +68,26 @@ def equality(system: System, bridge: Bridge) -> Equality:
 
 
 def no_mass_matrix(system: System) -> Array:
-    """Return what a peer without a mass matrix says."""
+    """Return a matrix of NaN, for peers without a mass matrix."""
     return np.full((system.n, system.n), UNKNOWN)
 
 
 def missing_unless_equal(
     package: str, label: str, bridge: Callable[[System], Bridge]
 ) -> Callable[[Problem], str]:
-    """Return what says why a peer is not run on a problem, "" if it is."""
+    """Return the function problem → why the peer cannot run it, "" if it can."""
 
     @cache
     def why(system: System) -> str:
         try:
-            found = equality(system, bridge(system))
+            differences = equality(system, bridge(system))
         except UnsupportedOperationError as error:
             return f"{label} is left out: {error}"
-        if found.holds:
+        if differences.holds:
             return ""
         return (
             f"{label} is not timed: its model is not Pinocchio's; mass matrix and accelerations "
-            f"differ by {found.mass:.1e} and {found.acceleration:.1e}, relative"
+            f"differ by {differences.mass:.1e} and {differences.acceleration:.1e}, relative"
         )
 
     def missing(problem: Problem) -> str:
@@ -96,6 +98,6 @@ def missing_unless_equal(
     return missing
 
 
-def _relative(found: Array, expected: Array) -> float:
-    """Return the largest difference over the largest entry; as it is where there is nothing."""
-    return float(np.abs(found - expected).max() / (np.abs(expected).max() or 1.0))
+def _relative(actual: Array, expected: Array) -> float:
+    """Return the largest difference over the largest expected entry; absolute if that is 0."""
+    return float(np.abs(actual - expected).max() / (np.abs(expected).max() or 1.0))

@@ -1,7 +1,7 @@
-"""A floating base as joints of its own, for tools that have only joints of one freedom.
+"""Euler angles of a floating base, for tools whose joints have one degree of freedom.
 
-A rotation is R = R₁(θ₁) R₂(θ₂) R₃(θ₃) about the axes x, y, z in some order.  Of the six orders
-the one is taken whose singularity, cos θ₂ = 0, the motion keeps farthest away from.
+A rotation is R = R₁(θ₁) R₂(θ₂) R₃(θ₃) about the axes x, y, z in some order. Of the six orders,
+`best_order` selects the one whose singularity cos θ₂ = 0 is farthest from the motion.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from ..problems import Problem
 
 Order = tuple[int, int, int]
 ORDERS: tuple[Order, ...] = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
-_LOOKS = 400  # times at which the motion is looked at
+_SAMPLES = 400  # times at which the motion is evaluated
 
 
-def turned(axis: int, angle: float) -> Array:
-    """Return the rotation about x, y or z."""
+def rotation_about(axis: int, angle: float) -> Array:
+    """Return the rotation matrix about x, y or z (axis 0, 1 or 2)."""
     R = np.eye(3)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     R[i, i] = R[j, j] = np.cos(angle)
@@ -27,7 +27,7 @@ def turned(axis: int, angle: float) -> Array:
 
 
 def angles_of(R: Array, order: Order) -> Array:
-    """Return the three angles of a rotation, the middle one in [−π/2, π/2]."""
+    """Compute the three angles of a rotation matrix, the second in [−π/2, π/2]."""
     i, j, k = order
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
     return np.array(
@@ -40,30 +40,30 @@ def angles_of(R: Array, order: Order) -> Array:
 
 
 def rotation_of(angles: Array, order: Order) -> Array:
-    """Return the rotation of three angles."""
-    first, second, third = (turned(a, t) for a, t in zip(order, angles, strict=True))
+    """Compute the rotation matrix of three angles."""
+    first, second, third = (rotation_about(a, t) for a, t in zip(order, angles, strict=True))
     return np.asarray(first @ second @ third)
 
 
 def spin_matrix(angles: Array, order: Order) -> Array:
-    """Return the matrix from rates of the angles to the body's angular velocity, (3, 3)."""
-    third = turned(order[2], angles[2]).T
-    second = third @ turned(order[1], angles[1]).T
+    """Compute the matrix (3, 3) from angle rates to the body's angular velocity."""
+    third = rotation_about(order[2], angles[2]).T
+    second = third @ rotation_about(order[1], angles[1]).T
     unit = np.eye(3)
     return np.column_stack([second @ unit[order[0]], third @ unit[order[1]], unit[order[2]]])
 
 
 def spin_rate(angles: Array, rates: Array, order: Order) -> Array:
-    """Return d/dt of the spin matrix, times the rates: what the turning of the axes adds."""
+    """Compute the time derivative of the spin matrix times the angle rates, (3,)."""
     E = spin_matrix(angles, order)
     last = E[:, 2] * rates[2]
-    both = last + E[:, 1] * rates[1]
-    return np.asarray(-np.cross(both, E[:, 0]) * rates[0] - np.cross(last, E[:, 1]) * rates[1])
+    last_two = last + E[:, 1] * rates[1]
+    return np.asarray(-np.cross(last_two, E[:, 0]) * rates[0] - np.cross(last, E[:, 1]) * rates[1])
 
 
 def best_order(problem: Problem) -> Order:
-    """Return the order of axes that keeps away from its singularity best."""
-    times = np.linspace(0.0, problem.start.duration, _LOOKS)[1:]
+    """Return the order of axes whose singularity is farthest from the motion."""
+    times = np.linspace(0.0, problem.start.duration, _SAMPLES)[1:]
     motion = problem.full.run(problem.full_start(), times, 1e-6, 1e-8)
     group = problem.system.group
     poses = problem.system.configuration(motion.q).pose

@@ -1,6 +1,6 @@
-"""Exudyn on the same model: a kinematic tree in minimal coordinates, its explicit integrators.
+"""Exudyn on the same model: a kinematic tree in minimal coordinates, with explicit integrators.
 
-Its trees hang on the ground, so that a floating base is six joints, Euler's angles among them.
+Its trees are attached to the ground, so a floating base is six joints, including Euler angles.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from ..problems import Problem
 from ..solver import ATOL, UNKNOWN, End, PreparedRun, Solver, decades, halvings, steps_of
 from .equality import missing_unless_equal
 from .euler_angles import ORDERS, Order, angles_of, best_order, rotation_of, spin_matrix, spin_rate
-from .fixed_axes import carried
+from .fixed_axes import frame_rotation_term
 
 
 class ExudynModel:
-    """An Exudyn system of one kinematic tree, and its coordinates.
+    """An Exudyn system of one kinematic tree, and the conversion of coordinates.
 
-    order: of the axes of Euler's angles, where the base turns in space.
+    order: axes of the Euler angles of a base that rotates in space.
     """
 
     def __init__(self, system: System, order: Order = ORDERS[0]) -> None:
@@ -45,7 +45,7 @@ class ExudynModel:
         turns, offsets, moments, coms, masses = [], [], [], [], []
         data = model.createData()
         pin.computeJointJacobians(model, data, pin.neutral(model))
-        last, frames = [-1], [np.eye(3)]  # of each joint of Pinocchio: its link, and its frame
+        last, frames = [-1], [np.eye(3)]  # link index and frame of each Pinocchio joint
         armature: list[float] = []
 
         def add(kind: Any, parent: int, turn: Array, offset: Array) -> None:
@@ -114,7 +114,7 @@ class ExudynModel:
         return [*(slides[axis] for axis in axes[:k]), *(turns[axis] for axis in about)]
 
     def coordinates(self, q: Array, x: Array) -> Array:
-        """Return Exudyn's coordinates of Pinocchio's q and the unwrapped shape."""
+        """Convert Pinocchio's q and the unwrapped shape to Exudyn's coordinates."""
         pose, group = self.system.configuration(q).pose, self.system.group
         if self._has_quaternion:
             R = group.matrix(pose)[:3, :3]
@@ -122,12 +122,12 @@ class ExudynModel:
         return np.concatenate([pose, x])
 
     def rates(self, q: Array, v: Array) -> Array:
-        """Return the rates of Exudyn's coordinates."""
+        """Convert Pinocchio's v to rates of Exudyn's coordinates."""
         y = self.coordinates(q, self.system.configuration(q).x)
         return np.asarray(np.linalg.solve(self._turn(y), v))
 
     def end(self, y: Array, rates: Array, evaluations: float) -> End:
-        """Return the end of a motion in Pinocchio's terms."""
+        """Convert a final state to Pinocchio's coordinates."""
         r, group = self.system.r, self.system.group
         pose, x = y[:r].copy(), y[r:].copy()
         if self._has_quaternion:
@@ -137,22 +137,22 @@ class ExudynModel:
         return End(x, self.system.q(pose, x), self._turn(y) @ rates, evaluations)
 
     def mass_matrix(self, q: Array) -> Array:
-        """Return the mass matrix for Pinocchio's velocities, (n, n)."""
+        """Return the mass matrix (n, n) with respect to Pinocchio's velocities."""
         y = self.coordinates(q, self.system.configuration(q).x)
         H, _ = self._equations(y, np.zeros(len(y)))
-        back = np.linalg.inv(self._turn(y))
-        return np.asarray(back.T @ H @ back)
+        inverse = np.linalg.inv(self._turn(y))
+        return np.asarray(inverse.T @ H @ inverse)
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """Return Pinocchio's dv/dt without torques, (n,)."""
         y, rates = self.coordinates(q, self.system.configuration(q).x), self.rates(q, v)
         H, load = self._equations(y, rates)
-        out = self._turn(y) @ np.linalg.solve(H, load)
+        a = self._turn(y) @ np.linalg.solve(H, load)
         k = self.system.group.linear
         if self._has_quaternion:
-            out[k : k + 3] += spin_rate(y[k : k + 3], rates[k : k + 3], self.order)
-        out[:k] -= carried(self.system, v)
-        return np.asarray(out)
+            a[k : k + 3] += spin_rate(y[k : k + 3], rates[k : k + 3], self.order)
+        a[:k] -= frame_rotation_term(self.system, v)
+        return np.asarray(a)
 
     def _turn(self, y: Array) -> Array:
         """Return the matrix from rates of Exudyn's coordinates to Pinocchio's velocities."""
@@ -189,7 +189,7 @@ class ExudynModel:
         state.SetODE2Coordinates_t(rates, initial)
 
     def settings(self) -> Any:
-        """Return settings of a simulation that writes nothing."""
+        """Return settings of a simulation without output files."""
         settings = self.exu.SimulationSettings()
         settings.solutionSettings.writeSolutionToFile = False
         settings.timeIntegration.verboseMode = 0
@@ -208,15 +208,22 @@ def _to_z(axis: Array) -> Array:
 
 def exudyn_model(problem: Problem) -> ExudynModel:
     """Return Exudyn's model of a problem's system, with the best order of angles for it."""
-
-    def make() -> ExudynModel:
-        return ExudynModel(problem.system, best_order(problem))
-
-    return problem.system.workspace(("exudyn", problem.name), make)
+    return problem.system.workspace(
+        ("exudyn", problem.name), lambda: ExudynModel(problem.system, best_order(problem))
+    )
 
 
 def _prepare(problem: Problem, value: float, solver: str, stages: float) -> PreparedRun:
-    """Prepare a solver: adaptive at a tolerance, or of equal steps if `stages` is given."""
+    """Prepare a run.
+
+    Args:
+        problem: The problem.
+        value: Tolerance; for fixed steps, their length relative to the duration.
+        solver: Name of Exudyn's solver type.
+        stages: Evaluations of a fixed step; 0 for an adaptive solver.
+    Returns:
+        The prepared run.
+    """
     bridge = exudyn_model(problem)
     settings = bridge.settings()
     steps = settings.timeIntegration
@@ -235,14 +242,14 @@ def _prepare(problem: Problem, value: float, solver: str, stages: float) -> Prep
         bridge.start(y0, rates)
         try:
             bridge.mbs.SolveDynamic(settings, solverType=kind)
-        except Exception as error:  # of its own kinds
+        except Exception as error:  # Exudyn raises several types
             raise IntegrationError(f"Exudyn: {' '.join(str(error).split())[:200]}") from None
         state = bridge.mbs.systemData
         return np.array(state.GetODE2Coordinates()), np.array(state.GetODE2Coordinates_t())
 
-    def end(found: tuple[Array, Array]) -> End:
+    def end(state: tuple[Array, Array]) -> End:
         evaluations = stages * steps_of(value) if stages else UNKNOWN
-        return bridge.end(found[0], found[1], evaluations)
+        return bridge.end(state[0], state[1], evaluations)
 
     return PreparedRun(run, end)
 

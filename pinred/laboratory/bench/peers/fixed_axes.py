@@ -1,4 +1,4 @@
-"""The root's velocity as engines have it that measure its translation along fixed axes."""
+"""The root's velocity in engines that express its translation in fixed axes."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from ....common.arrays import Array
 from ....system.system import System
 
 
-def turn(system: System, q: Array) -> Array:
-    """Return the matrix of the root's linear velocity from its own axes to fixed ones, (k, k)."""
+def root_rotation(system: System, q: Array) -> Array:
+    """Return the matrix (k, k) from the root's linear velocity in body axes to fixed axes."""
     k, pose = system.group.linear, system.configuration(q).pose
     return system.group.Ad(pose)[:k, :k]
 
 
-def carried(system: System, v: Array) -> Array:
-    """Return ω × v of the root, (k,): by that its own axes carry the linear velocity along."""
+def frame_rotation_term(system: System, v: Array) -> Array:
+    """Return ω × v of the root, (k,): the acceleration due to the rotation of body axes."""
     axes, k = list(system.group.axes), system.group.linear
-    space = np.zeros(6)
-    space[axes] = v[: system.r]
-    return np.asarray(np.cross(space[3:], space[:3])[axes[:k]])
+    twist = np.zeros(6)
+    twist[axes] = v[: system.r]
+    return np.asarray(np.cross(twist[3:], twist[:3])[axes[:k]])

@@ -1,4 +1,4 @@
-"""heyoka's Taylor integrator on pinred's own reduced equations, in double precision."""
+"""heyoka's Taylor integrator on pinred's reduced equations, in double precision."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..solver import End, PreparedRun, Solver, decades
 from ..taylor import has_heyoka, reduced_graph, taylor_integrator
 from .equality import INSTALL
 
-MOST_UNROLLED = 300  # instructions that heyoka unrolls in seconds
+MOST_UNROLLED = 300  # instructions; heyoka unrolls up to these within seconds
 
 
 def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> PreparedRun:
@@ -54,8 +54,8 @@ def _not_installed(_: Problem) -> str:
 def _long_to_unroll(problem: Problem) -> str:
     if has_heyoka() and (size := reduced_graph(problem).n_instructions()) > MOST_UNROLLED:
         return (
-            f"heyoka-unrolled is left out: {size} instructions take it minutes to compile; "
-            "--full takes it in"
+            f"heyoka-unrolled is left out: compiling {size} instructions takes minutes; "
+            "--full includes it"
         )
     return _not_installed(problem)
 

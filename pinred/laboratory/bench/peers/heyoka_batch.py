@@ -1,4 +1,4 @@
-"""heyoka's batch mode: Taylor's method at several members at once, on pinred's equations."""
+"""heyoka's batch mode: Taylor's method for several members at once, on pinred's equations."""
 
 from __future__ import annotations
 
@@ -27,24 +27,26 @@ def _prepare(members: Sequence[Problem], tolerance: float, *, unrolled: bool) ->
     width = hy.recommended_simd_size()
     parameters = [hy.par[k] for k in range(flows.parameters.shape[1])]
     expressions = taylor_expressions(reduced_graph(members[0]), parameters)
-    rows = np.arange(-(-len(members) // width) * width).clip(max=len(members) - 1)
-    starts = [np.ascontiguousarray(flows.y0[rows[k : k + width]].T) for k in rows[::width]]
-    numbers = [np.ascontiguousarray(flows.parameters[rows[k : k + width]].T) for k in rows[::width]]
+    order = np.arange(-(-len(members) // width) * width).clip(max=len(members) - 1)
+    starts = [np.ascontiguousarray(flows.y0[order[k : k + width]].T) for k in order[::width]]
+    numbers = [
+        np.ascontiguousarray(flows.parameters[order[k : k + width]].T) for k in order[::width]
+    ]
     ta = hy.taylor_adaptive_batch(
         expressions, starts[0].copy(), tol=tolerance, compact_mode=not unrolled,
         pars=numbers[0].copy(),
     )  # fmt: skip
 
     def run() -> Array:
-        found = []
+        final_states_of_groups = []
         for y0, pars in zip(starts, numbers, strict=True):
             ta.set_time(0.0)
             ta.state[:], ta.pars[:] = y0, pars
             ta.propagate_until(end)
             if any(outcome[0].name != "time_limit" for outcome in ta.propagate_res):
-                raise IntegrationError("heyoka has not brought all members to their end")
-            found.append(ta.state.T.copy())
-        return np.concatenate(found)[: len(members)]
+                raise IntegrationError("heyoka did not integrate all members to their end")
+            final_states_of_groups.append(ta.state.T.copy())
+        return np.concatenate(final_states_of_groups)[: len(members)]
 
     return PreparedBatch(run, lambda y, count: final_states(members, flows, y, count))
 

@@ -1,4 +1,4 @@
-"""MuJoCo on the same model: its own integrators, and mj_forward as a vector field."""
+"""MuJoCo on the same model: its integrators, and mj_forward as a vector field for SciPy."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from ....system.system import System
 from ..problems import Problem
 from ..solver import End, PreparedRun, Solver, halvings, steps_of
 from .equality import missing_unless_equal
-from .fixed_axes import carried, turn
+from .fixed_axes import frame_rotation_term, root_rotation
 from .scipy_over_field import Field, scipy_methods
 
 
 class MujocoModel:
-    """A MuJoCo model of a system, built body by body, and its coordinates.
+    """A MuJoCo model of a system, built body by body, and the conversion of coordinates.
 
-    Raises UnsupportedOperationError for a free base that does not hang at the origin.
+    Raises UnsupportedOperationError for a free base with a placement other than the identity.
     """
 
     def __init__(self, system: System) -> None:
         """Build the model."""
         mj = import_module("mujoco")
         if mj.get_mju_user_warning() is None:
-            # Motions that blow up are seen by their end; MuJoCo would write a file of them.
+            # MuJoCo would write a log file for diverging motions; their final state shows them.
             mj.set_mju_user_warning(lambda _: None)
         self.mj, self.system = mj, system
         self._m, self._has_quaternion = system.m, system.group.turns == 3
@@ -40,7 +40,7 @@ class MujocoModel:
             and system.group.linear
             and not np.array_equal(system.model.jointPlacements[1].homogeneous, np.eye(4))
         ):
-            raise UnsupportedOperationError("its free joint is at the world's origin")
+            raise UnsupportedOperationError("its free joint must be at the world's origin")
         self.model = self._build().compile()
         self.data = mj.MjData(self.model)
 
@@ -97,18 +97,18 @@ class MujocoModel:
                 self._add_joint(body, S[:, k], self.system.model.armature[k], f"root{k}")
 
     def qpos(self, q: Array, x: Array) -> Array:
-        """Return MuJoCo's coordinates of Pinocchio's q and the unwrapped shape."""
+        """Convert Pinocchio's q and the unwrapped shape to MuJoCo's coordinates."""
         pose = self.system.configuration(q).pose
         if self._has_quaternion:
             pose = np.concatenate([pose[:-4], pose[-1:], pose[-4:-1]])
         return np.concatenate([pose, x])
 
     def qvel(self, q: Array, v: Array) -> Array:
-        """Return MuJoCo's velocities."""
+        """Convert Pinocchio's v to MuJoCo's velocities."""
         return np.asarray(self._turn(q) @ v)
 
     def end(self, qpos: Array, qvel: Array, evaluations: float) -> End:
-        """Return the end of a motion in Pinocchio's terms."""
+        """Convert a final state to Pinocchio's coordinates."""
         pose, x = qpos[: -self._m or None].copy(), qpos[len(qpos) - self._m :].copy()
         if self._has_quaternion:
             pose[-4:] = np.append(pose[-3:], pose[-4]) / np.linalg.norm(pose[-4:])
@@ -116,7 +116,7 @@ class MujocoModel:
         return End(x, q, self._turn(q).T @ qvel, evaluations)
 
     def mass_matrix(self, q: Array) -> Array:
-        """Return the mass matrix for Pinocchio's velocities, (n, n)."""
+        """Return the mass matrix (n, n) with respect to Pinocchio's velocities."""
         n, T = self.system.n, self._turn(q)
         self._put(q, np.zeros(n))
         H = np.empty((n, n))
@@ -126,9 +126,9 @@ class MujocoModel:
     def acceleration(self, q: Array, v: Array) -> Array:
         """Return Pinocchio's dv/dt without torques, (n,)."""
         self._put(q, v)
-        out = self._turn(q).T @ self.data.qacc
-        out[: self.system.group.linear] -= carried(self.system, v)
-        return np.asarray(out)
+        a = self._turn(q).T @ self.data.qacc
+        a[: self.system.group.linear] -= frame_rotation_term(self.system, v)
+        return np.asarray(a)
 
     def _put(self, q: Array, v: Array) -> None:
         self.data.qpos[:] = self.qpos(q, self.system.configuration(q).x)
@@ -136,12 +136,12 @@ class MujocoModel:
         self.mj.mj_forward(self.model, self.data)
 
     def _turn(self, q: Array) -> Array:
-        """Return the matrix from Pinocchio's velocities to MuJoCo's, (n, n), orthogonal.
+        """Return the orthogonal matrix (n, n) from Pinocchio's velocities to MuJoCo's.
 
-        MuJoCo's linear velocity is that in the parent's axes.
+        MuJoCo expresses the linear velocity in the parent's axes.
         """
         T, k = np.eye(self.system.n), self.system.group.linear
-        T[:k, :k] = turn(self.system, q)
+        T[:k, :k] = root_rotation(self.system, q)
         return T
 
 
@@ -151,14 +151,14 @@ def _wxyz(rotation: Array) -> Array:
 
 
 def mujoco_model(system: System) -> MujocoModel:
-    """Return MuJoCo's model of a system, made once for a thread."""
+    """Return MuJoCo's model of a system, built once for each thread."""
     return system.workspace("mujoco", lambda: MujocoModel(system))
 
 
-def _stepping(problem: Problem, part: float, integrator: str, stages: int) -> PreparedRun:
+def _stepping(problem: Problem, fraction: float, integrator: str, stages: int) -> PreparedRun:
     bridge = mujoco_model(problem.system)
     mj, model, data = bridge.mj, bridge.model, bridge.data
-    count, duration = steps_of(part), problem.start.duration
+    count, duration = steps_of(fraction), problem.start.duration
     qpos, qvel = bridge.qpos(problem.q0, problem.start.x), bridge.qvel(problem.q0, problem.v0)
     kind = getattr(mj.mjtIntegrator, f"mjINT_{integrator}")
 
@@ -169,7 +169,7 @@ def _stepping(problem: Problem, part: float, integrator: str, stages: int) -> Pr
         mj.mj_step(model, data, count)
         return data.qpos.copy(), data.qvel.copy()
 
-    return PreparedRun(run, lambda found: bridge.end(found[0], found[1], stages * count))
+    return PreparedRun(run, lambda state: bridge.end(state[0], state[1], stages * count))
 
 
 def _field(problem: Problem) -> Field:
@@ -182,10 +182,10 @@ def _field(problem: Problem) -> Field:
     def rate(t: float, y: Array) -> Array:  # noqa: ARG001
         qpos[:], qvel[:] = y[:nq], y[nq:]
         forward(model, data)
-        out = np.empty(len(y))
-        rate_of(out[:nq], y, y[nq:])
-        out[nq:] = qacc
-        return out
+        ydot = np.empty(len(y))
+        rate_of(ydot[:nq], y, y[nq:])
+        ydot[nq:] = qacc
+        return ydot
 
     def end(y: Array, evaluations: float) -> End:
         return bridge.end(y[:nq], y[nq:], evaluations)
@@ -197,28 +197,28 @@ def _field(problem: Problem) -> Field:
 
 
 def _rates(group: Group) -> Callable[[Array, Array, Array], None]:
-    """Return what writes d(qpos)/dt."""
+    """Return a function that writes d(qpos)/dt to its first argument."""
     if group.turns < 3:
 
-        def same(out: Array, _: Array, v: Array) -> None:
-            out[:] = v
+        def translating(target: Array, _: Array, v: Array) -> None:
+            target[:] = v
 
-        return same
+        return translating
     k = group.linear
 
-    def turning(out: Array, y: Array, v: Array) -> None:
-        out[:k] = v[:k]
+    def rotating(target: Array, y: Array, v: Array) -> None:
+        target[:k] = v[:k]
         w, x, y_, z = y[k : k + 4].tolist()
         a, b, c = v[k : k + 3].tolist()
-        out[k : k + 4] = (
+        target[k : k + 4] = (
             -0.5 * (x * a + y_ * b + z * c),
             0.5 * (w * a + y_ * c - z * b),
             0.5 * (w * b + z * a - x * c),
             0.5 * (w * c + x * b - y_ * a),
         )
-        out[k + 4 :] = v[k + 3 :]
+        target[k + 4 :] = v[k + 3 :]
 
-    return turning
+    return rotating
 
 
 _missing = missing_unless_equal("mujoco", "MuJoCo", mujoco_model)

@@ -1,4 +1,4 @@
-"""SciPy's integrators over a vector field on the full state, whoever evaluates it."""
+"""SciPy's integrators over any vector field on the full state."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ Rate = Callable[[float, Array], Array]
 class Field:
     """A vector field on the full state.
 
-    rate: (t, y) → dy/dt, of the length of y.  y0: at the start.  end: y, evaluations → End.
+    Attributes:
+        rate: Function (t, y) → dy/dt.
+        y0: Initial state.
+        end: Function (y, evaluations) → final state in Pinocchio's coordinates.
     """
 
     rate: Rate
@@ -34,24 +37,24 @@ class Field:
 
 
 def by_solve_ivp(field: Field, problem: Problem, tolerance: float, method: str) -> PreparedRun:
-    """Return `solve_ivp` with DOP853 or LSODA."""
+    """Prepare `solve_ivp` with DOP853 or LSODA."""
     span = (0.0, problem.start.duration)
 
     def run() -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = solve_ivp(
+            solution = solve_ivp(
                 field.rate, span, field.y0, method=method, rtol=tolerance, atol=ATOL * tolerance
             )
-        if not found.success:
-            raise IntegrationError(found.message)
-        return found
+        if not solution.success:
+            raise IntegrationError(solution.message)
+        return solution
 
-    return PreparedRun(run, lambda found: field.end(found.y[:, -1], float(found.nfev)))
+    return PreparedRun(run, lambda solution: field.end(solution.y[:, -1], float(solution.nfev)))
 
 
 def by_ode(field: Field, problem: Problem, tolerance: float, method: str) -> PreparedRun:
-    """Return `ode(…)` with Hairer's dop853."""
+    """Prepare `ode` with Hairer's dop853."""
     duration = problem.start.duration
 
     def run(rate: Rate = field.rate) -> Array:
@@ -59,7 +62,7 @@ def by_ode(field: Field, problem: Problem, tolerance: float, method: str) -> Pre
             method, rtol=tolerance, atol=ATOL * tolerance, nsteps=_MOST
         )
         with held_interrupt() as stopped, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # its failures are raised below
+            warnings.simplefilter("ignore")  # failures are raised below
             solver.set_solout(lambda *_: -1 if stopped() else 1)
             solver.set_initial_value(field.y0, 0.0)
             y = solver.integrate(duration)
@@ -75,19 +78,19 @@ def by_ode(field: Field, problem: Problem, tolerance: float, method: str) -> Pre
             count += 1
             return field.rate(t, y)
 
-        run(counted)  # it does not tell how often it evaluates
+        run(counted)  # `ode` does not report its evaluations
         return field.end(y, count)
 
     return PreparedRun(run, end)
 
 
 def by_odeint(field: Field, problem: Problem, tolerance: float) -> PreparedRun:
-    """Return `odeint`, LSODA in Fortran."""
+    """Prepare `odeint` (LSODA in Fortran)."""
     times = np.array([0.0, problem.start.duration])
 
     def run() -> Any:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # its failures are raised below
+            warnings.simplefilter("ignore")  # failures are raised below
             y, about = odeint(
                 field.rate,
                 field.y0,
@@ -102,7 +105,7 @@ def by_odeint(field: Field, problem: Problem, tolerance: float) -> PreparedRun:
             raise IntegrationError(about["message"])
         return y[-1], float(about["nfe"][-1])
 
-    return PreparedRun(run, lambda found: field.end(*found))
+    return PreparedRun(run, lambda result: field.end(*result))
 
 
 def scipy_methods(
@@ -111,9 +114,15 @@ def scipy_methods(
     field: Callable[[Problem], Field],
     missing: Callable[[Problem], str] = lambda _: "",
 ) -> tuple[Solver, ...]:
-    """Return SciPy's integrators over one vector field as methods.
+    """Return benchmark methods for SciPy's integrators over one vector field.
 
-    prefix: of their names.  by: what evaluates the vector field, for people.
+    Args:
+        prefix: Prefix of their names.
+        by: Name of the function that evaluates the vector field, for descriptions.
+        field: Creates the vector field of a problem.
+        missing: Returns why a problem cannot be run; "" if it can.
+    Returns:
+        One method for each integrator.
     """
     drivers: dict[str, tuple[str, Callable[[Field, Problem, float], PreparedRun]]] = {
         "dop853": ("solve_ivp with DOP853", partial(by_solve_ivp, method="DOP853")),

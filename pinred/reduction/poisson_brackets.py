@@ -34,7 +34,7 @@ from ..common.arrays import Array, vector
 from ..common.errors import InputError, ShapeError
 from ..common.memo import once
 from ..system.system import System, checked_system
-from .at_a_shape import Reduction
+from .at_a_shape import PointwiseReduction
 from .base_parts import root_of
 from .casimirs import Casimir as Casimir
 from .casimirs import casimirs as casimirs
@@ -142,7 +142,7 @@ class Observable:
     form: as of `tensor`.
     """
 
-    red: Reduction
+    red: PointwiseReduction
     value: Callable[..., float]
     gradient: Callable[..., ArrayLike]
     form: Form = "connection"
@@ -182,7 +182,7 @@ def bracket(f: ca.SX | Observable, g: ca.SX | Observable) -> ca.SX | Callable[..
 
 
 def tensor(
-    red: Reduction,
+    red: PointwiseReduction,
     x: ArrayLike,
     p: ArrayLike,
     mu: ArrayLike,

@@ -1,4 +1,4 @@
-"""Fields over many shapes: composite bodies against Pinocchio and against closed forms."""
+"""Fields over many shapes: compiled code against Pinocchio and against closed forms."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from strategies import Case, cases
 from trees import random_model
 
 import pinred
+from pinred.analysis.connections import shape_field
 from pinred.common.arrays import Array
-from pinred.reduction import over_shapes as grid
-from pinred.reduction.tree.composite_bodies import CompositeBodies
+from pinred.kernels.connection import unit_rates
+from pinred.kernels.connection.code import ConnectionCode
 from pinred.system.catalogue import bundled_robots
 
 NAMES = ("mass_matrix", "locked_inertia", "local_connection", "reduced_metric", "curvature", "com")
@@ -86,8 +87,7 @@ def test_slices(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     system = pinred.load(name)
     red, rng = pinred.Reduction(system), np.random.default_rng(1)
     shapes = rng.uniform(-2.0, 2.0, (11, system.m))
-    monkeypatch.setattr(grid, "_SHAPES", 4)
-    monkeypatch.setattr(grid, "_ENTRIES", 3 * system.r * system.m**2)
+    monkeypatch.setattr(unit_rates, "_ENTRIES", 4 * system.m * (1 + system.r * (1 + system.m)))
     agree(red, shapes)
 
 
@@ -186,33 +186,34 @@ def test_gravity_that_breaks_the_symmetry() -> None:
         field.amended_potential(np.ones(3))
 
 
-def test_nothing_is_computed_before_it_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No array costs the work of another that it does not need, and none is computed twice."""
-    done: list[str] = []
+def test_shape_field_array_is_computed_once_at_first_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An array does not compute others that it does not need."""
+    calls: list[str] = []
 
-    def count(name: str) -> None:
-        method = getattr(CompositeBodies, name)
+    def count(owner: Any, name: str) -> None:
+        function = getattr(owner, name)
 
-        def counted(*given: Any) -> Any:
-            done.append(name)
-            return method(*given)
+        def counted(*arguments: Any) -> Any:
+            calls.append(name)
+            return function(*arguments)
 
-        monkeypatch.setattr(CompositeBodies, name, counted)
+        monkeypatch.setattr(owner, name, counted)
 
-    for name in ("mass_matrix", "derivatives", "com"):
-        count(name)
+    count(ConnectionCode, "locals")
+    count(ConnectionCode, "curvature")
+    count(shape_field, "centres_of_mass")
     field = pinred.Reduction(pinred.load("falling_cat")).grid(np.zeros((5, 3)))
-    assert done == []
+    assert calls == []
     for _ in range(2):
         assert field.potential.shape == (5,)
-        assert done == ["com"]
+        assert calls == ["centres_of_mass"]
     for _ in range(2):
         for name in ("mass_matrix", "locked_inertia", "local_connection", "reduced_metric"):
             assert getattr(field, name) is not None
-        assert done == ["com", "mass_matrix"]
+        assert calls == ["centres_of_mass", "locals"]
     for _ in range(2):
         assert field.curvature.any()
-        assert done == ["com", "mass_matrix", "derivatives"]
+        assert calls == ["centres_of_mass", "locals", "curvature"]
 
 
 def test_nothing_can_be_changed() -> None:
@@ -286,12 +287,12 @@ def test_a_singular_shape_is_named(nearly: float) -> None:
 
 
 @pytest.mark.slow
-def test_a_field_needs_no_compiler() -> None:
-    """Neither CasADi nor LLVM nor numba is imported for a field."""
+def test_reduction_at_one_shape_imports_no_compiler() -> None:
+    """CasADi, LLVM and numba are imported for fields over many shapes only."""
     code = (
         "import sys, numpy as np, pinred\n"
         "red = pinred.Reduction(pinred.load('falling_cat'))\n"
-        "assert red.grid(np.zeros((2, 3))).curvature.shape == (2, 6, 3, 3)\n"
+        "assert red.at(np.zeros(3)).curvature.shape == (6, 3, 3)\n"
         "print(*{'casadi', 'llvmlite', 'numba'} & set(sys.modules))"
     )
     assert python(code).strip() == ""

@@ -1,0 +1,234 @@
+"""Backward pass over the steps of explicit methods, with fixed step lengths.
+
+With fixed step lengths a run is a function of its initial state and parameters. For a step
+y₁ = y + h Σ b_i k_i with k_i = f(y + h Σ a_ij k_j), a covector λ₁ of y₁ is propagated back by
+
+    g_i = h (b_i λ₁ + Σ a_ji z_j),    z_i = (∂f/∂y)ᵀ g_i,    λ = λ₁ + Σ z_i
+
+from the last stage to the first (W. Hager, Numer. Math. 87 (2000) 247–282; A. Griewank,
+A. Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapter 12). The rates k_i were stored by
+the run, or they are recomputed from the state at the start of the step. States inside a step
+come from the dense output, which is linear in the rates of all stages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ...common.arrays import Array
+from ...common.memo import once_for_all
+from ..stepping.compiling import Bindings, compiled
+from ..stepping.state_rows import padded_rows
+from .forward_sensitivities import across, fill_weights, to_unit, weights_of
+from .row_programs import Pullback, Rate, Sum, Terms, pullback_program, row_program
+from .runge_kutta import digest
+from .tableau import Tableau
+
+# Rows of `work`: the state at the start of a step, the covector at its end, a state and a covector
+# of a stage. Three blocks follow: the rates of all stages, their z, and the terms of each g that
+# come from reports inside the step.
+BEGIN, COVECTOR, STAGE, SEED, RATES = range(5)
+
+
+# --- names that a tableau binds -----------------------------------------------------------------
+
+
+STAGES = SIZE = 1  # stages of a step, without and with those of the dense output
+
+
+def fill_rates(address: int, params: Array, work: Array, h: float) -> int:
+    """Fill the rates of the stages of a step h from row BEGIN."""
+    raise NotImplementedError
+
+
+def fill_dense_rates(address: int, params: Array, work: Array, h: float) -> int:
+    """Fill the rates of the additional stages of the dense output."""
+    raise NotImplementedError
+
+
+def pull_back(
+    adjoint: int, params: Array, work: Array, both: Array, by_params: Array, h: float
+) -> None:
+    """Fill z of the stages of a step (see the module's formulas)."""
+    raise NotImplementedError
+
+
+def pull_back_inside(
+    adjoint: int, params: Array, work: Array, both: Array, by_params: Array, h: float
+) -> None:
+    """Fill z of all stages of a step with reports inside it."""
+    raise NotImplementedError
+
+
+# --- the sweep -----------------------------------------------------------------------------
+
+
+def sweep_back(
+    address: int,
+    adjoint: int,
+    params: Array,
+    quaternion: int,
+    dense: Array,
+    knots: Array,
+    stored: Array,
+    times: Array,
+    at_times: Array,
+    covector: Array,
+    by_params: Array,
+    work: Array,
+    both: Array,
+    w: Array,
+) -> None:
+    """Propagate a covector (n,) at the last step end back to the first, in place.
+
+    Args:
+        address: Address of the kernel.
+        adjoint: Address of its adjoint kernel.
+        params: Parameters, (p,).
+        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        dense: Weights of the dense output, see Weights.
+        knots: Times of the step ends, (K,) [s].
+        stored: States at the step ends, (K, n), or (K, n + S n) with the stage rates of each step.
+        times: Sorted report times, (T,) [s].
+        at_times: Covectors of the states at the report times, (T, n); overwritten.
+        covector: Covector, changed in place.
+        by_params: Derivative by the parameters, (p,), to which is added.
+        work: Work rows, see AdjointSweep.
+        both: Workspace (n + p,) for the output of the adjoint kernel.
+        w: Workspace (S,) for weights.
+    """
+    n, first = covector.shape[0], times.shape[0]
+    for step in range(knots.shape[0] - 2, -1, -1):
+        h = knots[step + 1] - knots[step]
+        last = first
+        while first > 0 and times[first - 1] > knots[step]:
+            first -= 1
+        inside = last > first and times[first] < knots[step + 1]
+        for r in range(first, last):
+            if times[r] >= knots[step + 1]:
+                for k in range(n):
+                    covector[k] += at_times[r, k]
+        for k in range(n):
+            work[STAGE, k] = stored[step + 1, k]
+            work[BEGIN, k] = stored[step, k]
+        size = to_unit(work[STAGE], quaternion)
+        across(work[STAGE], size, quaternion, covector, 1)
+        to_unit(work[BEGIN], quaternion)
+        for k in range(n):
+            work[COVECTOR, k] = covector[k]
+        if stored.shape[1] > n:
+            for i in range(STAGES):
+                for k in range(n):
+                    work[RATES + i, k] = stored[step + 1, (i + 1) * n + k]
+        else:
+            fill_rates(address, params, work, h)
+        if inside:
+            fill_dense_rates(address, params, work, h)
+            for i in range(SIZE):
+                for k in range(n):
+                    work[RATES + 2 * SIZE + i, k] = 0.0
+            for r in range(first, last):
+                if times[r] < knots[step + 1]:
+                    fill_weights(dense, (times[r] - knots[step]) / h, w)
+                    pull_back_report(work, w, h, quaternion, at_times[r], covector)
+            pull_back_inside(adjoint, params, work, both, by_params, h)
+        else:
+            pull_back(adjoint, params, work, both, by_params, h)
+        for i in range(SIZE if inside else STAGES):
+            for k in range(n):
+                covector[k] += work[RATES + SIZE + i, k]
+    for r in range(first):
+        for k in range(n):
+            covector[k] += at_times[r, k]
+
+
+def pull_back_report(
+    work: Array, w: Array, h: float, quaternion: int, at_time: Array, covector: Array
+) -> None:
+    """Add the covector of a state inside a step to those of the step's start and of its rates.
+
+    Args:
+        work: Work rows.
+        w: Weights of the rates in that state, (S,).
+        h: Length of the step [s].
+        quaternion: Index of the first of the quaternion's four entries, −1 for none.
+        at_time: Covector of the state, (n,); overwritten.
+        covector: Covector of the start of the step, (n,), to which is added.
+    """
+    n = at_time.shape[0]
+    for k in range(n):
+        work[STAGE, k] = work[BEGIN, k]
+    for i in range(SIZE):
+        for k in range(n):
+            work[STAGE, k] += h * w[i] * work[RATES + i, k]
+    size = to_unit(work[STAGE], quaternion)
+    across(work[STAGE], size, quaternion, at_time, 1)
+    for k in range(n):
+        covector[k] += at_time[k]
+    for i in range(SIZE):
+        for k in range(n):
+            work[RATES + 2 * SIZE + i, k] += h * w[i] * at_time[k]
+
+
+# --- sweeps from tableaux ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class AdjointSweep:
+    """The adjoint sweep of a tableau.
+
+    Attributes:
+        sweep: Compiled function, see `sweep_back`.
+        rows: Function of n that returns the work rows for states of n numbers.
+    """
+
+    sweep: Callable[..., None]
+    rows: Callable[[int], Array]
+
+
+@once_for_all
+def adjoint_sweep_of(tableau: Tableau) -> AdjointSweep:
+    """Return the adjoint sweep of a tableau, compiled at its first call."""
+    A, s, size = weights_of(tableau).A, tableau.stages, len(tableau.A)
+
+    def weighted(base: int, weights: Array) -> Terms:
+        return [(base + j, a) for j, a in enumerate(weights.tolist()) if a != 0.0]
+
+    def state(i: int) -> tuple[list[Sum], int]:
+        """Return the sum that makes the state of stage i, if any, and the row of that state."""
+        terms = weighted(RATES, A[i, :i])
+        return ([Sum(STAGE, BEGIN, terms)], STAGE) if terms else ([], BEGIN)
+
+    def rates(indices: range) -> list[Sum | Rate]:
+        steps: list[Sum | Rate] = []
+        for i in indices:
+            sums, row = state(i)
+            steps += [*sums, Rate(row, RATES + i)]
+        return steps
+
+    def backward(count: int, *, inside: bool) -> list[Sum | Pullback]:
+        steps: list[Sum | Pullback] = []
+        for i in range(count - 1, -1, -1):
+            from_reports = RATES + 2 * size + i
+            terms = [*weighted(RATES + size + i + 1, A[i + 1 : count, i])]
+            if A[s, i] != 0.0:
+                terms = [(COVECTOR, float(A[s, i])), *terms]
+            if terms:
+                steps.append(Sum(SEED, from_reports if inside else None, terms))
+            sums, row = state(i)
+            steps += [*sums, Pullback(row, SEED if terms else from_reports, RATES + size + i)]
+        return steps
+
+    bindings = Bindings(
+        f"reverse_{digest(0, tableau)}",
+        STAGES=s,
+        SIZE=size,
+        fill_rates=row_program(rates(range(s))),
+        fill_dense_rates=row_program(rates(range(s, size))),
+        pull_back=pullback_program(backward(s, inside=False)),
+        pull_back_inside=pullback_program(backward(size, inside=True)),
+    )
+    bindings.add(pull_back_report, compiled)
+    sweep = bindings.add(sweep_back, compiled)
+    return AdjointSweep(sweep, lambda n: padded_rows(RATES + 3 * size, n))

@@ -1,0 +1,196 @@
+"""Error estimates, first step and dense output of explicit methods, for one run or SIMD lanes.
+
+E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed.,
+Springer 1993, sections II.4 to II.6. The formulas use no branches on states. They are bound to
+numbers for a single run (SCALAR) and to vectors, with one member per lane, for batches.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from ...common.arrays import Array
+from ..stepping.compiling import inlined
+from ..stepping.kernel_call import call
+from ..stepping.run_record import Run
+from ..stepping.state_rows import NEW, TURN, Y, in_quaternion
+
+# Rows of `work` after the two state rows: the state of a stage, the error rows, and the rates at
+# both ends of a step. The rates of the other stages and the dense-output terms follow.
+STAGE, ERROR, ERROR3, BEGIN_RATE, END_RATE, RATES = 2, 3, 4, 5, 6, 7
+
+SAFETY, SHRINK, GROW, CRASH = 0.9, 0.333, 6.0, 0.1  # factors of the step control, from dop853.f
+
+
+# --- names that a tableau and a number type bind ----------------------------------------------
+
+
+HALVINGS, REST = 0, 1  # the order is 2^HALVINGS REST
+FIRST, TERMS = RATES, 3  # first row and number of the dense-output terms
+
+
+def same(number: float) -> Any:
+    """Return a number, in all lanes."""
+    raise NotImplementedError
+
+
+def get(rows: Array, row: int, i: int) -> Any:
+    """Return entry i of a row, in all lanes."""
+    raise NotImplementedError
+
+
+def put(rows: Array, row: int, i: int, value: Any) -> None:
+    """Set entry i of a row, in all lanes."""
+    raise NotImplementedError
+
+
+def choose(condition: Any, yes: Any, no: Any) -> Any:
+    """Return `yes` where a condition is true, else `no`."""
+    raise NotImplementedError
+
+
+def power(base: Any, exponent: float) -> Any:
+    """Return a power."""
+    raise NotImplementedError
+
+
+@inlined
+def _same(number: float) -> float:
+    return number
+
+
+@inlined
+def _get(rows: Array, row: int, i: int) -> float:
+    value: float = rows[row, i]
+    return value
+
+
+@inlined
+def _put(rows: Array, row: int, i: int, value: float) -> None:
+    rows[row, i] = value
+
+
+@inlined
+def _choose(condition: bool, yes: float, no: float) -> float:
+    return yes if condition else no
+
+
+@inlined
+def _power(base: float, exponent: float) -> float:
+    value: float = base**exponent
+    return value
+
+
+SCALAR = {"same": _same, "get": _get, "put": _put, "choose": _choose, "power": _power}
+
+
+# --- formulas -----------------------------------------------------------------------------------
+
+
+def smaller(a: Any, b: Any) -> Any:
+    """Return the smaller of two values."""
+    return choose(b < a, b, a)
+
+
+def larger(a: Any, b: Any) -> Any:
+    """Return the larger of two values."""
+    return choose(b > a, b, a)
+
+
+def root(value: Any) -> Any:
+    """Return the p-th root, with p the order of the method."""
+    for _ in range(HALVINGS):
+        value = sqrt(value)
+    return value if REST == 1 else power(value, 1.0 / REST)
+
+
+def entry_tolerance(run: Run, work: Array, i: int) -> Any:
+    """Return the tolerated error of entry i, atol + rtol |y|."""
+    size = larger(abs(get(work, Y, i)), abs(get(work, NEW, i)))
+    if in_quaternion(i, run.quaternion):
+        size = same(TURN)
+    return run.atol + run.rtol * size
+
+
+def one_error(run: Run, work: Array, h: Any) -> Any:
+    """Return the error of a step in tolerances, the root mean square of one error row (II.4.11)."""
+    total = same(0.0)
+    for i in range(run.n):
+        error = get(work, ERROR, i) / entry_tolerance(run, work, i)
+        total = total + error * error
+    return h * sqrt(total / float(run.n))
+
+
+def two_errors(run: Run, work: Array, h: Any) -> Any:
+    """Return the error of a step in tolerances, from two error rows (II.10.17)."""
+    sum5, sum3 = same(0.0), same(0.0)
+    for i in range(run.n):
+        inverse = 1.0 / entry_tolerance(run, work, i)
+        e5, e3 = get(work, ERROR, i) * inverse, get(work, ERROR3, i) * inverse
+        sum5 = sum5 + e5 * e5
+        sum3 = sum3 + e3 * e3
+    mixed = sum5 + 0.01 * sum3
+    return choose(mixed == 0.0, 0.0, h * sum5 / sqrt(float(run.n) * mixed))
+
+
+def first_step(run: Run, params: Array, work: Array) -> Any:
+    """Return the length of the first step (Hairer's hinit), in time units of √(|y|/|ÿ|).
+
+    Hairer's time unit is the second, so his first step depends on the units of the model. Where
+    |y| or |ẏ| vanishes, a fraction of the end time replaces their ratio. Costs one evaluation.
+    """
+    longest = same(min(run.t_end, run.max_step))
+    size, rate = same(0.0), same(0.0)
+    for i in range(run.n):
+        y, slope = get(work, Y, i), get(work, BEGIN_RATE, i)
+        scale = run.atol + run.rtol * abs(y)
+        if in_quaternion(i, run.quaternion):
+            scale = same(run.atol + run.rtol * TURN)
+        put(work, ERROR, i, scale)
+        y, slope = y / scale, slope / scale
+        size = size + y * y
+        rate = rate + slope * slope
+    is_moving = (size > 1e-10) & (rate * (run.t_end * run.t_end) > 1e-10)
+    unit_time = choose(is_moving, sqrt(size / rate), 1e-4 * run.t_end)
+    h = smaller(0.01 * unit_time, longest)
+    for i in range(run.n):
+        put(work, STAGE, i, get(work, Y, i) + h * get(work, BEGIN_RATE, i))
+    call(run.address, work[STAGE], params, work[END_RATE])
+    bend = same(0.0)
+    for i in range(run.n):
+        change = get(work, END_RATE, i) - get(work, BEGIN_RATE, i)
+        change = change / get(work, ERROR, i)
+        bend = bend + change * change
+    is_curved = (size > 1e-10) & (bend > 0.0)
+    unit_time = choose(is_curved, sqrt(sqrt(size) * h / sqrt(bend)), unit_time)
+    steepest = larger(sqrt(bend) / h * (unit_time * unit_time), sqrt(rate) * unit_time)
+    limit = smaller(100.0 * h, longest)
+    by_rates = smaller(limit, unit_time * root(0.01 / steepest))
+    return choose(steepest < np.inf, choose(steepest <= 1e-15, limit, by_rates), h)
+
+
+def fill_hermite(run: Run, work: Array, h: Any) -> None:
+    """Fill the first three dense-output rows, those of the cubic Hermite polynomial."""
+    for i in range(run.n):
+        difference = get(work, NEW, i) - get(work, Y, i)
+        start, end = h * get(work, BEGIN_RATE, i), h * get(work, END_RATE, i)
+        put(work, FIRST, i, difference)
+        put(work, FIRST + 1, i, start - difference)
+        put(work, FIRST + 2, i, 2.0 * difference - (start + end))
+
+
+def dense_value(work: Array, i: int, x: Any) -> Any:
+    """Return entry i of the state at fraction x of the step, by the polynomial (II.6)."""
+    y = 1.0 - x
+    total = get(work, FIRST + TERMS - 1, i)
+    for k in range(TERMS - 2, -1, -1):
+        total = get(work, FIRST + k, i) + (x if k % 2 else y) * total
+    return get(work, Y, i) + x * total
+
+
+FORMULAS = (
+    smaller, larger, root, entry_tolerance, first_step, fill_hermite, dense_value,
+)  # fmt: skip
