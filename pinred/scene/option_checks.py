@@ -23,7 +23,7 @@ from .random_state import DURATION
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
 
-EVEN_TIMES = 201  # number of evenly spaced report times without the options times and samples
+EVEN_TIMES = 201  # number of report times if a scene states none; they are evenly spaced
 _COUNTS = np.arange(float(EVEN_TIMES))
 MOST_CALLS = 1_000_000  # calls of one controller in one scene; each call interrupts the integrator
 
