@@ -127,7 +127,7 @@ def test_a_wheel_that_may_become_unbalanced() -> None:
     """A joint is cyclic only if it stays so for all values of what varies."""
     system = pinred.load("reaction_wheel_satellite")
     cyclic = {
-        name: pinred.flow(system, wrt=[name], duration=0.1)._course.kernel.structure.cyclic
+        name: pinred.flow(system, wrt=[name], duration=0.1).propagator.kernel.structure.cyclic
         for name in ("wheel_x.mass", "wheel_x.com", "wheel_y.inertia")
     }
     assert cyclic == {
