@@ -1,4 +1,4 @@
-"""The robots that can be loaded by name: those bundled with pinred, and example-robot-data."""
+"""Robots that can be loaded by name: bundled ones, and those of example-robot-data."""
 
 from __future__ import annotations
 
@@ -18,8 +18,15 @@ INSTALL_ROBOTS = 'pip install "pinred[robots]"'
 class BundledRobot:
     """One entry of robots/robots.toml.
 
-    answer: what is known about it in closed form, or where the problem comes from.
-    initial: x, xdot, xi and duration of a generic initial state.
+    Attributes:
+        name: Name of the robot.
+        path: Its URDF file.
+        group: Name of its symmetry group.
+        description: One line about it.
+        gravity: Gravity in the world frame, (3,) [m/s²].
+        initial: x, xdot, xi and duration of a generic initial state.
+        closed_form: Results that are known in closed form.
+        source: Publication of the problem.
     """
 
     name: str
@@ -36,8 +43,10 @@ class BundledRobot:
 class ExampleRobot:
     """A robot of example-robot-data.
 
-    rotors: the SRDF with its rotor inertias, if it has them.  build: the loader that makes
-    the model, where the URDF alone does not; it reads meshes.
+    Attributes:
+        urdf: Its URDF file.
+        rotors: SRDF file with its rotor inertias, if it has one.
+        build: Loader of the model, if the URDF alone is not enough; it reads meshes.
     """
 
     urdf: Path
@@ -46,29 +55,21 @@ class ExampleRobot:
 
 
 def bundled_folder() -> Path:
-    """Return the folder of bundled robots: inside the installed package, or of the checkout."""
+    """Return the folder of bundled robots, in the installed package or in the checkout."""
     package = Path(__file__).parent.parent
-    inside = package / "robots"
-    return inside if inside.is_dir() else package.parent / "robots"
+    installed = package / "robots"
+    return installed if installed.is_dir() else package.parent / "robots"
 
 
 def bundled_robots() -> dict[str, BundledRobot]:
     """Return the bundled robots by name."""
     folder = bundled_folder()
     table = tomllib.loads((folder / "robots.toml").read_text(encoding="utf-8"))
-    return {
-        name: BundledRobot(
-            name=name,
-            path=folder / entry["file"],
-            group=entry["group"],
-            description=entry["description"],
-            gravity=tuple(entry["gravity"]),
-            initial=entry["initial"],
-            closed_form=entry.get("closed_form", ""),
-            source=entry.get("source", ""),
-        )
-        for name, entry in table.items()
-    }
+    robots = {}
+    for name, entry in table.items():
+        path, gravity = folder / entry.pop("file"), tuple(entry.pop("gravity"))
+        robots[name] = BundledRobot(name=name, path=path, gravity=gravity, **entry)
+    return robots
 
 
 def has_example_robots() -> bool:

@@ -1,33 +1,37 @@
 """Placements of joints and values of locked joints by name, such as "elbow.placement".
 
-A placement is that of the joint on the body which carries it: of the origin x, y, z [m], and of
-roll, pitch and yaw [rad], as in a URDF file, in the frame of the carrier's joint.
+A placement is that of the joint on the body that carries it: origin x, y, z [m], then roll,
+pitch and yaw [rad], as in a URDF file, in the frame of the carrier's joint.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array, read_only
+from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.names import nearest
 from ..common.plain_names import listed, quoted
-from .body_parameters import numbers
 from .locked_joints import LockedJoints, moments_of
 from .system import System
 
 SIZES = {"placement": 6, "translation": 3, "lock": 1}
-PLACED = ("placement", "translation")  # the kinds that any joint but the root has
+PLACED = ("placement", "translation")  # kinds that every joint but the root has
 
 
 @dataclass(frozen=True)
 class JointParameter:
-    """A parameter of a joint.  joint: its name.  kind: one of SIZES."""
+    """A parameter of a joint.
+
+    Attributes:
+        name: Name of the parameter.
+        joint: Name of the joint.
+        kind: One of SIZES.
+    """
 
     name: str
     joint: str
@@ -35,40 +39,38 @@ class JointParameter:
 
     @property
     def size(self) -> int:
-        """Number of its numbers."""
+        """Number of values."""
         return SIZES[self.kind]
 
 
 def joint_parameter(system: System, name: str) -> JointParameter | None:
-    """Return what a name stands for; None if it has not the form of one.
+    """Return the joint parameter with a name, or None if the name has another form.
 
-    Raises InputError for a joint that is not there, or whose placement means nothing.
+    Raises:
+        InputError: The joint is unknown, or the root, whose placement has no effect.
     """
     word, _, kind = name.rpartition(".") if isinstance(name, str) else ("", "", "")
     if kind not in SIZES or not word:
         return None
     if kind == "lock":
         locked = system.contents.locked
-        known = [] if locked is None else list(locked.names)
-        if locked is not None and word in locked.frozen and word not in known:
+        names = [] if locked is None else list(locked.names)
+        if locked is not None and word in locked.frozen and word not in names:
             raise InputError(f"parameters: '{name}' does not vary: {locked.why_not(word)}")
-        if word not in known:
+        if word not in names:
             raise InputError(
                 f"parameters: '{system.name}' has no locked joint {quoted(word)} whose value may "
-                f"vary; {nearest(word, known)}those are {listed(known, 60) or 'none'}"
+                f"vary; {nearest(word, names)}those are {listed(names, 60) or 'none'}"
             )
         return JointParameter(name, word, kind)
-    known = [str(each) for each in system.model.names][2:]
-    if word not in known:
-        root = word == system.root_name
-        hint = (
-            "that is the root, whose placement only says where the world is; "
-            if root
-            else nearest(word, known)
-        )
+    names = [str(joint) for joint in system.model.names][2:]
+    if word not in names:
+        hint = nearest(word, names)
+        if word == system.root_name:
+            hint = "that is the root, whose placement has no effect on the motion; "
         raise InputError(
             f"parameters: '{system.name}' has no joint {quoted(word)} with a placement on another "
-            f"body; {hint}those are {listed(known, 60)}"
+            f"body; {hint}those are {listed(names, 60)}"
         )
     return JointParameter(name, word, kind)
 
@@ -76,73 +78,75 @@ def joint_parameter(system: System, name: str) -> JointParameter | None:
 class Joints:
     """The placements of joints, and inertias behind locked ones, as functions of parameters.
 
-    parameters: in their order.  placed: indices of the bodies, 0 for the root, whose joints are
-    placed by them, sorted.  free: those whose inertias they change.  turned: of `placed`, those
-    whose axes they turn.  links: frames of links that they move on their bodies.
+    Attributes:
+        parameters: Joint parameters, in the order of their names.
+        placed: Indices of the bodies, 0 for the root, whose joints they place, sorted.
+        turned: Bodies among `placed` whose joint axes they rotate.
+        free: Bodies whose inertias they change.
+        links: Frames of links that they move on their bodies.
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
-        """Find the parameters.  Raises InputError for those that say the same thing twice."""
+        """Find the joint parameters among names.
+
+        Args:
+            system: Robot.
+            names: Names of parameters of all kinds.
+        Raises:
+            InputError: Two of them describe the same placement.
+        """
         self._system = system
-        found = [joint_parameter(system, name) for name in names]
-        self.parameters = tuple(each for each in found if each is not None)
-        self._of: dict[int, list[JointParameter]] = {}
-        self._locks = {each.joint: each.name for each in self.parameters if each.kind == "lock"}
-        behind: set[int] = set()
+        parameters = [joint_parameter(system, name) for name in names]
+        self.parameters = tuple(entry for entry in parameters if entry is not None)
+        self._by_body: dict[int, JointParameter] = {}
+        self._locks = {e.joint: e.name for e in self.parameters if e.kind == "lock"}
+        behind: set[int] = set()  # bodies whose joints the locked joints place
         free: set[int] = set()
         if self._locks:
-            for joint, moved in self._placements({}).items():
-                if moved[1].keys() & self._locks.keys():
+            for joint, (_, twists) in self._placements({}).items():
+                if twists.keys() & self._locks.keys():
                     behind.add(self._body(joint))
             for i, place in self._locked.carried({}).items():
                 heavy = self._locked.raw.inertias[i].mass > 0.0
                 if heavy and place.twists.keys() & self._locks.keys():
                     free.add(self._body(place.joint))
-        for each in self.parameters:
-            if each.kind == "lock":
+        for parameter in self.parameters:
+            if parameter.kind == "lock":
                 continue
-            body = self._body(each.joint)
+            body = self._body(parameter.joint)
             if body in behind:
                 raise InputError(
-                    f"parameters: '{each.name}' is decided by {', '.join(self._locks.values())}; "
-                    "leave out one of them"
+                    f"parameters: '{parameter.name}' is decided by "
+                    f"{', '.join(self._locks.values())}; leave out one of them"
                 )
-            if others := self._of.get(body):
+            if other := self._by_body.get(body):
                 raise InputError(
-                    f"parameters: '{each.name}' and '{others[0].name}' are one joint's; name one "
+                    f"parameters: '{parameter.name}' and '{other.name}' are one joint's; name one "
                     "of them"
                 )
-            self._of[body] = [each]
-        self.placed = tuple(sorted(behind | set(self._of)))
+            self._by_body[body] = parameter
+        self.placed = tuple(sorted(behind | set(self._by_body)))
         self.turned = tuple(
-            i for i in self.placed if i in behind or self._of[i][0].kind == "placement"
+            i for i in self.placed if i in behind or self._by_body[i].kind == "placement"
         )
         self.free = tuple(sorted(free))
         self._frames = self._locked.frames(system.model, list(self._locks)) if self._locks else {}
         self.links = tuple(sorted(self._frames))
 
     def own(self) -> dict[str, Array]:
-        """Return the values that the system has, {name: (size,)}."""
-        out = {}
-        for each in self.parameters:
-            if each.kind == "lock":
-                out[each.name] = np.array([self._locked.frozen[each.joint]])
+        """Return the values of the system, {name: (size,)}."""
+        values = {}
+        for parameter in self.parameters:
+            if parameter.kind == "lock":
+                values[parameter.name] = np.array([self._locked.frozen[parameter.joint]])
                 continue
-            place = self._system.model.jointPlacements[self._body(each.joint) + 1]
+            place = self._system.model.jointPlacements[self._body(parameter.joint) + 1]
             rpy = pin.rpy.matrixToRpy(place.rotation)
-            out[each.name] = np.concatenate([place.translation, rpy])[: each.size]
-        return out
-
-    def checked(self, given: Mapping[str, Any]) -> dict[str, Array]:
-        """Return what is given as arrays of its own."""
-        return {
-            each.name: read_only(numbers(given[each.name], each.name, each.size))
-            for each in self.parameters
-            if each.name in given
-        }
+            values[parameter.name] = np.concatenate([place.translation, rpy])[: parameter.size]
+        return values
 
     def perturbed(self, rng: np.random.Generator) -> dict[str, Array]:
-        """Return values that have nothing in common with those of the system."""
+        """Return random values that differ from those of the system."""
         return {
             name: value + rng.uniform(0.1, 0.4, len(value)) for name, value in self.own().items()
         }
@@ -150,67 +154,61 @@ class Joints:
     def placements(
         self, values: Mapping[str, Array], changed: Collection[str]
     ) -> Iterator[tuple[int, pin.SE3, dict[str, Array]]]:
-        """Yield body, placement of its joint, and its twists (6, size) by each value.
+        """Yield bodies, placements of their joints, and twists (6, size) per value.
 
-        Twists are in the carrier's frame, taken at its origin.  changed: only of the bodies that
-        these parameters place; by the value of one locked joint, all that may stand behind one.
+        Twists are in the carrier's frame, at its origin.
+
+        Args:
+            values: Values of all parameters, {name: (size,)}.
+            changed: Parameters whose bodies are yielded.  One locked joint stands for all bodies
+                behind locked joints.
         """
-        locked = any(name in changed for name in self._locks.values())
-        behind = self._placements(values) if locked else {}
+        has_locks = any(name in changed for name in self._locks.values())
+        behind = self._placements(values) if has_locks else {}
         for i in self.placed:
-            if i in self._of:
-                (each,) = self._of[i]
-                if each.name not in changed:
-                    continue
-                own = self._system.model.jointPlacements[i + 1]
-                yield (i, *_placed(own, each, values[each.name]))
-            elif locked:
+            if parameter := self._by_body.get(i):
+                if parameter.name in changed:
+                    nominal = self._system.model.jointPlacements[i + 1]
+                    yield (i, *_placement(nominal, parameter, values[parameter.name]))
+            elif has_locks:
                 place, twists = behind[str(self._system.model.names[i + 1])]
-                yield (
-                    i,
-                    place,
-                    {
-                        name: twists[joint][:, None]
-                        for joint, name in self._locks.items()
-                        if joint in twists
-                    },
-                )
+                yield i, place, self._by_parameter(twists)
 
     def inertias(
         self, values: Mapping[str, Array], changed: Collection[str]
     ) -> Iterator[tuple[int, Array, dict[str, Array]]]:
-        """Yield body, its moments (10,) about its joint's origin, and their slopes (10, size).
+        """Yield bodies, their moments (10,) about the joint's origin, and derivatives (10, size).
 
-        changed: none, if none of these parameters changes one.
+        Args:
+            values: Values of all parameters, {name: (size,)}.
+            changed: Parameters that changed.  Without a locked joint among them, nothing is
+                yielded.
         """
         if not any(name in changed for name in self._locks.values()):
             return
-        names, now = self._system.model.names, self._lock_values(values)
+        # An added root is no joint of the raw model.
+        added_root = not self._locked.raw.existJointName(self._system.root_name)
+        lock_values = self._lock_values(values)
         for i in self.free:
-            joint = "" if i == 0 and self._floats else str(names[i + 1])
-            J, slopes = self._locked.inertia(joint, now)
-            found = {
-                name: moments_of(slopes[joint])[:, None] for joint, name in self._locks.items()
-            }
-            yield i, moments_of(J), found
+            joint = "" if i == 0 and added_root else str(self._system.model.names[i + 1])
+            J, slopes = self._locked.inertia(joint, lock_values)
+            moments = {joint: moments_of(slopes[joint]) for joint in self._locks}
+            yield i, moments_of(J), self._by_parameter(moments)
 
     def places(self, values: Mapping[str, Array]) -> dict[int, tuple[pin.SE3, dict[str, Array]]]:
-        """Return of each of `links` its place on its body, and twists (6, 1) by each value.
+        """Return the placements of `links` on their bodies, and twists (6, 1) per value.
 
-        Twists are in the body's frame, taken at its origin.
+        Twists are in the body's frame, at its origin.
         """
         if not self._frames:
             return {}
-        carried, out = self._locked.carried(self._lock_values(values)), {}
+        raw, carried = self._locked.raw, self._locked.carried(self._lock_values(values))
+        places = {}
         for k, frame in self._frames.items():
-            under = carried[self._locked.raw.frames[frame].parentJoint]
-            found = {
-                name: under.twists[joint][:, None]
-                for joint, name in self._locks.items()
-                if joint in under.twists
-            }
-            out[k] = under.moved * self._locked.raw.frames[frame].placement, found
-        return out
+            under = carried[raw.frames[frame].parentJoint]
+            placement = under.moved * raw.frames[frame].placement
+            places[k] = placement, self._by_parameter(under.twists)
+        return places
 
     @property
     def _locked(self) -> LockedJoints:
@@ -218,15 +216,18 @@ class Joints:
         assert locked is not None
         return locked
 
-    @property
-    def _floats(self) -> bool:
-        return not self._locked.raw.existJointName(self._system.root_name)
+    def _by_parameter(self, columns: Mapping[str, Array]) -> dict[str, Array]:
+        """Return columns (k, 1) by parameter for vectors (k,) by locked joint."""
+        return {
+            name: columns[joint][:, None] for joint, name in self._locks.items() if joint in columns
+        }
 
     def _placements(
         self, values: Mapping[str, Array]
     ) -> dict[str, tuple[pin.SE3, Mapping[str, Array]]]:
-        found = self._locked.placements(self._lock_values(values))
-        return {joint: place for joint, place in found.items() if joint != self._system.root_name}
+        placements = self._locked.placements(self._lock_values(values))
+        placements.pop(self._system.root_name, None)
+        return placements
 
     def _lock_values(self, values: Mapping[str, Array]) -> dict[str, float]:
         return {
@@ -237,13 +238,15 @@ class Joints:
         return int(self._system.model.getJointId(joint)) - 1 if joint else 0
 
 
-def _placed(own: pin.SE3, each: JointParameter, value: Array) -> tuple[pin.SE3, dict[str, Array]]:
-    """Return a placement, and its twists by the numbers of a parameter."""
+def _placement(
+    nominal: pin.SE3, parameter: JointParameter, value: Array
+) -> tuple[pin.SE3, dict[str, Array]]:
+    """Return a placement and its twists per value of a parameter."""
     p = value[:3]
-    twists = np.zeros((6, each.size))
+    twists = np.zeros((6, parameter.size))
     twists[:3, :3] = np.eye(3)
-    if each.kind == "translation":
-        return pin.SE3(own.rotation, p), {each.name: twists}
+    if parameter.kind == "translation":
+        return pin.SE3(nominal.rotation, p), {parameter.name: twists}
     roll, pitch, yaw = value[3:]
     R = pin.rpy.rpyToMatrix(roll, pitch, yaw)
     turn = pin.rpy.rpyToMatrix(0.0, 0.0, yaw)
@@ -253,5 +256,6 @@ def _placed(own: pin.SE3, each: JointParameter, value: Array) -> tuple[pin.SE3, 
         [0.0, 0.0, 1.0],
     ])  # fmt: skip
     twists[3:, 3:] = axes
-    twists[:3, 3:] = -np.cross(axes.T, p).T  # of the origin, that the frame's own may stay
-    return pin.SE3(R, p), {each.name: twists}
+    # Angles rotate the joint's frame about its own origin, so the linear part cancels ω × p.
+    twists[:3, 3:] = -np.cross(axes.T, p).T
+    return pin.SE3(R, p), {parameter.name: twists}

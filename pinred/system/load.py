@@ -1,11 +1,11 @@
-"""load(): from a name, a file or a model to a System with its symmetry group."""
+"""load(): robots by name, from files and from models, as a System with its symmetry group."""
 
 from __future__ import annotations
 
 import difflib
 import warnings
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from ..common.arrays import Array, as_floats, entries_of, vector
+from ..common.arrays import Array, vector
 from ..common.errors import (
     ChoiceError,
     InputError,
@@ -32,7 +32,7 @@ from .contents import Contents, Coupling, Origin
 from .coordinates import InitialState
 from .coupling import locked_by, with_followers
 from .joints import motion_group, root_joint
-from .locked_joints import LockedJoints, Tie
+from .locked_joints import LockedJoints, Tie, frozen_configurations, lock_values
 from .mjcf.package import is_mujoco
 from .mjcf.read import read_mujoco
 from .model_parameters import with_parameters
@@ -42,14 +42,35 @@ from .robot_files import is_mjcf, read_description, read_text, read_xml
 from .root_chain import RootChain, places_on_root, root_chain
 from .system import System
 from .urdf import mimic_couplings
-from .visuals import mesh_folders, with_visuals
+from .visuals import Visuals, mesh_folders, with_visuals
 
 if TYPE_CHECKING:
     from mujoco import MjModel, MjSpec
 
 Pair: TypeAlias = tuple[pin.Model, pin.GeometryModel]
 
-_HUGE = 1e100  # m/s²; the square of what is far above overflows
+_HUGE = 1e100  # gravity whose products overflow [m/s²]
+
+
+@dataclass(frozen=True)
+class _Robot:
+    """A robot before its joints are locked and its root is chosen.
+
+    Attributes:
+        raw: Model with all joints.
+        couplings: Couplings of its joints.
+        name: Name of the robot.
+        origin: File or name that was loaded, if any.
+        group: Requested or catalogued symmetry group, if any.
+        initial: Generic initial state, if any.
+    """
+
+    raw: pin.Model
+    couplings: tuple[Coupling, ...]
+    name: str
+    origin: Origin | None
+    group: Group | None
+    initial: InitialState | None = None
 
 
 def load(
@@ -63,109 +84,85 @@ def load(
     meshes: str | Path | Iterable[str | Path] = (),
     parameters: Mapping[str, ArrayLike] | None = None,
 ) -> System:
-    """Load a robot and read it as symmetry group times shape.
+    """Load a robot as symmetry group times shape.
 
-    source: the name of a bundled robot or of one in example-robot-data, the path of a
-        URDF or MJCF file, a pin.Model (which is copied), a pin.RobotWrapper or a pair (model,
-        visual_model), whose shapes playback then shows, or mujoco's MjModel or MjSpec.
-        Meshes are read only where an MJCF file takes mass from them.
-    group: the symmetry, "R", "SO2", "SE2", "SO3", "SE3" or "RxSE2".  If None, the file's own
-        root: its free, planar or spherical root joint (the link above that is the ground); or
-        its first moving joint, if the link above has no mass (a mere anchor) and all else
-        hangs on it; else SE3: a root link with mass floats on a new root joint.  Joints at
-        the root with nothing between them are one joint, if a group moves so.
-    lock: joints to freeze at zero, or a mapping from joint to its fixed value [rad | m].
-        Those that follow a locked joint are locked with it.
-    gravity: (3,) in the world frame [m/s²]; if None, what the robot comes with
-        (Pinocchio's 9.81 along −z for a URDF).
-    root: of an MJCF file, the body of the world that carries the robot, where several move.
-    strict: whether to refuse what there is otherwise only a ModelWarning about: moments of
-        inertia that no distribution of mass has, and mass matrices singular at single shapes.
-    meshes: a folder, or several, in which playback looks for the meshes of a URDF file, beside
-        those above the file.
-    parameters: {name: value} of masses, placements and other numbers of the robot that are to be
-        others than in the file, by the names that `Scene` has for them.
+    Emits a LeftOutWarning for actions in a file that are not part of the reduction
+    (System.left_out), and a ModelWarning for doubtful inertias.
 
-    Warns with LeftOutWarning of what acts in a file and is not part of the reduction
-    (System.left_out).  Raises LoadError if there is nothing to read, ModelError if pinred
-    cannot reduce the model, InputError for an unknown group, joint or root,
-    MissingPackageError for MJCF without mujoco.
+    Args:
+        source: Name of a bundled robot or of one in example-robot-data; path of a URDF or MJCF
+            file; pin.Model, which is copied; pin.RobotWrapper or pair (model, visual_model),
+            whose shapes playback shows; or mujoco's MjModel or MjSpec.
+        group: Symmetry: "R", "SO2", "SE2", "SO3", "SE3" or "RxSE2".  If None, the root in the
+            file decides: its free, planar or spherical root joint, with the link above as the
+            ground; or its first moving joint, if the link above is massless and carries all
+            other links.  Otherwise SE3: a root link with mass floats on a new root joint.
+            Consecutive joints at the root count as one joint if they move in a group.
+        lock: Joints to freeze at zero, or mapping from joint to its fixed value [rad | m].
+            Followers of a locked joint are locked with it.
+        gravity: Gravity in the world frame, (3,) [m/s²].  If None, the robot's gravity
+            (Pinocchio's 9.81 along −z for a URDF).
+        root: For MJCF, the body of the world that carries the robot, if several can move.
+        strict: Whether to refuse robots with doubtful inertias instead of warning: moments that
+            no distribution of mass has, and mass matrices that are singular at single shapes.
+        meshes: Folder, or folders, in which playback looks for the meshes of a URDF file, besides
+            those above the file.
+        parameters: Robot parameters {name: value} that differ from the file, such as masses and
+            placements; for names see `Scene`.
+    Returns:
+        System of the robot.
+    Raises:
+        LoadError: There is nothing to read.
+        ModelError: pinred cannot reduce the model.
+        InputError: A group, joint, root or another argument is not valid.
+        MissingPackageError: The source is MJCF and mujoco is not installed.
     """
-    wanted = group_named(group) if isinstance(group, str) else group
-    if wanted is not None and not isinstance(wanted, Group):
+    requested = group_named(group) if isinstance(group, str) else group
+    if requested is not None and not isinstance(requested, Group):
         raise InputError(f"group must be one of {', '.join(GROUPS)}, got {brief(group)}")
     if not (root is None or isinstance(root, str)):
         raise InputError(f"root must be the name of a body, got {brief(root)}")
-    weight = None if gravity is None else _gravity(gravity)
-    locked = _locked(lock)
+    new_gravity = None if gravity is None else _checked_gravity(gravity)
+    locked = lock_values(lock)
     folders = mesh_folders(meshes)
-    given = {} if parameters is None else parameters
-    if mujoco := _as_mujoco(source):
+    if mjcf_kind := _mjcf_kind(source):
         if folders:
             raise InputError("meshes= is for URDF; an MJCF file says where its meshes are")
-        system = _load_mujoco(source, mujoco, wanted, locked, weight, root)
-        return with_parameters(system, given)
-    visuals = with_visuals(source)
-    if visuals is not None:
-        source = visuals.model
-    if not isinstance(source, (str, Path, pin.Model)):
-        raise InputError(
-            "load takes a name, a path, a pin.Model, a pin.RobotWrapper, (model, visual_model), an "
-            f"MjModel or an MjSpec, got {type(source).__name__}"
-        )
-    if folders and isinstance(source, pin.Model):
-        raise InputError("meshes= is for robots from files; a model comes with its shapes, or none")
-    if root is not None:
-        raise InputError(f"root={quoted(root)} is for MJCF; elsewhere one link carries the robot")
-    initial: InitialState | None = None
-    name = str(source)
-    origin: Origin | None = Origin(name, locked, meshes=folders)
-    couplings: tuple[Coupling, ...]
-    if isinstance(source, pin.Model):
-        raw, couplings = without_mimics(source)
-        name, origin = source.name, None
-    elif (robot := catalogue.bundled_robots().get(name)) is not None:
-        raw, couplings = read_description(robot.path)
-        raw.gravity.linear = np.array(robot.gravity)
-        wanted = wanted or group_named(robot.group)
-        if not locked and wanted.name == robot.group:
-            initial = _initial_state(robot.initial)
-    elif is_path(name):
-        raw, couplings = read_description(Path(source))
-        name = Path(source).stem
-        origin = Origin(str(Path(source).absolute()), locked, meshes=folders)
+        system = _load_mujoco(source, mjcf_kind, requested, locked, new_gravity, root)
+        doubts: tuple[str, ...] = ()
     else:
-        raw, couplings = _example(name)
-    every = couplings
-    locked, couplings = with_followers(locked, every, list(raw.names))
-    bare = rebuild(raw, frozen=_frozen(raw, locked))
-    chain = root_chain(bare)
-    model = _on_root(bare, wanted, chain)
-    contents = passive_contents(raw, list(model.names)[2:], locked)
-    fixed = None
-    if locked:
-        ties = {
-            name: Tie(each.leader, (each.offset, each.ratio))
-            for name, each in locked_by(locked, every, list(raw.names)).items()
-        }
-        places = {} if chain is None else places_on_root(bare, chain)
-        several = tuple(n for n in locked if raw.joints[raw.getJointId(n)].nv > 1)
-        fixed = LockedJoints(raw, locked, ties, places, str(model.names[1]), several)
-    contents = replace(contents, visuals=visuals, couplings=couplings, locked=fixed)
-    if weight is not None:
-        model.gravity.linear = weight
-    model.name = name
-    system = System(model, name=name, initial=initial, origin=origin, contents=contents)
-    _warn_of_left_out(system)
-    for doubt in system.doubts:
+        visuals = with_visuals(source)
+        if visuals is not None:
+            source = visuals.model
+        if not isinstance(source, (str, Path, pin.Model)):
+            raise InputError(
+                "load takes a name, a path, a pin.Model, a pin.RobotWrapper, (model, "
+                f"visual_model), an MjModel or an MjSpec, got {type(source).__name__}"
+            )
+        if folders and isinstance(source, pin.Model):
+            raise InputError(
+                "meshes= is for robots from files; a model comes with its shapes, or none"
+            )
+        if root is not None:
+            raise InputError(
+                f"root={quoted(root)} is for MJCF; elsewhere one link carries the robot"
+            )
+        robot = _read(source, requested, locked, folders)
+        system = _load_model(robot, locked, new_gravity, visuals)
+        doubts = system.doubts
+    if system.left_out:
+        counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
+        message = f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)"
+        warnings.warn(message, LeftOutWarning, stacklevel=2)
+    for doubt in doubts:
         if strict:
-            raise ModelError(f"{quoted(name)} is refused, strictly: {doubt}")
-        warnings.warn(f"{quoted(name)}: {doubt}", ModelWarning, stacklevel=2)
-    return with_parameters(system, given)
+            raise ModelError(f"{quoted(system.name)} is refused, strictly: {doubt}")
+        warnings.warn(f"{quoted(system.name)}: {doubt}", ModelWarning, stacklevel=2)
+    return with_parameters(system, {} if parameters is None else parameters)
 
 
-def _as_mujoco(source: object) -> str:
-    """Return what kind of MJCF a source is: a path, an MjModel or an MjSpec; else nothing."""
+def _mjcf_kind(source: object) -> str:
+    """Return "MjModel", "MjSpec", or "path" for the path of an MJCF file; else ""."""
     for kind in ("MjModel", "MjSpec"):
         if is_mujoco(source, kind):
             return kind
@@ -178,49 +175,85 @@ def _as_mujoco(source: object) -> str:
 def _load_mujoco(
     source: Any,
     kind: str,
-    wanted: Group | None,
+    group: Group | None,
     locked: Mapping[str, float],
     gravity: Array | None,
     root: str | None,
 ) -> System:
-    """Return the system of an MJCF file, an MjModel or an MjSpec, and warn of what is left out."""
+    """Return the system of an MJCF file, an MjModel or an MjSpec (`kind`); else as `load`."""
     robot = read_mujoco(source, root=root, lock=locked, gravity=gravity)
-    model = _on_root(robot.model, wanted, None)
-    origin = None
+    model, name, origin = _on_root(robot.model, group, None), robot.name, None
     if kind == "path":
         name = Path(source).stem
         origin = Origin(str(Path(source).absolute()), locked, root)
-    else:
-        name = robot.name
     model.name = name
-    own = motion_group(model.joints[1])
-    contents = Contents() if own is None else robot.contents(own)
-    system = System(model, name=name, origin=origin, contents=contents)
-    _warn_of_left_out(system, above=1)
-    return system
+    root_group = motion_group(model.joints[1])
+    contents = Contents() if root_group is None else robot.contents(root_group)
+    return System(model, name=name, origin=origin, contents=contents)
 
 
-def _warn_of_left_out(system: System, above: int = 0) -> None:
-    """Warn of what acts in a file and is not simulated.  above: functions below `load`."""
-    if system.left_out:
-        counts = ", ".join(f"{left.what} ({len(left.names)})" for left in system.left_out)
-        warnings.warn(
-            f"{system.name}: in the file, but not simulated: {counts} (see System.left_out)",
-            LeftOutWarning,
-            stacklevel=3 + above,
-        )
+def _read(
+    source: str | Path | pin.Model,
+    group: Group | None,
+    locked: Mapping[str, float],
+    folders: tuple[str, ...],
+) -> _Robot:
+    """Return the robot of a name, a URDF file or a model; arguments as of `load`."""
+    if isinstance(source, pin.Model):
+        return _Robot(*without_mimics(source), source.name, None, group)
+    name = str(source)
+    origin = Origin(name, locked, meshes=folders)
+    if (robot := catalogue.bundled_robots().get(name)) is not None:
+        raw, couplings = read_description(robot.path)
+        raw.gravity.linear = np.array(robot.gravity)
+        group = group or group_named(robot.group)
+        initial = None
+        if not locked and group.name == robot.group:
+            x, xdot, xi = (np.array(robot.initial[k], dtype=float) for k in ("x", "xdot", "xi"))
+            initial = InitialState(x, xdot, xi, float(robot.initial["duration"]))
+        return _Robot(raw, couplings, name, origin, group, initial)
+    if is_path(name):
+        raw, couplings = read_description(Path(source))
+        origin = replace(origin, source=str(Path(source).absolute()))
+        return _Robot(raw, couplings, Path(source).stem, origin, group)
+    return _Robot(*_example(name), name, origin, group)
 
 
-def _gravity(given: ArrayLike) -> Array:
-    gravity = vector(given, 3, "gravity")
+def _load_model(
+    robot: _Robot, lock: Mapping[str, float], gravity: Array | None, visuals: Visuals | None
+) -> System:
+    """Return the system of a robot with joints locked, on its root."""
+    raw, names = robot.raw, list(robot.raw.names)
+    locked, couplings = with_followers(lock, robot.couplings, names)
+    bare = rebuild(raw, frozen=frozen_configurations(raw, locked))
+    chain = root_chain(bare)
+    model = _on_root(bare, robot.group, chain)
+    locked_joints = None
+    if locked:
+        ties = {
+            name: Tie(coupling.leader, (coupling.offset, coupling.ratio))
+            for name, coupling in locked_by(locked, robot.couplings, names).items()
+        }
+        places = {} if chain is None else places_on_root(bare, chain)
+        several = tuple(n for n in locked if raw.joints[raw.getJointId(n)].nv > 1)
+        locked_joints = LockedJoints(raw, locked, ties, places, str(model.names[1]), several)
+    contents = replace(
+        passive_contents(raw, list(model.names)[2:], locked),
+        visuals=visuals,
+        couplings=couplings,
+        locked=locked_joints,
+    )
+    if gravity is not None:
+        model.gravity.linear = gravity
+    model.name = robot.name
+    return System(model, robot.name, robot.initial, robot.origin, contents)
+
+
+def _checked_gravity(value: ArrayLike) -> Array:
+    gravity = vector(value, 3, "gravity")
     if np.abs(gravity).max() > _HUGE:
         raise InputError(f"gravity must be below {_HUGE:g} m/s², got {gravity}")
     return gravity
-
-
-def _initial_state(entry: Mapping[str, Any]) -> InitialState:
-    x, xdot, xi = (np.array(entry[key], dtype=float) for key in ("x", "xdot", "xi"))
-    return InitialState(x=x, xdot=xdot, xi=xi, duration=float(entry["duration"]))
 
 
 def is_path(name: str) -> bool:
@@ -229,15 +262,12 @@ def is_path(name: str) -> bool:
         return True
     try:
         return Path(name).is_file()
-    except OSError:  # no name of a file at all
+    except OSError:  # The system accepts no such name.
         return False
 
 
 def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
-    """Return the model of a robot in example-robot-data, armature from its rotors.
-
-    And how its joints follow others.
-    """
+    """Return a robot of example-robot-data, with armature from its rotors, and its couplings."""
     names = catalogue.example_robots()
     if name not in names:
         near = difflib.get_close_matches(name[:200], [*catalogue.bundled_robots(), *names], n=3)
@@ -252,92 +282,57 @@ def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
     else:
         model, couplings = without_mimics(robot.build().robot.model)
         if not couplings:
-            found = mimic_couplings(read_xml(robot.urdf))
-            couplings = tuple(each for each in found if model.existJointName(each.follower))
+            candidates = mimic_couplings(read_xml(robot.urdf))
+            couplings = tuple(c for c in candidates if model.existJointName(c.follower))
     if robot.rotors is not None:
         pin.loadRotorParameters(model, str(robot.rotors), False)
         model.armature = model.rotorInertia * model.rotorGearRatio**2
     return model, couplings
 
 
-def _locked(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
-    """Return the joints to freeze with their values.  Raises InputError."""
-    if isinstance(lock, str):
-        raise InputError(f"lock must be a list of joint names, not text; use [{lock!r}]")
-    names = list(lock) if isinstance(lock, Mapping) else entries_of(lock)
-    if names is None:
-        raise InputError(
-            f"lock must be a list of joint names or a mapping to values, got {brief(lock)}"
-        )
-    if not all(isinstance(name, str) for name in names):
-        raise InputError(f"lock must hold names of joints, got {brief(names)}")
-    values = dict(lock.items()) if isinstance(lock, Mapping) else dict.fromkeys(names, 0.0)
-    for name, value in values.items():
-        number = as_floats(value, f"lock: the value for joint {quoted(name)}")
-        if number.ndim or not np.isfinite(number):
-            raise InputError(
-                f"lock: the value for joint {quoted(name)} must be finite, got {brief(value)}"
-            )
-    return {str(name): float(value) for name, value in values.items()}
+def _on_root(raw: pin.Model, group: Group | None, chain: RootChain | None) -> pin.Model:
+    """Return the model on the root joint of a group: its present root, or a new one.
 
-
-def _frozen(raw: pin.Model, locked: Mapping[str, float]) -> dict[int, Array]:
-    """Return the configurations at which joints are frozen, by joint."""
-    frozen: dict[int, Array] = {}
-    neutral = pin.neutral(raw)
-    for name, value in locked.items():
-        if not raw.existJointName(name) or name == "universe":
-            known = listed(list(raw.names)[1:], 60)
-            raise InputError(f"lock: no joint {quoted(name)}; the joints are {known}")
-        joint = raw.joints[raw.getJointId(name)]
-        if joint.nv > 1 and value != 0.0:
-            raise InputError(
-                f"lock: joint {quoted(name)} has {joint.nv} degrees of freedom and "
-                "freezes at zero only"
-            )
-        q = neutral[joint.idx_q : joint.idx_q + joint.nq].copy()
-        if joint.nv == 1:
-            q[:] = [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
-        frozen[joint.id] = q
-    return frozen
-
-
-def _on_root(raw: pin.Model, wanted: Group | None, chain: RootChain | None) -> pin.Model:
-    """Return the model with the symmetry's root joint first: its own, or a new one.
-
-    chain: the joints at its root that are one joint together.
+    Args:
+        raw: Model.
+        group: Requested group, or None for the group of the present root.
+        chain: Joints at the root that are one joint together, if any.
+    Raises:
+        ChoiceError: It is unclear whether the root link is fixed or floats.
+        ModelError: The present root moves in another group.
     """
-    own = _own_root(raw) if chain is None else chain.group
-    if own is None:
-        if wanted is None and raw.njoints > 1 and raw.inertias[0].mass == 0.0:
-            raise ChoiceError(_unclear(raw), "group", ("SE3",))
-        return rebuild(raw, root=root_joint(wanted or SE3))
-    if wanted in (None, own):
-        return raw if chain is None else rebuild(raw, root=root_joint(own), chain=chain)
+    root_group = _root_group(raw) if chain is None else chain.group
+    if root_group is None:
+        if group is None and raw.njoints > 1 and raw.inertias[0].mass == 0.0:
+            raise ChoiceError(_unclear_root(raw), "group", ("SE3",))
+        return rebuild(raw, root=root_joint(group or SE3))
+    if group in (None, root_group):
+        return raw if chain is None else rebuild(raw, root=root_joint(root_group), chain=chain)
     joints = list(raw.names)[1 : 2 if chain is None else chain.last + 1]
     locked = "' or '".join(joints)
-    way_out = f"load it with group='{own}', or lock '{locked}'"
+    way_out = f"load it with group='{root_group}', or lock '{locked}'"
     if chain is None and raw.joints[1].nv == 1:
-        way_out += ", or give the link above it, which has none, a mass so that it can float"
+        way_out += ", or give the massless link above it a mass so that it can float"
     raise ModelError(
-        f"group {wanted} was asked for, but the root joint '{'+'.join(joints)}' of the model has "
-        f"group {own}; {way_out}"
+        f"group {group} was asked for, but the root joint '{'+'.join(joints)}' of the model has "
+        f"group {root_group}; {way_out}"
     )
 
 
-def _unclear(raw: pin.Model) -> str:
-    """Return why the root link of a model neither stands nor floats."""
+def _unclear_root(raw: pin.Model) -> str:
+    """Return a question: is the massless root link of a model fixed, or does it float?"""
     links = [f.name for f in raw.frames if f.parentJoint == 0 and f.type == pin.FrameType.BODY]
     carried = [raw.names[i] for i in range(1, raw.njoints) if raw.parents[i] == 0]
-    who = f"the root link {quoted(links[0])}" if links else "the root"
+    link = f"the root link {quoted(links[0])}" if links else "the root"
     return (
-        f"{who} has no mass and carries several joints ({listed(carried)}): does it stand, or "
+        f"{link} has no mass and carries several joints ({listed(carried)}): does it stand, or "
         "float? group='SE3' lets it float; as a ground it must carry one joint: lock the others, "
         "or give it a mass"
     )
 
 
-def _own_root(raw: pin.Model) -> Group | None:
+def _root_group(raw: pin.Model) -> Group | None:
+    """Return the group of the root joint in a model, or None if it needs a new root."""
     if raw.njoints < 2:
         return None
     group = motion_group(raw.joints[1])

@@ -1,28 +1,79 @@
-"""Joints that `load(lock=…)` froze: the robot with other values of them, and how it moves so.
+"""Joints that `load(lock=…)` froze: the robot at other values of them, and its derivatives.
 
-Joints that follow locked ones are locked with them, and move as these are varied.  All that a
-locked joint carries sits on the body of the next joint inward that moves, its carrier: inertias
-that belong to it, and the joints behind.
+Followers of locked joints are locked with them, and move as these vary.  A locked joint is
+carried by the next moving joint inward, its carrier, which also carries its inertia and the
+joints behind it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array
+from ..common.arrays import Array, as_floats, entries_of
+from ..common.errors import InputError
+from ..common.plain_names import brief, listed, quoted
+from .joints import joint_configuration
+
+
+def lock_values(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
+    """Return the joints to freeze with their values, zero by default.  Raises InputError."""
+    if isinstance(lock, str):
+        raise InputError(f"lock must be a list of joint names, not text; use [{lock!r}]")
+    names = list(lock) if isinstance(lock, Mapping) else entries_of(lock)
+    if names is None:
+        raise InputError(
+            f"lock must be a list of joint names or a mapping to values, got {brief(lock)}"
+        )
+    if not all(isinstance(name, str) for name in names):
+        raise InputError(f"lock must hold names of joints, got {brief(names)}")
+    values = dict(lock.items()) if isinstance(lock, Mapping) else dict.fromkeys(names, 0.0)
+    for name, value in values.items():
+        number = as_floats(value, f"lock: the value for joint {quoted(name)}")
+        if number.ndim or not np.isfinite(number):
+            raise InputError(
+                f"lock: the value for joint {quoted(name)} must be finite, got {brief(value)}"
+            )
+    return {str(name): float(value) for name, value in values.items()}
+
+
+def frozen_configurations(raw: pin.Model, locked: Mapping[str, float]) -> dict[int, Array]:
+    """Return Pinocchio's configurations, (nq of the joint,), of joints to freeze, by joint.
+
+    Raises:
+        InputError: A joint is unknown, or freezes at zero only.
+    """
+    configurations: dict[int, Array] = {}
+    neutral = pin.neutral(raw)
+    for name, value in locked.items():
+        if not raw.existJointName(name) or name == "universe":
+            names = listed(list(raw.names)[1:], 60)
+            raise InputError(f"lock: no joint {quoted(name)}; the joints are {names}")
+        joint = raw.joints[raw.getJointId(name)]
+        if joint.nv > 1 and value != 0.0:
+            raise InputError(
+                f"lock: joint {quoted(name)} has {joint.nv} degrees of freedom and "
+                "freezes at zero only"
+            )
+        q = neutral[joint.idx_q : joint.idx_q + joint.nq].copy()
+        if joint.nv == 1:
+            q[:] = joint_configuration(joint, value)
+        configurations[joint.id] = q
+    return configurations
 
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """The place of a joint of the raw model.
+    """The placement of a joint of the raw model on its carrier.
 
-    joint: name of the joint of the reduced model that carries it, "" for the world or a base that
-    was put there.  at: its placement on that before it moves, and after.  twists: how it moves per
-    unit of each locked joint, (6,) in the carrier's frame, taken at its origin.
+    Attributes:
+        joint: Name of the carrier in the reduced model; "" for the world or a new base.
+        at: Placement on the carrier before the joint moves.
+        moved: Placement after it moved.
+        twists: Twist per unit of each locked joint, (6,), in the carrier's frame at its origin.
     """
 
     joint: str
@@ -35,7 +86,10 @@ class Carried:
 class Tie:
     """A locked joint that follows another locked one: x = Σ coefficients[k] (x_leader − at)ᵏ.
 
-    Coordinates are those of the joints [rad | m].
+    Attributes:
+        leader: Name of the other joint.
+        coefficients: Coefficients of the polynomial.
+        at: Value of the leader from which it counts [rad | m].
     """
 
     leader: str
@@ -43,7 +97,7 @@ class Tie:
     at: float = 0.0
 
     def follow(self, leader: float) -> tuple[float, float]:
-        """Return the value, and its slope by that of the leader."""
+        """Return the value at a value of the leader, and its derivative."""
         law = np.polynomial.Polynomial(self.coefficients)
         return float(law(leader - self.at)), float(law.deriv()(leader - self.at))
 
@@ -52,12 +106,15 @@ class Tie:
 class LockedJoints:
     """The joints that were locked.
 
-    raw: the model with all joints whose value may vary, and perhaps others.  frozen: {joint:
-    value}, of all that were locked [rad | m].  ties: those of them that follow others.  root: the
-    joints of the raw model in whose place the root is, with where their bodies sit on it; none if
-    the root was put there, or is one of the raw model by its own name.  several: those with several
-    degrees of freedom, which freeze at zero.
-    names: those whose value may vary.
+    Attributes:
+        raw: Model with all joints whose value may vary, and perhaps others.
+        frozen: Values of all locked joints [rad | m].
+        ties: Locked joints that follow others.
+        root: Joints of the raw model that the root replaced, with the placements of their bodies
+            on it.  Empty if the root was added, or is a joint of the raw model.
+        root_name: Name of the root joint.
+        several: Joints with several degrees of freedom, which freeze at zero.
+        names: Joints whose value may vary.
     """
 
     raw: pin.Model
@@ -72,7 +129,7 @@ class LockedJoints:
         object.__setattr__(self, "names", tuple(n for n in self.frozen if not self.why_not(n)))
 
     def why_not(self, name: str) -> str:
-        """Return why the value of a locked joint does not vary; "" if it may."""
+        """Return why the value of a locked joint cannot vary; "" if it can."""
         raw = self.raw
         if name in self.ties:
             leader = self.ties[name].leader
@@ -81,120 +138,112 @@ class LockedJoints:
             return "it has several degrees of freedom, and freezes at zero only"
         if not raw.existJointName(name) or self._carries_root(raw.getJointId(name)):
             return (
-                "it carries the root, or is part of it, and only says where the world is; "
+                "it carries the root, or is part of it, and only places it in the world; "
                 f"load(lock={{'{name}': …}}) again"
             )
         return ""
 
     def _carries_root(self, joint: int) -> bool:
         raw = self.raw
-        for name in (self.root_name, *self.root):
-            i = raw.getJointId(name) if raw.existJointName(name) else 0
-            while i:
-                if i == joint:
-                    return True
-                i = raw.parents[i]
-        return False
+        roots = [name for name in (self.root_name, *self.root) if raw.existJointName(name)]
+        return any(joint in list(raw.supports[raw.getJointId(name)])[1:] for name in roots)
 
     def value(self, name: str, values: Mapping[str, float]) -> tuple[float, str, float]:
-        """Return where a locked joint is, whose value decides that, and its slope by that."""
+        """Return the value of a locked joint, the joint that decides it, and the derivative.
+
+        Args:
+            name: Name of the joint.
+            values: Values that differ from the frozen ones, by joint [rad | m].
+        """
         tie = self.ties.get(name)
         if tie is None:
             return float(values.get(name, self.frozen[name])), name, 1.0
-        at, who, slope = self.value(tie.leader, values)
-        here, by = tie.follow(at)
-        return here, who, by * slope
+        leader_value, leader, slope = self.value(tie.leader, values)
+        value, ratio = tie.follow(leader_value)
+        return value, leader, ratio * slope
 
     def carried(self, values: Mapping[str, float]) -> dict[int, Carried]:
-        """Return the places of all joints of the raw model; others than these have their own."""
-        raw, q, still = self.raw, pin.neutral(self.raw), pin.SE3.Identity()
-        found = {0: Carried("", still, still, {})}
+        """Return all joints of the raw model on their carriers, at values of locked joints."""
+        raw, q, identity = self.raw, pin.neutral(self.raw), pin.SE3.Identity()
+        places = {0: Carried("", identity, identity, {})}
         for i in range(1, raw.njoints):
-            name, joint, under = str(raw.names[i]), raw.joints[i], found[raw.parents[i]]
+            name, joint, under = str(raw.names[i]), raw.joints[i], places[raw.parents[i]]
             at = under.moved * raw.jointPlacements[i]
             if name in self.root:
-                found[i] = Carried("", still, self.root[name], {})
+                places[i] = Carried("", identity, self.root[name], {})
                 continue
             if name not in self.frozen:
-                found[i] = Carried(name, still, still, {})  # its placement is that on its carrier
+                # A moving joint is its own carrier.
+                places[i] = Carried(name, identity, identity, {})
                 continue
             twists = dict(under.twists)
-            moved = joint.createData()
+            motion = joint.createData()
             if joint.nv == 1:
-                value, who, slope = self.value(name, values)
+                value, leader, slope = self.value(name, values)
                 k = slice(joint.idx_q, joint.idx_q + joint.nq)
-                q[k] = [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
-                twist = at.toActionMatrix() @ np.asarray(moved.S).ravel() * slope
-                twists[who] = twists.get(who, 0.0) + twist
-            joint.calc(moved, q)
-            found[i] = Carried(under.joint, at, at * moved.M, twists)
-        return found
+                q[k] = joint_configuration(joint, value)
+                twist = at.toActionMatrix() @ np.asarray(motion.S).ravel() * slope
+                twists[leader] = twists.get(leader, 0.0) + twist
+            joint.calc(motion, q)
+            places[i] = Carried(under.joint, at, at * motion.M, twists)
+        return places
 
     def inertia(self, joint: str, values: Mapping[str, float]) -> tuple[Array, dict[str, Array]]:
-        """Return the pseudo-inertia (4, 4) of all that moves with a joint, and its slopes.
+        """Return the pseudo-inertia (4, 4) of all bodies on a carrier, and its derivatives.
 
-        joint: "" for the root that was put there.
+        Args:
+            joint: Name of the carrier; "" for a root that was added.
+            values: Values of locked joints [rad | m].
         """
         total, slopes = np.zeros((4, 4)), {name: np.zeros((4, 4)) for name in self.names}
         for i, place in self.carried(values).items():
             if place.joint != joint:
                 continue
             T = place.moved.homogeneous
-            J = T @ _pseudo_inertia(self.raw.inertias[i]) @ T.T
+            J = T @ pin.PseudoInertia.FromInertia(self.raw.inertias[i]).toMatrix() @ T.T
             total += J
             for name in place.twists.keys() & slopes.keys():
-                S = _hat(place.twists[name])
+                S = pin.Motion(place.twists[name]).homogeneous
                 slopes[name] += S @ J + J @ S.T
         return total, slopes
 
     def placements(
         self, values: Mapping[str, float]
     ) -> dict[str, tuple[pin.SE3, Mapping[str, Array]]]:
-        """Return the placements of all joints that are left, and how each locked one moves them."""
-        found, places = {}, self.carried(values)
+        """Return the placements of all moving joints, and their twists per locked joint."""
+        placements, places = {}, self.carried(values)
         for i, place in places.items():
             if i and place.joint == str(self.raw.names[i]):
                 under = places[self.raw.parents[i]]
-                found[place.joint] = (under.moved * self.raw.jointPlacements[i], under.twists)
-        return found
+                placements[place.joint] = under.moved * self.raw.jointPlacements[i], under.twists
+        return placements
 
     def frames(self, model: pin.Model, locked: Collection[str]) -> dict[int, int]:
-        """Return the frames of a model without these joints that some of those move on a body.
+        """Return the frames of the reduced model that locked joints move on a body.
 
-        As {frame of the model: that of the raw one}; what has two of a kind and a name is found in
-        order.
+        Args:
+            model: Reduced model.
+            locked: Names of locked joints.
+        Returns:
+            {frame of the reduced model: frame of the raw model}.  Frames that share name and type
+            are matched in order.
         """
         moved = {i for i, place in self.carried({}).items() if place.twists.keys() & set(locked)}
         raw: dict[tuple[str, pin.FrameType], list[int]] = {}
         for k, frame in enumerate(self.raw.frames):
             raw.setdefault((str(frame.name), frame.type), []).append(k)
-        found = {}
+        matches = {}
         for k, frame in enumerate(model.frames):
-            known = raw.get((str(frame.name), frame.type), [])
-            if known and self.raw.frames[here := known.pop(0)].parentJoint in moved:
-                found[k] = here
-        return found
-
-
-def _hat(twist: Array) -> Array:
-    v, w = twist[:3], twist[3:]
-    return np.vstack([np.hstack([pin.skew(w), v[:, None]]), np.zeros((1, 4))])
-
-
-def _pseudo_inertia(body: pin.Inertia) -> Array:
-    about = body.inertia
-    c, m = np.asarray(body.lever), float(body.mass)
-    J = np.zeros((4, 4))
-    J[:3, :3] = 0.5 * np.trace(about) * np.eye(3) - about + m * np.outer(c, c)
-    J[:3, 3] = J[3, :3] = m * c
-    J[3, 3] = m
-    return J
+            candidates = raw.get((str(frame.name), frame.type), [])
+            if candidates and self.raw.frames[first := candidates.pop(0)].parentJoint in moved:
+                matches[k] = first
+        return matches
 
 
 def moments_of(J: Array) -> Array:
-    """Return mass, first and second moments (10,) of a pseudo-inertia, or of a slope of one.
+    """Return mass, first and second moments (10,) of a pseudo-inertia (4, 4) or its derivative.
 
-    m, m c, then the inertia about the origin, xx, xy, xz, yy, yz, zz.
+    They are m, m c, then the inertia about the origin, xx, xy, xz, yy, yz, zz.
     """
     I = np.trace(J[:3, :3]) * np.eye(3) - J[:3, :3]
     return np.concatenate([[J[3, 3]], J[:3, 3], I[0], I[1, 1:], I[2, 2:]])

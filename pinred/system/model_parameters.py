@@ -1,4 +1,4 @@
-"""Numbers of a robot by name as parameters: inertias, placements, locked joints, gravity."""
+"""Robot parameters by name: inertias, placements, values of locked joints, and gravity."""
 
 from __future__ import annotations
 
@@ -19,29 +19,26 @@ from .joint_parameters import PLACED, Joints, joint_parameter
 from .system import System
 from .variants import in_gravity, nominal, with_numbers
 
-# Gravity in the world frame [m/s²], or its strength along the direction that it has.
+# Sizes of gravity in the world frame [m/s²], and of its strength along its nominal direction.
 GRAVITY = {"gravity": 3, "gravity.strength": 1}
-# What says a part of what another kind of parameter says.
-_PARTS = {"translation": "placement"} | {
+# Kinds that another kind includes.
+_INCLUDED_IN = {"translation": "placement"} | {
     kind: "log_cholesky" for kind in BODY_SIZES if kind != "log_cholesky"
 }
-_HUGE = 1e100  # kg, kg m², m, m/s²
+_HUGE = 1e100  # kg, kg m², m, m/s²; products of larger numbers overflow
 _NONE: Mapping[str, Array] = MappingProxyType({})
-INERTIAL = ("mass", "com", "inertia")  # the kinds of a whole body, of which "all" is made
+_INERTIAL = ("mass", "com", "inertia")  # kinds that "all" includes for every body
 
 
 def size_of(system: System, name: str) -> int | None:
-    """Return how many numbers a parameter of a robot has; None if the name is of none.
+    """Return the number of values of a robot parameter; None if the name has another form.
 
-    Raises InputError for bodies and joints that are not there.
+    Raises InputError for unknown bodies and joints.
     """
     if isinstance(name, str) and name in GRAVITY:
         return GRAVITY[name]
-    body = body_parameter(system, name)
-    if body is not None:
-        return body.size
-    joint = joint_parameter(system, name)
-    return None if joint is None else joint.size
+    parameter = body_parameter(system, name) or joint_parameter(system, name)
+    return None if parameter is None else parameter.size
 
 
 def plain_value(value: Array) -> float | Array:
@@ -50,15 +47,18 @@ def plain_value(value: Array) -> float | Array:
 
 
 def kinds_near(system: System, name: object, known: Sequence[str] = ()) -> str:
-    """Return words on what may vary of a robot, the nearest name to a wrong one first.
+    """Return words on the parameters of a robot, with the nearest name to a wrong one first.
 
-    known: other names that there are.
+    Args:
+        system: Robot.
+        name: Wrong name.
+        known: Further names that are valid.
     """
-    words = [f"{body}.{kind}" for body in body_names(system) for kind in BODY_SIZES]
-    words += [f"{joint}.{kind}" for joint in list(system.model.names)[2:] for kind in PLACED]
+    names = [f"{body}.{kind}" for body in body_names(system) for kind in BODY_SIZES]
+    names += [f"{joint}.{kind}" for joint in list(system.model.names)[2:] for kind in PLACED]
     locked = system.contents.locked
-    words += [] if locked is None else [f"{joint}.lock" for joint in locked.names]
-    hint = nearest(str(name), [*known, *GRAVITY, *words]) if isinstance(name, str) else ""
+    names += [] if locked is None else [f"{joint}.lock" for joint in locked.names]
+    hint = nearest(str(name), [*known, *GRAVITY, *names]) if isinstance(name, str) else ""
     return (
         f"{hint}of the robot these may vary: {', '.join(f'LINK.{kind}' for kind in BODY_SIZES)}, "
         f"{', '.join(f'JOINT.{kind}' for kind in (*PLACED, 'lock'))}, {', '.join(GRAVITY)}"
@@ -66,29 +66,30 @@ def kinds_near(system: System, name: object, known: Sequence[str] = ()) -> str:
 
 
 def joined(already: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return parameters, of which those that are given win, and stand for all they say."""
-    out = {**already, **given}
+    """Return both parameters, without earlier ones that given ones replace or include."""
+    values = {**already, **given}
     for name in already.keys() - given.keys():
         if any(
-            name.endswith(f".{part}") and name.removesuffix(part) + whole in given
-            for part, whole in _PARTS.items()
+            name.endswith(f".{kind}") and name.removesuffix(kind) + larger in given
+            for kind, larger in _INCLUDED_IN.items()
         ) or (name in GRAVITY and "gravity" in given):
-            del out[name]
-    return out
+            del values[name]
+    return values
 
 
 def with_parameters(system: System, parameters: Any) -> System:
-    """Return the system with other numbers; those that it has already stay where none are given.
+    """Return the system with other parameters, and its present ones where none are given.
 
-    Raises InputError for names that the robot does not have, and values that no real one has.
+    Raises:
+        InputError: A name is unknown, or no real robot has these values.
     """
     if not isinstance(parameters, Mapping):
         raise InputError(f"parameters must be {{name: value}}, got {brief(parameters)}")
-    own, values = nominal(system), joined(system.parameters, parameters)
-    varied = ModelParameters(own, list(values))
+    base, values = nominal(system), joined(system.parameters, parameters)
+    varied = ModelParameters(base, list(values))
     for name in values:
         if name not in varied.names:
-            raise InputError(f"parameters: there is no {brief(name)}; {kinds_near(own, name)}")
+            raise InputError(f"parameters: there is no {brief(name)}; {kinds_near(base, name)}")
     return varied.system(varied.checked(values))
 
 
@@ -96,15 +97,21 @@ def all_names(system: System) -> list[str]:
     """Return the names of masses, centres and moments of all bodies, and of all placements."""
     names = [str(name) for name in system.model.names]
     bodies = [i for i in range(1, len(names)) if system.model.inertias[i].mass > 0.0]
-    found = [f"{names[i]}.{kind}" for i in bodies for kind in INERTIAL]
-    return [*found, *(f"{name}.placement" for name in names[2:])]
+    inertial = [f"{names[i]}.{kind}" for i in bodies for kind in _INERTIAL]
+    return [*inertial, *(f"{name}.placement" for name in names[2:])]
 
 
 def requested(system: System, parameters: Any) -> tuple[dict[str, Any], list[str]]:
-    """Return parameters with values, and names of others that are inputs at their own values.
+    """Return parameters with values, and names of parameters that are not the robot's.
 
-    parameters: {name: value}, a list of names, which is for the robot's own values, or "all", its
-    inertias and placements.  Raises InputError for others.
+    Args:
+        system: Robot.
+        parameters: {name: value}; or a list of names, which take the robot's values; or "all" for
+            its inertias and placements.
+    Returns:
+        {name: value}, and the remaining names, which are inputs at their present values.
+    Raises:
+        InputError: The parameters have another form.
     """
     if isinstance(parameters, Mapping):
         return dict(parameters), []
@@ -114,37 +121,44 @@ def requested(system: System, parameters: Any) -> tuple[dict[str, Any], list[str
             "parameters must be {name: value}, a list of names, or 'all' for the robot's inertias "
             f"and placements, got {brief(parameters)}"
         )
-    mine = [name for name in names if size_of(system, name) is not None]
-    own = ModelParameters(system, mine).own()
-    values = {name: own[name] if own[name].size > 1 else float(own[name][0]) for name in mine}
-    return values, [name for name in names if name not in mine]
+    robot_names = [name for name in names if size_of(system, name) is not None]
+    present = ModelParameters(system, robot_names).own()
+    values = {
+        name: present[name] if present[name].size > 1 else float(present[name][0])
+        for name in robot_names
+    }
+    return values, [name for name in names if name not in robot_names]
 
 
 class ModelParameters:
-    """The numbers of a robot as functions of parameters.
+    """A robot as a function of its parameters.
 
-    names: of the parameters, in their order.  free: indices of the bodies, 0 for the root, whose
-    inertias vary.  placed: of those whose joints' placements do; turned: of these, those whose
-    axes turn.  links: frames of links whose places on their bodies vary: behind locked joints.
-    gravity: whether that varies.
+    Attributes:
+        names: Names of the parameters.
+        sizes: Number of values by name.
+        free: Indices of the bodies, 0 for the root, whose inertias vary.
+        placed: Bodies whose joints' placements vary.
+        turned: Bodies among `placed` whose joint axes rotate.
+        links: Frames of links, behind locked joints, whose placements on their bodies vary.
+        gravity: Whether gravity varies.
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
-        """Find the parameters.  Raises InputError for those that say the same thing twice."""
+        """Find the parameters.  Raises InputError if two of them describe the same property."""
         self._system = system
         self._bodies, self._joints = Bodies(system, names), Joints(system, names)
         self._gravity = [name for name in names if isinstance(name, str) and name in GRAVITY]
         if len(self._gravity) > 1:
             raise InputError("parameters: give gravity or gravity.strength, not both")
         self.gravity = bool(self._gravity)
-        for each in self._bodies.parameters:
-            if each.body in self._joints.free:
+        for parameter in self._bodies.parameters:
+            if parameter.body in self._joints.free:
                 raise InputError(
-                    f"parameters: '{each.name}' is of a body that has a locked joint on it, whose "
-                    "value varies; leave out one of them"
+                    f"parameters: '{parameter.name}' is of a body that has a locked joint on it, "
+                    "whose value varies; leave out one of them"
                 )
-        self.sizes = {each.name: each.size for each in self._bodies.parameters}
-        self.sizes |= {each.name: each.size for each in self._joints.parameters}
+        self.sizes = {entry.name: entry.size for entry in self._bodies.parameters}
+        self.sizes |= {entry.name: entry.size for entry in self._joints.parameters}
         self.sizes |= {name: GRAVITY[name] for name in self._gravity}
         self.names = tuple(self.sizes)
         self.free = tuple(sorted({*self._bodies.free, *self._joints.free}))
@@ -152,29 +166,38 @@ class ModelParameters:
         self.links = self._joints.links
 
     def own(self) -> dict[str, Array]:
-        """Return the values that the system has, {name: (size,)}."""
-        out = self._bodies.own() | self._joints.own()
+        """Return the values of the system, {name: (size,)}."""
+        values = self._bodies.own() | self._joints.own()
         if self._gravity:
             g = self._system.gravity
-            whole = self._gravity == ["gravity"]
-            out[self._gravity[0]] = g if whole else np.array([float(np.linalg.norm(g))])
-        return out
+            is_vector = self._gravity == ["gravity"]
+            values[self._gravity[0]] = g if is_vector else np.array([float(np.linalg.norm(g))])
+        return values
 
     def checked(
         self, given: Mapping[str, Any], known: Mapping[str, Array] = _NONE
     ) -> dict[str, Array]:
-        """Return values as arrays that nobody changes.  Raises InputError for unphysical ones.
+        """Return validated, read-only values of all parameters.
 
-        known: values that were checked before, of what is not given.
+        Args:
+            given: Values by name.
+            known: Values of the other parameters, which were validated before.
+        Returns:
+            {name: (size,)}.
+        Raises:
+            InputError: No real robot has these values.
         """
-        out = self._bodies.checked(given, known) | self._joints.checked(given)
-        for name in self._gravity:
-            if name in given:
-                out[name] = read_only(numbers(given[name], name, GRAVITY[name]))
-        for name, value in out.items():
+        values = {
+            name: read_only(numbers(given[name], name, size))
+            for name, size in self.sizes.items()
+            if name in given
+        }
+        for body in self._bodies.changed_by(given):
+            self._bodies.dynamic(body, {**known, **values})
+        for name, value in values.items():
             if np.abs(value).max() > _HUGE:
                 raise InputError(
-                    f"parameters: '{name}' is above {_HUGE:g}, of which products overflow; take "
+                    f"parameters: '{name}' is above {_HUGE:g}, so that products overflow; use "
                     "other units"
                 )
         if self._gravity == ["gravity.strength"] and not self._system.gravity.any():
@@ -182,42 +205,48 @@ class ModelParameters:
                 f"parameters: '{self._system.name}' has no gravity, and so no direction of it for "
                 "'gravity.strength'; give 'gravity'"
             )
-        return {name: out[name] if name in out else known[name] for name in self.names}
+        return {name: values[name] if name in values else known[name] for name in self.names}
 
     def inertias(
         self, values: Mapping[str, Array], changed: Collection[str] | None = None
     ) -> dict[int, tuple[Array, dict[str, Array]]]:
-        """Return of each free body its moments (10,), and their slopes (10, size) by each value.
+        """Return the moments (10,) of free bodies, and derivatives (10, size) per parameter.
 
-        About its joint's origin: m, m c, then xx, xy, xz, yy, yz, zz.
-        changed: only of the bodies that these parameters change.
+        Moments are about the joint's origin: m, m c, then xx, xy, xz, yy, yz, zz.
+
+        Args:
+            values: Values of all parameters, {name: (size,)}.
+            changed: Parameters whose bodies are returned; None for all.
         """
         names = self.sizes if changed is None else changed
-        found = {i: self._bodies.dynamic(i, values) for i in self._bodies.changed_by(names)}
+        bodies = {i: self._bodies.dynamic(i, values) for i in self._bodies.changed_by(names)}
         for i, moments, slopes in self._joints.inertias(values, names):
-            found[i] = moments, slopes
-        return dict(sorted(found.items()))
+            bodies[i] = moments, slopes
+        return dict(sorted(bodies.items()))
 
     def placements(
         self, values: Mapping[str, Array], changed: Collection[str] | None = None
     ) -> dict[int, tuple[pin.SE3, dict[str, Array]]]:
-        """Return of each placed body its joint's placement, and twists (6, size) by each value.
+        """Return the joint placements of placed bodies, and twists (6, size) per parameter.
 
-        Twists are in the carrier's frame, taken at its origin.
-        changed: only of the bodies that these parameters place.
+        Twists are in the carrier's frame, at its origin.
+
+        Args:
+            values: Values of all parameters, {name: (size,)}.
+            changed: Parameters whose bodies are returned; None for all.
         """
         names = self.sizes if changed is None else changed
         return {i: (place, twists) for i, place, twists in self._joints.placements(values, names)}
 
     def places(self, values: Mapping[str, Array]) -> dict[int, tuple[pin.SE3, dict[str, Array]]]:
-        """Return of each of `links` its place on its body, and twists (6, size) by each value.
+        """Return the placements of `links` on their bodies, and twists (6, size) per parameter.
 
-        Twists are as those of `placements`.
+        Twists are in the body's frame, at its origin.
         """
         return self._joints.places(values)
 
     def gravity_of(self, values: Mapping[str, Array]) -> tuple[Array, Array]:
-        """Return gravity in the world frame, (3,), and its slopes, (3, size)."""
+        """Return gravity in the world frame, (3,), and its derivatives, (3, size)."""
         g = self._system.gravity
         if not self._gravity:
             return g, np.zeros((3, 0))
@@ -231,7 +260,7 @@ class ModelParameters:
         """Return the system with these values."""
         if not self.names:
             return self._system
-        inertias = {i + 1: inertia_of(found) for i, (found, _) in self.inertias(values).items()}
+        inertias = {i + 1: inertia_of(moments) for i, (moments, _) in self.inertias(values).items()}
         places = {i + 1: place for i, (place, _) in self.placements(values).items()}
         frames = {k: place for k, (place, _) in self.places(values).items()}
         other = with_numbers(self._system, inertias, places, frames)
@@ -241,10 +270,10 @@ class ModelParameters:
         return other
 
     def perturbed(self, rng: np.random.Generator) -> dict[str, Array]:
-        """Return values that have nothing in common with those of the system."""
-        out = self._bodies.perturbed(rng) | self._joints.perturbed(rng)
-        return out | {name: 1.3 * self.own()[name] for name in self._gravity}
+        """Return random values that differ from those of the system."""
+        values = self._bodies.perturbed(rng) | self._joints.perturbed(rng)
+        return values | {name: 1.3 * self.own()[name] for name in self._gravity}
 
     def gravity_name(self) -> str:
-        """Return the name under which gravity varies, or ""."""
+        """Return the name of the parameter that varies gravity, or ""."""
         return self._gravity[0] if self._gravity else ""

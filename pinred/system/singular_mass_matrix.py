@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 
 from ..common.arrays import Array
 from .coupling import Coupled
-from .joints import axes_of, is_prismatic
+from .joints import axes_of, is_prismatic, joint_configuration
 from .massless_motions import (
     EXACT,
     NEARLY,
@@ -354,10 +354,8 @@ class _Inertia:
         q: Array = np.array(pin.neutral(self._model))
         values = self._offset + self._P[:, self._lead :] @ y
         for joint in self._model.joints[2:]:
-            value = values[joint.idx_v]
-            q[joint.idx_q : joint.idx_q + joint.nq] = (
-                [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
-            )
+            entries = slice(joint.idx_q, joint.idx_q + joint.nq)
+            q[entries] = joint_configuration(joint, values[joint.idx_v])
         return q
 
 

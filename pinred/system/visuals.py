@@ -1,4 +1,4 @@
-"""Shapes to draw that come with a model, and the folders in which meshes are looked for."""
+"""Shapes to draw that are passed in with a model, and folders with meshes."""
 
 from __future__ import annotations
 
@@ -16,17 +16,24 @@ from ..common.plain_names import brief, quoted_path
 
 @dataclass(frozen=True, eq=False)
 class Visuals:
-    """Shapes, and the model on whose joints and frames they sit: neither is changed."""
+    """Shapes to draw.  Neither attribute is ever changed.
+
+    Attributes:
+        model: Model whose joints and frames carry the shapes.
+        geometry: Shapes.
+    """
 
     model: pin.Model
     geometry: pin.GeometryModel
 
 
 def with_visuals(source: object) -> Visuals | None:
-    """Return model and shapes of a pin.RobotWrapper or a pair (model, visual_model).
+    """Return copies of model and shapes of a pin.RobotWrapper or a pair (model, visual_model).
 
-    None for sources of another kind; copies otherwise.  Raises InputError for shapes that are
-    not on this model.
+    Returns:
+        Visuals, or None for other sources.
+    Raises:
+        InputError: The pair is not valid, or its shapes are not on this model.
     """
     if isinstance(source, pin.RobotWrapper):
         pair: Any = (source.model, source.visual_model)
@@ -40,26 +47,26 @@ def with_visuals(source: object) -> Visuals | None:
             f"({', '.join(type(entry).__name__ for entry in pair)})"
         )
     model, geometry = pair
-    if geometry is None:  # a RobotWrapper without shapes
+    if geometry is None:  # A RobotWrapper can have no shapes.
         geometry = pin.GeometryModel()
     if not isinstance(geometry, pin.GeometryModel):
         raise InputError(f"visual_model must be a pin.GeometryModel, got {type(geometry).__name__}")
     for entry in geometry.geometryObjects:
         if entry.parentJoint >= model.njoints:
             raise InputError(
-                f"visual_model: shape '{entry.name}' sits on joint {entry.parentJoint}, which "
-                f"model '{model.name}' does not have"
+                f"visual_model: shape '{entry.name}' is attached to joint {entry.parentJoint}, "
+                f"which model '{model.name}' does not have"
             )
     return Visuals(model.copy(), geometry.copy())
 
 
 def mesh_folders(meshes: Any) -> tuple[str, ...]:
-    """Return folders in which meshes are looked for, as absolute paths.
+    """Return the absolute paths of one or several folders with meshes.
 
-    meshes: a folder or several.  Raises InputError if one of them is not there.
+    Raises:
+        InputError: `meshes` is not valid, or a folder does not exist.
     """
-    given = (meshes,) if isinstance(meshes, (str, Path)) else meshes
-    entries = entries_of(given)
+    entries = entries_of((meshes,) if isinstance(meshes, (str, Path)) else meshes)
     if entries is None or not all(isinstance(entry, (str, Path)) for entry in entries):
         raise InputError(f"meshes must be a folder or a list of folders, got {brief(meshes)}")
     folders = [Path(folder) for folder in entries]

@@ -92,7 +92,7 @@ def test_a_file_says_what_python_says(tmp_path: Path) -> None:
         ("hand = 3", r"line 7: parameters.hand: there is no 'hand'; .* here are gain"),
         ("x = 3", r"parameters.x: must be a name"),
         ("k = [1, 2]", r"parameters.k: a number that formulas use must be one"),
-        ("back.log_cholesky = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]", r"says all of a body|whose value"),
+        ("back.log_cholesky = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]", r"sets all of a body|whose value"),
         ("gravity.strength = 2", r"not TOML"),
     ],
 )

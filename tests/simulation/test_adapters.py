@@ -1,4 +1,4 @@
-"""A flow in other people's languages: values and derivatives are the flow's own."""
+"""A flow as functions of vectors and of CasADi: values and derivatives are those of the flow."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from pinred.signals import Hold
 
 
 @pytest.mark.parametrize("times", [None, [0.1, 0.3]])
-def test_columns(times: Any) -> None:
-    """Values of poses are their coordinates; differences and both modes agree."""
+def test_columns_derivatives_agree_with_differences(times: Any) -> None:
+    """Poses are given by their coordinates; both modes agree with central differences."""
     columns = flow_of(times=times, rtol=1e-12).columns()
     jacobian = columns.jacobian(*AT)
     rng = np.random.default_rng(0)
@@ -31,18 +31,18 @@ def test_columns(times: Any) -> None:
     )
     np.testing.assert_allclose((high - low) / 2e-4, forward, atol=1e-5 * np.abs(forward).max())
     covector = rng.normal(size=columns.size)
-    for found, J in zip(columns.vjp(AT, covector), jacobian, strict=True):
-        np.testing.assert_allclose(found, covector @ J, atol=1e-11)
+    for derivative, J in zip(columns.vjp(AT, covector), jacobian, strict=True):
+        np.testing.assert_allclose(derivative, covector @ J, atol=1e-11)
 
 
-def test_many_columns() -> None:
-    """Many in lanes are each by itself; of a batch, rows of one stand for all."""
+def test_values_of_batch_agree_with_single_values() -> None:
+    """Batches in SIMD lanes agree with single runs, and inputs of length one are shared."""
     for options in ({}, {"times": [0.0, 0.1, 0.3]}, {"method": "AdaptiveGauss"}):
         columns = flow_of(rtol=1e-10, **options).columns()
-        found = columns.values(BATCH, AT[1][None], AT[2][None])
-        assert found.shape == (len(BATCH), columns.size)
-        for row, x in zip(found, BATCH, strict=True):
-            np.testing.assert_allclose(row, columns.value(x, *AT[1:]), rtol=1e-11, atol=1e-12)
+        outputs = columns.values(BATCH, AT[1][None], AT[2][None])
+        assert outputs.shape == (len(BATCH), columns.size)
+        for output, x in zip(outputs, BATCH, strict=True):
+            np.testing.assert_allclose(output, columns.value(x, *AT[1:]), rtol=1e-11, atol=1e-12)
     assert columns.values(BATCH[:0], AT[1][None], AT[2][None]).shape == (0, columns.size)
     with pytest.raises(ShapeError, match=r"equally many rows, or one, got \[2, 5\]"):
         columns.values(BATCH, np.ones((2, 1)), AT[2][None])
@@ -50,17 +50,17 @@ def test_many_columns() -> None:
         columns.values(AT[0], AT[1][None], AT[2][None])
 
 
-def test_many_columns_over_stops() -> None:
-    """Tables with breaks, whose pieces lie between stops."""
+def test_values_of_batch_agree_over_stops() -> None:
+    """Batches agree with single runs for tables with breaks."""
     hold = Hold([0.0, 0.1, 0.2], [0.0, 1.0, -1.0])
     columns = flow_of(forces=[Torque({"bend": hold})], wrt=["x0"], times=[0.05, 0.3]).columns()
-    found = columns.values(BATCH)
-    for row, x in zip(found, BATCH, strict=True):
-        np.testing.assert_allclose(row, columns.value(x), rtol=1e-9, atol=1e-10)
+    outputs = columns.values(BATCH)
+    for output, x in zip(outputs, BATCH, strict=True):
+        np.testing.assert_allclose(output, columns.value(x), rtol=1e-9, atol=1e-10)
 
 
-def test_a_member_that_fails() -> None:
-    """It is named, with time and reason."""
+def test_failing_member_is_named() -> None:
+    """The message states the member, the time and the reason."""
     columns = flow_of(wrt=["xdot0"], method="Gauss(0.1)").columns()
     rates = np.zeros((3, 3))
     rates[1] = 1e5
@@ -68,24 +68,22 @@ def test_a_member_that_fails() -> None:
         columns.values(rates)
 
 
-def test_directions_and_covectors_together() -> None:
-    """Rows of directions and covectors give the rows of each."""
+def test_batches_of_directions_and_covectors() -> None:
+    """Batches of directions and covectors give the same as single ones."""
     columns = flow_of().columns()
     rng = np.random.default_rng(0)
     along = [rng.normal(size=(11, size)) for size in columns.sizes]
     for row, found in enumerate(columns.jvp(AT, along)):
-        one = columns.jvp(AT, [each[row] for each in along])
+        one = columns.jvp(AT, [direction[row] for direction in along])
         np.testing.assert_allclose(found, one, atol=1e-13)
     covectors = rng.normal(size=(3, columns.size))
-    for found, name_of in zip(columns.vjp(AT, covectors), range(3), strict=True):
+    for found, k in zip(columns.vjp(AT, covectors), range(3), strict=True):
         for row in range(3):
-            np.testing.assert_allclose(
-                found[row], columns.vjp(AT, covectors[row])[name_of], atol=1e-13
-            )
+            np.testing.assert_allclose(found[row], columns.vjp(AT, covectors[row])[k], atol=1e-13)
 
 
-def test_casadi_both_ways() -> None:
-    """Derivatives along directions and back, several at once, without the Jacobian."""
+def test_casadi_forward_and_reverse() -> None:
+    """Several directions and covectors at once agree with the Jacobian."""
     flow = flow_of()
     callback, columns = flow.casadi(), flow.columns()
     J = np.hstack(columns.jacobian(*AT))
@@ -95,12 +93,12 @@ def test_casadi_both_ways() -> None:
     seeds = [rng.normal(size=(size, 2)) for size in columns.sizes]
     np.testing.assert_allclose(np.array(forward(*AT, y, *seeds)), J @ np.vstack(seeds), atol=1e-12)
     covectors = rng.normal(size=(columns.size, 3))
-    found = np.vstack([np.array(each) for each in reverse(*AT, y, covectors)])
-    np.testing.assert_allclose(found, J.T @ covectors, atol=1e-12)
+    result = np.vstack([np.array(part) for part in reverse(*AT, y, covectors)])
+    np.testing.assert_allclose(result, J.T @ covectors, atol=1e-12)
 
 
-def test_casadi_gradient_goes_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The gradient of a scalar costs one vjp, and no Jacobian."""
+def test_casadi_gradient_uses_vjp(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The gradient of a scalar needs no Jacobian."""
     flow = flow_of()
     callback = flow.casadi()
     x = ca.MX.sym("x", 3)
@@ -113,38 +111,38 @@ def test_casadi_gradient_goes_back(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not calls
 
 
-def test_casadi() -> None:
-    """A Callback gives the flow and its Jacobian, also to what CasADi makes of it."""
+def test_casadi_callback_agrees_with_flow() -> None:
+    """A Callback gives the flow and its Jacobian, also inside other Functions."""
     flow = flow_of()
     callback, columns = flow.casadi(), flow.columns()
     symbols = [ca.MX.sym(name, size) for name, size in zip("abc", columns.sizes, strict=True)]
     out = callback(*symbols)
-    whole = ca.Function("whole", symbols, [out, ca.jacobian(out, ca.vertcat(*symbols))])
-    value, slopes = whole(*AT)
+    function = ca.Function("whole", symbols, [out, ca.jacobian(out, ca.vertcat(*symbols))])
+    value, slopes = function(*AT)
     np.testing.assert_array_equal(np.array(value)[:, 0], columns.value(*AT))
     np.testing.assert_allclose(np.array(slopes), np.hstack(columns.jacobian(*AT)), atol=1e-14)
 
 
 @pytest.mark.slow
-def test_ipopt_finds_the_kick() -> None:
-    """IPOPT finds the torque that brings a joint where it is wanted."""
+def test_ipopt_recovers_torque() -> None:
+    """IPOPT recovers the torque that moves a joint to a requested position."""
     flow = flow_of(wrt=["kick"], of=["x"], rtol=1e-10)
-    callback, kick = flow.casadi(), ca.MX.sym("kick")
-    end = callback(kick)
-    wanted = flow.columns().value(0.77)
+    callback, torque = flow.casadi(), ca.MX.sym("kick")
+    end = callback(torque)
+    requested = flow.columns().value(0.77)
     options: Any = {
         "ipopt.print_level": 0,
         "print_time": False,
         "ipopt.hessian_approximation": "limited-memory",
     }
-    problem: Any = {"x": kick, "f": ca.sumsqr(end - wanted)}
+    problem: Any = {"x": torque, "f": ca.sumsqr(end - requested)}
     solver = ca.nlpsol("solver", "ipopt", problem, options)
-    found = solver(x0=0.1)
-    assert float(found["x"]) == pytest.approx(0.77, abs=1e-4)
+    solution = solver(x0=0.1)
+    assert float(solution["x"]) == pytest.approx(0.77, abs=1e-4)
 
 
-def test_refusals() -> None:
-    """What is no function between vectors is refused, and so are packages that are not there."""
+def test_invalid_columns_are_rejected() -> None:
+    """Poses, missing inputs and missing packages are rejected."""
     with pytest.raises(InputError, match="pose0 is an element of a group"):
         flow_of(wrt=["pose0"]).columns()
     with pytest.raises(InputError, match="no inputs with derivatives"):

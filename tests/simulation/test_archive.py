@@ -1,4 +1,4 @@
-"""Archives of arrays: sizes are read first, and what is no array is refused by name."""
+"""Archives of arrays: sizes are checked first, and other contents are rejected by name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pinred.simulation.recording import read_recording
 
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
-    """A recording of a short motion."""
+    """Return the file of a short motion."""
     path = tmp_path / "traj.npz"
     pinred.simulate(pinred.load("falling_cat"), duration=0.1, times=[0.0, 0.1]).save(path)
     return path
@@ -29,8 +29,8 @@ def _with(saved: Path, **changed: object) -> Path:
 
 
 @pytest.mark.slow
-def test_a_bomb_is_not_unpacked(tmp_path: Path) -> None:
-    """4 GB of zeros in 4 MB are refused by the sizes that the archive tells."""
+def test_archive_bomb_is_not_unpacked(tmp_path: Path) -> None:
+    """4 GB of zeros in 4 MB are rejected by the sizes that the archive states."""
     path, block = tmp_path / "bomb.npz", bytes(10_000_000)
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file,
@@ -45,8 +45,8 @@ def test_a_bomb_is_not_unpacked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("length", [10**12, 10**400, -1])
-def test_a_header_that_lies(length: int, tmp_path: Path) -> None:
-    """An array of which a header says that it is larger than the file holds is not made."""
+def test_header_with_wrong_size_is_rejected(length: int, tmp_path: Path) -> None:
+    """An array larger than its file is not allocated."""
     path, header = tmp_path / "lie.npz", io.BytesIO()
     about = {"descr": "<f8", "fortran_order": False, "shape": (length,)}
     np.lib.format.write_array_header_1_0(header, about)
@@ -56,8 +56,8 @@ def test_a_header_that_lies(length: int, tmp_path: Path) -> None:
         archive.read_arrays(path)
 
 
-def test_a_member_that_is_no_array(saved: Path) -> None:
-    """It is named."""
+def test_member_that_is_no_array_is_named(saved: Path) -> None:
+    """The message names a member that is not an array."""
     with zipfile.ZipFile(saved, "a") as file:
         file.writestr("energy", b"no array")
     with pytest.raises(pinred.LoadError, match="'energy' is none"):
@@ -65,16 +65,16 @@ def test_a_member_that_is_no_array(saved: Path) -> None:
 
 
 @pytest.mark.parametrize("source", ["/proc/kmsg", "/dev/zero", "/etc/passwd", "../a.urdf"])
-def test_files_elsewhere_are_not_opened(source: str, saved: Path) -> None:
-    """A recording from somebody else opens nothing on this machine, and nothing that hangs."""
+def test_recording_opens_no_other_files(source: str, saved: Path) -> None:
+    """The robot of a recording cannot be a device or a file in another folder."""
     with pytest.raises(pinred.LoadError, match="not in its own folder; if that is so, name it"):
         _ = read_recording(_with(saved, source=np.array(source))).system
     with pytest.raises(pinred.LoadError, match="cannot be loaded"):
         read_recording(saved, robot=source)
 
 
-def test_files_beside_are_opened(saved: Path) -> None:
-    """The robot in the recording's own folder is taken, and one that the user names."""
+def test_recording_loads_robot_from_its_folder(saved: Path) -> None:
+    """A robot in the folder of the recording is loaded, and one that the user names."""
     (path,) = Path(pinred.__file__).parent.parent.glob("robots/falling_cat.urdf")
     beside = saved.parent / "cat.urdf"
     beside.write_bytes(path.read_bytes())

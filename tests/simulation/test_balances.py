@@ -1,4 +1,4 @@
-"""Balances of energy and momentum against quadratures and closed forms of their own."""
+"""Balances of energy and momentum against quadratures and closed forms."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ G = np.array([0.5, 0.0, -3.0])  # of tree("SE3", …)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_impulse_of_gravity(engine: Engine) -> None:
-    """In free fall m g t, and about the origin ∫ c × m g with c on its parabola."""
+def test_impulse_of_gravity_agrees_with_free_fall(engine: Engine) -> None:
+    """It is m g t, and ∫ c × m g dt about the origin, with c on its parabola."""
     system = tree("SE3", 2, 4)
     traj = pinred.simulate(system, seed=1, duration=1.5, engine=engine)
     model, data, t = system.model, system.model.createData(), traj.t[:, None]
@@ -42,8 +42,8 @@ def test_impulse_of_gravity(engine: Engine) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_work_of_each(engine: Engine) -> None:
-    """Each label's work is ∫ τ·ẋ dt, or ∫ f·ξ dt, by Simpson's rule on the trajectory."""
+def test_work_of_each_force_agrees_with_simpson(engine: Engine) -> None:
+    """The work of each label is ∫ τ·ẋ dt or ∫ f·ξ dt, by Simpson's rule on the trajectory."""
     system = tree("SE3", 3, 6)
     a, b, c = system.shape_names
     push = np.array([0.4, 0.0, -0.3, 0.1, 0.2, 0.0])
@@ -66,7 +66,7 @@ def test_work_of_each(engine: Engine) -> None:
     robot = np.where(t < 0.75, 0.1 * (x - x[0]), 0.1 * (at[0.75] - x[0]) - 0.3 * (x - at[0.75]))
     for k, work in ((1, table), (2, robot)):
         np.testing.assert_allclose(balance.work[:, k], work, atol=1e-8)
-    # The others by Simpson's rule, as long as nothing jumps.
+    # Other forces by Simpson's rule, until the first jump.
     powers = {
         0: -0.3 * traj.xdot[:, 0] ** 2,
         3: traj.xi @ push,
@@ -76,7 +76,7 @@ def test_work_of_each(engine: Engine) -> None:
         work = cumulative_simpson(power, x=t, initial=0.0)
         np.testing.assert_allclose(balance.work[:98:2, k], work[:98:2], atol=1e-8)
     np.testing.assert_allclose(balance.residual, 0.0, atol=1e-8)
-    # The energy is Pinocchio's, and the spring's.
+    # The energy is Pinocchio's plus that of the spring.
     bare = system.model.copy()
     armature, bare.armature = np.array(bare.armature), np.zeros(bare.nv)
     data = bare.createData()
@@ -91,8 +91,8 @@ def test_work_of_each(engine: Engine) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_impulse_of_a_wrench(engine: Engine) -> None:
-    """On a tumbling body: ∫ R F dt and ∫ (p × R F + R N) dt by Simpson's rule."""
+def test_impulse_of_wrench_agrees_with_simpson(engine: Engine) -> None:
+    """On a tumbling body it is ∫ R F dt and ∫ (p × R F + R N) dt."""
     system = pinred.load("rigid_body", group="SE3", gravity=(0.0, 0.0, 0.0))
     push = np.array([0.4, -0.1, -0.3, 0.1, 0.2, 0.3])
     traj = pinred.simulate(
@@ -101,60 +101,60 @@ def test_impulse_of_a_wrench(engine: Engine) -> None:
     )  # fmt: skip
     R = np.array([pin.Quaternion(g[3:]).matrix() for g in traj.pose])
     F, N = R @ push[:3], R @ push[3:]
-    given = np.hstack([F, np.cross(traj.pose[:, :3], F) + N])
-    expected = cumulative_simpson(given, x=traj.t, axis=0, initial=0.0)[::2]
+    wrench = np.hstack([F, np.cross(traj.pose[:, :3], F) + N])
+    expected = cumulative_simpson(wrench, x=traj.t, axis=0, initial=0.0)[::2]
     np.testing.assert_allclose(traj.momentum_balance.impulse[::2], expected, atol=1e-8)
     np.testing.assert_allclose(traj.momentum_balance.residual, 0.0, atol=1e-8)
 
 
-def test_times_that_start_late() -> None:
-    """A balance is since the start of the motion, whatever times are asked for."""
+def test_balance_starts_with_the_motion() -> None:
+    """Work counts from the start of the motion, not from the first report."""
     system = pinred.load("elroys_beanie")
     damper = [Damper("beanie", 0.5)]
-    whole = pinred.simulate(system, duration=2.0, forces=damper, times=[0.0, 1.0, 2.0])
+    full = pinred.simulate(system, duration=2.0, forces=damper, times=[0.0, 1.0, 2.0])
     late = pinred.simulate(system, duration=2.0, forces=damper, times=[1.0, 2.0])
-    np.testing.assert_allclose(late.energy_balance.work, whole.energy_balance.work[1:], rtol=1e-9)
+    np.testing.assert_allclose(late.energy_balance.work, full.energy_balance.work[1:], rtol=1e-9)
     np.testing.assert_allclose(late.energy_balance.residual, 0.0, atol=1e-9)
 
 
-def test_residuals_are_what_does_not_add_up() -> None:
-    """Of energies and momenta that nobody gave, from the first time on."""
+def test_residuals_are_unexplained_changes() -> None:
+    """The residual is the change of energy or momentum minus work or impulse."""
     t = np.array([0.0, 1.0])
     work = np.array([[0.5, 0.25], [1.5, 3.25]])
     energy = EnergyBalance(t, np.array([2.0, 6.5]), ("a", "b"), work)
     assert energy.residual.tolist() == [0.0, 0.5]
     momentum, impulse = np.array([[1.0, 2.0], [4.0, 8.0]]), np.array([[0.5, 0.0], [2.5, 5.0]])
-    found = MomentumBalance(t, momentum, impulse)
-    assert found.residual.tolist() == [[0.0, 0.0], [1.0, 1.0]]
-    for values in (energy.work, energy.energy, found.momentum, found.impulse):
+    momenta = MomentumBalance(t, momentum, impulse)
+    assert momenta.residual.tolist() == [[0.0, 0.0], [1.0, 1.0]]
+    for values in (energy.work, energy.energy, momenta.momentum, momenta.impulse):
         assert not values.flags.writeable
 
 
 @pytest.mark.parametrize("last", [0.0, 0.2, 0.3, 1.7, 2.5])
-def test_integrals_over_steps(last: float) -> None:
-    """Of polynomials of degree 7 that jump at every knot: exact at all times, in what is needed."""
-    knots, seen = np.array([0.0, 0.3, 1.0, 2.5]), []
+def test_integral_of_piecewise_polynomials_is_exact(last: float) -> None:
+    """Polynomials that jump at step ends are integrated exactly, and only as far as needed."""
+    step_ends, evaluated = np.array([0.0, 0.3, 1.0, 2.5]), []
     rng = np.random.default_rng(0)
-    pieces = [[np.polynomial.Polynomial(rng.normal(size=8)) for _ in range(2)] for _ in range(3)]
+    segments = [[np.polynomial.Polynomial(rng.normal(size=8)) for _ in range(2)] for _ in range(3)]
 
     class Steps:
         """A motion of three steps."""
 
     def integrand(t: Array) -> Array:
-        seen.append(t)
-        step = np.searchsorted(knots, t) - 1
-        return np.array([[p(s) for p in pieces[k]] for s, k in zip(t, step, strict=True)])
+        evaluated.append(t)
+        step = np.searchsorted(step_ends, t) - 1
+        return np.array([[p(s) for p in segments[k]] for s, k in zip(t, step, strict=True)])
 
     motion: Any = Steps()
-    motion.knots = knots
+    motion.knots = step_ends
     times = np.array([s for s in (0.0, 0.1, 0.3, 0.7, 1.0, 1.7, 2.5) if s <= last])
     times = np.unique(np.append(times, last))
-    found = _integral(motion, times, integrand)
-    for time, row in zip(times, found, strict=True):
-        whole = np.zeros(2)
-        for k, (first, end) in enumerate(pairwise(knots)):
+    integrals = _integral(motion, times, integrand)
+    for time, integral in zip(times, integrals, strict=True):
+        expected = np.zeros(2)
+        for k, (first, end) in enumerate(pairwise(step_ends)):
             until = min(max(time, first), end)
-            whole += [p.integ()(until) - p.integ()(first) for p in pieces[k]]
-        assert row == pytest.approx(whole, rel=1e-12, abs=1e-12)
-    needed = knots[max(1, int(np.searchsorted(knots, last)))]
-    assert np.concatenate(seen).max() < needed
+            expected += [p.integ()(until) - p.integ()(first) for p in segments[k]]
+        assert integral == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    needed = step_ends[max(1, int(np.searchsorted(step_ends, last)))]
+    assert np.concatenate(evaluated).max() < needed

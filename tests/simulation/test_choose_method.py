@@ -1,4 +1,4 @@
-"""Which integrator a scene gets by itself: the rules, and that what it gets is right."""
+"""The choice of an integrator: its rules, and that the chosen integrator is accurate."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from pinred.simulation.stiffness import rates_near_rest
 
 
 def scene(system: pinred.System, **options: Any) -> pinred.Scene:
-    """A scene with one report, at its end."""
-    given: dict[str, Any] = {"times": [1.0], "seed": 1} | options
-    return pinred.Scene(system=system, **given)
+    """Return a scene with one report, at its end."""
+    settings: dict[str, Any] = {"times": [1.0], "seed": 1} | options
+    return pinred.Scene(system=system, **settings)
 
 
-def test_what_is_asked_for_is_taken() -> None:
-    """A method is a method."""
+def test_stated_method_is_used() -> None:
+    """A method in the scene is not replaced."""
     system = pinred.load("falling_cat")
     for method in (Gauss(0.1), DOP853(1e-5, 1e-7)):
         assert plan_of(scene(system, method=method)).choice.method is method
 
 
-def test_a_chain_gets_lanes_over_stages() -> None:
-    """Where no limbs are lanes, eight stages at once pay off; with the scene's tolerance."""
+def test_chain_gets_adaptive_gauss() -> None:
+    """Without identical branches eight stages in SIMD lanes are faster."""
     for name in ("planar_chain5", "falling_cat"):
-        found = plan_of(scene(pinred.load(name), rtol=1e-9, atol=1e-11)).choice
-        assert found.method == AdaptiveGauss(1e-10, 1e-12)
-        assert "evaluations a sweep" in found.why
+        choice = plan_of(scene(pinred.load(name), rtol=1e-9, atol=1e-11)).choice
+        assert choice.method == AdaptiveGauss(1e-10, 1e-12)
+        assert "evaluations a sweep" in choice.why
 
 
-def test_limbs_of_one_build_keep_the_lanes() -> None:
-    """Four legs fill the lanes already; two arms leave room at tight tolerances."""
+def test_identical_branches_get_dop853() -> None:
+    """Four legs fill the SIMD lanes; two arms leave some, which pay off at tight tolerances."""
     four = pinred.load(limbed_model("SE3", 4, 3, 1))
     two = pinred.load(limbed_model("SE3", 2, 3, 1))
     assert isinstance(plan_of(scene(four, rtol=1e-10)).choice.method, DOP853)
@@ -50,8 +50,8 @@ def test_limbs_of_one_build_keep_the_lanes() -> None:
     assert isinstance(plan_of(scene(two, rtol=1e-12)).choice.method, AdaptiveGauss)
 
 
-def test_reports_and_pieces_ask_for_short_steps() -> None:
-    """With many reports, tables or controllers, DOP853 has less to do again."""
+def test_reports_and_stops_get_dop853() -> None:
+    """DOP853 repeats less work with many reports, tables or controllers."""
     system = pinred.load("falling_cat")
     joint = system.shape_names[0]
     many = scene(system, times=np.linspace(0.0, 1.0, 50))
@@ -64,13 +64,13 @@ def test_reports_and_pieces_ask_for_short_steps() -> None:
         Torque({joint: Hold([0.0, 0.5, 1.0], [0.0, 1.0, 0.0])}),
     ]
     for force in stops:
-        assert "in pieces" in plan_of(scene(system, forces=[force])).choice.why
+        assert "in segments" in plan_of(scene(system, forces=[force])).choice.why
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("damping", [1.0, 300.0])
 def test_stiff_forces_get_radau(damping: float) -> None:
-    """Where stability alone would make steps short; the motion is ABA's all the same."""
+    """Radau is chosen if stability limits the steps; its motion agrees with DOP853 and ABA."""
     cat = pinred.load("falling_cat")
     joint = cat.shape_names[0]
     forces = [Spring(joint, 5 * damping), Damper(joint, damping)]
@@ -87,48 +87,48 @@ def test_stiff_forces_get_radau(damping: float) -> None:
     assert not isinstance(plan_of(swinging).choice.method, Radau)
 
 
-def test_damping_below_that_asks_for_short_steps() -> None:
-    """Iterations of long steps would not converge; what is gentle does not count."""
+def test_damped_forces_get_dop853() -> None:
+    """Long steps would not converge at moderate damping; gentle damping changes nothing."""
     chain = pinred.load("planar_chain5")
     joint = chain.shape_names[0]
 
-    def found(stiffness: float, damping: float) -> Choice:
+    def choose(stiffness: float, damping: float) -> Choice:
         forces = [Spring(joint, stiffness), Damper(joint, damping)]
         return plan_of(scene(chain, forces=forces, times=[2.0], rtol=1e-8)).choice
 
-    assert isinstance(found(1e4, 100.0).method, DOP853)
-    assert "forces decay at" in found(1e4, 100.0).why
-    assert isinstance(found(1e2, 1.0).method, AdaptiveGauss)
+    assert isinstance(choose(1e4, 100.0).method, DOP853)
+    assert "forces decay at" in choose(1e4, 100.0).why
+    assert isinstance(choose(1e2, 1.0).method, AdaptiveGauss)
 
 
 def test_rates_of_a_damped_joint() -> None:
-    """One joint: λ² M + λ D + K = 0, with the reduced metric I1 I2 / (I1 + I2) of the beanie."""
+    """One joint has λ² M + λ D + K = 0, with the metric I1 I2 / (I1 + I2) of Elroy's beanie."""
     beanie = pinred.load("elroys_beanie")
     M = float(pinred.Reduction(beanie).reduced_metric([0.0])[0, 0])
     K, D = 3.0, 50.0
     forces = [Spring("beanie", K), Damper("beanie", D)]
-    found = rates_near_rest(scene(beanie, forces=forces))
-    assert found.decay == pytest.approx((D + np.sqrt(D * D - 4 * M * K)) / (2 * M), rel=1e-6)
-    assert found.oscillation == 0.0
+    rates = rates_near_rest(scene(beanie, forces=forces))
+    assert rates.decay == pytest.approx((D + np.sqrt(D * D - 4 * M * K)) / (2 * M), rel=1e-6)
+    assert rates.oscillation == 0.0
     weak = rates_near_rest(scene(beanie, forces=[Spring("beanie", K), Damper("beanie", 0.1)]))
     assert weak.decay == pytest.approx(0.1 / (2 * M), rel=1e-6)
     assert weak.oscillation == pytest.approx(np.sqrt(K / M - (0.05 / M) ** 2), rel=1e-6)
 
 
 @pytest.mark.parametrize("limit", [Limit(0.5), Limit(0.5, smooth=True)])
-def test_kinks_ask_for_short_steps(limit: Limit) -> None:
-    """Long steps do not see a kink, and their error is not what it is estimated to be."""
+def test_kinks_get_dop853(limit: Limit) -> None:
+    """Long steps miss a kink, and their error estimate is wrong there."""
     system = pinred.load("falling_cat")
     forces = [PD({system.shape_names[0]: 0.5}, kp=2.0, kd=0.1, limit=limit)]
-    asked = scene(system, times=[2.0], forces=forces, rtol=1e-8, atol=1e-10)
-    assert isinstance(plan_of(asked).choice.method, AdaptiveGauss if limit.smooth else DOP853)
-    assert ("kinks" in plan_of(asked).choice.why) != limit.smooth
-    traj, start = pinred.simulate(asked), asked.start
-    full = FullState(asked)
+    limited = scene(system, times=[2.0], forces=forces, rtol=1e-8, atol=1e-10)
+    assert isinstance(plan_of(limited).choice.method, AdaptiveGauss if limit.smooth else DOP853)
+    assert ("kinks" in plan_of(limited).choice.why) != limit.smooth
+    traj, start = pinred.simulate(limited), limited.start
+    full = FullState(limited)
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
-    truth = full.run(y0, asked.report_times, 1e-12, 1e-14)
-    found = full.distance(truth, FullMotion(x=traj.x, q=traj.q))
-    assert max(found.shape.max(), found.rotation.max()) < 1e-7
+    reference = full.run(y0, limited.report_times, 1e-12, 1e-14)
+    error = full.distance(reference, FullMotion(x=traj.x, q=traj.q))
+    assert max(error.shape.max(), error.rotation.max()) < 1e-7
 
 
 @pytest.mark.parametrize(
@@ -138,8 +138,8 @@ def test_kinks_ask_for_short_steps(limit: Limit) -> None:
         lambda x: ca.if_else(x > 0.1, x, 0.1), lambda x: ca.floor(x), lambda x: ca.fmod(x, 0.3),
     ],
 )  # fmt: skip
-def test_every_kind_of_kink_is_seen(force: Any) -> None:
-    """Whatever of CasADi's functions is made of pieces."""
+def test_piecewise_functions_are_detected(force: Any) -> None:
+    """All piecewise functions of CasADi count as kinks."""
     system = pinred.load("falling_cat")
     joint = system.shape_names[0]
     torque = Torque(lambda t, x, xdot, mu: {joint: force(x[0])})  # noqa: ARG005
@@ -148,8 +148,8 @@ def test_every_kind_of_kink_is_seen(force: Any) -> None:
     assert "kinks" not in plan_of(scene(system, forces=[smooth])).choice.why
 
 
-def test_it_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    """explain= prints the method and the reason; the run says what it was."""
+def test_explain_prints_method_and_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    """explain= prints the method with its reason; the run states the same method."""
     traj = pinred.simulate(pinred.load("planar_chain5"), seed=1, times=[0.5], explain=True)
     assert "method: AdaptiveGauss (1.9 evaluations a sweep, worth 3.7" in capsys.readouterr().out
     assert traj.run.method == "AdaptiveGauss"

@@ -1,4 +1,4 @@
-"""Events: where expressions cross zero, against closed forms; ends of motions."""
+"""Events: zero crossings against closed forms, and ends of motions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.forces import Controller, Torque
 from pinred.scene.scene import ENGINES, Engine
-from pinred.simulation import events, pieces
+from pinred.simulation import events, motion
 
 BEANIE = pinred.load("elroys_beanie")
 W = np.sqrt(1.5)  # of x = sin(W t)/W: a spring of 1 N·m/rad on the shape's inertia 2/3
@@ -20,7 +20,7 @@ SPRUNG: dict[str, Any] = {"x0": [0.0], "xdot0": [1.0], "springs": {"beanie": (1.
 
 
 def times(level: float, end: float, *, rising: bool) -> Array:
-    """When sin(W t)/W is at a level, in one direction."""
+    """Return the times at which sin(W t)/W crosses a level in one direction."""
     first = np.arcsin(level * W)
     phase = (first if rising else np.pi - first) + 2 * np.pi * np.arange(-1, 9)
     t = phase / W
@@ -28,9 +28,9 @@ def times(level: float, end: float, *, rising: bool) -> Array:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_crossings_in_closed_form(engine: Engine) -> None:
-    """Rising, falling, both; by formula, by four arguments, by a state; by name."""
-    found = pinred.simulate(
+def test_crossings_agree_with_closed_form(engine: Engine) -> None:
+    """Rising, falling and both, from formulas and functions of the state."""
+    crossings = pinred.simulate(
         BEANIE, **SPRUNG, duration=9.0, engine=engine,
         events=[
             pinred.Event("x['beanie'] - 0.3", "up", direction=1),
@@ -40,21 +40,23 @@ def test_crossings_in_closed_form(engine: Engine) -> None:
             pinred.Event(lambda s: s.x[0], "middle"),
         ],
     ).events  # fmt: skip
-    np.testing.assert_allclose(found["up"].t, times(0.3, 9.0, rising=True), atol=2e-10)
-    np.testing.assert_allclose(found["down"].t, times(0.3, 9.0, rising=False), atol=2e-10)
+    np.testing.assert_allclose(crossings["up"].t, times(0.3, 9.0, rising=True), atol=2e-10)
+    np.testing.assert_allclose(crossings["down"].t, times(0.3, 9.0, rising=False), atol=2e-10)
     either = [times(-0.1, 9.0, rising=rising) for rising in (True, False)]
-    np.testing.assert_allclose(found["both"].t, np.sort(np.concatenate(either)), atol=2e-10)
-    assert found["both"].rising.tolist() == [False, True, False]
-    np.testing.assert_allclose(found["both"].states.x, -0.1, atol=1e-12)
-    assert len(found["never"]) == 0
-    # It begins at zero, which is no crossing.
-    np.testing.assert_allclose(found["middle"].t, np.pi / W * np.array([1.0, 2.0, 3.0]), atol=2e-10)
+    np.testing.assert_allclose(crossings["both"].t, np.sort(np.concatenate(either)), atol=2e-10)
+    assert crossings["both"].rising.tolist() == [False, True, False]
+    np.testing.assert_allclose(crossings["both"].states.x, -0.1, atol=1e-12)
+    assert len(crossings["never"]) == 0
+    # The motion starts at zero, which is no crossing.
+    np.testing.assert_allclose(
+        crossings["middle"].t, np.pi / W * np.array([1.0, 2.0, 3.0]), atol=2e-10
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["AdaptiveGauss", "Gauss(0.05, 8)"])
-def test_crossings_by_implicit_methods(method: str) -> None:
-    """On their dense output, of long steps."""
+def test_crossings_on_dense_output_of_implicit_methods(method: str) -> None:
+    """Crossings inside long steps are located on the dense output."""
     traj = pinred.simulate(
         BEANIE, **SPRUNG, duration=4.0, method=method,
         events=[pinred.Event("x[0] - 0.3", "up"), pinred.Event("x[0] + 0.5", "low", terminal=True)],
@@ -69,8 +71,8 @@ def test_crossings_by_implicit_methods(method: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_terminal_event_ends_the_scene(engine: Engine) -> None:
-    """Report times up to it, itself the last; what comes later is not there; compare passes."""
+def test_terminal_event_ends_the_scene(engine: Engine) -> None:
+    """The last report is at the event; later reports are dropped, and compare passes."""
     traj = pinred.simulate(
         BEANIE, **SPRUNG, duration=50.0, times=[0.0, 0.1, 2.0, 40.0], engine=engine, rtol=1e-8,
         events=[
@@ -92,8 +94,8 @@ def test_a_terminal_event_ends_the_scene(engine: Engine) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_nothing_beyond_the_end_is_followed(engine: Engine) -> None:
-    """A motion that cannot go on past a wall ends before it."""
+def test_motion_beyond_terminal_event_is_not_integrated(engine: Engine) -> None:
+    """A motion that would fail later ends at the event."""
     wall = Torque(lambda s: {"beanie": 1.0 / (0.5 - s.x[0]) ** 2}, name="pull")
     options: dict[str, Any] = {"x0": [0.0], "xdot0": [0.0], "duration": 5.0, "forces": [wall]}
     with pytest.raises(pinred.IntegrationError):
@@ -105,13 +107,13 @@ def test_nothing_beyond_the_end_is_followed(engine: Engine) -> None:
 
 
 @pytest.mark.slow
-def test_across_pieces() -> None:
-    """Pieces of controllers: a crossing at the very end of one, and a terminal one in the third."""
+def test_crossings_at_controller_stops() -> None:
+    """One crossing is at the end of a segment; a terminal one is in the third segment."""
     push = Controller(lambda s: [1.0 if s.t < 0.6 else -1.0], 0.5)
     traj = pinred.simulate(
         BEANIE, x0=[-0.1875], xdot0=[0.0], duration=3.0, forces=[push],
         events=[
-            pinred.Event("x[0]", "middle"),  # ẍ = 3/2: at t = 0.5, the end of the first piece
+            pinred.Event("x[0]", "middle"),  # ẍ = 3/2: at t = 0.5, the end of the first segment
             pinred.Event("xdot[0] - 0.75", "half", direction=-1, terminal=True),
         ],
     )  # fmt: skip
@@ -122,11 +124,11 @@ def test_across_pieces() -> None:
     assert report.passed, str(report)
 
 
-def test_of_the_base() -> None:
-    """Pose, momentum about the centre of mass, and Parameters with values of the scene."""
+def test_events_of_base_and_parameters() -> None:
+    """Events may depend on pose, momentum about the centre of mass, and Parameters."""
     level = pinred.Parameter("level", 5.0)
     body = pinred.load("rigid_body")
-    # About its axis of the largest moment it turns evenly.
+    # Rotation about the axis of the largest moment of inertia is uniform.
     traj = pinred.simulate(
         body, xi0=[0.0, 0.0, 2.0], duration=2.0, parameters={"level": 0.5},
         events=[
@@ -152,40 +154,40 @@ def test_of_the_base() -> None:
         (lambda: [pinred.Event(lambda t, x: x[0])], "must be a function of"),  # noqa: ARG005
     ],
 )  # fmt: skip
-def test_refused_events(make: Any, message: str) -> None:
-    """What cannot be watched is said when the scene is made."""
+def test_invalid_events_are_rejected(make: Any, message: str) -> None:
+    """A scene rejects events that cannot be evaluated."""
     with pytest.raises(pinred.InputError, match=message):
         pinred.Scene(system=BEANIE, **SPRUNG, events=make())
 
 
-def test_what_is_not_finite_is_told() -> None:
-    """With the name of the event, and when."""
+def test_non_finite_event_raises() -> None:
+    """The message states the name of the event and the time."""
     event = pinred.Event("log(x[0])", "log")
     with pytest.raises(pinred.IntegrationError, match="event 'log' is -inf at t = 0 s"):
         pinred.simulate(BEANIE, **SPRUNG, duration=1.0, events=[event])
 
 
-def test_the_base_has_to_be_there_for_them() -> None:
-    """As for forces."""
+def test_event_of_base_needs_base() -> None:
+    """An event that depends on the base rejects outputs='shape'; others accept it."""
     with pytest.raises(pinred.InputError, match="an event sees the base in space"):
         pinred.Scene(system=BEANIE, **SPRUNG, events=[pinred.Event("pose[0]")], outputs="shape")
-    found = pinred.simulate(
+    traj = pinred.simulate(
         BEANIE, **SPRUNG, duration=1.0, events=[pinred.Event("x[0] - 0.1")], outputs="shape"
     )
-    assert len(found.events["event"]) == 1
+    assert len(traj.events["event"]) == 1
 
 
-def test_without_events_nothing_looks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No Watch is made, and nothing is asked along the way; the motion is the same to the bit."""
+def test_scene_without_events_has_no_watch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No Watch is created, and the motion is the same to the last bit."""
     with_events = pinred.simulate(BEANIE, **SPRUNG, events=[pinred.Event("x[0] - 0.1")])
-    monkeypatch.setattr(pieces, "Watch", lambda *_: pytest.fail("nobody asked"))
+    monkeypatch.setattr(motion, "Watch", lambda *_: pytest.fail("nobody asked"))
     without = pinred.simulate(BEANIE, **SPRUNG)
     assert without.events == {}
     np.testing.assert_array_equal(without.x, with_events.x)
 
 
-def test_two_crossings_in_a_step_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They show between the ends of a step; looked at these alone, they are missed."""
+def test_two_crossings_in_one_step_are_detected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Values inside a step reveal them; values at step ends alone miss them."""
     event = pinred.Event(f"x[0] - {0.97 / W}")
     first = pinred.simulate(BEANIE, **SPRUNG, duration=2.0, rtol=1e-4, atol=1e-4, events=event)
     assert len(first.events["event"]) == 2

@@ -1,4 +1,4 @@
-"""A flow as a function of JAX: values and derivatives are the flow's own."""
+"""A flow as a JAX function: values and derivatives are those of the flow."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def _double() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def function() -> Any:
-    """The function of one flow."""
+    """Return the JAX function of one flow."""
     return flow_of().jax()
 
 
 @pytest.fixture(scope="module")
 def columns() -> Columns:
-    """The same flow between columns."""
+    """Return the same flow between vectors."""
     return flow_of().columns()
 
 
@@ -46,8 +46,8 @@ def slopes(columns: Columns, x: Array) -> list[Array]:
     return columns.vjp([x, *AT[1:]], 2.0 * columns.value(x, *AT[1:]))
 
 
-def test_values_and_derivatives(function: Any, columns: Columns) -> None:
-    """Under jit and without, forward and reverse, by position and by name."""
+def test_values_and_derivatives_agree_with_flow(function: Any, columns: Columns) -> None:
+    """They agree with and without jit, in both modes, by position and by name."""
     expected = columns.value(*AT)
     np.testing.assert_array_equal(function(*AT), expected)
     np.testing.assert_array_equal(jax.jit(function)(*AT), expected)
@@ -63,8 +63,8 @@ def test_values_and_derivatives(function: Any, columns: Columns) -> None:
         np.testing.assert_allclose(found, part, atol=1e-12)
 
 
-def test_a_map_is_one_call(columns: Columns, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of values: one call, in lanes.  Of derivatives: one call, in which a run serves its rows."""
+def test_vmap_is_one_call(columns: Columns, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Values run in SIMD lanes, and one run serves all rows of derivatives."""
     calls: list[tuple[str, Any]] = []
     for name in ("value", "values", "jvp", "vjp"):
         real = getattr(Columns, name)
@@ -89,29 +89,29 @@ def test_a_map_is_one_call(columns: Columns, monkeypatch: pytest.MonkeyPatch) ->
     def of(x: Any) -> Any:
         return function(x, *AT[1:])
 
-    found = jax.jit(jax.vmap(of))(BATCH)
+    result = jax.jit(jax.vmap(of))(BATCH)
     assert [name for name, _ in calls] == ["values"]
     assert len(entries) == 1
-    for row, x in zip(found, BATCH, strict=True):
+    for row, x in zip(result, BATCH, strict=True):
         np.testing.assert_allclose(row, columns.value(x, *AT[1:]), rtol=1e-10, atol=1e-11)
     for mode, way in ((jax.jacfwd, "jvp"), (jax.jacrev, "vjp")):
         calls.clear()
         entries.clear()
-        found = jax.jit(mode(of))(AT[0])
-        np.testing.assert_allclose(found, columns.jacobian(*AT)[0], atol=1e-12)
+        result = jax.jit(mode(of))(AT[0])
+        np.testing.assert_allclose(result, columns.jacobian(*AT)[0], atol=1e-12)
         assert [name for name, _ in calls].count(way) == 1, "one run, for all rows"
         assert len(entries) <= 2
         calls.clear()
         entries.clear()
-        found = jax.jit(jax.vmap(mode(of)))(BATCH)
+        result = jax.jit(jax.vmap(mode(of)))(BATCH)
         assert [name for name, _ in calls].count(way) == len(BATCH)
         assert len(entries) <= 2
-        for row, x in zip(found, BATCH, strict=True):
+        for row, x in zip(result, BATCH, strict=True):
             np.testing.assert_allclose(row, columns.jacobian(x, *AT[1:])[0], atol=1e-10)
 
 
-def test_maps_of_gradients(function: Any, columns: Columns) -> None:
-    """Vmap of grad, grad of vmap with what is shared, maps in maps, and scan."""
+def test_vmap_and_grad_compose(function: Any, columns: Columns) -> None:
+    """Vmap of grad, grad of vmap with shared inputs, nested vmap, and scan."""
 
     def loss(x: Any, kick: Any) -> Any:
         return (function(x, kick, AT[2]) ** 2).sum()
@@ -131,20 +131,20 @@ def test_maps_of_gradients(function: Any, columns: Columns) -> None:
     assert jax.vmap(function, (0, None, None))(BATCH[:0], *AT[1:]).shape == (0, columns.size)
 
 
-def test_single_precision(function: Any, columns: Columns) -> None:
-    """Without 64 bits of JAX, the run is in double all the same."""
+def test_single_precision_runs_in_double(function: Any, columns: Columns) -> None:
+    """Without 64 bits in JAX, the flow runs in double precision."""
     jax.config.update("jax_enable_x64", False)
-    found = function(*(each.astype(np.float32) for each in AT))
-    assert found.dtype == np.float32
-    rounded = [each.astype(np.float32).astype(float) for each in AT]
-    np.testing.assert_array_equal(found, columns.value(*rounded).astype(np.float32))
+    output = function(*(value.astype(np.float32) for value in AT))
+    assert output.dtype == np.float32
+    rounded = [value.astype(np.float32).astype(float) for value in AT]
+    np.testing.assert_array_equal(output, columns.value(*rounded).astype(np.float32))
     gradient = jax.grad(lambda x: (function(x, *AT[1:]) ** 2).sum())(AT[0].astype(np.float32))
     assert gradient.dtype == np.float32
     np.testing.assert_allclose(gradient, slopes(columns, AT[0])[0], rtol=1e-4)
 
 
-def test_what_jax_lends_is_copied(columns: Columns) -> None:
-    """A run that is kept for its derivatives does not read memory of JAX's that has gone."""
+def test_inputs_of_jax_are_copied(columns: Columns) -> None:
+    """A run kept for its derivatives does not read memory that JAX has freed."""
     function = flow_of().jax()
     compiled = jax.jit(jax.value_and_grad(lambda m: function(**{"back.mass": m}).sum()))
     for mass in np.linspace(1.0, 3.0, 20):
@@ -156,8 +156,8 @@ def test_what_jax_lends_is_copied(columns: Columns) -> None:
         del many
 
 
-def test_threads(function: Any, columns: Columns) -> None:
-    """Several threads at once have numbers of their own."""
+def test_threads_do_not_share_runs(function: Any, columns: Columns) -> None:
+    """Concurrent threads get the results of their inputs."""
     expected = [columns.value(x, *AT[1:]) for x in BATCH]
     compiled, wrong = jax.jit(function), []
 
@@ -174,8 +174,8 @@ def test_threads(function: Any, columns: Columns) -> None:
     assert not wrong
 
 
-def test_refusals(function: Any) -> None:
-    """Wrong inputs are refused where they are traced, numbers that make no sense where it runs."""
+def test_invalid_inputs_are_rejected(function: Any) -> None:
+    """Wrong types are rejected in tracing, and wrong values in evaluation."""
     with pytest.raises(InputError, match=r"3 inputs, x0, kick, back\.mass, and 4 were given"):
         function(*AT, 1.0)
     with pytest.raises(InputError, match=r"no input 'kik'.*kick"):
@@ -197,8 +197,8 @@ def test_refusals(function: Any) -> None:
     assert np.isfinite(function(*AT)).all()  # and goes on
 
 
-def test_older_ones_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They lay out their calls differently."""
+def test_old_jax_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Call frames of older versions have another layout."""
     monkeypatch.setattr(jax, "__version_info__", (0, 5, 0))
     with pytest.raises(pinred.MissingPackageError, match=r"0\.10 or newer"):
         flow_of().jax()
@@ -206,7 +206,7 @@ def test_older_ones_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.by_hand
 def test_cost_of_a_call() -> None:
-    """A call of XLA's costs less than one by pure_callback; prints both, and that of columns."""
+    """A direct XLA call costs less than pure_callback; the costs are printed."""
     system = pinred.load("planar_chain5")
     options: Any = {"seed": 1, "duration": 1.0, "rtol": 1e-8, "method": "DOP853"}
     flow = pinred.flow(system, **options, wrt=["x0", "xdot0"])

@@ -1,4 +1,4 @@
-"""A robot that was given other numbers keeps them: in other scenes, members, files and flows."""
+"""Parameters of a robot are kept in other scenes, members, files and flows."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def by_pinocchio() -> pinred.System:
 
 
 @pytest.mark.slow
-def test_a_motion_goes_on_with_them(tmp_path: Path) -> None:
-    """Continued from a trajectory, from a file, or loaded so, it is one motion."""
+def test_continued_motion_keeps_parameters(tmp_path: Path) -> None:
+    """A motion continued from a trajectory, a file or a loaded robot is one motion."""
     times = [0.0, 0.2, 0.4]
     judge = pinred.simulate(by_pinocchio(), seed=1, times=times)
     start: dict[str, Any] = {"q0": judge.q[0], "v0": judge.v[0]}
@@ -56,8 +56,8 @@ def test_a_motion_goes_on_with_them(tmp_path: Path) -> None:
     np.testing.assert_allclose(red.mass_matrix(x), other.mass_matrix(x), rtol=0, atol=1e-13)
 
 
-def test_what_is_not_given_stays() -> None:
-    """A scene with some parameters more has those that it had; what says all, wins."""
+def test_scene_keeps_parameters_that_are_not_replaced() -> None:
+    """New parameters are added, and a complete value replaces its parts."""
     cat = pinred.load("falling_cat")
     own = {"back.mass": 3.0, "bend.translation": [0.1, 0.0, 0.2]}
     scene = pinred.Scene(system=cat, seed=1, duration=0.1, parameters=own)
@@ -75,8 +75,8 @@ def test_what_is_not_given_stays() -> None:
 
 
 @pytest.mark.slow
-def test_members_that_vary_what_their_scene_has(tmp_path: Path) -> None:
-    """Gravity of each member is its own, whatever the scene has, and stands in the file."""
+def test_members_replace_parameters_of_scene(tmp_path: Path) -> None:
+    """Each member has its gravity, which the file contains."""
     pole = pinred.load("cartpole")
     base = pinred.Scene(system=pole, seed=1, times=[0.2], parameters={
         "gravity": [0.0, 0.0, -9.0], "pole.mass": 2.0,
@@ -102,8 +102,8 @@ def test_members_that_vary_what_their_scene_has(tmp_path: Path) -> None:
         np.testing.assert_array_equal(file["parameter_values"], [[2.0, 1.0], [2.0, 1.5]])
 
 
-def test_files_that_do_not_fit(tmp_path: Path) -> None:
-    """Parameters of a file that do not belong together, or to no real body, are refused."""
+def test_files_with_wrong_parameters_are_rejected(tmp_path: Path) -> None:
+    """Lengths that do not match and unphysical values are rejected."""
     path = tmp_path / "traj.npz"
     cat = pinred.load("falling_cat")
     pinred.simulate(cat, seed=1, times=[0.1], parameters={"back.mass": 3.0}).save(path)

@@ -1,4 +1,4 @@
-"""What travels to other processes: robots, scenes, motions, flows."""
+"""Copies and pickles of robots, scenes, motions and flows, and motions as labelled arrays."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COPIES = [lambda value: pickle.loads(pickle.dumps(value)), copy.deepcopy, copy.c
 
 
 def scene() -> pinred.Scene:
-    """A scene with forces, parameters and other inertias."""
+    """Return a scene with forces, parameters and changed inertias."""
     gain = Parameter("gain", 2.0)
     plan = Fourier(0.1, [Parameter("high", 0.2)], [], 1.0)
     return pinred.Scene(
@@ -33,38 +33,38 @@ def scene() -> pinred.Scene:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("how", COPIES)
-def test_copies_do_the_same(how: Any) -> None:
-    """A copy of a robot, a scene, a motion or a flow gives the same numbers to the bit."""
-    made = scene()
-    traj = pinred.simulate(made)
-    robot = how(pinred.load("falling_cat"))
+@pytest.mark.parametrize("copy_of", COPIES)
+def test_copies_give_equal_numbers(copy_of: Any) -> None:
+    """Copies of robots, scenes, motions and flows give the same numbers to the last bit."""
+    original = scene()
+    traj = pinred.simulate(original)
+    robot = copy_of(pinred.load("falling_cat"))
     same = pinred.simulate(robot, seed=1, duration=0.1)
-    own = pinred.simulate(pinred.load("falling_cat"), seed=1, duration=0.1)
-    np.testing.assert_array_equal(same.x, own.x)
-    again = pinred.simulate(how(made))
+    fresh = pinred.simulate(pinred.load("falling_cat"), seed=1, duration=0.1)
+    np.testing.assert_array_equal(same.x, fresh.x)
+    again = pinred.simulate(copy_of(original))
     np.testing.assert_array_equal(again.x, traj.x)
-    other = how(traj)
+    other = copy_of(traj)
     np.testing.assert_array_equal(other.pose, traj.pose)
     np.testing.assert_array_equal(other(0.123).x, traj(0.123).x)
     assert other.run.steps == traj.run.steps
-    flow = pinred.flow(made, wrt=["x0", "gain", "back.mass"], method="DOP853")
-    twin = how(flow)
-    for name, found in twin.jacobian(gain=2.5).items():
-        np.testing.assert_array_equal(found, flow.jacobian(gain=2.5)[name])
+    flow = pinred.flow(original, wrt=["x0", "gain", "back.mass"], method="DOP853")
+    twin = copy_of(flow)
+    for name, jacobian in twin.jacobian(gain=2.5).items():
+        np.testing.assert_array_equal(jacobian, flow.jacobian(gain=2.5)[name])
     assert not traj.x.flags.writeable
 
 
-@pytest.mark.parametrize("how", COPIES)
-def test_copies_of_members(how: Any) -> None:
-    """Members travel with their states, scenes and failures, whichever way they were given."""
-    cat, made = pinred.load("falling_cat"), scene()
+@pytest.mark.parametrize("copy_of", COPIES)
+def test_copies_of_members_keep_states_and_failures(copy_of: Any) -> None:
+    """Members of every form keep their states, scenes and failures."""
+    cat, original = pinred.load("falling_cat"), scene()
     for many in (
         pinred.simulate_many(cat, seeds=[1, 2], duration=0.1, times=[0.05, 0.1]),
         pinred.simulate_many(cat, members={"back.mass": [1.0, 2.0]}, seed=1, duration=0.1),
-        pinred.simulate_many([made, made]),
+        pinred.simulate_many([original, original]),
     ):
-        twin = how(many)
+        twin = copy_of(many)
         for name in ("x", "pose", "energy", "y"):
             np.testing.assert_array_equal(getattr(twin, name), getattr(many, name))
         np.testing.assert_array_equal(twin[1](0.07).x, many[1](0.07).x)
@@ -73,9 +73,9 @@ def test_copies_of_members(how: Any) -> None:
         assert not twin.x.flags.writeable
 
 
-def end_of(given: Any) -> Any:
-    """Return the end of a motion, in another process."""
-    kind, value = given
+def end_of(task: Any) -> Any:
+    """Return the end of a motion; runs in another process."""
+    kind, value = task
     if kind == "flow":
         return value.jacobian()["gain"]
     if kind == "members":
@@ -86,31 +86,31 @@ def end_of(given: Any) -> Any:
 
 
 @pytest.mark.slow
-def test_another_process() -> None:
-    """Scenes, flows and motions go to processes that are spawned, and come to the same."""
-    made = scene()
-    flow, traj = pinred.flow(made, wrt=["gain"], method="DOP853"), pinred.simulate(made)
-    many = pinred.simulate_many(made, members={"gain": [1.0, 2.0]})
+def test_pickles_work_in_spawned_processes() -> None:
+    """Scenes, flows and motions give the same numbers in spawned processes."""
+    original = scene()
+    flow, traj = pinred.flow(original, wrt=["gain"], method="DOP853"), pinred.simulate(original)
+    many = pinred.simulate_many(original, members={"gain": [1.0, 2.0]})
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        asked = [("scene", made), ("flow", flow), ("motion", traj)]
-        found = list(pool.map(end_of, [*asked, ("members", many), ("robot", made.system)]))
+        tasks = [("scene", original), ("flow", flow), ("motion", traj)]
+        results = list(pool.map(end_of, [*tasks, ("members", many), ("robot", original.system)]))
     expected = [traj.x[-1], flow.jacobian()["gain"], traj(0.05).x, many.x[:, -1]]
-    expected.append(made.system.model.inertias[1].matrix())
-    for one, other in zip(found, expected, strict=True):
+    expected.append(original.system.model.inertias[1].matrix())
+    for one, other in zip(results, expected, strict=True):
         np.testing.assert_array_equal(one, other)
 
 
-def test_what_cannot_travel_says_so() -> None:
-    """A function that has no name elsewhere is what pickle refuses, as ever."""
-    made = pinred.Scene(
+def test_local_functions_cannot_be_pickled() -> None:
+    """A scene with a local function raises pickle's error."""
+    local = pinred.Scene(
         system=pinred.load("falling_cat"), forces=[pinred.forces.Torque(lambda *_: {"bend": 0.0})]
     )
     with pytest.raises((pickle.PicklingError, AttributeError)):
-        pickle.dumps(made)
+        pickle.dumps(local)
 
 
-def test_labelled_arrays() -> None:
-    """Motions as tables of other libraries, where they are installed."""
+def test_labelled_arrays_of_trajectory() -> None:
+    """Xarray and pandas name joints and coordinates; missing packages raise an error."""
     traj = pinred.simulate(scene())
     for package, method in (("xarray", traj.to_xarray), ("pandas", traj.to_pandas)):
         try:
@@ -119,27 +119,27 @@ def test_labelled_arrays() -> None:
             with pytest.raises(pinred.MissingPackageError, match=f"needs {package}"):
                 method()
             continue
-        found = method()
+        table = method()
         if package == "xarray":
-            np.testing.assert_array_equal(found.x.sel(joint="bend"), traj.x[:, 0])
-            assert found.pose.dims == ("t", "coordinate")
+            np.testing.assert_array_equal(table.x.sel(joint="bend"), traj.x[:, 0])
+            assert table.pose.dims == ("t", "coordinate")
         else:
-            np.testing.assert_array_equal(found["x.bend"], traj.x[:, 0])
+            np.testing.assert_array_equal(table["x.bend"], traj.x[:, 0])
 
 
 @pytest.mark.parametrize("outputs", ["all", "shape"])
-def test_labelled_members(outputs: Any, tmp_path: Path) -> None:
-    """All members as one table, over member and time; of the shape alone, too."""
+def test_labelled_arrays_of_members(outputs: Any, tmp_path: Path) -> None:
+    """Tables over member and time, with and without the base."""
     many = pinred.simulate_many(
         pinred.load("falling_cat"), seeds=range(3), times=[0.0, 0.1], duration=0.1, outputs=outputs
     )
     xarray, pandas = pytest.importorskip("xarray"), pytest.importorskip("pandas")
-    found = many.to_xarray()
-    assert found.x.dims == ("member", "t", "joint")
-    np.testing.assert_array_equal(found.x.sel(member=2, joint="bend"), many.x[2, :, 0])
-    np.testing.assert_array_equal(found.energy.sel(member=1), many.energy[1])
+    arrays = many.to_xarray()
+    assert arrays.x.dims == ("member", "t", "joint")
+    np.testing.assert_array_equal(arrays.x.sel(member=2, joint="bend"), many.x[2, :, 0])
+    np.testing.assert_array_equal(arrays.energy.sel(member=1), many.energy[1])
     table = many.to_pandas()
-    assert isinstance(found, xarray.Dataset)
+    assert isinstance(arrays, xarray.Dataset)
     assert isinstance(table, pandas.DataFrame)
     np.testing.assert_array_equal(table.loc[2]["x.bend"], many.x[2, :, 0])
     assert table.shape[0] == 6
@@ -149,8 +149,8 @@ def test_labelled_members(outputs: Any, tmp_path: Path) -> None:
         np.testing.assert_array_equal(recording.to_xarray().pose, many.pose[0])
 
 
-def test_motions_as_zarr(tmp_path: Path) -> None:
-    """A Trajectory, and what was read of it, as a folder with the arrays of npz."""
+def test_zarr_has_the_arrays_of_npz(tmp_path: Path) -> None:
+    """Trajectories and recordings write the same zarr folder."""
     traj = pinred.simulate(scene())
     if find_spec("zarr") is None:
         with pytest.raises(pinred.MissingPackageError, match=r"pinred\[zarr\]"):

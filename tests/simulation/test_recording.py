@@ -1,4 +1,4 @@
-"""Motions read back from files: by whom they can be drawn, and what is refused."""
+"""Recordings: states read from files, their plots, and files that are rejected."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from pinred.views.playback.view import View
 
 @pytest.fixture(scope="module")
 def cat() -> pinred.Trajectory:
-    """The falling cat, from its own start."""
+    """Return the motion of the falling cat from its default initial state."""
     times = np.linspace(0.0, 3.0, 501)
     return pinred.simulate(pinred.load("falling_cat"), times=times)
 
 
 @pytest.mark.parametrize("options", [{}, {"lock": {"sway": 0.4}, "gravity": [0.0, 0.0, -1.0]}])
-def test_file_and_back(tmp_path: Path, options: dict[str, Any]) -> None:
-    """A file is played as the trajectory was, robot, locked joints and gravity included."""
+def test_recording_plays_like_its_trajectory(tmp_path: Path, options: dict[str, Any]) -> None:
+    """Playback is the same, with robot, locked joints and gravity."""
     system = pinred.load("falling_cat", **options)
     traj = pinred.simulate(system, seed=3, times=np.linspace(0.0, 1.0, 61))
     traj.save(tmp_path / "traj.npz")
     recording = read_recording(tmp_path / "traj.npz")
     np.testing.assert_array_equal(recording.system.gravity, system.gravity)
-    ours, theirs = playback(recording, View()), playback(traj, View())
+    recorded, simulated = playback(recording, View()), playback(traj, View())
     for name in ("t", "x", "placements", "com", "ellipsoid"):
-        np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), atol=1e-9)
+        np.testing.assert_allclose(getattr(recorded, name), getattr(simulated, name), atol=1e-9)
     with pytest.raises(pinred.InputError, match="holds no forces"):
         playback(recording, View(ghost=True))
     traj = pinred.simulate(system, seed=3, times=[0.5])
@@ -46,8 +46,8 @@ def test_file_and_back(tmp_path: Path, options: dict[str, Any]) -> None:
         playback(read_recording(tmp_path / "once.npz"), View())
 
 
-def test_file_of_a_robot_that_moved(tmp_path: Path) -> None:
-    """A robot's own file is found beside the motion, or where one says; nowhere else unasked."""
+def test_robot_file_is_found_beside_recording(tmp_path: Path) -> None:
+    """A robot file is loaded from the folder of the recording or from a given path only."""
     text = (pinred.system.catalogue.bundled_folder() / "falling_cat.urdf").read_text(
         encoding="utf-8"
     )
@@ -60,7 +60,7 @@ def test_file_of_a_robot_that_moved(tmp_path: Path) -> None:
     (tmp_path / "here/cat.urdf").rename(tmp_path / "there/cat.urdf")
     with pytest.raises(pinred.LoadError, match=r"not in its own folder.*--robot"):
         _ = read_recording(path).system
-    assert len(plots.shape(read_recording(path)).axes[0].lines) == 3  # this needs no robot
+    assert len(plots.shape(read_recording(path)).axes[0].lines) == 3  # This plot needs no robot.
     assert read_recording(path, str(tmp_path / "there/cat.urdf")).system.name == "cat"
     (tmp_path / "there/cat.urdf").rename(tmp_path / "motion/cat.urdf")
     assert read_recording(path).system.name == "cat"
@@ -68,21 +68,21 @@ def test_file_of_a_robot_that_moved(tmp_path: Path) -> None:
         read_recording(path, "solo12")
 
 
-def test_figures_of_files(cat: pinred.Trajectory, tmp_path: Path) -> None:
-    """What is read back is drawn like the motion, units and all; what needs forces says so."""
+def test_recording_plots_like_its_trajectory(cat: pinred.Trajectory, tmp_path: Path) -> None:
+    """Plots and units are the same; plots that need forces raise an error."""
     path = tmp_path / "cat.npz"
     cat.save(path)
     recording = read_recording(path)
     assert "'cat'" in repr(recording) or "falling_cat" in repr(recording)
     assert "501 times to 3 s" in repr(recording)
     for kind in ("shape", "base", "momentum", "energy", "curvature"):
-        found, expected = plots.plot(recording, kind), pinred.plot(cat, kind)
-        assert found.get_suptitle() == expected.get_suptitle()
-        for ours, theirs in zip(found.axes[:1], expected.axes[:1], strict=True):
+        figure, expected = plots.plot(recording, kind), pinred.plot(cat, kind)
+        assert figure.get_suptitle() == expected.get_suptitle()
+        for ours, theirs in zip(figure.axes[:1], expected.axes[:1], strict=True):
             assert ours.get_ylabel() == theirs.get_ylabel()
             for line in theirs.lines:
                 label = str(line.get_label())
-                if label != "path":  # of a trajectory it is finer
+                if label != "path":  # The path of a trajectory is finer.
                     np.testing.assert_array_equal(drawn(ours, label)[1], line.get_ydata())
     np.testing.assert_array_equal(drawn(plots.curvature(recording).axes[0], "path"), cat.x[:, :2].T)
     assert units(plots.shape(recording)) == ["shape [rad]"]
@@ -96,8 +96,8 @@ def test_figures_of_files(cat: pinred.Trajectory, tmp_path: Path) -> None:
     assert "leaves out the base" in plots.phase(read_recording(path)).get_suptitle()
 
 
-def test_portraits_of_files(tmp_path: Path) -> None:
-    """The cartpole: V = −4.905 cos x from the file, too; with a spring, no potential is drawn."""
+def test_phase_portrait_of_recording(tmp_path: Path) -> None:
+    """The cartpole has V = −4.905 cos x; no potential is drawn if a spring acts."""
     system = pinred.load("cartpole")
     path = tmp_path / "traj.npz"
     pinred.simulate(system, duration=3.0).save(path)
@@ -113,8 +113,8 @@ def test_portraits_of_files(tmp_path: Path) -> None:
     np.testing.assert_array_equal(drawn(axes, "path"), [sprung.x[:, 0], sprung.xdot[:, 0]])
 
 
-def test_spheres_of_files(tmp_path: Path) -> None:
-    """The momentum about the centre of mass by Pinocchio; its levels at the nearest time."""
+def test_momentum_sphere_of_recording(tmp_path: Path) -> None:
+    """Momenta agree with Pinocchio, and the level set is that of the nearest time."""
     path = tmp_path / "sat.npz"
     traj = pinred.simulate(pinred.load("satellite_two_arms"), times=np.linspace(0.5, 2.0, 16))
     traj.save(path)
@@ -125,17 +125,17 @@ def test_spheres_of_files(tmp_path: Path) -> None:
     for k, (q, v) in enumerate(zip(traj.q, traj.v, strict=True)):
         pin.ccrba(model, data, q, v)
         expected[k] = Rotation.from_quat(q[3:7]).inv().apply(data.hg.angular)
-    found = np.array([each.get_data_3d() for each in axes.lines if each.get_label() == "start"])
-    np.testing.assert_allclose(found[0, :, 0], expected[0], atol=1e-11)
+    starts = np.array([line.get_data_3d() for line in axes.lines if line.get_label() == "start"])
+    np.testing.assert_allclose(starts[0, :, 0], expected[0], atol=1e-11)
     assert "shape of t = 1.1 s" in figure.legends[0].get_texts()[0].get_text()
     with pytest.raises(pinred.InputError, match="between 0 and 2 s"):
         plots.sphere(read_recording(path), when=3.0)
 
 
-def test_sections_of_files(tmp_path: Path) -> None:
-    """Between report times h apart: of order 4 in shape and 3 in rate, by the dense output."""
+def test_poincare_section_of_recording_converges(tmp_path: Path) -> None:
+    """The dense output between reports is of order 4 in shape and 3 in rate."""
     system = pinred.load("double_spherical_pendulum")
-    apart = []
+    errors = []
     for count in (251, 1001):
         traj = pinred.simulate(system, times=np.linspace(0.0, 10.0, count))
         traj.save(tmp_path / "traj.npz")
@@ -143,20 +143,20 @@ def test_sections_of_files(tmp_path: Path) -> None:
             plots.poincare(traj, value=0.3),
             plots.poincare(read_recording(tmp_path / "traj.npz"), value=0.3),
         )
-        ours, theirs = (np.asarray(f.axes[0].lines[0].get_xydata(), float) for f in figures)
-        assert len(ours) > 3
-        apart.append(float(np.abs(ours - theirs).max()))
-    assert 0.0 < apart[1] < 1e-4
-    assert 4**2.5 < apart[0] / apart[1] < 4**4.5
+        exact, recorded = (np.asarray(f.axes[0].lines[0].get_xydata(), float) for f in figures)
+        assert len(exact) > 3
+        errors.append(float(np.abs(exact - recorded).max()))
+    assert 0.0 < errors[1] < 1e-4
+    assert 4**2.5 < errors[0] / errors[1] < 4**4.5
 
 
 @pytest.mark.slow
-def test_robots_of_ones_own(tmp_path: Path) -> None:
-    """A file of a pin.Model names no robot: numbers are drawn; what needs it says what to do."""
+def test_recording_of_model_names_no_robot(tmp_path: Path) -> None:
+    """States are plotted; plots that need the robot ask for it."""
     model = pinred.load("falling_cat").model
     path = tmp_path / "traj.npz"
-    still: dict[str, Any] = {"x0": [0.1, 0.2, 0.3], "xdot0": [1, 0, 0], "momentum": 0}
-    pinred.simulate(pinred.load(model), **still, duration=0.5).save(path)
+    start: dict[str, Any] = {"x0": [0.1, 0.2, 0.3], "xdot0": [1, 0, 0], "momentum": 0}
+    pinred.simulate(pinred.load(model), **start, duration=0.5).save(path)
     recording = read_recording(path)
     assert units(plots.shape(recording)) == ["shape [rad | m]"]
     assert "robot of the file is not found" in plots.phase(recording).get_suptitle()
@@ -166,11 +166,11 @@ def test_robots_of_ones_own(tmp_path: Path) -> None:
     assert units(plots.shape(read_recording(path, "falling_cat"))) == ["shape [rad]"]
     top = pinred.simulate(pinred.load(pinred.load("rigid_body").model), seed=0, duration=0.5)
     top.save(path)
-    assert len(plots.sphere(read_recording(path)).axes) == 1  # its momentum is in the file
+    assert len(plots.sphere(read_recording(path)).axes) == 1  # The file contains the momentum.
 
 
-def test_files_that_are_no_recordings(tmp_path: Path) -> None:
-    """Each is refused with its name and what is wrong."""
+def test_other_files_are_rejected(tmp_path: Path) -> None:
+    """The message states the file and the first problem."""
     path = tmp_path / "bad.npz"
     path.write_bytes(b"PK\x03\x04 no")
     with pytest.raises(pinred.LoadError, match=r"bad\.npz"):
@@ -193,8 +193,8 @@ def test_files_that_are_no_recordings(tmp_path: Path) -> None:
         read_recording(path)
 
 
-def test_files_that_are_no_motion(tmp_path: Path) -> None:
-    """Whatever is wrong with a file is said; nothing in it is executed."""
+def test_damaged_recordings_are_rejected(tmp_path: Path) -> None:
+    """Each kind of damage raises an error of pinred, and no code is executed."""
     traj = pinred.simulate(pinred.load("rigid_body"), duration=0.1)
     traj.save(tmp_path / "good.npz")
     with np.load(tmp_path / "good.npz") as file:
@@ -244,13 +244,13 @@ def test_files_that_are_no_motion(tmp_path: Path) -> None:
         x=np.zeros((201, 1)), xdot=np.zeros((201, 1)), v=np.zeros((201, 4)),
         joints=np.array(["knee"]),
     )  # fmt: skip
-    # However a file is damaged, the error is one of ours.
-    whole, rng = (tmp_path / "good.npz").read_bytes(), np.random.default_rng(0)
+    # Random damage raises an error of pinred, too.
+    content, rng = (tmp_path / "good.npz").read_bytes(), np.random.default_rng(0)
     for _ in range(200):
-        damaged = bytearray(whole)
-        for at in rng.integers(len(whole), size=4):
+        damaged = bytearray(content)
+        for at in rng.integers(len(content), size=4):
             damaged[at] ^= 1 << int(rng.integers(8))
-        (tmp_path / "bad.npz").write_bytes(bytes(damaged[: rng.integers(1, len(whole) + 1)]))
+        (tmp_path / "bad.npz").write_bytes(bytes(damaged[: rng.integers(1, len(content) + 1)]))
         with contextlib.suppress(pinred.PinredError):
             _ = read_recording(tmp_path / "bad.npz").system
     (tmp_path / "text.npz").write_text("hello")

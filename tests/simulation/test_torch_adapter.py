@@ -1,4 +1,4 @@
-"""A flow as a function of PyTorch: autograd agrees with differences, batches run in lanes."""
+"""A flow as a PyTorch function: derivatives agree with differences, batches run in SIMD lanes."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def function() -> Any:
-    """The function of one flow."""
+    """Return the PyTorch function of one flow."""
     return flow_of().torch()
 
 
 @pytest.fixture(scope="module")
 def columns() -> Columns:
-    """The same flow between columns."""
+    """Return the same flow between vectors."""
     return flow_of().columns()
 
 
@@ -37,8 +37,8 @@ def tensors() -> list[Any]:
 
 
 @pytest.mark.by_hand
-def test_gradcheck() -> None:
-    """Both modes agree with differences in double precision, of a batch with shared inputs too."""
+def test_derivatives_agree_with_differences() -> None:
+    """Both modes agree in double precision, also for batches with shared inputs."""
     function = flow_of(method="Gauss(0.01)").torch()
     options = {"eps": 1e-5, "atol": 1e-7, "check_forward_ad": True}
     assert torch.autograd.gradcheck(function, tensors(), **options)
@@ -46,8 +46,8 @@ def test_gradcheck() -> None:
     assert torch.autograd.gradcheck(function, batch, **options)
 
 
-def test_values_and_derivatives(function: Any, columns: Columns) -> None:
-    """Those of the flow, also by torch.func and in maps."""
+def test_values_and_derivatives_agree_with_flow(function: Any, columns: Columns) -> None:
+    """They agree with torch.func and vmap, too."""
     np.testing.assert_array_equal(function(*AT), columns.value(*AT))
     at = [each.detach() for each in tensors()]
     for mode in (torch.func.jacrev, torch.func.jacfwd):
@@ -63,8 +63,8 @@ def test_values_and_derivatives(function: Any, columns: Columns) -> None:
     assert function(batch[:0]).shape == (0, columns.size)
 
 
-def test_a_batch_is_one_call(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of lanes, as a batch and under vmap."""
+def test_batch_is_one_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A batch runs in SIMD lanes, directly and under vmap."""
     calls = []
     real = Columns.values
 
@@ -79,8 +79,8 @@ def test_a_batch_is_one_call(monkeypatch: pytest.MonkeyPatch) -> None:
     assert calls == [len(BATCH)] * 2
 
 
-def test_single_precision(function: Any, columns: Columns) -> None:
-    """The output is as exact as the tensors given; the run, and what is not given, are double."""
+def test_single_precision_runs_in_double(function: Any, columns: Columns) -> None:
+    """Outputs have the precision of the inputs; the flow runs in double precision."""
     x = torch.tensor(AT[0], dtype=torch.float32, requires_grad=True)
     found = function(x, kick=0.5)
     assert found.dtype == torch.float32
@@ -90,8 +90,8 @@ def test_single_precision(function: Any, columns: Columns) -> None:
     assert x.grad.dtype == torch.float32
 
 
-def test_in_a_compiled_program(function: Any) -> None:
-    """torch.compile goes around it."""
+def test_torch_compile_skips_flow(function: Any) -> None:
+    """torch.compile calls the flow without tracing it."""
     program = torch.compile(lambda x: (2.0 * function(2.0 * x)).sum(), backend="eager")
     x = torch.tensor(AT[0], requires_grad=True)
     program(x).backward()
@@ -100,8 +100,8 @@ def test_in_a_compiled_program(function: Any) -> None:
     np.testing.assert_array_equal(x.grad, again.grad)
 
 
-def test_refusals(function: Any) -> None:
-    """What makes no sense is refused by name."""
+def test_invalid_inputs_are_rejected(function: Any) -> None:
+    """The message names the input."""
     with pytest.raises(InputError, match=r"no input 'kik'.*kick"):
         function(kik=1.0)
     with pytest.raises(ShapeError, match=r"x0 must have shape \(…, 3\), got \(2,\)"):

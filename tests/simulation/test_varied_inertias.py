@@ -88,7 +88,7 @@ def test_log_cholesky() -> None:
     rng = np.random.default_rng(0)
     for _ in range(20):
         theta = rng.normal(size=10)
-        total, slopes = bodies.dynamic(3, bodies.checked({"back.log_cholesky": theta}, {}))
+        total, slopes = bodies.dynamic(3, {"back.log_cholesky": theta})
         v = 1e-6 * rng.normal(size=10)
         low, high = (
             bodies.dynamic(3, {"back.log_cholesky": theta + s * v})[0] for s in (-1.0, 1.0)
@@ -127,7 +127,7 @@ def test_a_wheel_that_may_become_unbalanced() -> None:
     """A joint is cyclic only if it stays so for all values of what varies."""
     system = pinred.load("reaction_wheel_satellite")
     cyclic = {
-        name: pinred.flow(system, wrt=[name], duration=0.1)._course.kernel.structure.cyclic
+        name: pinred.flow(system, wrt=[name], duration=0.1).propagator.kernel.structure.cyclic
         for name in ("wheel_x.mass", "wheel_x.com", "wheel_y.inertia")
     }
     assert cyclic == {
@@ -151,7 +151,7 @@ def test_refusals() -> None:
     refused(r"parameters\['back.com'\] must have shape", parameters={"back.com": [1.0]})
     refused("are one body's", parameters={"back.mass": 1.0, f"{cat.model.names[4]}.mass": 1.0})
     refused(
-        "says all of a body; leave out 'back.mass'",
+        "sets all of a body; leave out 'back.mass'",
         parameters={"back.mass": 1.0, "back.log_cholesky": np.zeros(10)},
     )
 

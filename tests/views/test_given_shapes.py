@@ -102,7 +102,7 @@ def test_shapes_on_joints_without_frames() -> None:
     assert {solid.kind for solid in nothing.solids} <= {"ellipsoid", "capsule"}
     small = pin.Model()
     small.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
-    with pytest.raises(pinred.InputError, match="'stone' sits on joint 2"):
+    with pytest.raises(pinred.InputError, match="'stone' is attached to joint 2"):
         pinred.load((small, geometry))
 
 

@@ -1,1 +1,1 @@
-"""From CasADi Functions to machine code: operations, sines of many angles at once, loading."""
+"""Compilation of CasADi Functions to machine code: lowering, vector sines, and loading."""

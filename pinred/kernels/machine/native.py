@@ -1,7 +1,7 @@
-"""Native code: from a CasADi Function over LLVM IR to an address, without a C compiler.
+"""Machine code of CasADi Functions by LLVM, without a C compiler.
 
-Of LLVM's passes only the inlining of helpers runs.  Code generation finds common
-subexpressions by itself; the usual pipeline takes a third longer and gives no faster code.
+The only LLVM pass is the inlining of helpers.  Code generation eliminates common
+subexpressions; the default pipeline takes a third longer and gives no faster code.
 """
 
 from __future__ import annotations
@@ -19,18 +19,21 @@ import llvmlite.binding as llvm
 
 from ...common.errors import InputError, NotCopyable
 from ...reduction.tree.limbs import Mark
-from .lowering import RESERVED, lower
+from .lowering import lower
+from .operations import RESERVED
 
-_IDENTITY = 16  # bytes: format, word size and byte order
+_IDENTITY = 16  # bytes that encode format, word size and byte order
 
 _LOCK = Lock()
 
 
 @dataclass(frozen=True, eq=False)
 class NativeCode:
-    """A function in memory, callable as long as this object is alive.
+    """A function in memory, callable as long as this object exists.
 
-    address: of `void name(const double *in0, …, double *out)`.
+    Attributes:
+        name: Name of the function.
+        address: Address of `void name(const double *in0, …, double *out)`.
     """
 
     name: str
@@ -38,10 +41,10 @@ class NativeCode:
     _engine: Any = field(repr=False)
 
     def __reduce__(self) -> NoReturn:
-        # llvmlite's objects let themselves be copied in part, and complain when that part dies.
+        # Copies of llvmlite objects are incomplete and print errors when they are deleted.
         raise NotCopyable(
             f"the machine code '{self.name}' lives in this process and can be neither copied nor "
-            "pickled; what another process needs is made there: load(…), simulate(…), or "
+            "pickled; create it in the other process by load(…) or simulate(…), or pass results by "
             "traj.save(…) and read_recording(…)"
         )
 
@@ -54,44 +57,57 @@ def compile_object(
     wide: int = 1,
     wide_inputs: Sequence[int] = (0,),
 ) -> bytes:
-    """Return object code of `void name(const double *in0, …, double *out)` for this CPU.
+    """Compile `void name(const double *in0, …, double *out)` for this CPU.
 
-    function: an SX Function of any number of dense columns with one dense column as its
-    output.  No pointer may overlap `out`; one to an empty column may be anything.  marks: of
-    a Function made by `Lanes`, whose further inputs and outputs have no pointers.  wide: the
-    number of places at which it is evaluated at once; the wide inputs and `out` then hold that
-    many values of every number, one after another.
+    No pointer may overlap `out`; the pointer of an empty column may have any value.
 
-    Raises InputError if the function is not such, or `name` not the name of a function, and
-    UnsupportedOperationError if it holds an operation that has no machine code.
+    Args:
+        function: SX Function of dense columns with one dense column as output.
+        name: Name of the compiled function, a C identifier.
+        marks: Marks of a Function built by `Lanes`; its additional input and output have no
+            pointers.
+        wide: Number of points at which the function is evaluated at once.  Each entry of the
+            wide inputs and of `out` then occupies this many consecutive numbers.
+        wide_inputs: Indices of the inputs with this layout.
+    Returns:
+        The object code.
+    Raises:
+        InputError: The Function or the name is invalid.
+        UnsupportedOperationError: The Function contains an operation without machine code.
     """
     _check(function, name, outputs=1 if marks is None else 2)
     text = lower(function, name, marks, fma=_has_fma(), wide=wide, wide_inputs=wide_inputs)
     with _LOCK:
         context = llvm.create_context()
         module = llvm.parse_assembly(text, context)
-        machine = _machine()
+        machine = _create_machine()
         passes = llvm.create_new_module_pass_manager()
         passes.add_always_inliner_pass()
         passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
         code: bytes = machine.emit_object(module)
-        module.close()  # before its context, which it does not keep alive
+        module.close()  # before its context is deleted
     return code
 
 
 def load_object(code: bytes, name: str) -> NativeCode:
-    """Put object code of `compile_object` into memory.
+    """Load object code of `compile_object` into memory.
 
-    The same code may be loaded any number of times, by any thread.  Code from elsewhere can
-    do anything: only load what was compiled here, or comes from an ObjectCache.
+    The same code may be loaded repeatedly, by any thread.  Foreign code can do anything, so load
+    only code that was compiled here or read from an ObjectCache.
 
-    Raises InputError if it does not begin as object code does or has no function `name`.
+    Args:
+        code: The object code.
+        name: Name of the function.
+    Returns:
+        The function.
+    Raises:
+        InputError: The bytes are no object code of this machine, or have no such function.
     """
     with _LOCK:
         if code[:_IDENTITY] != _identity():
             raise InputError(f"{len(code)} bytes for '{name}' are no object code of this machine")
-        machine = _machine()
-        # The global context: one of its own would have to outlive the engine.
+        machine = _create_machine()
+        # Use the global context, because a private one would have to outlive the engine.
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
@@ -110,10 +126,11 @@ def _target() -> llvm.Target:
     return llvm.Target.from_default_triple()
 
 
-def _machine() -> llvm.TargetMachine:
-    """Return a target for this CPU.  Needed anew each time: MCJIT takes it over.
+def _create_machine() -> llvm.TargetMachine:
+    """Create a target machine for this CPU.
 
-    The code model is the one for code that may land far from its constants and from libm.
+    MCJIT takes ownership, so each call needs a new one.  The code model allows code far from its
+    constants and from libm.
     """
     return _target().create_target_machine(
         cpu=llvm.get_host_cpu_name(),
@@ -125,25 +142,25 @@ def _machine() -> llvm.TargetMachine:
 
 @cache
 def _identity() -> bytes:
-    """Return the first bytes of every object file of this machine; LLVM crashes on others."""
-    begin: bytes = _machine().emit_object(llvm.parse_assembly(""))
-    return begin[:_IDENTITY]
+    """Return the first bytes of all object files of this machine; LLVM crashes on others."""
+    header: bytes = _create_machine().emit_object(llvm.parse_assembly(""))
+    return header[:_IDENTITY]
 
 
 @cache
 def _has_fma() -> bool:
-    """Return whether the CPU multiplies and adds in one instruction."""
+    """Return whether the CPU has a fused multiply-add."""
     aarch64 = platform.machine().lower() in {"arm64", "aarch64"}
     return aarch64 or bool(llvm.get_host_cpu_features().get("fma"))
 
 
 def _check(function: ca.Function, name: str, outputs: int) -> None:
     if not (name.isascii() and name.isidentifier()) or name in RESERVED:
-        raise InputError(f"the function must have a name that is free in C, got {name!r}")
+        raise InputError(f"the name of the function must be a free C identifier, got {name!r}")
     if not function.is_a("SXFunction"):
         raise InputError(
             f"'{name}' must be a Function of SX expressions, got {function.class_name()}; "
-            "expand() makes one of an MX Function"
+            "expand() converts an MX Function"
         )
     if function.n_out() != outputs:
         raise InputError(f"'{name}' must have one output, got {function.n_out()}")

@@ -1,22 +1,22 @@
-"""Sine and cosine together, of several angles at once, as LLVM IR.
+"""Sine and cosine of several angles at once, as LLVM IR.
 
-For |x| < 2²⁰ the angle is reduced to |r| ≤ π/4 by three parts of π/2 (Cody and Waite): with
-a fused multiply-add the first step is exact, and what the others round away is kept and
-added to the result.  Then fdlibm's polynomials.  Larger angles, inf and NaN take a branch
-to libm, each in its lane: no lane's numbers depend on what the others hold.  On a CPU that has no
-fused multiply-add everything does.
+For |x| < 2²⁰ the angle is reduced to |r| ≤ π/4 by three parts of π/2 (Cody and Waite).  With a
+fused multiply-add the first step is exact; the rounding errors of the other steps are kept and
+added to the result.  Then fdlibm's polynomials are evaluated.  Larger angles, inf and NaN branch
+to libm, each in its lane, so that no lane depends on the others.  CPUs without a fused
+multiply-add use libm for all angles.
 """
 
 from __future__ import annotations
 
 import struct
 
-LANES = (8, 4, 2, 1)  # how many angles at once, the widest first
+LANES = (8, 4, 2, 1)  # supported numbers of angles, the widest first
 
-_LIMIT = 2.0**20
-_MAGIC = 1.5 * 2.0**52  # added to a number, it leaves the nearest integer in the lowest bits
+_LIMIT = 2.0**20  # larger angles branch to libm [rad]
+_MAGIC = 1.5 * 2.0**52  # adding it rounds a number to an integer in the lowest bits
 _TWO_OVER_PI = float.fromhex("0x1.45f306dc9c883p-1")
-# π/2 in parts of 53, 33 and 53 bits: 20 bits times the second are exact.
+# π/2 in parts of 53, 33 and 53 bits, so that 20 bits times the second part are exact.
 _PARTS = (
     float.fromhex("0x1.921fb54442d18p+0"),
     float.fromhex("0x1.1a62633100000p-54"),
@@ -34,20 +34,24 @@ _COS = (
 
 
 def constant(value: float) -> str:
-    """Return a number as LLVM reads it without rounding."""
+    """Format a number as LLVM reads it without rounding."""
     (bits,) = struct.unpack("<Q", struct.pack("<d", value))
     return f"0x{bits:016X}"
 
 
 def vector(lanes: int, kind: str = "double") -> str:
-    """Return the type of a value with this many lanes; one lane is a scalar."""
+    """Return the LLVM type of a value with this many lanes; one lane is a scalar."""
     return kind if lanes == 1 else f"<{lanes} x {kind}>"
 
 
 def sincos_ir(lanes: int, *, fma: bool) -> str:
-    """Return the function `{T, T} @pinred.sincos<lanes>(T)`, and those that it calls.
+    """Generate the function `{T, T} @pinred.sincos<lanes>(T)` and its helpers.
 
-    fma: whether the CPU has a fused multiply-add.
+    Args:
+        lanes: Number of angles.
+        fma: Whether the CPU has a fused multiply-add.
+    Returns:
+        The LLVM IR.
     """
     declared = _declarations(lanes) + _by_libm(lanes)
     return declared + (_by_polynomials(lanes) if fma else _forward(lanes))
@@ -70,7 +74,7 @@ def _suffix(lanes: int) -> str:
 
 
 def _by_libm(lanes: int) -> str:
-    """Return `@pinred.libm<lanes>`: one angle after another, out of line."""
+    """Generate `@pinred.libm<lanes>`, an out-of-line loop over the angles."""
     T = vector(lanes)
     lines = [f"define internal {{{T}, {T}}} @pinred.libm{lanes}({T} %x) noinline cold nounwind {{"]
     sine, cosine = "poison", "poison"
@@ -126,14 +130,14 @@ def _by_polynomials(lanes: int) -> str:
         return put(name, f"call {T} @llvm.fma.{_suffix(lanes)}({T} {a}, {T} {b}, {T} {c})")
 
     def polynomial(name: str, coefficients: tuple[float, ...]) -> str:
-        # In z, in pairs: shorter chains than one coefficient after another.
+        # Evaluate pairs of coefficients in z, which has shorter chains than Horner's scheme.
         a, b, c = (
             fma(f"{name}{k}", "%z", number(coefficients[k + 1]), number(coefficients[k]))
             for k in (0, 2, 4)
         )
         return fma(name, "%zz", fma(f"{name}bc", "%zz", c, b), a)
 
-    # q = nearest integer to x / (π/2); r + e = x − q π/2, where e is what r cannot hold.
+    # q = nearest integer to x / (π/2); r + e = x − q π/2, where e is the rounding error of r.
     shifted = fma("shifted", "%x", number(_TWO_OVER_PI), number(_MAGIC))
     q = op("q", "fsub", shifted, number(_MAGIC))
     minus = [number(-part) for part in _PARTS]
@@ -145,7 +149,7 @@ def _by_polynomials(lanes: int) -> str:
     e = op("e", "fadd", e2, e3)
     z = op("z", "fmul", r, r)
     op("zz", "fmul", z, z)
-    # sin(r + e) = r + (r³ S(z) + e (1 − z/2)).  The sign is r's even where the sum is −0 + 0.
+    # sin(r + e) = r + (r³ S(z) + e (1 − z/2)).  Copy the sign of r, since −0 + 0 would be +0.
     half = op("half", "fmul", z, number(0.5))
     short = fma("short", put("minushalf", f"fneg {T} {half}"), e, e)
     tail = fma("tail", op("cube", "fmul", z, r), polynomial("S", _SIN), short)
@@ -156,8 +160,8 @@ def _by_polynomials(lanes: int) -> str:
     rounded = op("rounded", "fsub", op("onew", "fsub", number(1.0), w), half)
     small = fma("small", put("minusr", f"fneg {T} {r}"), e, rounded)
     cosine = op("cosine", "fadd", w, fma("rest", "%zz", polynomial("C", _COS), small))
-    # The quadrant is in the lowest bits of `shifted`.  1, 3: exchange.  2, 3: sin changes its
-    # sign.  1, 2: cos does.
+    # The lowest bits of `shifted` are the quadrant.  Quadrants 1 and 3 exchange sine and cosine.
+    # The sine changes sign in quadrants 2 and 3, the cosine in 1 and 2.
     bits = put("bits", f"bitcast {T} {shifted} to {I}")
     odd = put("odd", f"trunc {I} {bits} to {B}")
     first = put("first", f"select {B} {odd}, {T} {cosine}, {T} {signed}")
@@ -168,8 +172,8 @@ def _by_polynomials(lanes: int) -> str:
         two = put(f"{name}two", f"and {I} {quadrant}, {integer(2)}")
         sign = put(f"{name}sign", f"shl {I} {two}, {integer(62)}")
         plain = put(f"{name}plain", f"bitcast {T} {value} to {I}")
-        turned = put(f"{name}turned", f"xor {I} {plain}, {sign}")
-        results.append(put(f"{name}fast", f"bitcast {I} {turned} to {T}"))
+        flipped = put(f"{name}turned", f"xor {I} {plain}, {sign}")
+        results.append(put(f"{name}fast", f"bitcast {I} {flipped} to {T}"))
     fast = "\n".join(lines)
     all_small = (
         "%ok = and i1 %small.x, true"
