@@ -19,7 +19,7 @@ from ...common.plain_names import quoted
 from ...integrators.integrate import Solution, integrate_checked
 from ...integrators.methods import Method
 from ...kernels.kernel import Kernel
-from ...reduction.lost_inertia import lost_inertia
+from ...reduction.inertia_split import lost_inertia
 from ...scene.scene import Scene
 from ...system.joints import joint_units
 from ..piece import Integrate, Piece
