@@ -25,7 +25,6 @@ from .event import Event, list_events, watched_of
 from .initial_state import GivenStates, Start, start_of
 from .option_checks import (
     check_keyframe,
-    check_passive,
     check_seed,
     check_span,
     check_tolerances,
@@ -34,7 +33,7 @@ from .option_checks import (
     with_tolerances,
 )
 from .parameters import GivenParameters, given_parameters
-from .passive_forces import acting_passive, passive_left_out
+from .passive_forces import acting_passive, check_passive, passive_left_out
 from .random_state import random_state
 from .scene_options import ENGINES as ENGINES
 from .scene_options import OUTPUTS, SCENE_OPTIONS, SceneFields, describe_fields

@@ -18,7 +18,7 @@ from ..common.arrays import Array, freeze
 from ..system.joints import axes_of
 from ..system.state_fields import State, with_base
 from .driving_torques import driving_torques
-from .pieces import Motion
+from .motion import Motion
 from .plan import Plan
 
 _POINTS = 8  # Gauss points in each step.

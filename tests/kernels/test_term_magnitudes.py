@@ -21,7 +21,7 @@ from pinred.common.arrays import Array
 from pinred.kernels import validation
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.reference_state import ReferenceState, random_state
-from pinred.simulation.compiled.kernel_of_plan import kernel_of
+from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
 
 MASS, ARM, G = 2.0, 0.3, 10.0

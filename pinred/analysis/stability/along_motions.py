@@ -74,7 +74,7 @@ def linearise(traj: Trajectory, t: float = 0.0) -> Linearisation:
     without its base.
     """
     scene = scene_at(traj, t)
-    flow = CompiledFlow(plan_of(scene))
+    flow = CompiledFlow.of_plan(plan_of(scene))
     model, layout = scene.force_model, flow.kernel.layout
     y = flow.y0.copy()
     if layout.clock:
