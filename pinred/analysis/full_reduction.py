@@ -19,7 +19,7 @@ from ..reduction.levi_civita import (
     sectional,
 )
 from ..reduction.tree.second_derivatives import inertia_derivatives
-from ..system.system import Velocity
+from ..system.coordinates import Velocity
 
 if TYPE_CHECKING:
     from .connections.shape_field import ShapeField

@@ -99,7 +99,7 @@ class MovedFrame:
 
     def curvature(self, x: Array, B: Array) -> Array:
         """Return B′ = Ad_{h⁻¹} B, (r, m, m), at shape x (m,)."""
-        return self.moves(x[None]).curvature(B[None])[0]
+        return np.asarray(self.moves(x[None]).curvature(B[None])[0])
 
     def inertia_derivative(self, new: InertiaSplit, dI: Array) -> Array:
         """Return ∂I′, (r, r, m), derivative index last, from ∂I; new: the split in this frame."""
