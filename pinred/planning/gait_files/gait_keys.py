@@ -1,4 +1,4 @@
-"""The keys of gait files: the one description that reader, JSON Schema and docs go by."""
+"""The keys of gait files: one description for the reader, the JSON Schema and the docs."""
 
 from __future__ import annotations
 
@@ -48,13 +48,15 @@ _BODIES = {
             "centre": _CENTRE,
             "axis": _AXIS,
             "convention": Key(
-                Text(("textbook", "sysplotter")), "of the added moment", default="textbook"
+                Text(("textbook", "sysplotter")),
+                "convention of the added moment",
+                default="textbook",
             ),
         },
         "an elliptic cylinder across the plane",
     ),
 }
-_AT = Key(_POINT, "where, in the link's frame [m]", default="[0, 0, 0]")
+_AT = Key(_POINT, "position in the link's frame [m]", default="[0, 0, 0]")
 _LINK = Key(Text((), "the name of a link"), "the link that carries it", required=True)
 _WHEELS = {
     "wheel": Table(
@@ -67,11 +69,13 @@ _WHEELS = {
     ),
     "rolling": Table(
         {
-            "joint": Key(Text((), "the name of a joint"), "that turns the wheel", required=True),
+            "joint": Key(
+                Text((), "the name of a joint"), "the joint that rotates the wheel", required=True
+            ),
             "radius": Key(POSITIVE, "radius [m]", required=True),
             "link": _LINK,
             "at": _AT,
-            "heading": Key(_POINT, "where positive rates take it", default="[1, 0, 0]"),
+            "heading": Key(_POINT, "direction of motion for positive rates", default="[1, 0, 0]"),
         },
         "a wheel that rolls without slipping",
     ),
@@ -81,7 +85,9 @@ CONNECTIONS = {
     "viscous": Table({"drag": Key(ByName(_ROD), "a rod for each link", required=True)}, "drag"),
     "fluid": Table(
         {
-            "density": Key(POSITIVE, "of the fluid [kg/m³]; of ellipses [kg/m²]", required=True),
+            "density": Key(
+                POSITIVE, "density of the fluid [kg/m³]; for ellipses [kg/m²]", required=True
+            ),
             "bodies": Key(
                 ByName(Tagged("kind", _BODIES, "a body")), "a body for each link", required=True
             ),
@@ -92,7 +98,7 @@ CONNECTIONS = {
         {
             "wheels": Key(
                 ListOf(Tagged("kind", _WHEELS, "a wheel")),
-                "as many as the group has dimensions",
+                "one wheel for each dimension of the group",
                 required=True,
             )
         },
@@ -115,7 +121,7 @@ GAITS = {
     "spline": Table(
         {
             "points": _POINTS,
-            "times": Key(NUMBERS, "from 0, increasing [s]", default="even ones"),
+            "times": Key(NUMBERS, "increasing times from 0 [s]", default="equally spaced"),
             "period": _PERIOD,
         },
         "a periodic cubic spline",
@@ -133,7 +139,7 @@ GAITS = {
     "recorded": Table(
         {
             "file": Key(Text(), "a csv or npz file, relative to this one", required=True),
-            "period": Key(POSITIVE, "time of one cycle [s]", default="that of the data"),
+            "period": Key(POSITIVE, "time of one cycle [s]", default="the time span of the data"),
         },
         "recorded joint data",
     ),
@@ -143,29 +149,29 @@ _RANGES = Either((NUMBER, ListOf(_LIMIT), ByName(_LIMIT)))
 _MOSTS = Either((POSITIVE, ListOf(POSITIVE), ByName(POSITIVE)))
 _LIMITS = {
     "limits": Key(
-        _RANGES, "of joints [rad | m]: r for [−r, r], or one or a pair for each, or by joint",
+        _RANGES, "limits of joints [rad | m]: r for [−r, r], one value or pair each, or by joint",
         default="those in the robot's file",
     ),
-    "speeds": Key(_MOSTS, "greatest of joints [rad/s | m/s], for all, for each, or by joint"),
-    "torques": Key(_MOSTS, "greatest of joints [N m | N], in the same forms"),
+    "speeds": Key(_MOSTS, "largest speeds [rad/s | m/s], for all joints, for each, or by joint"),
+    "torques": Key(_MOSTS, "largest torques [N m | N], in the same formats"),
 }  # fmt: skip
 _TARGET = Either((NUMBER, NUMBERS))
 OPTIMISE = Table(
     {
-        "objective": Key(Text(AIMS), "what is wanted of the loop", default=AIMS[0]),
-        "axis": Key(Either((Text(("x", "y", "z")), NUMBERS)), "along or about which"),
-        "target": Key(_TARGET, "of objective target: an angle, a rotation vector, or a pose"),
-        "cost": Key(Text((*COSTS, "none")), "what it is to cost little of", default=COSTS[0]),
-        "most": Key(POSITIVE, "bound on the cost, under which the objective is made great"),
-        "harmonics": Key(Whole(1), "of the Fourier series", default="5"),
-        "vertices": Key(Whole(3), "of a polygon instead"),
-        "winding": Key(
-            Either((Whole(1, 1), Text(("any",)))), "how often it goes round", default="1"
+        "objective": Key(Text(AIMS), "objective of the loop", default=AIMS[0]),
+        "axis": Key(Either((Text(("x", "y", "z")), NUMBERS)), "axis of the objective"),
+        "target": Key(
+            _TARGET, "target of objective 'target': an angle, a rotation vector, or a pose"
         ),
+        "cost": Key(Text((*COSTS, "none")), "cost of the loop", default=COSTS[0]),
+        "most": Key(POSITIVE, "bound on the cost, under which the objective is maximised"),
+        "harmonics": Key(Whole(1), "number of harmonics of the Fourier series", default="5"),
+        "vertices": Key(Whole(3), "number of corners of a polygon instead"),
+        "winding": Key(Either((Whole(1, 1), Text(("any",)))), "winding number", default="1"),
         **_LIMITS,
         "period": Key(POSITIVE, "time of one cycle [s]", default="1"),
-        "starts": Key(Whole(1), "random first loops", default="5"),
-        "seed": Key(Whole(), "of their random numbers", default="0"),
+        "starts": Key(Whole(1), "number of random initial loops", default="5"),
+        "seed": Key(Whole(), "seed of their random numbers", default="0"),
     },
     "the objective of a best gait",
 )
@@ -173,11 +179,11 @@ REORIENT = Table(
     {
         "target": Key(_TARGET, "rotation vector, angle [rad] or pose", required=True),
         **_LIMITS,
-        "x0": Key(SHAPE, "shape at start and end, in order or by joint", default="zero"),
-        "cycles": Key(Whole(1), "of equal loops", default="as few as will do"),
-        "duration": Key(POSITIVE, "of all of it [s]", default="2 s a cycle"),
+        "x0": Key(SHAPE, "initial and final shape, in order or by joint", default="zero"),
+        "cycles": Key(Whole(1), "number of equal loops", default="as few as possible"),
+        "duration": Key(POSITIVE, "total duration [s]", default="2 s per cycle"),
     },
-    "how the base is to turn",
+    "reorientation of the base",
 )
 GAIT_FILE = Table(
     {
@@ -187,18 +193,22 @@ GAIT_FILE = Table(
             text="values of robot parameters, such as hand.mass (docs/flow.md)",
         ),
         "connection": Key(
-            Tagged("kind", CONNECTIONS, "a connection"), "what moves the body", default="mechanical"
+            Tagged("kind", CONNECTIONS, "a connection"),
+            "connection that moves the body",
+            default="mechanical",
         ),
-        "base": Key(Text((), "the name of a link"), "the link to be the base", default="the root"),
+        "base": Key(
+            Text((), "the name of a link"), "link that serves as the base", default="the root"
+        ),
         "gait": Key(Tagged("kind", GAITS, "a gait"), "the closed path"),
         "momentum": replace(SCENE_OPTIONS["momentum"], default="0"),
         "optimise": Key(OPTIMISE, "the objective of a best gait"),
-        "reorient": Key(REORIENT, "how the base is to turn"),
+        "reorient": Key(REORIENT, "reorientation of the base"),
     },
     "a gait file",
 )
 
 
 def gait_schema() -> Schema:
-    """Return the JSON Schema (draft 2020-12) of gait files, as read from TOML."""
+    """Return the JSON Schema (draft 2020-12) of gait files."""
     return document_schema(GAIT_FILE, "pinred gait")
