@@ -22,12 +22,12 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the checks.  Returns 0, or 1 if a check fails."""
     from ..laboratory.stress.check import Trial
-    from ..laboratory.stress.run_stress import chosen, run_checks, table
+    from ..laboratory.stress.run_stress import run_checks, select_checks, table
 
-    checks = chosen(arguments.only.split(",") if arguments.only else ())
+    checks = select_checks(arguments.only.split(",") if arguments.only else ())
     trial = Trial(effort="full" if arguments.full else "usual")
     outcomes = []
-    for outcome in run_checks(checks, trial, begun=_progress):
+    for outcome in run_checks(checks, trial, on_case=_progress):
         outcomes.append(outcome)
         if sys.stderr.isatty():
             sys.stderr.write("\r\033[K")

@@ -1,9 +1,8 @@
-"""integrate(): one run of a method, and its Solution."""
+"""integrate(): one run of a method from checked arguments."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +18,7 @@ from ..common.errors import (
     TooManySteps,
 )
 from .methods.method import Method
+from .solution import Solution, checked_times
 from .stepping.run_record import (
     AUTO,
     DIVERGED,
@@ -26,12 +26,13 @@ from .stepping.run_record import (
     ENDS_KEPT,
     FIXED_POINT,
     FULL,
+    LAYOUT,
     NOT_FINITE,
     NOTHING_KEPT,
+    STAGES_KEPT,
     UNDERFLOW,
     WANTED,
     Runs,
-    copied,
     new_run,
 )
 from .stepping.state_rows import Y
@@ -40,86 +41,10 @@ Progress = Callable[[float], None]
 Tangent = Callable[[], int]
 Canonical = tuple[int, int]
 
+# Step ends for which there is room at first.
 _FIRST_KNOTS = 128
-
-
-@dataclass(frozen=True)
-class Solution:
-    """A run: the states at the report times, and the steps for dense output.
-
-    The kernel must stay loaded as long as `at` is called.
-
-    Attributes:
-        method: Method of the run.
-        times: Report times, (T,) [s].
-        y: States at the report times, (T, n).
-        steps: Number of accepted steps.
-        rejected: Number of rejected steps.
-        evaluations: Number of evaluations of the kernel.
-        knots: Times of all step ends, (K,) [s].
-        states: States at the step ends before normalisation of the quaternion, (K, n). The states
-            returned by `at` are normalised.
-        complete: Whether the run reached its end; if not, its watcher has stopped it.
-    """
-
-    method: Method
-    times: Array
-    y: Array
-    steps: int
-    rejected: int
-    evaluations: int
-    knots: Array
-    states: Array
-    complete: bool
-    _stored: Array = field(repr=False)
-    _params: Array = field(repr=False)
-    _run: Runs = field(repr=False)
-
-    @property
-    def stored(self) -> Array:
-        """States at the step ends, followed by the stored stages of each step, (K, n + …)."""
-        return self._stored
-
-    def at(self, times: ArrayLike) -> Array:
-        """Return the states at given times, equal to those reported by the run.
-
-        Only the steps that contain these times are recomputed.
-
-        Args:
-            times: Times in any order, (T,) [s].
-        Returns:
-            States, (T, n).
-        Raises:
-            InputError: A time is outside of the run.
-            NoConvergence: An implicit step to one of the times was not solved.
-        """
-        asked = checked_times(times, float(self.knots[-1]), ordered=False)
-        order = np.argsort(asked, kind="stable")
-        n = self.states.shape[1]
-        sorted_states = np.empty((len(asked), n))
-        stepper, run = self.method.stepper(), copied(self._run)
-        stepper.loops.recall(
-            run,
-            self._params,
-            stepper.work(n, tangent=run["tangent"].item() > 0),
-            read_only(asked[order]),
-            sorted_states,
-            self.knots,
-            self._stored,
-        )
-        lost = np.flatnonzero(np.isnan(sorted_states).any(axis=1))
-        if lost.size:
-            time = float(asked[order][lost[0]])
-            last_state = self.states[np.searchsorted(self.knots, time) - 1]
-            raise NoConvergence(
-                f"the state at t = {time:g} s, within a step, has no solution that could be "
-                "found: take shorter steps",
-                time,
-                last_state,
-            )
-        y = np.empty_like(sorted_states)
-        y[order] = sorted_states
-        return y
+# Largest size of a solution with stored stage derivatives [bytes].
+MOST_STAGE_BYTES = 1 << 25
 
 
 def integrate(
@@ -166,95 +91,111 @@ def integrate(
     check_state(state, quaternion, "y0", 1)
     checked = checked_times(times, end, ordered=True)
     copied_params = read_only(np.array(as_floats(params, "params")))
-    return integrate_checked(
-        method,
-        address,
-        copied_params,
-        state,
-        end,
-        checked,
-        quaternion,
-        progress,
-        tangent,
-        canonical,
+    integration = Integration(
+        method, address, len(state), end, checked, quaternion, canonical, tangent
     )
+    return integration(copied_params, state, progress=progress)
 
 
-def integrate_checked(
-    method: Method,
-    address: int,
-    params: Array,
-    y0: Array,
-    end: float,
-    times: Array,
-    quaternion: int,
-    progress: Progress | None,
-    tangent: Tangent | None = None,
-    canonical: Canonical = (0, 0),
-    watch: Callable[[Solution], bool] | None = None,
-) -> Solution:
-    """Integrate as `integrate` does, with valid arguments; params and times must not change later.
+class Integration:
+    """A prepared integration over one time span, for any initial state and parameters."""
 
-    Args:
-        method: Method with its options.
-        address: Address of the kernel.
-        params: Parameters, (p,), read-only.
-        y0: Initial state, (n,).
-        end: End time [s].
-        times: Sorted report times, (T,) [s], read-only.
-        quaternion: Index of the first of the quaternion's four entries, −1 for none.
-        progress: Called with the finished fraction of the time.
-        tangent: Function that returns the address of the kernel of ∂f/∂y.
-        canonical: See `integrate`.
-        watch: Called repeatedly, and before an error is raised, with the run so far. If it returns
-            true, the run stops there and its Solution is not complete.
-    Returns:
-        The run.
-    """
-    n = y0.shape[0]
-    stepper = method.stepper()
-    run = begun_by(method, address, n, end, quaternion, canonical, keep=ENDS_KEPT)
-    if stepper.needs_tangent:
-        give_tangent(tangent, method, run)
-    work = stepper.work(n)
-    work[Y, :n] = y0
-    reported_states = np.empty((len(times), n))
-    knots, states = np.empty(_FIRST_KNOTS), np.empty((_FIRST_KNOTS, stepper.kept * n))
+    def __init__(
+        self,
+        method: Method,
+        address: int,
+        n: int,
+        end: float,
+        times: Array,
+        quaternion: int = -1,
+        canonical: Canonical = (0, 0),
+        tangent: Tangent | None = None,
+    ) -> None:
+        """Prepare what all runs share; the arguments are not checked.
 
-    def so_far(*, complete: bool) -> Solution:
-        steps = run["steps"].item()
-        stored = read_only(states[: steps + 1])
-        reported = len(times) if complete else run["next"].item()
-        return Solution(
-            method=method,
-            times=times[:reported],
-            y=read_only(reported_states[:reported]),
-            steps=steps,
-            rejected=run["rejected"].item(),
-            evaluations=run["evaluations"].item(),
-            knots=read_only(knots[: steps + 1]),
-            states=stored[:, :n],
-            complete=complete,
-            _stored=stored,
-            _params=params,
-            _run=run,
-        )
+        Args:
+            method: Integrator.
+            address: Address of the kernel of f.
+            n: Length of the state.
+            end: End time [s].
+            times: Report times, (T,) sorted and read-only [s].
+            quaternion: As for `integrate`.
+            canonical: As for `integrate`.
+            tangent: As for `integrate`.
 
-    status = -1
-    while status != DONE:
-        status = stepper.loops.advance(run, params, work, times, reported_states, knots, states)
-        if status != DONE and watch is not None and run["steps"] and watch(so_far(complete=False)):
-            return so_far(complete=False)
-        if status == FULL:
-            knots, states = _doubled(knots), _doubled(states)
-        elif status == WANTED:
+        Raises:
+            InputError: The method needs a derivative, and `tangent` is None.
+        """
+        self.times = times
+        self._method, self._n, self._end, self._tangent = method, n, end, tangent
+        self._stepper = stepper = method.stepper()
+        run = begun_by(method, address, n, end, quaternion, canonical, keep=ENDS_KEPT)
+        if stepper.needs_tangent:
             give_tangent(tangent, method, run)
-            work = stepper.widened(n, work)
-        elif status >= UNDERFLOW:
-            raise failure(status, run, work[Y, :n].copy())
-        if progress is not None:
-            progress(run["t"].item() / end)
-    return so_far(complete=True)
+        self._registers, self._work, self._room = run.tobytes(), stepper.work(n), _FIRST_KNOTS
+
+    def __call__(
+        self,
+        params: Array,
+        y0: Array,
+        *,
+        stages: bool = False,
+        progress: Progress | None = None,
+        watch: Callable[[Solution], bool] | None = None,
+    ) -> Solution:
+        """Return the solution from y0 (n,) at time 0.
+
+        Args:
+            params: Parameters of the kernel, (p,); nobody changes them afterwards.
+            y0: Initial state, (n,).
+            stages: Whether to store stage derivatives for the backward pass, as long as they take
+                at most MOST_STAGE_BYTES.
+            progress: Called now and then with the fraction of the time that is done.
+            watch: Called with the solution so far, now and then and before a failure; if it
+                returns True, the integration stops there and the solution is not complete.
+
+        Returns:
+            The solution.
+
+        Raises:
+            IntegrationError: The integration failed; see `integrate`.
+        """
+        n, times, room, stepper = self._n, self.times, self._room, self._stepper
+        run, work = np.frombuffer(bytearray(self._registers), LAYOUT), self._work.copy()
+        work[Y, :n] = y0
+        width = (stepper.kept + stepper.stages * stages) * n
+        if stages and 8 * room * width > MOST_STAGE_BYTES:
+            stages, width = False, stepper.kept * n
+        if stages:
+            run["keep"] = STAGES_KEPT
+        out, knots, rows = np.empty((len(times), n)), np.empty(room), np.empty((room, width))
+        advance = stepper.loops.advance
+        while True:
+            status = advance(run, params, work, times, out, knots, rows)
+            if status == DONE:
+                if progress is not None:
+                    progress(run["t"].item() / self._end)
+                return Solution(self._method, times, read_only(out), True, params, run, knots, rows)
+            if watch is not None and run["steps"]:
+                told = run["next"].item()
+                part = Solution(
+                    self._method, times[:told], read_only(out[:told]), False, params, run, knots,
+                    rows,
+                )  # fmt: skip
+                if watch(part):
+                    return part
+            if status == FULL:
+                self._room = 2 * len(knots)
+                if stages and 8 * self._room * width > MOST_STAGE_BYTES:
+                    return self(params, y0, progress=progress, watch=watch)
+                knots, rows = _doubled(knots), _doubled(rows)
+            elif status == WANTED:
+                give_tangent(self._tangent, self._method, run)
+                work = stepper.widened(n, work)
+            elif status >= UNDERFLOW:
+                raise failure(status, run, work[Y, :n].copy())
+            if progress is not None:
+                progress(run["t"].item() / self._end)
 
 
 def begun_by(
@@ -367,30 +308,6 @@ def check_state(y0: Array, quaternion: int, what: str, ndim: int) -> None:
         )
     if quaternion >= 0 and not y0[..., quaternion : quaternion + 4].any(axis=-1).all():
         raise InputError(f"the quaternion in {what} is zero")
-
-
-def checked_times(times: ArrayLike, t_end: float, *, ordered: bool) -> Array:
-    """Return times as a read-only array (T,) within [0, t_end].
-
-    Args:
-        times: Times [s].
-        t_end: End time [s].
-        ordered: Whether they must be sorted.
-    Returns:
-        The times.
-    Raises:
-        ShapeError: There is not exactly one axis.
-        InputError: Times are outside of the run or not sorted.
-    """
-    checked = np.array(as_floats(times, "times"))
-    if checked.ndim != 1:
-        raise ShapeError(f"times must have shape (T,), got {checked.shape}")
-    if checked.size:
-        if not (checked.min() >= 0.0 and checked.max() <= t_end):  # NaN is outside too
-            raise InputError(f"times must lie between 0 and {t_end:g} s, got {checked}")
-        if ordered and (checked[1:] < checked[:-1]).any():
-            raise InputError(f"times must be sorted, got {checked}")
-    return read_only(checked)
 
 
 def _doubled(array: Array) -> Array:

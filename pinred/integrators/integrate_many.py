@@ -21,10 +21,10 @@ from .integrate import (
     begun_by,
     check_kernel,
     check_state,
-    checked_times,
     give_tangent,
 )
 from .methods.method import Method
+from .solution import checked_times
 from .stepping.run_record import (
     DIVERGED,
     DONE,

@@ -1,4 +1,4 @@
-"""The laboratory: benchmarks, the stress suite and the corpus of robot files.
+"""Benchmarks, the stress suite and the corpus of robot files (the laboratory).
 
-Imports any package but `cli`. Only `cli` imports it, when one of its commands is called.
+Imports any package except `cli`. Only `cli` imports it, inside functions of its commands.
 """

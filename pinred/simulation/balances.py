@@ -1,9 +1,8 @@
-"""Balances: what forces have done, integrated along a motion after the fact.
+"""Balances of energy and momentum, computed from a motion when they are requested.
 
-Energy changes by the work of the forces without a potential, and of the drives of the
-prescribed joints; momentum by the impulse of wrenches and of gravity.  Power and wrench are
-integrated over every step of the motion through Gauss's 8 points, so that a simulation pays
-nothing for them until somebody asks.
+Energy changes by the work of forces without a potential and of the drives of prescribed joints.
+Momentum changes by the impulse of wrenches and of gravity.  Powers and wrenches are integrated over
+each step with 8 Gauss points.
 """
 
 from __future__ import annotations
@@ -16,21 +15,26 @@ import pinocchio as pin
 from numpy.polynomial import legendre
 
 from ..common.arrays import Array, freeze
+from ..forces.acting import ForceInputs
 from ..system.joints import axes_of
 from ..system.state_fields import State, with_base
 from .driving_torques import driving_torques
-from .pieces import Motion
+from .motion import Motion
 from .plan import Plan
 
-_POINTS = 8
-_DRIVES = "prescribed joints"
+_POINTS = 8  # Gauss points in each step.
+_DRIVES = "prescribed joints"  # Label of the work of their drives.
 
 
 @dataclass(frozen=True)
 class EnergyBalance:
     """The balance of energy and work; arrays are read-only.
 
-    t: (T,) [s].  energy: (T,) [J].  work: (T, K) done since the start by each of `labels`.
+    Attributes:
+        t: Report times, (T,) [s].
+        energy: Kinetic and potential energy, (T,) [J].
+        labels: Names of the forces that do work, K of them.
+        work: Work of each of them since the start of the motion, (T, K) [J].
     """
 
     t: Array
@@ -43,7 +47,7 @@ class EnergyBalance:
 
     @property
     def residual(self) -> Array:
-        """E(t) − E(0) − work, (T,) [J]: zero but for the error of the integration."""
+        """E(t) − E(0) − work, (T,) [J]; zero except for integration errors."""
         return np.asarray(self.energy - self.energy[0] - self.work.sum(axis=1) + self.work[0].sum())
 
     def _repr_html_(self) -> str:
@@ -60,10 +64,12 @@ class EnergyBalance:
 
 @dataclass(frozen=True)
 class MomentumBalance:
-    """The balance of momentum and impulse; arrays are read-only.
+    """The balance of momentum and impulse in the root joint's fixed frame, about its origin.
 
-    t: (T,) [s].  momentum, impulse: (T, r) J and what wrenches and gravity have given since
-    the start, in the root joint's fixed frame about its origin.
+    Attributes:
+        t: Report times, (T,) [s].
+        momentum: Spatial momentum J, (T, r) [N·s | N·m·s].
+        impulse: Impulse of wrenches and gravity since the start, (T, r) [N·s | N·m·s].
     """
 
     t: Array
@@ -75,7 +81,7 @@ class MomentumBalance:
 
     @property
     def residual(self) -> Array:
-        """J(t) − J(0) − impulse, (T, r): zero but for the error of the integration."""
+        """J(t) − J(0) − impulse, (T, r) [N·s | N·m·s]; zero except for integration errors."""
         return np.asarray(self.momentum - self.momentum[0] - self.impulse + self.impulse[0])
 
     def _repr_html_(self) -> str:
@@ -89,62 +95,81 @@ class MomentumBalance:
 
 
 def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
-    """Return the energy balance of a motion at the times of some states."""
+    """Compute the energy balance of a motion.
+
+    Args:
+        plan: The plan of the scene.
+        motion: The motion, which has the base.
+        states: States of the motion at the report times.
+    Returns:
+        The balance at the times of the states.
+    """
     forces = plan.forces
     if forces is None or not (forces.labels or forces.joints):
-        none = np.zeros((len(states.t), 0))
-        return EnergyBalance(states.t, states.energy, (), none)
+        return EnergyBalance(states.t, states.energy, (), np.zeros((len(states.t), 0)))
     labels = (*forces.labels, *([_DRIVES] if forces.joints else []))
 
-    def powers(t: Array) -> Array:
-        seen, full = motion.samples(t), with_base(motion.states(t), plan.system.name)
-        out = np.empty((len(t), len(labels)))
-        for k, (s, numbers) in enumerate(seen):
-            out[k, : len(forces.labels)] = forces.powers(
-                float(t[k]), s.x, s.xdot, s.xi, s.mu, numbers, full.xi[k], s.base
+    def compute_powers(t: Array) -> Array:
+        samples, full = motion.samples(t), with_base(motion.states(t), plan.system.name)
+        values = np.empty((len(t), len(labels)))
+        for k, (s, numbers) in enumerate(samples):
+            values[k, : len(forces.labels)] = forces.powers(
+                ForceInputs(float(t[k]), s.x, s.xdot, s.xi, s.mu, numbers, s.base), full.xi[k]
             )
         if forces.joints:
-            drive = driving_torques(plan, t, seen)
-            out[:, -1] = np.sum(drive * full.xdot[:, list(forces.joints)], axis=1)
-        return out
+            drive = driving_torques(plan, t, samples)
+            values[:, -1] = np.sum(drive * full.xdot[:, list(forces.joints)], axis=1)
+        return values
 
-    return EnergyBalance(states.t, states.energy, labels, _integral(motion, states.t, powers))
+    return EnergyBalance(
+        states.t, states.energy, labels, _integral(motion, states.t, compute_powers)
+    )
 
 
 def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalance:
-    """Return the momentum balance of a motion at the times of some states."""
+    """Compute the momentum balance of a motion.
+
+    Args:
+        plan: The plan of the scene.
+        motion: The motion, which has the base.
+        states: States of the motion at the report times.
+    Returns:
+        The balance at the times of the states.
+    """
     system, forces = plan.system, plan.forces
     axes, weight = axes_of(system.model.joints[1]), system.mass * system.gravity
-    # About the root's place, from which arms are counted, not the world's origin: a robot that is
-    # balanced there has none, and no round-off of one.
+    # Moments are about the root joint, not the world's origin, so that a robot that is balanced
+    # there has no round-off of a large lever arm.
     model, data = system.model.copy(), system.data
     rotation = model.jointPlacements[1].rotation.copy()
     model.jointPlacements[1].translation = np.zeros(3)
 
-    def impulses(t: Array) -> Array:
+    def compute_wrenches(t: Array) -> Array:
         full = with_base(motion.states(t), system.name)
-        out = np.empty((len(t), system.r))
+        wrenches = np.empty((len(t), system.r))
         for k, q in enumerate(full.q):
-            parts = np.append(weight, np.cross(pin.centerOfMass(model, data, q), weight))
-            out[k] = axes.T @ (parts.reshape(2, 3) @ rotation).ravel()
+            moment = np.cross(pin.centerOfMass(model, data, q), weight)
+            wrenches[k] = axes.T @ (np.array([weight, moment]) @ rotation).ravel()
         if forces is not None and plan.acting.wrench:
             body = [
-                forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers, s.base).wrench
+                forces.acting(
+                    ForceInputs(float(time), s.x, s.xdot, s.xi, s.mu, numbers, s.base)
+                ).wrench
                 for time, (s, numbers) in zip(t, motion.samples(t), strict=True)
             ]
-            out += system.group.spatial_momentum(full.pose, np.array(body))
-        return out
+            wrenches += system.group.spatial_momentum(full.pose, np.array(body))
+        return wrenches
 
     impulse = np.zeros((len(states.t), system.r))
     if plan.acting.wrench or weight.any():
-        impulse = _integral(motion, states.t, impulses)
+        impulse = _integral(motion, states.t, compute_wrenches)
     return MomentumBalance(states.t, states.spatial_momentum, impulse)
 
 
 def _integral(motion: Motion, t: Array, integrand: Callable[[Array], Array]) -> Array:
     """Return the integrals from 0 to times t (T,) of an integrand (T,) → (T, K).
 
-    In every step, by the integral of its Legendre series through Gauss's points.
+    In each step the Legendre series through the Gauss points is integrated.
     """
     ends = motion.knots[: np.searchsorted(motion.knots, t[-1]) + 1]
     if len(ends) < 2:
@@ -157,10 +182,10 @@ def _integral(motion: Motion, t: Array, integrand: Callable[[Array], Array]) -> 
     degree = np.arange(_POINTS)
     basis = legendre.legvander(points, _POINTS - 1) * weights[:, None] * (degree + 0.5)
     series = np.einsum("spk,pn,s->snk", values, basis, half)
-    whole = np.concatenate([np.zeros_like(series[:1, 0]), np.cumsum(2.0 * series[:, 0], axis=0)])
+    at_ends = np.concatenate([np.zeros_like(series[:1, 0]), np.cumsum(2.0 * series[:, 0], axis=0)])
     step = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, len(half) - 1)
     P = legendre.legvander((t - middle[step]) / half[step], _POINTS)
     # ∫ P_n from −1 is (P_{n+1} − P_{n−1})/(2n + 1), with P_{−1} = −1.
-    before = np.concatenate([-np.ones((len(t), 1)), P[:, : _POINTS - 1]], axis=1)
-    inside = (P[:, 1:] - before) / (2 * degree + 1)
-    return np.asarray(whole[step] + np.einsum("tn,tnk->tk", inside, series[step]))
+    previous = np.concatenate([-np.ones((len(t), 1)), P[:, : _POINTS - 1]], axis=1)
+    integrals = (P[:, 1:] - previous) / (2 * degree + 1)
+    return np.asarray(at_ends[step] + np.einsum("tn,tnk->tk", integrals, series[step]))

@@ -16,10 +16,10 @@ from scipy.optimize import brentq
 
 from ..common.arrays import Array, freeze
 from ..common.errors import IntegrationError
-from ..forces.watched import Watched
+from ..forces.event_expressions import Watched
 from ..scene.scene import Scene
 from ..system.state_fields import ShapeState, State, map_arrays
-from .piece import Flow, Piece
+from .reduced_flow import Integrate, ReducedFlow, Segment
 
 _PARTS = 4  # of a step, at whose ends the expressions are looked at
 _SHOWN = 5  # times in a repr
@@ -64,7 +64,7 @@ class Found:
 class Watch:
     """The events of one run.  found: crossings so far, in order of time within each piece."""
 
-    def __init__(self, scene: Scene, flow: Flow, watched: Watched) -> None:
+    def __init__(self, scene: Scene, flow: ReducedFlow, watched: Watched) -> None:
         """Take what is watched along a flow."""
         self._scene, self._flow, self._watched = scene, flow, watched
         self._events = scene.events_given
@@ -78,7 +78,7 @@ class Watch:
         """Whether one of the events ends the motion."""
         return any(event.terminal for event in self._events)
 
-    def look(self, piece: Piece) -> bool:
+    def look(self, piece: Segment) -> bool:
         """Find the crossings in a piece, from where it was looked at last; return whether it ends.
 
         Raises IntegrationError where an expression is not finite.
@@ -102,7 +102,7 @@ class Watch:
             self.found = [found for found in self.found if found.t <= ends[0].t]
         return bool(ends)
 
-    def _cross(self, piece: Piece, k: int, direction: int, t: Array, g: Array) -> None:
+    def _cross(self, piece: Segment, k: int, direction: int, t: Array, g: Array) -> None:
         """Find the crossings of one expression, whose values at times are g."""
         sign = self._signs[k]
         for j in range(len(t)):
@@ -115,7 +115,7 @@ class Watch:
             sign = new
         self._signs[k] = sign
 
-    def _root(self, piece: Piece, k: int, a: float, b: float) -> float:
+    def _root(self, piece: Segment, k: int, a: float, b: float) -> float:
         def value(t: float) -> float:
             return float(self._values(piece, np.array([t]))[k, 0])
 
@@ -124,17 +124,17 @@ class Watch:
             return float(a)
         return float(brentq(value, a, b, xtol=_EPS * max(abs(b), 1e-300), rtol=_EPS))
 
-    def _values(self, piece: Piece, t: Array) -> Array:
+    def _values(self, piece: Segment, t: Array) -> Array:
         """Return the expressions (E, T) at times (T,) within a piece."""
-        scene, flow, numbers = self._scene, self._flow, piece.numbers
+        scene, flow, parameters = self._scene, self._flow, piece.parameters
         system = scene.system
         y = piece.at(t)
-        states = flow.states(t, y, numbers)
+        states = flow.states(t, y, parameters)
         none, pose = np.zeros((system.r, len(t))), np.zeros((system.group.size, len(t)))
         relative, base = [none, none], [pose, none, none, none]
         if self._watched.sees_momentum:
             samples = [
-                flow.sample(time, row, numbers) for time, row in zip(t.tolist(), y, strict=True)
+                flow.sample(time, row, parameters) for time, row in zip(t.tolist(), y, strict=True)
             ]
             relative = [np.array([getattr(s, name) for s in samples]).T for name in ("xi", "mu")]
         if isinstance(states, State):
@@ -152,9 +152,7 @@ class Watch:
         return values
 
 
-def ended(
-    watch: Watch, piece: Piece, integrate: Callable[[float, float, Array], Piece]
-) -> list[Piece]:
+def ended(watch: Watch, piece: Segment, integrate: Integrate) -> list[Segment]:
     """Return what there is of the piece in which a terminal event lies, up to there.
 
     The last step is made anew, to the event, so that the end is the end of a step.
@@ -169,7 +167,7 @@ def ended(
     if end - knots[-1] <= _ONE * end:
         knots[-1] = end
         return [replace(piece, knots=knots, steps=steps)] if steps else []
-    last = integrate(float(knots[-1]), end, piece.at(knots[-1:])[0])
+    last = integrate(float(knots[-1]), end, piece.at(knots[-1:])[0], piece.parameters)
     return [replace(piece, knots=knots, steps=steps), last] if steps else [last]
 
 

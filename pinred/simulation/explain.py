@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from ..reduction.potential import falling
 from ..scene.angles import large_angles
-from .compiled.compiled_flow import without_momentum
+from .compiled.compiled_flow import has_no_momentum
 from .plan import Plan
 
 
 def explain(plan: Plan) -> str:
     """Describe the terms that the compiled engine skips and the numbers it integrates, in lines."""
-    lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=_begins_without(plan))]
+    lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=has_no_momentum(plan))]
     lines.append(f"integrated: {integrated(plan)}")
     lines += seen_and_integrated(plan)
     lines += varying(plan)
@@ -77,13 +77,8 @@ def varying(plan: Plan, *, generic: bool = False) -> list[str]:
 def integrated(plan: Plan) -> str:
     """Describe the number of variables of a full simulation and of the compiled engine."""
     full = plan.system.model.nq + plan.system.model.nv
-    kind = plan.kind(zero_momentum=_begins_without(plan))
+    kind = plan.kind(zero_momentum=has_no_momentum(plan))
     return f"{full} → {kind.layout.size} numbers"
-
-
-def _begins_without(plan: Plan) -> bool:
-    """Return whether the compiled engine sees no angular momentum."""
-    return bool(without_momentum(plan, plan.scene.given).all())
 
 
 def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -46,6 +47,48 @@ class Kind:
     def layout(self) -> Layout:
         """Numbers that are integrated, and where they stand; made when first looked at."""
         return layout_of(self.system, self.structure, self.forces)
+
+
+@dataclass(frozen=True)
+class MemberParameters:
+    """Parameters in which members differ from their plan; None for those of the plan.
+
+    Attributes:
+        numbers: Force parameters, (N, p).
+        robot: Variable parameters of the bodies, (N, s).
+        gravity: The part of gravity that acts on the shape or turns the base, (N, 3) [m/s²].
+        fall: Acceleration of the centre of mass in free fall, (N, k) [m/s²].
+    """
+
+    numbers: Array | None = None
+    robot: Array | None = None
+    gravity: Array | None = None
+    fall: Array | None = None
+
+    def __getitem__(self, members: Any) -> MemberParameters:
+        """Return the parameters of one or some of the members."""
+        columns = vars(self).values()
+        return MemberParameters(*(None if rows is None else rows[members] for rows in columns))
+
+
+NO_DIFFERENCES = MemberParameters()
+
+
+@dataclass(frozen=True)
+class Span:
+    """The time between two stops.
+
+    Attributes:
+        start: Start time [s].
+        stop: End time [s].
+        rows: Indices of the report times that belong to it.
+        times: These report times from its start on, (T,) [s].
+    """
+
+    start: float
+    stop: float
+    rows: slice
+    times: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +179,17 @@ class Plan:
     def wanted(self) -> bool:
         """Whether somebody asks for the base."""
         return self.scene.outputs == "all"
+
+    @cached_property
+    def spans(self) -> list[Span]:
+        """The times between stops; a report time at a stop belongs to the span that ends there."""
+        reports, spans, first, start = self.scene.report_times, [], 0, 0.0
+        for stop in self.stops.tolist():
+            last = int(np.searchsorted(reports, stop, side="right"))
+            rows = slice(first, last)
+            spans.append(Span(start, stop, rows, read_only(reports[rows] - start)))
+            first, start = last, stop
+        return spans
 
     @cached_property
     def choice(self) -> Choice:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -18,13 +18,10 @@ from ..scene.scene import ENGINES, Engine, Scene
 from ..scene.scene_options import SceneOptions
 from ..system.model_parameters import joined
 from ..system.system import System, checked_system
-from .piece import Flow, Integrate
-from .pieces import follow
+from .motion import follow
 from .plan import Plan, plan_of
-from .trajectory import Run, Trajectory
-
-if TYPE_CHECKING:
-    from .compiled.compiled_flow import CompiledFlow
+from .reduced_flow import Integrate, ReducedFlow
+from .trajectory import Cost, Trajectory
 
 
 @shows_fields(Scene)
@@ -80,15 +77,19 @@ def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Sc
 
 
 def _pinocchio(plan: Plan, progress: Progress | None) -> Trajectory:
-    from .pinocchio.readable_flow import ReducedFlow
+    from .pinocchio.pinocchio_flow import PinocchioFlow
     from .pinocchio.scipy_integrator import integrator
 
-    flow = ReducedFlow(plan)
+    flow = PinocchioFlow(plan)
     return _followed(plan, flow, integrator(flow, plan, progress), "pinocchio", "DOP853")
 
 
 def _compiled(plan: Plan, progress: Progress | None) -> Trajectory:
-    return _followed(plan, *_ready(plan, progress), "compiled", plan.method.name)
+    from .compiled.compiled_flow import CompiledFlow
+    from .compiled.integrator import integrator
+
+    flow = CompiledFlow.of_plan(plan)
+    return _followed(plan, flow, integrator(flow, plan, progress), "compiled", plan.method.name)
 
 
 def trajectory_of(scene: Scene) -> Trajectory:
@@ -96,22 +97,13 @@ def trajectory_of(scene: Scene) -> Trajectory:
     return _compiled(plan_of(scene), None)
 
 
-def _ready(plan: Plan, progress: Progress | None) -> tuple[CompiledFlow, Integrate]:
-    from .compiled.compiled_flow import CompiledFlow
-    from .compiled.integrator import integrator, prepare
-
-    flow = CompiledFlow(plan)
-    prepare(flow, plan)
-    return flow, integrator(flow, plan, progress)
-
-
 def _followed(
-    plan: Plan, flow: Flow, integrate: Integrate, engine: Engine, method: str
+    plan: Plan, flow: ReducedFlow, integrate: Integrate, engine: Engine, method: str
 ) -> Trajectory:
     began = time.perf_counter()
     motion = follow(plan, flow, integrate)
     wall = time.perf_counter() - began
-    run = Run(engine, method, motion.steps, motion.evaluations, wall)
+    run = Cost(engine, method, motion.steps, motion.evaluations, wall)
     end = motion.ended_by
     scene = plan.scene if end is None else _until(plan.scene, end.t)
     return Trajectory(scene, motion, run, partial(simulate, plan.scene, engine=engine))

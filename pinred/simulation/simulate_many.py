@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 
-import numpy as np
-
-from ..common.arrays import Array, entries_of
+from ..common.arrays import entries_of
 from ..common.errors import InputError, IntegrationError
 from ..common.plain_names import brief
 from ..common.progress import Progress, shown
@@ -18,15 +15,12 @@ from ..scene.option_checks import check_seed
 from ..scene.scene import Scene
 from ..scene.scene_options import SceneOptions
 from ..system.system import System, checked_system
-from .members.groups import Group, Members, of_scenes
-from .members.trajectories import Batch, Failure, Trajectories
+from .members.batch import Batch, Failure
+from .members.member_groups import Members, of_scenes
+from .members.trajectories import Trajectories
 from .members.varied import Varied
 from .simulate import trajectory_of
 from .trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from .compiled.compiled_flow import CompiledFlows
-    from .compiled.integrate_members import ManyRuns
 
 
 @shows_fields(Scene)
@@ -94,7 +88,7 @@ def _checked(seeds: Sequence[int] | None) -> list[int] | None:
 def _explained(found: Members) -> str:
     """Return how members run, a line for each group."""
     from .compiled.compiled_flow import flows_of
-    from .compiled.integrate_members import lanes_of
+    from .members.integrate_members import lanes_of
 
     lines = []
     for group in found.groups:
@@ -102,93 +96,47 @@ def _explained(found: Members) -> str:
         if why := group.one_by_one:
             lines.append(f"{len(group.members)} members one by one, {plan.method.name}: {why}")
             continue
-        for members, flows in flows_of(plan, group.given, group.own):
-            lanes = lanes_of(plan.method, flows.kernel)
+        for members, flow in flows_of(plan, group.given, group.own):
+            lanes = lanes_of(plan.method, flow.kernel)
             how = f"{lanes} at once in lanes" if lanes else "one after another"
             lines.append(
                 f"{len(members)} members {how}, {plan.method.name}, "
-                f"{flows.kernel.layout.size} numbers each"
+                f"{flow.kernel.layout.size} numbers each"
             )
     return "\n".join(lines)
 
 
-class _Results:
-    """What has become of members so far."""
-
-    def __init__(self, count: int, progress: Progress | None) -> None:
-        self.count, self.done, self._progress = count, 0, progress
-        self.batches: list[Batch] = []
-        self.y: list[Array] = []  # of each batch
-        self.single: dict[int, Trajectory] = {}
-        self.failures: list[Failure] = []
-
-    def tell(self, part: float, share: int) -> None:
-        """Tell how much of the whole is done, of which so many members are at work."""
-        if self._progress is not None:
-            self._progress((self.done + share * part) / self.count)
-
-
-def _run(found: Members, threads: int | None, progress: Progress | None) -> Trajectories:
+def _run(
+    members: Members, threads: int | None, progress: Callable[[float], None] | None
+) -> Trajectories:
     from .compiled.compiled_flow import flows_of
-    from .compiled.integrate_members import integrate_members
+    from .members.integrate_members import integrate_members
 
-    results = _Results(found.count, progress)
-    for group in found.groups:
+    batches: list[Batch] = []
+    single: dict[int, Trajectory] = {}
+    failures: list[Failure] = []
+    done = 0
+
+    def report(part: float, share: int) -> None:
+        if progress is not None:
+            progress((done + share * part) / members.count)
+
+    for group in members.groups:
         if group.one_by_one:
-            _one_by_one(found, group, results)
+            for member in group.members.tolist():
+                try:
+                    single[member] = trajectory_of(members.scene_of(member))
+                except IntegrationError as error:
+                    time = getattr(error, "time", float("nan"))
+                    failures.append(Failure(member, time, str(error)))
+                done += 1
+                report(0.0, 0)
             continue
-        # Members without momentum have a kernel of their own.
-        for some, flows in flows_of(group.plan, group.given, group.own):
-            told = partial(results.tell, share=len(some)) if progress is not None else None
-            began = time.perf_counter()
-            runs = integrate_members(flows, group.plan, threads, told)
-            wall = (time.perf_counter() - began) / len(some)
-            _keep(results, group, some, flows, runs, wall)
-    failures = sorted(results.failures, key=lambda failure: failure.member)
-    y = _together(found, results)
-    return Trajectories(found.scene_of, y, results.batches, results.single, failures)
-
-
-def _keep(
-    results: _Results, group: Group, some: Any, flows: CompiledFlows, runs: ManyRuns, wall: float
-) -> None:
-    members, method = group.members[some], group.plan.method.name
-    results.batches.append(Batch(members, flows, method, runs.steps, runs.evaluations, wall))
-    results.y.append(runs.y)
-    results.failures += [Failure(int(members[k]), at, why) for k, at, why in runs.failures]
-    results.done += len(members)
-
-
-def _one_by_one(found: Members, group: Group, results: _Results) -> None:
-    """Run members that stop on their way."""
-    for member in group.members.tolist():
-        try:
-            results.single[member] = trajectory_of(found.scene_of(member))
-        except IntegrationError as error:
-            time = getattr(error, "time", float("nan"))
-            results.failures.append(Failure(member, time, str(error)))
-        results.done += 1
-        results.tell(0.0, 0)
-
-
-def _together(found: Members, results: _Results) -> Array:
-    """Return the reduced states of all members, (N, T, k)."""
-    if len(results.batches) == 1 and not results.single and len(results.y[0]) == found.count:
-        return results.y[0]  # they are there once
-    times = found.scene_of(0).report_times
-    parts = [(batch.members, y) for batch, y in zip(results.batches, results.y, strict=True)]
-    parts += [
-        (np.array([member]), _up_to(traj, times)[None]) for member, traj in results.single.items()
-    ]
-    most = max((y.shape[2] for _, y in parts), default=0)
-    whole = np.full((found.count, len(times), most), np.nan)
-    for members, y in parts:
-        whole[members, :, : y.shape[2]] = y
-    return whole
-
-
-def _up_to(traj: Trajectory, times: Array) -> Array:
-    """Return the reduced states at times (T,), (T, k), NaN after an event has ended a motion."""
-    known = times[times <= traj.scene.end]
-    y = traj.motion.reduced(known)
-    return np.concatenate([y, np.full((len(times) - len(known), y.shape[1]), np.nan)])
+        for some, flow in flows_of(group.plan, group.given, group.own):
+            told = partial(report, share=len(some)) if progress is not None else None
+            batch = integrate_members(flow, group.plan, group.members[some], threads, told)
+            batches.append(batch)
+            failures += batch.failures
+            done += len(some)
+    failures.sort(key=lambda failure: failure.member)
+    return Trajectories((members.count, members.scene_of), batches, single, failures)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, as_floats
 from ..common.errors import InputError, NotCopyable, ShapeError
-from ..system.state_fields import ShapeState, State, map_arrays, with_base
+from ..system.state_fields import ShapeState, State, arrays_of, map_arrays, with_base
 from .over_time import OverTime
 from .plan import Plan, plan_of
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from .balances import EnergyBalance, MomentumBalance
     from .control import ControlAction
     from .events import Crossings
-    from .pieces import Motion
+    from .motion import Motion
 
 
 @dataclass(frozen=True)
-class Run:
+class Cost:
     """The cost of an integration.
 
     engine: "compiled" or "pinocchio".  method: name of the integrator.  steps: accepted.
@@ -48,18 +48,29 @@ class Trajectory(OverTime):
     def __init__(
         self,
         scene: Scene,
-        motion: Motion,
-        run: Run,
+        motion: Motion | None,
+        run: Cost,
         again: Callable[[], Trajectory] | None = None,
+        outputs: State | ShapeState | None = None,
     ) -> None:
-        """Take the scene, its motion, what the run cost, and what integrates it once more."""
+        """Take a scene and its motion.
+
+        Args:
+            scene: The scene.
+            motion: Its motion; None if only the outputs are known.
+            run: Cost of the integration.
+            again: Function that simulates the scene once more, for the motion if that is None.
+            outputs: States at the report times, if they are known already.
+        """
         self.scene = scene
         self.run = run
-        self._motion: Motion | None = motion
+        self._motion = motion
         self._again = again
+        if outputs is not None:  # the constructor of a state makes unpickled arrays read-only
+            vars(self)["outputs"] = type(outputs)(**arrays_of(outputs))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return known_trajectory, (self.scene, self.run, self.outputs, self._again)
+        return Trajectory, (self.scene, None, self.run, self._again, self.outputs)
 
     @property
     def motion(self) -> Motion:
@@ -210,17 +221,3 @@ class Trajectory(OverTime):
         from .trajectory_files import save
 
         save(self, path)
-
-
-def known_trajectory(
-    scene: Scene, run: Run, outputs: State | ShapeState, again: Callable[[], Trajectory] | None
-) -> Trajectory:
-    """Return a trajectory of which the states at its report times are known.
-
-    again: gives it with its motion at all times, once that is asked for.
-    """
-    trajectory = Trajectory.__new__(Trajectory)
-    trajectory.scene, trajectory.run, trajectory._again = scene, run, again
-    trajectory._motion = None
-    vars(trajectory)["outputs"] = type(outputs)(**vars(outputs))  # read-only once more
-    return trajectory

@@ -59,7 +59,8 @@ class BodyParameter:
 def body_parameter(system: System, name: str) -> BodyParameter | None:
     """Return the body parameter with a name, or None if the name has another form.
 
-    Raises InputError for an unknown body.
+    Raises:
+        InputError: The body is unknown.
     """
     kinds = [kind for kind in SIZES if isinstance(name, str) and name.endswith(f".{kind}")]
     if not kinds:
@@ -92,9 +93,13 @@ class Bodies:
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
-        """Find the parameters among names.
+        """Find the body parameters among names.
 
-        Raises InputError if two of them describe the same property of a body.
+        Args:
+            system: Robot.
+            names: Names of parameters of all kinds.
+        Raises:
+            InputError: Two of them describe the same property of a body.
         """
         self._system = system
         parameters = [body_parameter(system, name) for name in names]
@@ -122,26 +127,6 @@ class Bodies:
     def own(self) -> dict[str, Array]:
         """Return the values of the system, {name: (size,)}."""
         return {entry.name: _value(self._body(entry), entry.kind) for entry in self.parameters}
-
-    def checked(self, given: Mapping[str, Any], known: Mapping[str, Array]) -> dict[str, Array]:
-        """Return validated copies of values.
-
-        Args:
-            given: Values by name.
-            known: Values of the other parameters, which were validated before.
-        Returns:
-            {name: (size,)}, read-only.
-        Raises:
-            InputError: No real body has these values.
-        """
-        values = {
-            entry.name: read_only(numbers(given[entry.name], entry.name, entry.size))
-            for entry in self.parameters
-            if entry.name in given
-        }
-        for body in self.changed_by(given):
-            self.dynamic(body, {**known, **values})
-        return values
 
     def changed_by(self, names: Iterable[str]) -> list[int]:
         """Return the bodies that parameters change, sorted."""

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array, read_only
+from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.names import nearest
 from ..common.plain_names import listed, quoted
-from .body_parameters import numbers
 from .locked_joints import LockedJoints, moments_of
 from .system import System
 
@@ -48,7 +46,8 @@ class JointParameter:
 def joint_parameter(system: System, name: str) -> JointParameter | None:
     """Return the joint parameter with a name, or None if the name has another form.
 
-    Raises InputError for an unknown joint, and for the root, whose placement has no effect.
+    Raises:
+        InputError: The joint is unknown, or the root, whose placement has no effect.
     """
     word, _, kind = name.rpartition(".") if isinstance(name, str) else ("", "", "")
     if kind not in SIZES or not word:
@@ -88,9 +87,13 @@ class Joints:
     """
 
     def __init__(self, system: System, names: Sequence[str]) -> None:
-        """Find the parameters among names.
+        """Find the joint parameters among names.
 
-        Raises InputError if two of them describe the same placement.
+        Args:
+            system: Robot.
+            names: Names of parameters of all kinds.
+        Raises:
+            InputError: Two of them describe the same placement.
         """
         self._system = system
         parameters = [joint_parameter(system, name) for name in names]
@@ -141,16 +144,6 @@ class Joints:
             rpy = pin.rpy.matrixToRpy(place.rotation)
             values[parameter.name] = np.concatenate([place.translation, rpy])[: parameter.size]
         return values
-
-    def checked(self, given: Mapping[str, Any]) -> dict[str, Array]:
-        """Return read-only copies of values."""
-        return {
-            parameter.name: read_only(
-                numbers(given[parameter.name], parameter.name, parameter.size)
-            )
-            for parameter in self.parameters
-            if parameter.name in given
-        }
 
     def perturbed(self, rng: np.random.Generator) -> dict[str, Array]:
         """Return random values that differ from those of the system."""

@@ -293,7 +293,13 @@ def _example(name: str) -> tuple[pin.Model, tuple[Coupling, ...]]:
 def _on_root(raw: pin.Model, group: Group | None, chain: RootChain | None) -> pin.Model:
     """Return the model on the root joint of a group: its present root, or a new one.
 
-    chain: joints at its root that are one joint together.
+    Args:
+        raw: Model.
+        group: Requested group, or None for the group of the present root.
+        chain: Joints at the root that are one joint together, if any.
+    Raises:
+        ChoiceError: It is unclear whether the root link is fixed or floats.
+        ModelError: The present root moves in another group.
     """
     root_group = _root_group(raw) if chain is None else chain.group
     if root_group is None:

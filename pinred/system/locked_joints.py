@@ -43,7 +43,8 @@ def lock_values(lock: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
 def frozen_configurations(raw: pin.Model, locked: Mapping[str, float]) -> dict[int, Array]:
     """Return Pinocchio's configurations, (nq of the joint,), of joints to freeze, by joint.
 
-    Raises InputError for unknown joints, and for joints that freeze at zero only.
+    Raises:
+        InputError: A joint is unknown, or freezes at zero only.
     """
     configurations: dict[int, Array] = {}
     neutral = pin.neutral(raw)

@@ -1,17 +1,20 @@
-"""Motions that move no mass: where the mass matrix of a tree is singular.
+"""Motions that move no mass, because of which the mass matrix of a tree is singular.
 
-Let the bodies have positive semidefinite inertias Y.  The twists of body i that what hangs
-behind it can undo, so that none of its subtree's mass moves, are
+Let the bodies have positive semidefinite inertias Y.  A twist of body i moves no mass if the
+joints behind it can undo it for all bodies of its subtree.  These massless twists are
 
     N_i(x) = ker Y_i ∩ ⋂_c X_c Ad(exp(x_c S_c)) P_c,    P_c = N_c ⊕ span S_c,
 
-over the children c of i with placements X and axes S; a joint with armature cannot move for
-nothing, so that P_c = N_c.  (N_i is the kernel of Featherstone's articulated inertia.)  The mass
-matrix is singular at x exactly if S_i ∈ N_i(x) for a joint i without armature, or if the root's
-motion meets N of the root.  With positive mass and positive moments everywhere all N are zero.
+over the children c of i with placements X and axes S.  P_c contains the twists of the parent
+that child c can undo.  A joint with armature undoes nothing, so P_c = N_c.  (N_i is the kernel
+of Featherstone's articulated inertia.)
 
-Angles count in radians and lengths in units of the tree's largest step, so that directions of
-twists compare.
+The mass matrix is singular at x exactly if S_i ∈ N_i(x) for a joint i without armature, or if
+the root's motion intersects N of the root.  With positive mass and moments everywhere, all N are
+zero.
+
+Lengths are in units of the tree's largest step and angles in radians, so that directions of
+twists can be compared.
 """
 
 from __future__ import annotations
@@ -26,21 +29,27 @@ from ..common.arrays import Array
 from ..lie.groups import SE3
 from .joints import axes_of
 
-EXACT = 1e-9  # sine of an angle between directions, below which it is round-off
-NEARLY = 1e-6  # the same for the decimals of a file
-_ZERO = 1e-14  # moment of inertia, over those that it is added to, below which it is round-off
+# Sines of angles between directions that count as zero: up to round-off, and up to the decimals
+# of a file.
+EXACT, NEARLY = 1e-9, 1e-6
+# Moment of inertia, over the moments to which it is added, that counts as round-off.
+_ZERO = 1e-14
 
 
 @dataclass(frozen=True)
 class Tree:
-    """A tree as far as it decides which motions move no mass.
+    """The properties of a tree that decide which motions move no mass.
 
-    Index 0 is the root body, k the joint k of a model.
+    Index 0 is the root body with joint 1 of the model, index k the body of joint k + 1.
 
-    names: of the joints that move the bodies.  parents: of the bodies, −1 for the root.
-    axes: (6, nv) unit twists of the joints in their bodies' frames.  placements: (6, 6) from
-    body frames at joint value zero to the parents'.  still: (6, k) orthonormal twists at which
-    the body alone has no energy.  stiff: whether the joint has armature.  unit: of length [m].
+    Attributes:
+        names: Names of the joints that move the bodies.
+        parents: Parents of the bodies, −1 for the root.
+        axes: Unit twists of the joints, (6, nv), in their bodies' frames.
+        placements: Matrices, (6, 6), from body frames at joint value zero to the parents'.
+        still: Orthonormal twists, (6, k), at which a body alone has no energy.
+        stiff: Whether the joint has armature.
+        unit: Unit of length [m].
     """
 
     names: tuple[str, ...]
@@ -59,7 +68,7 @@ class Tree:
     def moved(self, i: int, value: float) -> Array:
         """Return the (6, 6) matrix from twists in body i's frame to its parent's.
 
-        value: of the joint [rad | units of length].
+        value: value of the joint [rad | units of length].
         """
         turn = pin.exp6(pin.Motion(self.axes[i][:, 0] * value)).action
         return np.asarray(self.placements[i] @ turn)
@@ -88,7 +97,7 @@ def tree_of(model: pin.Model) -> Tree:
 
 
 def largest_step(model: pin.Model) -> float:
-    """Return the largest distance from a joint to the next, or to its mass [m]; 1 if none."""
+    """Return the largest distance from a joint to the next one, or to its mass [m]; 1 if zero."""
     count = range(1, model.njoints)
     steps = [model.jointPlacements[i].translation for i in count if i > 1]
     levers = [model.inertias[i].lever for i in count if model.inertias[i].mass > 0.0]
@@ -96,9 +105,9 @@ def largest_step(model: pin.Model) -> float:
 
 
 def no_moment(inertia: pin.Inertia, unit: float) -> float:
-    """Return the moment [kg m²] below which one of a body is round-off.
+    """Return the moment of a body that counts as round-off [kg m²].
 
-    unit: the largest step of the robot; its frames were multiplied together from such steps.
+    unit: largest step of the robot, from which its frames were computed [m].
     """
     reach = max(float(np.linalg.norm(inertia.lever)), 0.01 * unit) if inertia.mass > 0.0 else 0.0
     return _ZERO * max(float(np.abs(inertia.inertia).max()), float(inertia.mass) * reach**2)
@@ -108,10 +117,10 @@ def _energy_free_twists(inertia: pin.Inertia, unit: float) -> Array:
     """Return an orthonormal basis (6, k) of the twists at which one body has no energy."""
     moments, directions = np.linalg.eigh(inertia.inertia)
     lever = inertia.lever if inertia.mass > 0.0 else np.zeros(3)
-    free = directions[:, moments <= no_moment(inertia, unit)]
-    if inertia.mass > 0.0 and not free.size:
+    axes = directions[:, moments <= no_moment(inertia, unit)]
+    if inertia.mass > 0.0 and not axes.size:
         return np.zeros((6, 0))
-    about_mass = np.vstack([np.cross(lever / unit, free, axisb=0, axisc=0), free])
+    about_mass = np.vstack([np.cross(lever / unit, axes, axisb=0, axisc=0), axes])
     if inertia.mass > 0.0:
         return _orthonormal(about_mass)
     return _orthonormal(np.hstack([np.eye(6, 3), about_mass]))
@@ -120,7 +129,10 @@ def _energy_free_twists(inertia: pin.Inertia, unit: float) -> Array:
 def massless_twists(tree: Tree, x: Sequence[float], tolerance: float) -> list[Array]:
     """Return orthonormal bases (6, k) of N of every body at a shape.
 
-    x: value of every joint [rad | units of length]; that of the root does not matter.
+    Args:
+        tree: Tree.
+        x: Value of every joint [rad | units of length]; that of the root is not used.
+        tolerance: Sine of the angle between directions that count as equal.
     """
     N = list(tree.still)
     for i in range(len(N) - 1, 0, -1):
@@ -132,10 +144,10 @@ def massless_twists(tree: Tree, x: Sequence[float], tolerance: float) -> list[Ar
 
 
 def bound_massless_twists(tree: Tree, tolerance: float) -> list[Array]:
-    """Return subspaces, as orthonormal bases (6, k), that contain N of every body at every shape.
+    """Return orthonormal bases (6, k) of subspaces that contain N of every body at every shape.
 
-    What a joint carries through its angles is replaced by the least subspace that contains it
-    and that the joint's axis does not leave.
+    The images of P under all rotations of a joint are replaced by the least subspace that
+    contains P and is invariant under the joint's axis.
     """
     N = list(tree.still)
     for i in range(len(N) - 1, 0, -1):
@@ -147,19 +159,29 @@ def bound_massless_twists(tree: Tree, tolerance: float) -> list[Array]:
 
 
 def undoing_twists(tree: Tree, i: int, N: Array) -> Array:
-    """Return P of a body, N and the axis of its joint, as an orthonormal basis (6, k)."""
+    """Return an orthonormal basis (6, k) of P of body i, for its massless twists N."""
     return N if tree.stiff[i] else _sum_of(N, tree.axes[i])
 
 
 def moves_no_mass(tree: Tree, i: int, N: Array, tolerance: float) -> bool:
-    """Return whether joint i, or a motion of the root, moves no mass, for N of its body."""
+    """Return whether joint i, or a motion of the root, moves no mass.
+
+    Args:
+        tree: Tree.
+        i: Index of the body that the joint moves.
+        N: Massless twists of that body, (6, k).
+        tolerance: Sine of the angle between directions that count as equal.
+    """
     return not tree.stiff[i] and intersect(N, tree.axes[i], tolerance).shape[1] > 0
 
 
 def intersect(A: Array, B: Array, tolerance: float) -> Array:
-    """Return an orthonormal basis of what the columns of both span; those of A are orthonormal.
+    """Return an orthonormal basis of the intersection of two column spaces.
 
-    tolerance: sine of the angle between directions that are taken for one.
+    Args:
+        A: Orthonormal columns, (6, k).
+        B: Columns, (6, l).
+        tolerance: Sine of the angle between directions that count as equal.
     """
     if not (A.shape[1] and B.shape[1]):
         return A[:, :0]
@@ -169,20 +191,20 @@ def intersect(A: Array, B: Array, tolerance: float) -> Array:
 
 
 def _invariant_closure(P: Array, axis: Array) -> Array:
-    """Return a basis of the least subspace that contains P and that [axis, ·] maps into itself."""
+    """Return a basis of the least subspace that contains P and is invariant under [axis, ·]."""
     bracket, K = SE3.ad(axis), P
     while True:
-        more = _sum_of(K, bracket @ K)
-        if more.shape == K.shape:
+        larger = _sum_of(K, bracket @ K)
+        if larger.shape == K.shape:
             return K
-        K = more
+        K = larger
 
 
 def _sum_of(A: Array, B: Array) -> Array:
-    """Return an orthonormal basis of the span of both; the columns of A are orthonormal."""
-    rest = _orthonormal(B - A @ (A.T @ B))
-    # What was small is now of length one, and so is its round-off along A: take that off again.
-    return np.hstack([A, _orthonormal(rest - A @ (A.T @ rest))])
+    """Return an orthonormal basis of the sum of two column spaces; A is orthonormal."""
+    new = _orthonormal(B - A @ (A.T @ B))
+    # Small columns were scaled to length one, and so was their round-off along A: remove it.
+    return np.hstack([A, _orthonormal(new - A @ (A.T @ new))])
 
 
 def _orthonormal(A: Array) -> Array:

@@ -44,7 +44,7 @@ class ModelBuilder:
         armature: ArrayLike | None = None,
         limits: ArrayLike | None = None,
     ) -> int:
-        """Add a joint and return its index.
+        """Add a joint.
 
         Args:
             parent: Index of the joint that carries it.
@@ -53,6 +53,8 @@ class ModelBuilder:
             name: Name of the joint.
             armature: Armature, (nv,) [kg m² | kg]; zero if None.
             limits: Lower and upper position limits, (2, nq) [rad | m]; infinite if None.
+        Returns:
+            Index of the joint.
         """
         index = int(self.model.addJoint(parent, joint, placement, name))
         nq, nv = self.model.joints[index].nq, self.model.joints[index].nv
@@ -157,7 +159,10 @@ def without_mimics(model: pin.Model) -> tuple[pin.Model, tuple[Coupling, ...]]:
     """Return a copy of a model with plain joints for its mimic joints, and their couplings.
 
     Pinocchio's ABA knows no mimic joints.  Their armature and limits were lost when Pinocchio
-    made them.  Raises ModelError for a mimic joint of scaling zero, which has lost its axis.
+    made them.
+
+    Raises:
+        ModelError: A mimic joint has scaling zero, so that its axis was lost.
     """
     mimics = list(model.mimicking_joints)
     if not mimics:

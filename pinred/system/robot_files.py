@@ -49,7 +49,9 @@ _ELEMENT = re.compile(r"<[^!?]")
 def read_description(path: Path) -> tuple[pin.Model, tuple[Coupling, ...]]:
     """Return the model in a URDF file, on its own root, and the couplings of its joints.
 
-    Raises LoadError if the file cannot be read, ModelError if its robot cannot be reduced.
+    Raises:
+        LoadError: The file cannot be read.
+        ModelError: Its robot cannot be reduced.
     """
     root = read_xml(path)
     refuse_macros(path, root)
@@ -148,9 +150,12 @@ def is_mjcf(text: str) -> bool:
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """Return the root element of an XML file.  Raises LoadError.
+    """Return the root element of an XML file.
 
     Prefixes remain in the names of elements, whether the file declares them or not.
+
+    Raises:
+        LoadError: The file cannot be read, is too large, or is not XML.
     """
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
     count = depth = 0

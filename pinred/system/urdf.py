@@ -49,7 +49,8 @@ def total_mass(robot: Element) -> float:
 def tree_depth(robot: Element) -> int:
     """Return the largest number of joints from a root link to a link.
 
-    Raises ModelError for a link on two joints, and for a cycle of joints.
+    Raises:
+        ModelError: A link is on two joints, or joints form a cycle.
     """
     depth: dict[str, int] = {}
     parent_of = _parents(robot)
@@ -88,9 +89,12 @@ def moving_joints(robot: Element) -> list[Element]:
 
 
 def mimic_couplings(robot: Element) -> tuple[Coupling, ...]:
-    """Return the couplings of moving joints with <mimic>.  Raises ModelError for bad numbers.
+    """Return the couplings of moving joints with <mimic>.
 
     A <mimic> of a fixed joint has no meaning.
+
+    Raises:
+        ModelError: A <mimic> names no joint, or has bad numbers.
     """
     couplings = []
     for joint in moving_joints(robot):
@@ -196,7 +200,13 @@ def _check_inertial(inertial: Element, owner: str) -> None:
 def _floats(element: Element, key: str, owner: str, size: int) -> Array:
     """Return the numbers in an attribute, read as strictly as Pinocchio's parsers do.
 
-    Raises ModelError, naming the owner of the attribute, unless it has `size` finite numbers.
+    Args:
+        element: Element.
+        key: Name of the attribute.
+        owner: Owner of the attribute, for the message.
+        size: Expected number of numbers.
+    Raises:
+        ModelError: They are not `size` finite numbers.
     """
     text = element.get(key, "")
     words = text.split()

@@ -30,7 +30,10 @@ class Visuals:
 def with_visuals(source: object) -> Visuals | None:
     """Return copies of model and shapes of a pin.RobotWrapper or a pair (model, visual_model).
 
-    None for other sources.  Raises InputError for shapes that are not on this model.
+    Returns:
+        Visuals, or None for other sources.
+    Raises:
+        InputError: The pair is not valid, or its shapes are not on this model.
     """
     if isinstance(source, pin.RobotWrapper):
         pair: Any = (source.model, source.visual_model)
@@ -60,7 +63,8 @@ def with_visuals(source: object) -> Visuals | None:
 def mesh_folders(meshes: Any) -> tuple[str, ...]:
     """Return the absolute paths of one or several folders with meshes.
 
-    Raises InputError if one of them does not exist.
+    Raises:
+        InputError: `meshes` is not valid, or a folder does not exist.
     """
     entries = entries_of((meshes,) if isinstance(meshes, (str, Path)) else meshes)
     if entries is None or not all(isinstance(entry, (str, Path)) for entry in entries):

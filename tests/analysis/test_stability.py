@@ -93,7 +93,7 @@ def damped_growth(each: RelativeEquilibrium, joint: str, c: float) -> float:
     from dataclasses import replace
 
     scene = replace(each.scene(), forces=Damper(joint, c), outputs="shape")
-    flow = CompiledFlow(plan_of(scene))
+    flow = CompiledFlow.of_plan(plan_of(scene))
     matrix: Array = jacobian_of(flow.kernel, flow.y0, flow.parameters)
     return float(np.linalg.eigvals(matrix).real.max())
 

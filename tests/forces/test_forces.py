@@ -243,7 +243,7 @@ def test_torque_from_a_table(kind: Any, engine: Engine) -> None:
 def wheels(*forces: Force) -> tuple[int, ...]:
     """The cyclic joints of the reaction wheel satellite under some forces."""
     scene = pinred.Scene(system=SATELLITE, forces=forces)
-    return CompiledFlow(plan_of(scene)).kernel.layout.cyclic
+    return CompiledFlow.of_plan(plan_of(scene)).kernel.layout.cyclic
 
 
 @pytest.mark.slow
@@ -290,7 +290,7 @@ def test_time_enters_only_where_something_depends_on_it() -> None:
     name = system.shape_names[0]
 
     def clock(*forces: Force) -> int:
-        flow = CompiledFlow(
+        flow = CompiledFlow.of_plan(
             plan_of(pinred.Scene(system=system, seed=1, duration=2.0, forces=forces))
         )
         assert flow.y0.size == 10 + flow.kernel.layout.clock

@@ -22,7 +22,7 @@ from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Expression, Fourier, Signal, Spline
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.pinocchio.readable_flow import ReducedFlow
+from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
 from pinred.simulation.plan import plan_of
 from pinred.system.catalogue import has_example_robots
 
@@ -120,8 +120,8 @@ def test_fully_prescribed_is_reconstruction(momentum: bool, engine: Engine) -> N
     }
     mu0 = np.array([0.0, 0.0, 0.0, 0.02, -0.01, 0.03]) * momentum
     scene = pinred.Scene(system=system, momentum=mu0, prescribed=plan, times=np.linspace(0, 1.6, 5))
-    assert CompiledFlow(plan_of(scene)).y0.size == 4 + 1  # and the clock
-    assert ReducedFlow(plan_of(scene)).y0.size == 4
+    assert CompiledFlow.of_plan(plan_of(scene)).y0.size == 4 + 1  # and the clock
+    assert PinocchioFlow(plan_of(scene)).y0.size == 4
     traj = pinred.simulate(scene, engine=engine)
     red, group = pinred.Reduction(system), system.group
     signals = [plan[name] for name in system.shape_names]

@@ -11,7 +11,7 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.kernels.kernel import Kernel
-from pinred.simulation.compiled.kernel_of_plan import kernel_of
+from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
 
 

@@ -28,7 +28,7 @@ NEW_FIELD = {
     "pinred.kernels.reduced_graph": [
         ('fields["energy"] =', 'fields["relative_twist"] = self.xi\n        fields["energy"] =')
     ],
-    "pinred.simulation.pinocchio.readable_flow": [
+    "pinred.simulation.pinocchio.pinocchio_flow": [
         ("t=t.copy(),", "t=t.copy(), relative_twist=v[:, :r].copy(),")
     ],
 }

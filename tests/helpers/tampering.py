@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.simulation.pieces import Motion
+from pinred.simulation.motion import Motion
 from pinred.system.state_fields import with_base
 
 Change = Callable[[pinred.State], pinred.State]
@@ -20,7 +20,7 @@ def tampered(traj: pinred.Trajectory, change: Change) -> pinred.Trajectory:
         def states(self, t: Array) -> pinred.State:
             return change(with_base(super().states(t), ""))
 
-    motion = Tampered(traj.motion._flow, traj.motion._pieces)
+    motion = Tampered(traj.motion.flow, traj.motion.segments)
     return pinred.Trajectory(traj.scene, motion, traj.run)
 
 

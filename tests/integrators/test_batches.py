@@ -32,7 +32,7 @@ MEMBERS, BROKEN = 24, (3, 4, 12)  # with one thread three of them one after anot
 def test_nothing_of_a_member_is_left_for_the_next(robot: str, method: Method) -> None:
     """Neither states, nor sums, nor what is not finite."""
     system = pinred.load(robot)
-    flow = CompiledFlow(plan_of(pinred.Scene(system=system, seed=1, method=method)))
+    flow = CompiledFlow.of_plan(plan_of(pinred.Scene(system=system, seed=1, method=method)))
     layout, rng = flow.kernel.layout, np.random.default_rng(2)
     y0: Array = flow.y0 * (1.0 + 0.2 * rng.normal(size=(MEMBERS, len(flow.y0))))
     params = np.tile(flow.parameters, (MEMBERS, 1))

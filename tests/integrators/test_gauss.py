@@ -20,8 +20,9 @@ from pinred.common.arrays import Array
 from pinred.common.errors import NoConvergence, NonFiniteState, TooManySteps
 from pinred.integrators.gauss import fixed_step as gauss
 from pinred.integrators.gauss.tables import tables
-from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import integrate_many
+from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_record
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
@@ -147,7 +148,9 @@ def code_alone() -> NativeCode:
 def flow_of(robot: str, method: Any, **options: Any) -> CompiledFlow:
     """Return the flow of a robot's scene."""
     system = pinred.load(robot)
-    return CompiledFlow(plan_of(pinred.Scene(system=system, times=[1.0], method=method, **options)))
+    return CompiledFlow.of_plan(
+        plan_of(pinred.Scene(system=system, times=[1.0], method=method, **options))
+    )
 
 
 def stepped(flow: CompiledFlow, method: Any, y0: Array, end: float) -> Array:
@@ -419,7 +422,7 @@ def test_slow_iterations_come_to_round_off(order: int, rate: float) -> None:
 @pytest.mark.slow
 def test_a_state_without_a_solution_is_an_error() -> None:
     """Nobody gets NaN for a state at a time."""
-    found = replace(run("kepler", Gauss(0.1), ORBIT, 1.0), _params=np.array([np.nan]))
+    found = replace(run("kepler", Gauss(0.1), ORBIT, 1.0), params=np.array([np.nan]))
     assert (found.at([0.0, 0.5]) == found.states[[0, 5]]).all()
     with pytest.raises(NoConvergence, match=r"t = 0.55 s, within a step.*shorter") as stopped:
         found.at([0.95, 0.55])
@@ -449,7 +452,7 @@ def test_code_that_two_threads_make_is_one(
 ) -> None:
     """Who is second takes what is there: the first may be running it, and nothing else holds it."""
     system = pinred.load("coupled_planar")
-    kernel = CompiledFlow(plan_of(pinred.Scene(system=system, seed=1, times=[1.0]))).kernel
+    kernel = CompiledFlow.of_plan(plan_of(pinred.Scene(system=system, seed=1, times=[1.0]))).kernel
     found: list[NativeCode] = []
 
     def load(code: bytes, name: str) -> NativeCode:

@@ -17,8 +17,9 @@ from pinred.common.errors import InputError, NoConvergence, NonFiniteState
 from pinred.integrators import integrate as drive
 from pinred.integrators.gauss.newton import pairs
 from pinred.integrators.gauss.tables import MOST_STAGES, tables
-from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
+from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_record
 
 ORDERS = range(2, 17, 2)

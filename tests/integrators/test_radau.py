@@ -29,8 +29,9 @@ from pinred.common.errors import (
 )
 from pinred.forces import PD, Damper, Limit, Torque
 from pinred.integrators import integrate as drive
-from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
+from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_record
 from pinred.integrators.stepping.linear_systems import factor, factor_complex, solve, solve_complex
 from pinred.judge.distances import FullMotion
@@ -158,7 +159,7 @@ def test_derivative_by_pinocchio(robot: str) -> None:
     """Along the motion ẋ changes as ABA says, and that as ABA's derivatives say."""
     system = pinred.load(robot)
     scene = pinred.Scene(system=system, seed=4)
-    flow = CompiledFlow(plan_of(scene))
+    flow = CompiledFlow.of_plan(plan_of(scene))
     rate = flow.kernel.evaluate_rate(flow.y0, flow.parameters)
     J = jacobian_of(flow.kernel, flow.y0, flow.parameters)
     m, r, start = system.m, system.r, scene.start
@@ -193,7 +194,7 @@ def test_derivative_with_forces() -> None:
             Torque(lambda t, x, xdot, mu: {"bend": -0.1 * mu[-1] * x[0] * xdot[0] * t}),
         ],
     )
-    flow = CompiledFlow(plan_of(scene))
+    flow = CompiledFlow.of_plan(plan_of(scene))
     y = flow.y0 + 0.1
     J = jacobian_of(flow.kernel, y, flow.parameters)
     h = 1e-5
@@ -219,7 +220,9 @@ def test_a_wrong_derivative_is_refused(
         return right(ca.Function(name, [y, p, v], [value]), name, **options)
 
     monkeypatch.setattr(tangent, "compile_object", wrong)
-    kernel = CompiledFlow(plan_of(pinred.Scene(system=pinred.load("falling_cat"), seed=1))).kernel
+    kernel = CompiledFlow.of_plan(
+        plan_of(pinred.Scene(system=pinred.load("falling_cat"), seed=1))
+    ).kernel
     with pytest.raises(KernelMismatch, match="column 0 is off"):
         tangent_of(kernel)
 
@@ -409,7 +412,7 @@ def test_states_between_the_ends_of_a_step() -> None:
             size = 1e-11 * max(abs(start), abs(end)) * max(1.0, abs(z))
             np.testing.assert_allclose(run.at(t)[:, 0], start + P(x) + added, atol=size)
             for lost in (np.inf, np.nan):
-                alone = replace(run, _params=np.array([rate, lost])).at(t)[:, 0]
+                alone = replace(run, params=np.array([rate, lost])).at(t)[:, 0]
                 np.testing.assert_allclose(alone, start + P(x), atol=size)
 
 

@@ -28,10 +28,11 @@ from pinred.common.errors import (
 )
 from pinred.integrators import integrate as drive
 from pinred.integrators import integrate_many as several
-from pinred.integrators.integrate import Solution, integrate
+from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.methods import DOP853, RKMK4, Explicit, Method, Tsit5
 from pinred.integrators.methods import METHODS as ALL
+from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_record
 
 Rate = Callable[[Any, Any, Any], None]
@@ -306,14 +307,14 @@ def test_a_kick_makes_steps_shorter(kind: type[Explicit], most: int) -> None:
 def test_evaluations_are_counted() -> None:
     """Twelve a step, eleven a rejection, three where there is dense output, two to begin."""
     run = integrate(DOP853(), counted, [0.0], [1.0, 0.0], 10.0, [0.0, 10.0])
-    assert run.evaluations == run._params[0] == 12 * run.steps + 11 * run.rejected + 2
+    assert run.evaluations == run.params[0] == 12 * run.steps + 11 * run.rejected + 2
     run = integrate(DOP853(), counted, [0.0], [1.0, 0.0], 10.0, [5.0, 5.001, 10.0])
-    assert run.evaluations == run._params[0] == 12 * run.steps + 11 * run.rejected + 5
+    assert run.evaluations == run.params[0] == 12 * run.steps + 11 * run.rejected + 5
     # Six a step of Tsitouras's, tried or accepted; its dense output takes none.
     run = integrate(Tsit5(), counted, [0.0], [1.0, 0.0], 10.0, [5.0, 5.001, 10.0])
-    assert run.evaluations == run._params[0] == 6 * (run.steps + run.rejected) + 2
+    assert run.evaluations == run.params[0] == 6 * (run.steps + run.rejected) + 2
     run = integrate(RKMK4(0.1), counted, [0.0], [1.0, 0.0], 10.0, [5.01])
-    assert run.evaluations == run._params[0] == 4 * run.steps + 1
+    assert run.evaluations == run.params[0] == 4 * run.steps + 1
     assert run.steps == 100
 
 

@@ -22,6 +22,7 @@ from pinred.forces import Damper, Torque, Wrench
 from pinred.integrators import integrate as drive
 from pinred.integrators.integrate import integrate
 from pinred.integrators.integrate_many import STATUS, integrate_many
+from pinred.integrators.solution import Solution
 from pinred.integrators.stepping import run_record
 from pinred.judge.distances import FullMotion
 from pinred.judge.reference_solution import FullState
@@ -187,11 +188,13 @@ def test_momentum_and_energy() -> None:
 def test_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pauses, reports and the store change no number; later is as at once; many are as one."""
     system = pinred.load("coupled_spatial")
-    flow = CompiledFlow(plan_of(pinred.Scene(system=system, seed=1, method=Variational(0.02))))
+    flow = CompiledFlow.of_plan(
+        plan_of(pinred.Scene(system=system, seed=1, method=Variational(0.02)))
+    )
     layout = flow.kernel.layout
     assert layout.canonical == (system.m, 3)
 
-    def run(times: Any) -> drive.Solution:
+    def run(times: Any) -> Solution:
         return integrate(
             Variational(0.02), flow.kernel.rate.address, flow.parameters, flow.y0, 2.0, times,
             layout.quaternion, canonical=layout.canonical,

@@ -21,9 +21,8 @@ from pinred.kernels.object_cache import ObjectCache
 from pinred.kernels.validation import validate_kernel
 from pinred.lie import GROUPS
 from pinred.reduction.cyclic_joints import cyclic_joints
-from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.compiled.kernel_of_plan import kernel_of
-from pinred.simulation.pinocchio.readable_flow import ReducedFlow
+from pinred.simulation.compiled.compiled_flow import CompiledFlow, kernel_of
+from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
 from pinred.simulation.plan import plan_of
 from pinred.system.catalogue import bundled_robots
 
@@ -48,7 +47,7 @@ def test_kernel_rate_equals_readable_route(case: Case) -> None:
         scene = pinred.Scene(
             system=system, x0=case.x, xdot0=case.xdot, pose0=case.pose, springs=springs, **options
         )
-        compiled, readable = CompiledFlow(plan_of(scene)), ReducedFlow(plan_of(scene))
+        compiled, readable = CompiledFlow.of_plan(plan_of(scene)), PinocchioFlow(plan_of(scene))
         kernel = compiled.kernel
         assert kernel.structure.zero_momentum == (not readable.base.has_momentum)
         rate = kernel.evaluate_rate(compiled.y0, compiled.parameters)
@@ -70,8 +69,8 @@ def test_kernel_rate_satisfies_hamilton_poincare(case: Case) -> None:
     """
     system, red = case.system, pinred.Reduction(case.system)
     scene = pinred.Scene(system=system, x0=case.x, xdot0=case.xdot, xi0=case.xi, pose0=case.pose)
-    flow = CompiledFlow(plan_of(scene))
-    mu = flow.sample(0.0, flow.y0, flow.numbers).mu  # about the centre of mass
+    flow = CompiledFlow.of_plan(plan_of(scene))
+    mu = flow.sample(0.0, flow.y0).mu  # about the centre of mass
     at = red.at(case.x)
     p = at.reduced_metric @ case.xdot
     equations = pinred.equations.hamilton_poincare(red, case.x, p, mu)
@@ -117,12 +116,12 @@ def test_cyclic_joints_are_integrated_by_quadrature() -> None:
     """Cyclic joints have no momentum in the state, and their angles agree with ABA."""
     system = pinred.load("reaction_wheel_satellite")
     traj = pinred.simulate(system, duration=5.0)
-    flow = CompiledFlow(plan_of(traj.scene))
+    flow = CompiledFlow.of_plan(plan_of(traj.scene))
     assert len(flow.y0) == 2 + 3 + 4
     assert len(flow.kernel.layout.cyclic) == 3
     assert pinred.compare(traj).passed
     sprung = pinred.simulate(system, duration=1.0, springs={"wheel_x": (0.1, 0.0)})
-    assert len(CompiledFlow(plan_of(sprung.scene)).kernel.layout.cyclic) == 2
+    assert len(CompiledFlow.of_plan(plan_of(sprung.scene)).kernel.layout.cyclic) == 2
     assert pinred.compare(sprung).passed
 
 
@@ -130,9 +129,9 @@ def test_zero_momentum_kernel_needs_exact_zero() -> None:
     """A momentum of 1e-300 uses the kernel with momentum."""
     system = pinred.load("falling_cat")
     xdot0 = np.full(system.m, 0.3)
-    still = CompiledFlow(plan_of(pinred.Scene(system=system, xdot0=xdot0, momentum=0)))
+    still = CompiledFlow.of_plan(plan_of(pinred.Scene(system=system, xdot0=xdot0, momentum=0)))
     tiny = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e-300])
-    off = CompiledFlow(plan_of(pinred.Scene(system=system, xdot0=xdot0, momentum=tiny)))
+    off = CompiledFlow.of_plan(plan_of(pinred.Scene(system=system, xdot0=xdot0, momentum=tiny)))
     assert still.kernel.layout.base.spin == 0
     assert off.kernel.layout.base.spin == 3
     assert still.kernel.instructions < off.kernel.instructions

@@ -23,7 +23,7 @@ from pinred.reduction.tree.body_frames import bodies_of, cosine, sine
 from pinred.reduction.tree.limbs import Lanes, links_of
 from pinred.reduction.tree.scalars import Turn
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.pinocchio.readable_flow import ReducedFlow
+from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
 from pinred.simulation.plan import plan_of
 
 MADE = [limbed_model, mirrored_model]
@@ -130,7 +130,7 @@ def test_kernels_with_identical_branches_equal_readable_route(
         xi0=rng.normal(size=system.r),
         springs=springs,
     )
-    compiled, readable = CompiledFlow(plan_of(scene)), ReducedFlow(plan_of(scene))
+    compiled, readable = CompiledFlow.of_plan(plan_of(scene)), PinocchioFlow(plan_of(scene))
     layout, m = compiled.kernel.layout, system.m
     rate = compiled.kernel.evaluate_rate(compiled.y0, compiled.parameters)
     expected = readable.rate(0.0, readable.y0)

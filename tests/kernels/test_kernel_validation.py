@@ -18,7 +18,7 @@ from pinred.kernels.build import build_kernel
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.reference_state import ReferenceState
 from pinred.kernels.validation import validate_kernel
-from pinred.simulation.compiled.kernel_of_plan import kernel_of
+from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
 
 

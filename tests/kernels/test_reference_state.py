@@ -13,7 +13,7 @@ from trees import random_model
 import pinred
 from pinred import forces
 from pinred.kernels.reference_state import ReferenceState, random_state
-from pinred.simulation.compiled.kernel_of_plan import kernel_of
+from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
 
 CART, POLE, LEVER, MOMENT, G = 2.0, 1.0, 0.5, 0.09, 9.81  # of robots/cartpole.urdf, SI

@@ -12,7 +12,7 @@ from faulty_kernels import Faulty, light_tree
 import pinred
 from pinred.common.arrays import Array
 from pinred.kernels.validation import require_agreement, validate_kernel
-from pinred.simulation.compiled.kernel_of_plan import kernel_of
+from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
 
 

@@ -23,10 +23,10 @@ from pinred.laboratory.corpus.description_files import Description, find_descrip
 from pinred.laboratory.corpus.run_corpus import Corpus, corpus
 from pinred.laboratory.corpus.scope import why_not_due
 from pinred.laboratory.corpus.second_reader import differences
-from pinred.laboratory.corpus.trial import Wanted, tried
+from pinred.laboratory.corpus.trial import TrialOptions, run_trial
 from pinred.laboratory.corpus.worker import Worker
 
-QUICK = Wanted(duration=0.05)
+QUICK = TrialOptions(duration=0.05)
 ARM = f'<body name="arm">{HINGE}{MASS}</body>'
 FIXED = mjcf(body(ARM))
 SWINGING = mjcf(f'<body name="arm">{HINGE}{MASS}</body>')
@@ -72,7 +72,7 @@ def described(file: str) -> Description:
 def test_outcomes(case: str, tmp_path: Path) -> None:
     """Each file ends as it should, and what should work is found without pinred's readers."""
     text, outcome, about, due, choice = CASES[case]
-    entry = tried(described(written(tmp_path, text)), QUICK)
+    entry = run_trial(described(written(tmp_path, text)), QUICK)
     assert (entry.outcome, entry.about, entry.due, entry.choice) == (outcome, about, due, choice)
     if entry.good:
         assert entry.aba <= entry.allowed
@@ -94,8 +94,8 @@ def test_a_misread_file_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
     file = described(written(tmp_path, FLOATING))
     monkeypatch.setattr(trials, "load", wrong)
-    entry = tried(file, QUICK)
-    assert (entry.outcome, entry.about) == ("FAILED", "MuJoCo reads it otherwise")
+    entry = run_trial(file, QUICK)
+    assert (entry.outcome, entry.about) == ("FAILED", "MuJoCo reads it differently")
     assert "mass" in entry.reason
 
 
@@ -123,7 +123,7 @@ def test_a_defect_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         raise IndexError("oops")
 
     monkeypatch.setattr(trials, "load", fails)
-    entry = tried(described(written(tmp_path, FLOATING)), QUICK)
+    entry = run_trial(described(written(tmp_path, FLOATING)), QUICK)
     assert (entry.outcome, entry.reason) == ("error", "IndexError: oops")
     assert not Corpus((entry,)).passed
 
@@ -154,7 +154,7 @@ def test_files_are_told_by_their_content(tmp_path: Path) -> None:
 def test_included_parts_that_do_not_stand_alone(tmp_path: Path) -> None:
     """A file for others to include that is refused by itself is counted as a part."""
     part = written(tmp_path, "<mujoco><worldbody><body/></worldbody></mujoco>", "part")
-    entry = tried(replace(described(part), included=True), QUICK)
+    entry = run_trial(replace(described(part), included=True), QUICK)
     assert entry.outcome == "fragment"
     assert "1 parts" in Corpus((entry,)).summary()
 
@@ -163,13 +163,13 @@ def test_included_parts_that_do_not_stand_alone(tmp_path: Path) -> None:
 def test_a_file_that_never_ends_stops_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its process is ended when the time is up, or has ended by itself, and a new one goes on."""
     monkeypatch.setattr(workers, "_serve", _slow_or_dead)
-    monkeypatch.setattr(workers, "_WARM", 20.0)
+    monkeypatch.setattr(workers, "_WARM_UP", 20.0)
     with Worker(QUICK, 0.5) as worker:
-        assert worker.try_out(Description("dies", "urdf")).about == "crash"
-        assert worker.try_out(Description("good", "urdf")).outcome == "passed"
-        late = worker.try_out(Description("sleeps", "urdf"))
+        assert worker.run_trial(Description("dies", "urdf")).about == "crash"
+        assert worker.run_trial(Description("good", "urdf")).outcome == "passed"
+        late = worker.run_trial(Description("sleeps", "urdf"))
         assert (late.outcome, late.about) == ("stopped", "time is up")
-        assert worker.try_out(Description("good", "urdf")).outcome == "passed"
+        assert worker.run_trial(Description("good", "urdf")).outcome == "passed"
 
 
 def _slow_or_dead(pipe: Any, *_: Any) -> None:
@@ -214,13 +214,13 @@ def test_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         written(tmp_path, FLOATING.replace('name="r"', f'name="{name}"'), name)
     answers = iter([Entry("a", "urdf", "passed")])
 
-    def try_out(*_: Any) -> Entry:
+    def next_answer(*_: Any) -> Entry:
         try:
             return next(answers)
         except StopIteration:
             raise KeyboardInterrupt from None
 
-    monkeypatch.setattr(Worker, "try_out", try_out)
+    monkeypatch.setattr(Worker, "run_trial", next_answer)
     out = tmp_path / "out.csv"
     with pytest.raises(KeyboardInterrupt):
         corpus([tmp_path], out=out)

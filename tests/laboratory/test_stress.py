@@ -15,7 +15,7 @@ from pinred import RKMK4
 from pinred.cli.main import main
 from pinred.forces import Damper, Wrench
 from pinred.laboratory.stress.check import Case, Check, Outcome, Trial
-from pinred.laboratory.stress.run_stress import CHECKS, chosen, run_check, table
+from pinred.laboratory.stress.run_stress import CHECKS, run_check, select_checks, table
 
 pytestmark = pytest.mark.slow
 
@@ -90,7 +90,7 @@ def test_what_stops_fails() -> None:
 def test_unknown_names() -> None:
     """The error lists the checks."""
     with pytest.raises(pinred.InputError, match="no check 'x'; the checks are tolerances, "):
-        chosen(["reversal", "x"])
+        select_checks(["reversal", "x"])
     assert main(["stress", "--only", "x"]) == 2
 
 

@@ -18,7 +18,7 @@ from pinred.reduction.cyclic_joints import cyclic_joints
 from pinred.reduction.potential import shape_gravity
 from pinred.reduction.tree.articulated_sweep import sweep
 from pinred.reduction.tree.body_frames import bodies_of
-from pinred.simulation.pinocchio.readable_flow import ReducedFlow
+from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
 from pinred.simulation.plan import plan_of
 
 
@@ -89,7 +89,7 @@ def test_reduced_rates_are_those_of_the_pinocchio_route(name: str, zero: bool) -
         springs=springs,
         **options,
     )
-    flow = ReducedFlow(plan_of(scene))
+    flow = PinocchioFlow(plan_of(scene))
     structure = plan_of(scene).kind(zero_momentum=zero).structure
     graph = ReducedGraph(system, structure, scene.force_model)
     layout, m = graph.layout, system.m
@@ -98,7 +98,7 @@ def test_reduced_rates_are_those_of_the_pinocchio_route(name: str, zero: bool) -
     assert base.spin.any() != zero or not base.spin.size
     y = np.concatenate([y0[:m][active], y0[m : 2 * m][active], y0[:m][cyclic], y0[2 * m :]])
     gravity = plan_of(scene).acting.gravity[list(layout.gravity)]
-    parameters = np.concatenate([base.spin, y0[m : 2 * m][cyclic], gravity, flow.numbers])
+    parameters = np.concatenate([base.spin, y0[m : 2 * m][cyclic], gravity, flow.parameters])
     assert (len(y), len(parameters)) == (layout.size, layout.parameters)
     rate = flow.rate(0.0, y0)
     expected = np.concatenate(

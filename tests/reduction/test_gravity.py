@@ -20,7 +20,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.scene.scene import ENGINES, Engine
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.pinocchio.readable_flow import ReducedFlow
+from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
 from pinred.simulation.plan import plan_of
 
 MASS, ARM, G = 2.0, 0.3, 9.81
@@ -138,7 +138,9 @@ def test_without_the_base() -> None:
         system=top(), pose0=tilted(0.6), xi0=[0.8, -0.5, 30.0], rtol=1e-12, duration=2.0
     )
     every, scene = pinred.simulate(scene), replace(scene, outputs="shape")
-    assert CompiledFlow(plan_of(scene)).y0.size == ReducedFlow(plan_of(scene)).y0.size == 6
+    assert (
+        CompiledFlow.of_plan(plan_of(scene)).y0.size == PinocchioFlow(plan_of(scene)).y0.size == 6
+    )
     for engine in ENGINES:
         part = pinred.simulate(scene, engine=engine)
         y = part.motion.reduced(part.t)
@@ -155,7 +157,7 @@ def test_gravity_too_small_to_square_is_none() -> None:
     system = pinred.load(model)
     scene = pinred.Scene(system=system, xi0=[0.1, 0.2, 5.0])
     traj = pinred.simulate(scene)
-    assert CompiledFlow(plan_of(scene)).y0.size == 4
+    assert CompiledFlow.of_plan(plan_of(scene)).y0.size == 4
     np.testing.assert_allclose(traj.spatial_momentum, traj.spatial_momentum[:1].repeat(201, 0))
     assert np.isfinite(traj.q).all()
 

@@ -19,13 +19,13 @@ from pinred.judge.reference_solution import FullState
 from pinred.reduction.cyclic_joints import cyclic_of
 from pinred.signals import Expression, Fourier
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.pinocchio.readable_flow import ReducedFlow
+from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
 from pinred.simulation.plan import plan_of
 
 
 def sizes(scene: pinred.Scene) -> tuple[int, int]:
     """Numbers that the compiled engine and the Pinocchio route integrate."""
-    return len(CompiledFlow(plan_of(scene)).y0), len(ReducedFlow(plan_of(scene)).y0)
+    return len(CompiledFlow.of_plan(plan_of(scene)).y0), len(PinocchioFlow(plan_of(scene)).y0)
 
 
 def by_aba(scene: pinred.Scene) -> Array:
@@ -72,7 +72,7 @@ def test_time_is_integrated_only_where_it_counts() -> None:
         (Torque(lambda t, *_: [0.1 * ca.sin(t), 0.0, 0.0]), 1),
         (Torque(lambda _, x, *__: [0.1 * x[1], 0.0, 0.0]), 0),
     ):
-        flow = CompiledFlow(plan_of(pinred.Scene(system=system, seed=1, forces=[force])))
+        flow = CompiledFlow.of_plan(plan_of(pinred.Scene(system=system, seed=1, forces=[force])))
         assert flow.kernel.layout.clock == clock
 
 
@@ -98,7 +98,7 @@ def test_cyclic_joints_among_forces(force: Force, cyclic: tuple[str, ...]) -> No
     """A force that acts on a wheel, or looks at its angle, makes it act; others do not."""
     system = pinred.load("reaction_wheel_satellite")
     scene = pinred.Scene(system=system, duration=1.0, forces=[force])
-    layout = CompiledFlow(plan_of(scene)).kernel.layout
+    layout = CompiledFlow.of_plan(plan_of(scene)).kernel.layout
     assert tuple(system.shape_names[k] for k in layout.cyclic) == cyclic
     report = pinred.compare(pinred.simulate(scene))
     assert report.passed, str(report)

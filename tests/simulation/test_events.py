@@ -12,7 +12,7 @@ import pinred
 from pinred.common.arrays import Array
 from pinred.forces import Controller, Torque
 from pinred.scene.scene import ENGINES, Engine
-from pinred.simulation import events, pieces
+from pinred.simulation import events, motion
 
 BEANIE = pinred.load("elroys_beanie")
 W = np.sqrt(1.5)  # of x = sin(W t)/W: a spring of 1 N·m/rad on the shape's inertia 2/3
@@ -180,7 +180,7 @@ def test_event_of_base_needs_base() -> None:
 def test_scene_without_events_has_no_watch(monkeypatch: pytest.MonkeyPatch) -> None:
     """No Watch is created, and the motion is the same to the last bit."""
     with_events = pinred.simulate(BEANIE, **SPRUNG, events=[pinred.Event("x[0] - 0.1")])
-    monkeypatch.setattr(pieces, "Watch", lambda *_: pytest.fail("nobody asked"))
+    monkeypatch.setattr(motion, "Watch", lambda *_: pytest.fail("nobody asked"))
     without = pinred.simulate(BEANIE, **SPRUNG)
     assert without.events == {}
     np.testing.assert_array_equal(without.x, with_events.x)

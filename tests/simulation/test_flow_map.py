@@ -13,10 +13,10 @@ from scipy.integrate import solve_ivp
 import pinred
 from pinred import InputError, Parameter
 from pinred.forces import Controller, Torque, Wrench
+from pinred.integrators import integrate
 from pinred.integrators.run_derivatives import run_along
 from pinred.laboratory.bench.flow_adjoints import beside_cvodes
 from pinred.signals import Fourier, Hold, Spline
-from pinred.simulation.flow_map import prepared
 from pinred.simulation.flow_map.flow import Flow
 
 ROWS = ["x", "xdot", "pose", "xi", "body_momentum", "spatial_momentum", "energy"]
@@ -67,18 +67,17 @@ def test_adjoint_is_the_tangent_turned_round(name: str, method: str) -> None:
 def test_tangent_is_that_of_frozen_steps(name: str, method: str) -> None:
     """A direction agrees with differences of runs that take the same steps, over times too."""
     flow = flow_of(name, method=method, times=[0.0, 0.1, 0.37, 0.5])
-    run = flow._run({})
-    (part,) = run.stretches
-    course, kernel = flow._course, flow._course.kernel
+    (solution,) = flow.run({}).solutions
+    propagator, kernel = flow.propagator, flow.propagator.kernel
     rng = np.random.default_rng(1)
-    y, p = part.solution.states[0], part.parameters
+    y, p = solution.states[0], solution.params
     along, along_p = rng.normal(size=(len(y), 1)), rng.normal(size=(len(p), 1))
-    knots = part.solution.knots
+    knots = solution.knots
 
     def end(s: float, v: Any, w: Any) -> Any:
         return run_along(
-            course.method, course._address, course._slopes, p + s * along_p[:, 0],
-            y + s * along[:, 0], knots, part.times, kernel.layout.quaternion, v, w,
+            propagator.method, propagator.address, propagator.slopes, p + s * along_p[:, 0],
+            y + s * along[:, 0], knots, solution.times, kernel.layout.quaternion, v, w,
         )  # fmt: skip
 
     found = end(0.0, along, along_p)
@@ -99,9 +98,8 @@ def test_tangent_is_that_of_the_exact_flow() -> None:
     system = pinred.load("planar_chain5")
     functions = pinred.casadi_functions(system)
     flow = pinred.flow(system, seed=2, duration=0.5, wrt=["x0"], method="DOP853", rtol=1e-12)
-    run = flow._run({})
-    (part,) = run.stretches
-    y, p = part.solution.states[0], part.parameters
+    (solution,) = flow.run({}).solutions
+    y, p = solution.states[0], solution.params
     n = len(y)
     assert functions.layout.size == n
 
@@ -114,10 +112,10 @@ def test_tangent_is_that_of_the_exact_flow() -> None:
     exact = (
         solve_ivp(rate, (0.0, 0.5), z0, "DOP853", rtol=1e-11, atol=1e-13).y[n:, -1].reshape(n, n)
     )
-    course = flow._course
+    propagator = flow.propagator
     found = run_along(
-        course.method, course._address, course._slopes, p, y, part.solution.knots, part.times,
-        course.kernel.layout.quaternion, np.eye(n), np.zeros((len(p), n)),
+        propagator.method, propagator.address, propagator.slopes, p, y, solution.knots,
+        solution.times, propagator.kernel.layout.quaternion, np.eye(n), np.zeros((len(p), n)),
     )  # fmt: skip
     assert np.abs(found.end_slopes - exact).max() < 1e-8 * np.abs(exact).max()
 
@@ -350,11 +348,12 @@ def test_adjoints_are_those_of_cvodes(name: str, duration: float) -> None:
     """Slopes of the end agree with CVODES's where the flow stretches little."""
     system = pinred.load(name, gravity=(0, 0, 0))
     flow = pinred.flow(system, seed=1, duration=duration, method="DOP853", rtol=1e-9)
-    (part,) = flow._run({}).stretches
-    y, p, course = part.solution.states[0].copy(), part.parameters, flow._course
+    (solution,) = flow.run({}).solutions
+    y, p, propagator = solution.states[0].copy(), solution.params, flow.propagator
     stretch = run_along(
-        course.method, course._address, course._slopes, p, y, part.solution.knots, part.times,
-        course.kernel.layout.quaternion, np.eye(len(y)), np.zeros((len(p), len(y))),
+        propagator.method, propagator.address, propagator.slopes, p, y, solution.knots,
+        solution.times, propagator.kernel.layout.quaternion, np.eye(len(y)),
+        np.zeros((len(p), len(y))),
     ).end_slopes  # fmt: skip
     assert np.linalg.norm(stretch, 2) < 1e3
     found = beside_cvodes(flow, 1e-9, timed=False)
@@ -371,8 +370,8 @@ def test_stages_are_kept_within_a_bound(method: str, monkeypatch: pytest.MonkeyP
 
     def kept() -> bool:
         assert flow._last is not None
-        (part,) = flow._last[1].stretches
-        return bool(part.ran.stored.shape[1] > part.ran.states.shape[1])
+        (solution,) = flow._last[1].solutions
+        return bool(solution.stored.shape[1] > solution.states.shape[1])
 
     def agrees() -> None:
         for key, found in flow.vjp(covector).items():
@@ -385,10 +384,10 @@ def test_stages_are_kept_within_a_bound(method: str, monkeypatch: pytest.MonkeyP
     flow._last = None
     agrees()
     assert kept()
-    (part,) = flow._run({}).stretches
-    room = 8 * 128 * part.ran.stored.shape[1]
+    (solution,) = flow.run({}).solutions
+    room = 8 * 128 * solution.stored.shape[1]
     for most, expected in ((room, True), (room - 1, False)):
-        monkeypatch.setattr(prepared, "MOST_STAGES", most)
+        monkeypatch.setattr(integrate, "MOST_STAGE_BYTES", most)
         flow._last = None
         agrees()
         assert kept() is expected

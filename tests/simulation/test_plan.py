@@ -43,7 +43,7 @@ def test_what_is_told_is_integrated(
     start: dict[str, Any] = {"momentum": 0} if still else {"xi0": np.ones(system.r)}
     scene = pinred.Scene(system=system, method=method, outputs=outputs, duration=0.1, **start)
     found = plan_of(scene)
-    size = CompiledFlow(found).y0.size
+    size = CompiledFlow.of_plan(found).y0.size
     full = system.model.nq + system.n
     assert f"integrated: {full} → {size} numbers" in explain(found).splitlines()
 

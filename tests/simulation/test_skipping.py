@@ -14,7 +14,7 @@ from pinred.forces import Torque, Wrench
 from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES
 from pinred.simulation.compiled.compiled_flow import CompiledFlow
-from pinred.simulation.pinocchio.readable_flow import ReducedFlow
+from pinred.simulation.pinocchio.pinocchio_flow import PinocchioFlow
 from pinred.simulation.plan import plan_of
 
 MOVING = {"R": [0.3], "SO2": [0.3], "SE2": [0.3, -0.1, 0.4], "SO3": [0.3, -0.2, 0.4]}
@@ -40,9 +40,9 @@ def test_the_base_is_left_out(group: str) -> None:
             times=np.linspace(0.0, 1.0, 11), outputs="shape",
         )  # fmt: skip
         for scene, base in ((every, SIZES[group][2 * k]), (shape, SIZES[group][2 * k + 1])):
-            cyclic = len(CompiledFlow(plan_of(scene)).kernel.layout.cyclic)
-            assert ReducedFlow(plan_of(scene)).y0.size == 4 + base
-            assert CompiledFlow(plan_of(scene)).y0.size == 4 - cyclic + base
+            cyclic = len(CompiledFlow.of_plan(plan_of(scene)).kernel.layout.cyclic)
+            assert PinocchioFlow(plan_of(scene)).y0.size == 4 + base
+            assert CompiledFlow.of_plan(plan_of(scene)).y0.size == 4 - cyclic + base
         start = every.start
         q0, v0 = system.q(start.pose, start.x), system.v(start.xi, start.xdot)
         q, v = aba.integrate(system.model, q0, v0, every.report_times)
@@ -57,7 +57,7 @@ def test_the_base_is_left_out(group: str) -> None:
 
 def flow(system: pinred.System, **options: Any) -> CompiledFlow:
     """The compiled flow of a scene."""
-    return CompiledFlow(plan_of(pinred.Scene(system=system, **options)))
+    return CompiledFlow.of_plan(plan_of(pinred.Scene(system=system, **options)))
 
 
 @pytest.mark.parametrize("momentum", [1e-300, 1e-12])
@@ -94,7 +94,7 @@ def test_an_almost_balanced_wheel(offset: float) -> None:
         system=system, x0=[0.4, 0, 0, 0], xdot0=[0.2, 20, -15, 30], xi0=MOVING["SE3"],
         times=[0.0, 0.5, 1.0],
     )  # fmt: skip
-    assert CompiledFlow(plan_of(scene)).kernel.layout.cyclic == (
+    assert CompiledFlow.of_plan(plan_of(scene)).kernel.layout.cyclic == (
         (1, 2, 3) if offset == 0.0 else (2, 3)
     )
     traj = pinred.simulate(scene)
@@ -107,7 +107,7 @@ def test_almost_no_gravity(size: float) -> None:
     """Gravity across a rail: nothing at 1e-300, a potential at a millionth; ABA either way."""
     system = pinred.load("cartpole", gravity=(0.0, 0.0, -size))
     scene = pinred.Scene(system=system, x0=[1.0], xdot0=[0.5], xi0=[0.3], duration=2.0)
-    assert (CompiledFlow(plan_of(scene)).kernel.structure.gravity != ()) == (size == 1e-6)
+    assert (CompiledFlow.of_plan(plan_of(scene)).kernel.structure.gravity != ()) == (size == 1e-6)
     for engine in ENGINES:
         traj = pinred.simulate(scene, engine=engine)
         q, _ = aba.integrate(system.model, traj.q[0], traj.v[0], traj.t[::50])

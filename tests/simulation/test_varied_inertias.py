@@ -88,7 +88,7 @@ def test_log_cholesky() -> None:
     rng = np.random.default_rng(0)
     for _ in range(20):
         theta = rng.normal(size=10)
-        total, slopes = bodies.dynamic(3, bodies.checked({"back.log_cholesky": theta}, {}))
+        total, slopes = bodies.dynamic(3, {"back.log_cholesky": theta})
         v = 1e-6 * rng.normal(size=10)
         low, high = (
             bodies.dynamic(3, {"back.log_cholesky": theta + s * v})[0] for s in (-1.0, 1.0)
@@ -127,7 +127,7 @@ def test_a_wheel_that_may_become_unbalanced() -> None:
     """A joint is cyclic only if it stays so for all values of what varies."""
     system = pinred.load("reaction_wheel_satellite")
     cyclic = {
-        name: pinred.flow(system, wrt=[name], duration=0.1)._course.kernel.structure.cyclic
+        name: pinred.flow(system, wrt=[name], duration=0.1).propagator.kernel.structure.cyclic
         for name in ("wheel_x.mass", "wheel_x.com", "wheel_y.inertia")
     }
     assert cyclic == {

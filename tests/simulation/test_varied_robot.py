@@ -129,7 +129,7 @@ def test_patterns() -> None:
     scene = pinred.Scene(system=chain, seed=1, duration=0.1, parameters=turned)
     assert plan_of(scene).freed().steps == ((3, "xxxxxxxx"),)
     flow = pinred.flow(chain, seed=1, duration=0.1, wrt=["joint3.translation"])
-    assert flow._course.kernel.structure.freed.steps == ((3, "nnnnnxxx"),)
+    assert flow.propagator.kernel.structure.freed.steps == ((3, "nnnnnxxx"),)
     assert "placements of joint3, within their pattern" in flow.explain()
     free = pinred.flow(chain, seed=1, duration=0.1, wrt=["joint3.placement"])
     assert "placements of joint3, of any kind" in free.explain()

@@ -56,7 +56,7 @@ def linearised(flow: CompiledFlow, y: Array) -> Linearisation:
 
 def _usual_rate(flow: CompiledFlow, y: Array) -> float:
     """Return the largest rate at a state [rad/s]; where something acts, 1 rad/s at least."""
-    kernel, sample = flow.kernel, flow.sample(0.0, y, flow.numbers)
+    kernel, sample = flow.kernel, flow.sample(0.0, y)
     turning = sample.xi[kernel.system.group.linear :]
     rate = max(float(np.abs(part).max(initial=0.0)) for part in (turning, sample.xdot))
     acts = bool(kernel.layout.gravity) or kernel.forces is not None

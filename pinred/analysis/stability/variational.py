@@ -102,7 +102,7 @@ def variational(traj: Trajectory) -> Variational:
         raise InputError(
             "the linearised flow takes forces that are smooth in time, without controllers"
         )
-    flow = CompiledFlow(plan_of(without_base(traj.scene)))
+    flow = CompiledFlow.of_plan(plan_of(without_base(traj.scene)))
     leaf = leaf_of(flow.kernel, flow.y0)
     Y = np.zeros((len(flow.y0), leaf.basis.shape[1]))
     Y[leaf.kept] = np.linalg.qr(leaf.outward(np.eye(leaf.basis.shape[1])))[0]

@@ -153,13 +153,13 @@ def _standard_norm(tol: float) -> tuple[float, float]:
 
 
 def _without_base(problem: Problem) -> Norm:
-    weights = np.ones(len(CompiledFlow(plan_of(problem.scene())).y0))
+    weights = np.ones(len(CompiledFlow.of_plan(plan_of(problem.scene())).y0))
     weights[2 * problem.system.m :] = _IGNORED
     return lambda tol: (max(tol, 1e-13), ATOL * tol * weights)
 
 
 def _norm_by_kind(problem: Problem) -> Norm:
-    flow = CompiledFlow(plan_of(problem.scene()))
+    flow = CompiledFlow.of_plan(plan_of(problem.scene()))
     largest = np.abs(_solve(flow, problem, "DOP853", 1e-6, 1e-8).y).max(axis=1)
     m = problem.system.m
     for kind in (slice(0, m), slice(m, 2 * m), slice(2 * m, None)):
@@ -182,7 +182,7 @@ def _run_scipy(
 ) -> tuple[float, float]:
     """Return error and evaluations of a SciPy method; (inf, NaN) if it fails."""
     scene = problem.scene()
-    flow = CompiledFlow(plan_of(scene))
+    flow = CompiledFlow.of_plan(plan_of(scene))
     try:
         solution = _solve(flow, problem, kind, *norm(tol))
     except (ValueError, InputError, IntegrationError):
@@ -190,5 +190,5 @@ def _run_scipy(
     if not solution.success:
         return np.inf, np.nan
     y = solution.y[:, -1:].T
-    states = with_base(flow.states(scene.report_times, y, flow.numbers), problem.name)
+    states = with_base(flow.states(scene.report_times, y), problem.name)
     return problem.apart(truth, FullMotion(x=states.x, q=states.q)), float(solution.nfev)

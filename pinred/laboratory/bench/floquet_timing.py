@@ -125,7 +125,7 @@ def _differences(least: RelativeEquilibrium, T: float) -> Array:
 
 def _by_scipy(scene: Scene, T: float) -> Array:
     """Return the monodromy (k, k) by SciPy's DOP853 over the kernel and its Jacobian."""
-    flow = CompiledFlow(plan_of(without_base(scene)))
+    flow = CompiledFlow.of_plan(plan_of(without_base(scene)))
     n = len(flow.y0)
 
     def rate(_t: float, z: Array) -> Array:

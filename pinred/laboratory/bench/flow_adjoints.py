@@ -53,21 +53,21 @@ def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoin
     Returns:
         Both gradients and the time ratio.
     """
-    course, kernel = made._course, made._course.kernel
-    (part,) = made._run({}).stretches
-    y0, parameters = part.solution.states[0].copy(), part.parameters
+    propagator, kernel = made.propagator, made.propagator.kernel
+    run = made.run({})
+    (solution,) = run.solutions
+    y0, parameters, times = solution.states[0].copy(), solution.params, solution.times
     covector = np.random.default_rng(0).normal(size=len(y0))
-    none = np.zeros((len(part.times), len(y0)))
+    none = np.zeros((len(times), len(y0)))
     quaternion = kernel.layout.quaternion
     adjoint = _cvodes(made, tolerance)
     by_cvodes = partial(adjoint, y0, parameters, covector)
 
     def own() -> Any:
-        made._last = None
-        (now,) = made._run({}, stages=True).stretches
+        (now,) = propagator.run(run.given, stages=True).solutions
         return run_back(
-            course.method, course._address, course._slopes, now.parameters, now.solution,
-            now.times, quaternion, covector, none,
+            propagator.method, propagator.address, propagator.slopes, now.params, now, times,
+            quaternion, covector, none,
         )  # fmt: skip
 
     theirs = [np.array(each).ravel() for each in by_cvodes()]
@@ -89,7 +89,7 @@ def beside_cvodes(made: Flow, tolerance: float, *, timed: bool = True) -> Adjoin
 
 def _cvodes(made: Flow, tolerance: float) -> Any:
     """Return (y₀, parameters, λ) → gradient by y₀ and parameters, by CasADi's CVODES."""
-    kernel = made._course.kernel
+    kernel = made.propagator.kernel
     rate = ReducedGraph(kernel.system, kernel.structure, kernel.forces).rate()
     y, p = ca.SX.sym("y", rate.numel_in(0)), ca.SX.sym("p", rate.numel_in(1))
     options = {"reltol": tolerance, "abstol": 1e-2 * tolerance, "max_num_steps": _MOST}

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.progress import Progress, one_by_one
-from ...integrators.integrate import integrate_checked
+from ...integrators.integrate import Integration
 from ...kernels.build import build_kernel
 from ...kernels.differentiable import repeat_adjoint
 from ...kernels.evaluate import repeat
@@ -127,20 +127,20 @@ def _bench_flow(name: str) -> FlowTiming:
     by_motion = flow(system, wrt=motion, method="DOP853", rtol=1e-8, **options)
     by_all = flow(system, wrt=[*motion, *bodies], method="DOP853", rtol=1e-8, **options)
     by_gauss = flow(system, wrt=motion, method="AdaptiveGauss", rtol=1e-10, **options)
-    scene, course = by_motion.scene, by_motion._course
-    run = by_motion._run({})
-    (part,) = run.stretches
-    y, p = part.solution.states[0].copy(), part.parameters
-    quaternion = course.kernel.layout.quaternion
-
-    def integrate() -> object:
-        return integrate_checked(
-            course.method, course._address, p, y, _SPAN, part.times, quaternion, None
-        )
-
-    step = by_motion.step(part.solution.knots[1])
+    scene, propagator = by_motion.scene, by_motion.propagator
+    (solution,) = by_motion.run({}).solutions
+    y, times = solution.states[0].copy(), solution.times
+    integration = Integration(
+        propagator.method, propagator.address, len(y), _SPAN, times,
+        propagator.kernel.layout.quaternion,
+    )  # fmt: skip
+    step = by_motion.step(solution.knots[1])
     one = np.ones(sum(place.stop - place.start for place in by_motion.outputs.values()))
-    actions = [integrate, lambda: simulate(scene).x, lambda: step.linear().by_state]
+    actions: list[Callable[[], object]] = [
+        partial(integration, solution.params, y),
+        lambda: simulate(scene).x,
+        lambda: step.linear().by_state,
+    ]
     for made in (by_motion, by_all, by_gauss):
         at = _Elsewhere(made)
         actions += [partial(_run, made, at), partial(_gradient, made, at, one)]
@@ -154,7 +154,7 @@ def _bench_flow(name: str) -> FlowTiming:
     adjoint, free, placed, generic = _evaluations(by_motion)
     return FlowTiming(
         robot=name,
-        steps=part.solution.steps,
+        steps=solution.steps,
         integration=float(integration),
         call=float(call),
         simulate=float(whole),
@@ -171,7 +171,7 @@ def _bench_flow(name: str) -> FlowTiming:
         placed=placed,
         generic=generic,
         knots=8 * (len(y) + 1),
-        stages=8 * (len(y) + 1 + len(y) * course.method.stepper().stages),
+        stages=8 * (len(y) + 1 + len(y) * propagator.method.stepper().stages),
     )
 
 
@@ -187,7 +187,7 @@ class _Elsewhere:
 
 
 def _run(made: Flow, at: _Elsewhere) -> object:
-    return made._run({"x0": at()})
+    return made.run({"x0": at()})
 
 
 def _gradient(made: Flow, at: _Elsewhere, covector: Array) -> object:
@@ -212,8 +212,7 @@ def _of_jax(made: Flow) -> list[Callable[[], object]]:
 
 def _evaluations(made: Flow) -> list[float]:
     """Return times relative to the rate: the adjoint, and kernels with variable parameters."""
-    course = made._course
-    kernel = course.kernel
+    kernel = made.propagator.kernel
     system = kernel.system
     every = tuple(range(system.model.njoints - 1))
     steps = [[(i, pattern_of(system, i)) for i in every[1:]], [(i, "x" * STEP) for i in every[1:]]]
@@ -224,7 +223,7 @@ def _evaluations(made: Flow) -> list[float]:
     rng = np.random.default_rng(0)
     y = 0.5 * rng.normal(size=kernel.layout.size)
     rates = [(one.rate.address, one.random_parameters(rng)) for one in (kernel, *loose)]
-    adjoint, p, covector = course._rate.adjoint.address, rates[0][1], np.ones(len(y))
+    adjoint, p, covector = made.propagator.rate.adjoint.address, rates[0][1], np.ones(len(y))
     out = np.empty(len(y) + len(p))
     times = alternating(
         [

@@ -14,9 +14,9 @@ from ...integrators.integrate_many import Solutions, integrate_many
 from ...integrators.lanes.integrate_in_lanes import integrate_in_lanes
 from ...integrators.methods import DOP853
 from ...kernels.wide_rate import wide_rate
-from ...simulation.compiled.compiled_flow import CompiledFlow, CompiledFlows, flows_of
-from ...simulation.compiled.integrate_members import lanes_of
-from ...simulation.members.groups import of_scenes
+from ...simulation.compiled.compiled_flow import CompiledFlow, flows_of
+from ...simulation.members.integrate_members import lanes_of
+from ...simulation.members.member_groups import of_scenes
 from ...system.coordinates import InitialState
 from ...system.state_fields import with_base
 from .problems import Problem
@@ -76,19 +76,18 @@ def generate_members(problem: Problem, count: int) -> list[Problem]:
     return members
 
 
-def compile_members(members: Sequence[Problem]) -> CompiledFlows:
+def compile_members(members: Sequence[Problem]) -> CompiledFlow:
     """Return reduced initial states and parameters of members with momentum."""
     (group,) = of_scenes([member.scene(method="DOP853") for member in members]).groups
     ((_, flows),) = flows_of(group.plan, group.given)
     return flows
 
 
-def final_states(members: Sequence[Problem], flows: CompiledFlows, y: Any, count: int) -> list[End]:
+def final_states(members: Sequence[Problem], flows: CompiledFlow, y: Any, count: int) -> list[End]:
     """Reconstruct the full final states of the first members from reduced states y (N, k)."""
     ends = []
     for k in range(count):
-        flow = CompiledFlow.of(flows, k)
-        reduced = flow.states(members[k].times, np.array(y[k])[None], flow.numbers)
+        reduced = flows[k].states(members[k].times, np.array(y[k])[None])
         states = with_base(reduced, members[k].name)
         ends.append(End(states.x[0], states.q[0], states.v[0], float("nan")))
     return ends

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from ...common.arrays import read_only
 from ...integrators.methods import (
     DOP853_LEAST,
     METHODS,
@@ -73,15 +74,16 @@ def _integration(problem: Problem, tolerance: float) -> PreparedRun:
 
     scene = problem.scene(rtol=tolerance, atol=ATOL * tolerance)
     plan = plan_of(scene)
-    flow = CompiledFlow(plan)
+    flow = CompiledFlow.of_plan(plan)
 
     def end(solution: Any) -> End:
         times = scene.report_times
-        states = with_base(flow.states(times, solution.at(times), flow.numbers), scene.system.name)
+        states = with_base(flow.states(times, solution.at(times)), scene.system.name)
         return _end(states, solution.evaluations)
 
     integrate = integrator(flow, plan, None)
-    return PreparedRun(lambda: integrate(0.0, scene.end, flow.y0), end)
+    parameters = read_only(flow.parameters.copy())
+    return PreparedRun(lambda: integrate(0.0, scene.end, flow.y0, parameters), end)
 
 
 def _explicit(name: str, kind: type[Explicit]) -> Solver:

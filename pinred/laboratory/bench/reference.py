@@ -70,12 +70,12 @@ def _quadruple(problem: Problem, aba: FullMotion) -> Reference:
 
     hy = import_module("heyoka")
     scene = problem.scene()
-    flow = CompiledFlow(plan_of(scene))
+    flow = CompiledFlow.of_plan(plan_of(scene))
     expressions = taylor_expressions(reduced_graph(problem), flow.parameters.tolist())
 
     def end(y: Any) -> FullMotion:
         reduced = np.array([[float(value) for value in y]])
-        states = with_base(flow.states(scene.report_times, reduced, flow.numbers), problem.name)
+        states = with_base(flow.states(scene.report_times, reduced), problem.name)
         return FullMotion(x=states.x, q=states.q)
 
     def integrator(tolerance: float) -> Any:

@@ -26,7 +26,7 @@ def reduced_graph(problem: Problem) -> ca.Function:
     from ...simulation.compiled.compiled_flow import CompiledFlow
     from ...simulation.plan import plan_of
 
-    kernel = CompiledFlow(plan_of(problem.scene())).kernel
+    kernel = CompiledFlow.of_plan(plan_of(problem.scene())).kernel
     return ReducedGraph(problem.system, kernel.structure).rate()
 
 

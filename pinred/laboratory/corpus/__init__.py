@@ -1,6 +1,6 @@
-"""The corpus: every robot description in some folders, loaded, simulated and judged, as a table.
+"""The corpus: all robot descriptions in some folders are loaded, simulated and validated.
 
-`files` finds the descriptions, `scope` says without pinred's reader which of them should work,
-`trial` tries one, with `second_reader` for what MuJoCo reads in it, `worker` keeps each trial
-from the others, and `suite` makes the table.
+`description_files` finds the descriptions. `scope` decides without pinred's readers which of them
+should work. `trial` tries one description, and `second_reader` compares it with MuJoCo's reading.
+`worker` isolates trials in a child process. `run_corpus` builds the table of outcomes.
 """

@@ -1,4 +1,4 @@
-"""One line of the table: a description, and what came of it."""
+"""One row of the corpus table: a description and the outcome of its trial."""
 
 from __future__ import annotations
 
@@ -21,17 +21,29 @@ GOOD: tuple[Outcome, ...] = ("passed", "without gravity")
 class Entry:
     """The outcome of one description.
 
-    file: its path, or a robot's name.  outcome: "passed"; "without gravity", which breaks the
-    symmetry of its root; "refused", by an error of pinred; "stopped", by a simulation that
-    cannot go on, or by time; "FAILED", against ABA or MuJoCo; "error", any other exception or a
-    crash; "fragment", of other files only.  reason: in one line.  about: the kind of the reason,
-    in few words.  due: whether it should work (see `scope`); why_not: if not, why.
-    choice: what had to be chosen for it, as "root=arm".  group, joints: of the system.
-    duration: of the motion [s].
-    aba: largest error against ABA, relative to the motion's size; allowed: what passes.
-    mass, forces: largest error of the mass matrix and of forces against MuJoCo's reading,
-    relative; NaN if it has none, and `second` says why.
-    load, simulate, wall: seconds for reading, for the first simulation, and in all.
+    Attributes:
+        file: Path of the file, or name of the robot.
+        kind: "urdf", "mjcf" or "name".
+        outcome: "passed"; "without gravity" (gravity breaks the symmetry of its root);
+            "refused" (an error of pinred); "stopped" (the simulation or the time limit);
+            "FAILED" (differs from ABA or MuJoCo); "error" (other exception, or a crash);
+            "fragment" (only part of other files).
+        reason: Reason of the outcome in one line.
+        about: Category of the reason.
+        due: Whether the description should work, see scope.py.
+        why_not: Why it need not work.
+        choice: Option that had to be chosen to load it, such as "root=arm".
+        group: Symmetry group of the system.
+        joints: Number of joints m.
+        duration: Duration of the motion [s].
+        aba: Largest error against ABA, relative to the motion's size.
+        allowed: Largest `aba` that passes.
+        mass: Largest relative error of the mass matrix against MuJoCo's reading; NaN if none.
+        forces: The same for forces.
+        second: Why there is no comparison with MuJoCo's reading.
+        load: Time for loading [s].
+        simulate: Time for the first simulation [s].
+        wall: Total time [s].
     """
 
     file: str
@@ -56,7 +68,7 @@ class Entry:
 
     @property
     def good(self) -> bool:
-        """Whether it was read, simulated, and agrees with its judges."""
+        """Whether it was loaded and simulated, and agrees with ABA and MuJoCo."""
         return self.outcome in GOOD
 
 
@@ -64,5 +76,5 @@ COLUMNS = tuple(field.name for field in fields(Entry))
 
 
 def write_entries(path: Path, entries: Iterable[Entry]) -> None:
-    """Write entries as csv, whole or not at all.  Raises OutputError."""
+    """Write entries as csv; raise OutputError and keep the old file on failure."""
     write_table(path, COLUMNS, (vars(entry) for entry in entries))

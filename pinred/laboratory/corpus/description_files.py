@@ -1,4 +1,4 @@
-"""Robot descriptions in folders: what a file is, by its outermost element."""
+"""Search of folders for robot descriptions, classified by their root XML element."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MOST_BYTES = 256_000_000
 class Description:
     """A robot description: a file, or the name of a robot.
 
-    included: whether another file includes it.
+    included: whether another file of the folders includes it.
     """
 
     file: str
@@ -29,11 +29,14 @@ class Description:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """The descriptions in some folders.
 
-    fragments: how many files hold only parts of robots, for others to include.  macros: how many
-    are templates that xacro has to expand.  copies: how many say the same as another file.
+    Attributes:
+        descriptions: Complete robot descriptions.
+        fragments: Number of files with parts of robots only, for other files to include.
+        macros: Number of templates that xacro must expand.
+        copies: Number of files with the same content as another file.
     """
 
     descriptions: tuple[Description, ...]
@@ -43,42 +46,43 @@ class Found:
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """The outermost element of a file and what decides what it is.
+class _Header:
+    """Facts that classify a file.
 
-    parts: whether it has links, or bodies.  includes: files that it names.
+    tag: root element.  xacro: whether it needs xacro.  has_bodies: whether it has links or bodies.
+    includes: files that it includes.
     """
 
     tag: str
     xacro: bool
-    parts: bool
+    has_bodies: bool
     includes: tuple[Path, ...]
 
 
-def find_descriptions(folders: Iterable[str | Path]) -> Found:
-    """Return all robots described in folders (or files), sorted by path, each content once.
+def find_descriptions(folders: Iterable[str | Path]) -> SearchResult:
+    """Find all robot descriptions in folders (or files), sorted by path, without duplicates.
 
-    Raises LoadError for a folder that is not there.
+    Raises LoadError for a missing folder.
     """
     files = sorted({path for folder in folders for path in _files(Path(folder))})
-    seen = {path: found for path in files if (found := _look(path)) is not None}
-    included = {path.resolve() for found in seen.values() for path in found.includes}
+    headers = {path: header for path in files if (header := _read_header(path)) is not None}
+    included = {path.resolve() for header in headers.values() for path in header.includes}
     fragments = macros = copies = 0
-    known: set[str] = set()
-    out = []
-    for path, found in seen.items():
-        if found.tag == "mujocoinclude" or not found.parts:
+    contents: set[str] = set()
+    descriptions = []
+    for path, header in headers.items():
+        if header.tag == "mujocoinclude" or not header.has_bodies:
             fragments += 1
-        elif found.xacro:
+        elif header.xacro:
             macros += 1
         else:
-            content = _content(path, seen, set())
-            copies += content in known
-            if content not in known:
-                known.add(content)
-                kind: Kind = "urdf" if found.tag == "robot" else "mjcf"
-                out.append(Description(str(path), kind, path.resolve() in included))
-    return Found(tuple(out), fragments, macros, copies)
+            content = _content_hash(path, headers, set())
+            copies += content in contents
+            if content not in contents:
+                contents.add(content)
+                kind: Kind = "urdf" if header.tag == "robot" else "mjcf"
+                descriptions.append(Description(str(path), kind, path.resolve() in included))
+    return SearchResult(tuple(descriptions), fragments, macros, copies)
 
 
 def _files(folder: Path) -> Iterator[Path]:
@@ -92,23 +96,20 @@ def _files(folder: Path) -> Iterator[Path]:
             yield path
 
 
-def _look(path: Path) -> _Seen | None:
-    """Return what a file is, None if it is neither URDF nor MJCF.
-
-    Of text that is no XML, as far as it can be read.
-    """
+def _read_header(path: Path) -> _Header | None:
+    """Classify a file by its XML up to the first error; None if it is neither URDF nor MJCF."""
     first: list[tuple[str, bool]] = []
     includes: list[Path] = []
-    parts = False
+    has_bodies = False
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal parts
+        nonlocal has_bodies
         if not first:
             first.append((tag, any(name.startswith("xmlns:xacro") for name in attributes)))
-        parts = parts or tag in ("link", "body", "replicate", "attach", "composite", "flexcomp")
+        has_bodies |= tag in ("link", "body", "replicate", "attach", "composite", "flexcomp")
         if tag == "include" and "file" in attributes:
             includes.append(path.parent / attributes["file"])
-            parts = True
+            has_bodies = True
 
     parser = expat.ParserCreate()
     parser.StartElementHandler = start
@@ -119,7 +120,7 @@ def _look(path: Path) -> _Seen | None:
         return None
     tag, declared = first[0]
     xacro = tag == "robot" and (path.suffix == ".xacro" or (declared and _has_macros(path)))
-    return _Seen(tag, xacro, parts, tuple(includes))
+    return _Header(tag, xacro, has_bodies, tuple(includes))
 
 
 def _has_macros(path: Path) -> bool:
@@ -127,12 +128,15 @@ def _has_macros(path: Path) -> bool:
     return b"<xacro:" in text or b"${" in text
 
 
-def _content(path: Path, seen: dict[Path, _Seen], inside: set[Path]) -> str:
-    """Return what stands in a file and in all that it includes, as a hash."""
+def _content_hash(path: Path, headers: dict[Path, _Header], including: set[Path]) -> str:
+    """Hash the content of a file and of all files that it includes.
+
+    including: files that include this one, to stop at circular includes.
+    """
     content = hashlib.sha256()
     with suppress(OSError):
         content.update(path.read_bytes())
-    for other in seen[path].includes if path in seen else ():
-        if other not in inside:
-            content.update(_content(other, seen, inside | {path}).encode())
+    for other in headers[path].includes if path in headers else ():
+        if other not in including:
+            content.update(_content_hash(other, headers, including | {path}).encode())
     return content.hexdigest()

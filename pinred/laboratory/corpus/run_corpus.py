@@ -1,4 +1,4 @@
-"""The table over a corpus, and how it is made."""
+"""Run of the corpus: try all descriptions and build the table of outcomes."""
 
 from __future__ import annotations
 
@@ -12,19 +12,22 @@ import numpy as np
 from ...common.errors import InputError
 from ...system.catalogue import bundled_robots, example_robots
 from .corpus_entry import GOOD, Entry, write_entries
-from .description_files import Description, Found, find_descriptions
-from .trial import Wanted
+from .description_files import Description, find_descriptions
+from .trial import TrialOptions
 from .worker import Worker
 
-_EVERY = 20  # entries after which the file on disk is written anew
+_WRITE_INTERVAL = 20  # number of entries between two updates of the csv file
 
 
 @dataclass(frozen=True)
 class Corpus:
-    """The table over a corpus.
+    """The table of a corpus.
 
-    entries: one of each description.  fragments, macros, copies: files that are none (see
-    `Found`); fragments that only trying showed are among the entries.
+    Attributes:
+        entries: One entry for each description; includes fragments that only the trial revealed.
+        fragments: Number of files with parts of robots only.
+        macros: Number of xacro templates.
+        copies: Number of duplicates.
     """
 
     entries: tuple[Entry, ...]
@@ -34,14 +37,14 @@ class Corpus:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing that was tried is wrong: no failed judgement, no defect."""
+        """Whether no description FAILED or raised an unexpected exception."""
         return all(entry.outcome not in ("FAILED", "error") for entry in self.entries)
 
     def __str__(self) -> str:
         return "\n\n".join(filter(None, (self.summary(), self.reasons(), self.slowest())))
 
     def summary(self) -> str:
-        """Return how many of each kind came to what, and the part of those that should work."""
+        """Format the number of outcomes by kind, and the success rate of those that should work."""
         kinds = [kind for kind in ("urdf", "mjcf", "name") if self._of(kind)]
         rows = [f"{'':<38}" + "".join(f"{kind:>8}" for kind in kinds)]
 
@@ -49,27 +52,29 @@ class Corpus:
             rows.append(f"{what:<38}" + "".join(f"{count(self._of(k))!s:>8}" for k in kinds))
 
         def outcome(name: str) -> Callable[[list[Entry]], int]:
-            return lambda entries: sum(each.outcome == name for each in entries)
+            return lambda entries: sum(entry.outcome == name for entry in entries)
 
         row("tried", lambda entries: len(entries))
         for name in (*GOOD, "refused", "stopped", "FAILED", "error"):
             row(f"  {name}", outcome(name))
         row("compared with MuJoCo's reading", lambda entries: len(_compared(entries)))
         row("should work (no names)", lambda entries: len(_due(entries)))
-        row("  of these, good", lambda entries: _part(_due(entries)))
-        told = f"{self.copies} copies, {self._fragments} parts for others to include, and "
-        rows.append(f"left out: {told}{self.macros} templates for xacro")
+        row("  of these, good", lambda entries: _success_rate(_due(entries)))
+        rows.append(
+            f"left out: {self.copies} copies, {self._fragments} parts for others to include, and "
+            f"{self.macros} templates for xacro"
+        )
         return "\n".join(rows)
 
     @property
     def _fragments(self) -> int:
-        return self.fragments + sum(each.outcome == "fragment" for each in self.entries)
+        return self.fragments + sum(entry.outcome == "fragment" for entry in self.entries)
 
     def _of(self, kind: str) -> list[Entry]:
         return [e for e in self.entries if e.kind == kind and e.outcome != "fragment"]
 
     def reasons(self) -> str:
-        """Return why descriptions did not pass, by kind of reason, with an example each."""
+        """Format the reasons of failures by category, with an example each."""
         bad = [e for e in self.entries if not e.good and e.outcome != "fragment"]
         groups: dict[tuple[str, str], list[Entry]] = {}
         for entry in bad:
@@ -83,17 +88,17 @@ class Corpus:
         return "\n".join(rows)
 
     def slowest(self) -> str:
-        """Return what loading and the first simulation take, and what the slowest 1 % do."""
+        """Format percentiles of the times for loading and for the first simulation."""
         rows = []
         for what in ("load", "simulate"):
             times = np.array([getattr(e, what) for e in self.entries])
-            there = times[np.isfinite(times)]
-            if there.size:
-                half, most = np.percentile(there, [50, 99])
+            finite = times[np.isfinite(times)]
+            if finite.size:
+                half, most = np.percentile(finite, [50, 99])
                 slow = self.entries[int(np.nanargmax(times))]
                 rows.append(
                     f"{what}: half in {half:.2f} s, 99 % in {most:.2f} s, all in "
-                    f"{there.max():.2f} s ({slow.file}, {slow.joints} joints)"
+                    f"{finite.max():.2f} s ({slow.file}, {slow.joints} joints)"
                 )
         return "\n".join(rows)
 
@@ -107,40 +112,45 @@ def corpus(
     out: Path | None = None,
     tried: Callable[[Entry, int, int], None] | None = None,
 ) -> Corpus:
-    """Return the table over all descriptions in some folders.
+    """Try all descriptions in some folders.
 
-    robots: whether to try all robots that have names (`pinred robots`).  duration: of the
-    motions [s].  patience: seconds that one description may take.  out: a csv file, written
-    now and then and at the end, also when interrupted.  tried: called with each entry, its
-    number and how many there are.
-    Raises InputError if there is nothing to try, LoadError for a folder that is not there,
-    OutputError.
+    Args:
+        folders: Folders or files.
+        robots: Also try all robots with names (`pinred robots`).
+        duration: Duration of the motions [s].
+        patience: Time limit for one description [s].
+        out: A csv file, updated regularly and at the end, also on interruption.
+        tried: Called with each entry, its number, and the number of descriptions.
+    Returns:
+        The table of outcomes.
+    Raises:
+        InputError: No descriptions, or a limit that is not positive.
+        LoadError: A folder is missing.
+        OutputError: `out` cannot be written.
     """
     if not (duration > 0.0 and patience > 0.0):
         raise InputError("duration and patience must be positive numbers of seconds")
-    found = find_descriptions(folders)
-    todo = list(found.descriptions)
+    search = find_descriptions(folders)
+    descriptions = list(search.descriptions)
     if robots:
-        todo += [Description(name, "name") for name in (*bundled_robots(), *example_robots())]
-    if not todo:
+        descriptions += [
+            Description(name, "name") for name in (*bundled_robots(), *example_robots())
+        ]
+    if not descriptions:
         raise InputError("no URDF or MJCF files to try; name folders with some, or robots")
     entries: list[Entry] = []
     try:
-        with Worker(Wanted(duration), patience) as worker:
-            for number, what in enumerate(todo, start=1):
-                entries.append(worker.try_out(what))
-                if out is not None and number % _EVERY == 0:
+        with Worker(TrialOptions(duration), patience) as worker:
+            for number, description in enumerate(descriptions, start=1):
+                entries.append(worker.run_trial(description))
+                if out is not None and number % _WRITE_INTERVAL == 0:
                     write_entries(out, entries)
                 if tried is not None:
-                    tried(entries[-1], number, len(todo))
+                    tried(entries[-1], number, len(descriptions))
     finally:
         if out is not None and entries:
             write_entries(out, entries)
-    return _table(found, entries)
-
-
-def _table(found: Found, entries: list[Entry]) -> Corpus:
-    return Corpus(tuple(entries), found.fragments, found.macros, found.copies)
+    return Corpus(tuple(entries), search.fragments, search.macros, search.copies)
 
 
 def _compared(entries: list[Entry]) -> list[Entry]:
@@ -151,6 +161,6 @@ def _due(entries: list[Entry]) -> list[Entry]:
     return [entry for entry in entries if entry.due and entry.kind != "name"]
 
 
-def _part(entries: list[Entry]) -> str:
+def _success_rate(entries: list[Entry]) -> str:
     counts = Counter(entry.good for entry in entries)
     return f"{100.0 * counts[True] / len(entries):.1f} %" if entries else "-"

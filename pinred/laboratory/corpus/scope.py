@@ -1,9 +1,8 @@
-"""The descriptions that should work, found without pinred's readers.
+"""Decision which descriptions should work, made without pinred's readers.
 
-Of URDF, those that Pinocchio opens (or MuJoCo, if it does not), that hold one open tree, and
-whose mass matrix is positive definite at zero and some random shapes.  Of MJCF, those that
-MuJoCo compiles and that hold an open tree of hinges and slides, on a free joint, a ball or
-neither.
+A URDF should work if Pinocchio or MuJoCo opens it, if it is one open tree, and if its mass matrix
+is positive definite at zero and at some random shapes. An MJCF file should work if MuJoCo compiles
+it and if it contains an open tree of hinge and slide joints; its root may be a free or ball joint.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from ...system.mjcf.package import mujoco_package, warnings_kept
 from ...system.robot_files import read_xml
 
 _SHAPES = 4
-_REGULAR = 1e-13  # least eigenvalue of the mass matrix, scaled to ones on its diagonal
+_REGULAR = 1e-13  # least eigenvalue of a regular mass matrix, scaled to a unit diagonal
 
 
 def why_not_due(file: str, kind: str) -> str:
-    """Return why a description need not work, in few words; empty if it should."""
-    found = _urdf(Path(file)) if kind == "urdf" else _mjcf(file)
-    return " ".join(found.split())[:200]
+    """Return why a description need not work, in a few words; empty if it should."""
+    reason = _urdf(Path(file)) if kind == "urdf" else _mjcf(file)
+    return " ".join(reason.split())[:200]
 
 
 def _urdf(path: Path) -> str:
@@ -40,44 +39,44 @@ def _urdf(path: Path) -> str:
         return "closed loop"
     if len(links) - len(children) != 1:
         return "not one tree"
-    with library_output(EVERYTHING) as said:
-        fixed = _built(path, None)
-        floating = _built(path, pin.JointModelFreeFlyer())
+    with library_output(EVERYTHING) as output:
+        fixed = _build(path, None)
+        floating = _build(path, pin.JointModelFreeFlyer())
     if fixed is None or floating is None:
-        return _by_mujoco(path, said[0].splitlines()[0] if said else "")
-    stands = fixed.inertias[0].mass == 0.0 and list(fixed.parents[1:]).count(0) == 1
-    if not _regular(fixed if stands else floating):
+        return _by_mujoco(path, output[0].splitlines()[0] if output else "")
+    has_fixed_base = fixed.inertias[0].mass == 0.0 and list(fixed.parents[1:]).count(0) == 1
+    if not _is_regular(fixed if has_fixed_base else floating):
         return "mass matrix singular"
     return ""
 
 
-def _by_mujoco(path: Path, said: str) -> str:
-    """Return why a URDF that Pinocchio does not open need not work: MuJoCo does not either.
+def _by_mujoco(path: Path, message: str) -> str:
+    """Return why a URDF that Pinocchio cannot open need not work; empty if MuJoCo opens it.
 
-    said: what Pinocchio says.
+    message: Pinocchio's error message.
     """
     try:
         mj = mujoco_package()
         with library_output(EVERYTHING), warnings_kept():
             spec = mj.MjSpec.from_file(str(path))
-            for thing in (*spec.geoms, *spec.meshes):
-                spec.delete(thing)
+            for element in (*spec.geoms, *spec.meshes):
+                spec.delete(element)
             spec.compile()
-    except Exception:  # of any type, by its parsers; or it is not there
-        return f"Pinocchio does not open it: {said}"
+    except Exception:  # the parsers raise any type; or MuJoCo is not installed
+        return f"Pinocchio does not open it: {message}"
     return ""
 
 
-def _built(path: Path, root: pin.JointModel | None) -> pin.Model | None:
+def _build(path: Path, root: pin.JointModel | None) -> pin.Model | None:
     try:
         if root is None:
             return pin.buildModelFromUrdf(str(path))
         return pin.buildModelFromUrdf(str(path), root)
-    except Exception:  # of any type, by the parsers below
+    except Exception:  # the parsers raise any type
         return None
 
 
-def _regular(model: pin.Model) -> bool:
+def _is_regular(model: pin.Model) -> bool:
     """Return whether the mass matrix is positive definite at zero and some random shapes."""
     data = model.createData()
     if model.nv == 0:
@@ -85,7 +84,7 @@ def _regular(model: pin.Model) -> bool:
     model.lowerPositionLimit = np.full(model.nq, -1.0)
     model.upperPositionLimit = np.full(model.nq, 1.0)
     pin.seed(0)
-    least = []
+    eigenvalues = []
     shapes = [pin.neutral(model), *(pin.randomConfiguration(model) for _ in range(_SHAPES))]
     for q in shapes:
         upper = np.triu(pin.crba(model, data, q))
@@ -93,8 +92,8 @@ def _regular(model: pin.Model) -> bool:
         sizes = np.sqrt(np.abs(np.diag(H)))
         if not (np.isfinite(H).all() and sizes.all()):
             return False
-        least.append(np.linalg.eigvalsh(H / np.outer(sizes, sizes))[0])
-    return bool(min(least) > _REGULAR)
+        eigenvalues.append(np.linalg.eigvalsh(H / np.outer(sizes, sizes))[0])
+    return bool(min(eigenvalues) > _REGULAR)
 
 
 def _mjcf(file: str) -> str:
@@ -105,7 +104,7 @@ def _mjcf(file: str) -> str:
     with library_output(EVERYTHING), warnings_kept():
         try:
             model = mj.MjModel.from_xml_path(file)
-        except Exception as error:  # of any type, by its parsers
+        except Exception as error:  # the parsers raise any type
             return f"MuJoCo does not compile it: {str(error).splitlines()[0]}"
     tops = _tops(model)
     if not tops:
@@ -115,13 +114,13 @@ def _mjcf(file: str) -> str:
 
 
 def _tops(model: Any) -> list[list[int]]:
-    """Return the joints of all that hangs on each body of the world."""
-    of = model.body_rootid[model.jnt_bodyid]
-    return [np.flatnonzero(of == top).tolist() for top in np.unique(of)]
+    """Return for each moving child of the world the joints of its subtree."""
+    roots = model.body_rootid[model.jnt_bodyid]
+    return [np.flatnonzero(roots == top).tolist() for top in np.unique(roots)]
 
 
 def _why_closed(mj: Any, model: Any, joints: list[int]) -> str:
-    """Return why joints are no open tree of hinges and slides; empty if they are."""
+    """Return why joints are not an open tree of hinge and slide joints; empty if they are."""
     first_body = int(model.jnt_bodyid[joints[0]])
     ball = int(mj.mjtJoint.mjJNT_BALL)
     top = _root_of(model, first_body)
@@ -129,24 +128,24 @@ def _why_closed(mj: Any, model: Any, joints: list[int]) -> str:
         return "ball joints inside the tree"
     if int(model.opt.disableflags) & int(mj.mjtDisableBit.mjDSBL_EQUALITY):
         return ""
-    ties = {int(mj.mjtEq.mjEQ_CONNECT), int(mj.mjtEq.mjEQ_WELD)}
+    welds = {int(mj.mjtEq.mjEQ_CONNECT), int(mj.mjtEq.mjEQ_WELD)}
     for k in np.flatnonzero(model.eq_active0).tolist():
-        if int(model.eq_type[k]) in ties and _tied(mj, model, k) - {0} == {top}:
+        if int(model.eq_type[k]) in welds and _welded_roots(mj, model, k) - {0} == {top}:
             return "closed loop"
     return ""
 
 
-def _tied(mj: Any, model: Any, k: int) -> set[int]:
-    """Return the bodies of the world that carry the ends of a connect or weld; 0 is the ground."""
+def _welded_roots(mj: Any, model: Any, k: int) -> set[int]:
+    """Return the root bodies of both ends of a connect or weld constraint; 0 is the ground."""
     ends = [int(model.eq_obj1id[k]), int(model.eq_obj2id[k])]
     if int(model.eq_objtype[k]) == int(mj.mjtObj.mjOBJ_SITE):
         ends = [int(model.site_bodyid[end]) for end in ends]
     if any(model.body_mocapid[end] >= 0 for end in ends):
         return set()
-    still = [int(model.body_weldid[end]) == 0 for end in ends]
-    return {0 if fixed else _root_of(model, end) for fixed, end in zip(still, ends, strict=True)}
+    is_fixed = [int(model.body_weldid[end]) == 0 for end in ends]
+    return {0 if fixed else _root_of(model, end) for fixed, end in zip(is_fixed, ends, strict=True)}
 
 
 def _root_of(model: Any, body: int) -> int:
-    """Return the body of the world that carries a body."""
+    """Return the child of the world whose subtree contains a body."""
     return int(model.body_rootid[body])

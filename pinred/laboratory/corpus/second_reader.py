@@ -1,10 +1,9 @@
-"""MuJoCo as a second reader: what pinred made of a file, against what MuJoCo makes of it.
+"""Comparison of a system with MuJoCo's independent reading of the same file.
 
-The file is read by MuJoCo alone, and bodies and joints are matched by their names.  MuJoCo's
-coordinates are random; the pose that they mean for pinred's group follows from the place of a
-body, by Newton's method, the velocities from its Jacobian.  So nothing is taken from pinred's
-reader but the model that is judged.  Where the file fixes a base that pinred lets float, MuJoCo
-gets a free joint there.
+MuJoCo reads the file itself; bodies and joints are matched by name. At random MuJoCo coordinates
+the pose of pinred's group follows from the position of one body by Newton's method, and velocities
+follow from its Jacobian. So only the compared model comes from pinred's reader. If the file fixes a
+base that pinred lets float, MuJoCo gets a free joint there.
 """
 
 from __future__ import annotations
@@ -26,19 +25,22 @@ from ...system.mjcf.world import World, robot_in
 from ...system.system import System
 
 STATES = 3
-# Not springs and dampers, without which gravity would not be compensated either.
+# Springs and dampers stay enabled, because MuJoCo disables gravity compensation with them.
 _OFF = ("CONSTRAINT", "EQUALITY", "FRICTIONLOSS", "LIMIT", "CONTACT", "ACTUATION")
-_NEWTON = 60
-_CANCELS = 1e-3  # of moments about a far point, for the round-off that they leave
-_ROUND_OFF = 1e-12  # of a place, when Newton's method has found it
+_NEWTON = 60  # iterations
+_CANCELS = 1e-3  # fraction of cancelling moments that counts as a unit of forces
+_ROUND_OFF = 1e-12  # relative step of a position at which Newton's method has converged
 
 
 @dataclass(frozen=True)
 class Differences:
-    """The largest differences of two readings over some random states, relative.
+    """Largest relative differences between two readings over some random states.
 
-    places: of bodies, to the robot's reach.  mass: of the mass matrix, to its largest entry.
-    forces: of bias forces, and of all forces at random accelerations, to what they are sums of.
+    Attributes:
+        places: Difference of body positions, relative to the robot's reach.
+        mass: Difference of the mass matrix, relative to its largest entry.
+        forces: Difference of bias forces and of forces at random accelerations, relative to the
+            terms that they are sums of.
     """
 
     places: float
@@ -49,74 +51,80 @@ class Differences:
 def differences(
     system: System, file: str, kind: str, root: str | None, *, weightless: bool = False
 ) -> Differences:
-    """Return how far a system is from MuJoCo's reading of its file.
+    """Compare a system with MuJoCo's reading of its file.
 
-    root: the body that carries the robot, if it was chosen.  weightless: whether the system was
-    loaded without the file's gravity.
-    Raises LoadError, in one line, if MuJoCo does not read the file, or none of it is the robot.
+    Args:
+        system: The system that pinred loaded.
+        file: The file.
+        kind: "urdf" or "mjcf".
+        root: The chosen root body, if there was a choice.
+        weightless: Whether the system was loaded without the file's gravity.
+    Returns:
+        The largest differences.
+    Raises:
+        LoadError: MuJoCo does not read the file, or bodies cannot be matched.
     """
     with library_output(EVERYTHING), warnings_kept():
         try:
             model = _read(system, file, kind, root)
         except PinredError:
             raise
-        except Exception as error:  # MuJoCo raises ValueError, RuntimeError and its own
+        except Exception as error:  # MuJoCo raises ValueError, RuntimeError and its own types
             words = str(error).strip().splitlines() or [type(error).__name__]
             raise LoadError(f"MuJoCo: {words[0].removeprefix('Error: ')}") from None
         if weightless:
             model.opt.gravity[:] = 0.0
         pair = _Pair(system, model, root)
         rng = np.random.default_rng(0)
-        found = [pair.at_random(rng) for _ in range(STATES)]
-    return Differences(
-        *(max(getattr(each, name) for each in found) for name in ("places", "mass", "forces"))
-    )
+        samples = [pair.at_random(rng) for _ in range(STATES)]
+    names = ("places", "mass", "forces")
+    return Differences(*(max(getattr(sample, name) for sample in samples) for name in names))
 
 
 def _read(system: System, file: str, kind: str, root: str | None) -> Any:
-    """Return MuJoCo's model of a file, with the base free if it is so in pinred."""
+    """Read a file by MuJoCo; add a free joint to the base if pinred lets it float."""
     mj = mujoco_package()
     spec = mj.MjSpec.from_file(file)
     spec.compiler.fusestatic = False
     if kind == "urdf":
         spec.compiler.inertiafromgeom = int(mj.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE)
-        for thing in (*spec.geoms, *spec.meshes):
-            spec.delete(thing)
-    # A joint of several degrees of freedom has got other names there.
+        for element in (*spec.geoms, *spec.meshes):
+            spec.delete(element)
+    # MuJoCo splits a root joint with several degrees of freedom into joints with longer names.
     joints = [joint.name for joint in spec.joints]
     free = kind == "urdf" and not any(
-        name.startswith(own) for name in joints for own in system.root_name.split("+")
+        name.startswith(root_joint) for name in joints for root_joint in system.root_name.split("+")
     )
     if free and system.model.existBodyName("world"):
-        raise LoadError("MuJoCo takes the link 'world' for the world, and its mass for none")
+        raise LoadError("MuJoCo takes the link 'world' for the fixed world and ignores its mass")
     if free or system.contents.freed:
-        tops = [spec.body(root)] if root else _of_the_world(spec, system)
+        tops = [spec.body(root)] if root else _top_bodies(spec, system)
         if len(tops) != 1:
-            raise LoadError("several bodies of MuJoCo's world could be the one that floats")
+            raise LoadError("several bodies of MuJoCo's world could be the floating base")
         tops[0].add_freejoint()
     try:
         return spec.compile()
     except Exception:
         if kind == "urdf":
             raise
-        return compiled(spec)  # without the meshes that are missing and carry no mass
+        return compiled(spec)  # without missing meshes that define no mass
 
 
-def _of_the_world(spec: Any, system: System) -> list[Any]:
-    """Return the bodies of MuJoCo's world that are in a system's model."""
-    out, body = [], spec.worldbody.first_body()
+def _top_bodies(spec: Any, system: System) -> list[Any]:
+    """Return the children of MuJoCo's world that are in a system's model."""
+    tops, body = [], spec.worldbody.first_body()
     while body is not None:
         if not body.name or system.model.existBodyName(body.name):
-            out.append(body)
+            tops.append(body)
         body = spec.worldbody.next_body(body)
-    return out
+    return tops
 
 
 class _Pair:
     """A system and MuJoCo's model of the same file."""
 
     def __init__(self, system: System, model: Any, root: str | None) -> None:
-        """Match them by names.  Raises LoadError if that cannot be done."""
+        """Match bodies and joints by name; raise LoadError if one is missing."""
         self._mj = mj = mujoco_package()
         self._system, self._model = system, model
         for word in _OFF:
@@ -126,7 +134,7 @@ class _Pair:
         world = robot_in(model, root)
         self._felt = gravity_of(world)
         ids = {world.joint_names[j]: j for body in world.bodies for j in world.joints(body)}
-        # All joints: those that follow others move for themselves here, in both readings.
+        # Followers move independently here, in both readings, so all joints are matched.
         names = [str(name) for name in system.model.names[2:]]
         if missing := [name for name in names if name not in ids]:
             raise LoadError(f"MuJoCo has no joint '{missing[0]}'")
@@ -143,11 +151,11 @@ class _Pair:
         moving = [pair for pair in self._bodies if frames[pair[0]].parentJoint > 0]
         if not moving:
             raise LoadError("MuJoCo has no body of the same name")
-        # The nearest to the root: round-off of its place is the least.
+        # The body nearest to the root has the smallest round-off of its position.
         self._ref = min(moving, key=lambda pair: frames[pair[0]].parentJoint)
 
     def at_random(self, rng: np.random.Generator) -> Differences:
-        """Return the differences at a random state."""
+        """Compute the differences at a random state."""
         mj, m, d = self._mj, self._model, self._data
         model, data = self._system.model, self._pin
         d.qpos[:] = m.qpos0 + rng.uniform(-1.0, 1.0, m.nq)
@@ -164,13 +172,13 @@ class _Pair:
         a, v = rng.normal(size=len(rates)), T @ rates
         compensation = 0.0 if self._felt.is_uneven else d.qfrc_gravcomp
         bias = (d.qfrc_bias - compensation)[self._dofs]
-        still = T.T @ pin.rnea(model, data, q, v, drift)
-        moved = T.T @ pin.rnea(model, data, q, v, T @ a + drift)
-        scale = self._terms(T, q, v, T @ a + drift)
-        errors = np.append((still - bias) / scale, (moved - M @ a - bias) / scale)
+        own_bias = T.T @ pin.rnea(model, data, q, v, drift)
+        total = T.T @ pin.rnea(model, data, q, v, T @ a + drift)
+        scale = self._force_terms(T, q, v, T @ a + drift)
+        errors = np.append((own_bias - bias) / scale, (total - M @ a - bias) / scale)
         pin.framesForwardKinematics(model, data, q)
         reach = max(np.linalg.norm(data.oMf[f].translation) for f, _ in self._bodies)
-        apart = [
+        place_errors = [
             max(
                 np.abs(data.oMf[f].rotation - d.xmat[body].reshape(3, 3)).max(),
                 np.abs(data.oMf[f].translation - d.xpos[body]).max() / max(reach, 1e-3),
@@ -178,31 +186,31 @@ class _Pair:
             for f, body in self._bodies
         ]
         return Differences(
-            places=float(np.max(apart)),
+            places=float(np.max(place_errors)),
             mass=float(np.abs(T.T @ H @ T - M).max() / np.abs(M).max()),
             forces=float(np.abs(errors).max()),
         )
 
     def _configuration(self, x: Array) -> Array:
-        """Return the q at which the reference body is where MuJoCo has it."""
+        """Return the q that puts the reference body at MuJoCo's pose, by Newton's method."""
         system, model, data = self._system, self._system.model, self._pin
         group, (frame, body) = system.group, self._ref
         d = self._data
-        there = pin.SE3(d.xmat[body].reshape(3, 3), d.xpos[body].copy())
+        target = pin.SE3(d.xmat[body].reshape(3, 3), d.xpos[body].copy())
         pose = group.identity()
         for _ in range(_NEWTON):
             q = self._place(pose, x)
             J = self._jacobian(q)[:, : system.r]
             pin.framesForwardKinematics(model, data, q)
-            off = pin.log6(data.oMf[frame].actInv(there)).vector
-            step = np.linalg.lstsq(J, off)[0]
+            error = pin.log6(data.oMf[frame].actInv(target)).vector
+            step = np.linalg.lstsq(J, error)[0]
             pose = group.compose(pose, group.exp(step))
-            if np.linalg.norm(J @ step) < _ROUND_OFF * (1.0 + np.linalg.norm(there.translation)):
+            if np.linalg.norm(J @ step) < _ROUND_OFF * (1.0 + np.linalg.norm(target.translation)):
                 break
         return self._place(pose, x)
 
     def _place(self, pose: Array, x: Array) -> Array:
-        """Return the q of a pose and the values of all joints."""
+        """Return Pinocchio's q for a pose and the values of all joints."""
         system, model = self._system, self._system.model
         q = system.model_q(pose, np.zeros(system.m))
         for joint, value in zip(list(model.joints)[2:], x.tolist(), strict=True):
@@ -211,61 +219,60 @@ class _Pair:
         return q
 
     def _velocities(self, q: Array) -> tuple[Array, Array]:
-        """Return T = ∂v/∂qvel of the robot, and v̇ − T q̈vel."""
+        """Return T = ∂v/∂qvel from MuJoCo's to Pinocchio's velocities, and v̇ − T q̈vel."""
         mj, m, d, model, data = self._mj, self._model, self._data, self._system.model, self._pin
         frame, body = self._ref
         r, n = self._system.r, model.nv
         jac, dot = np.zeros((6, m.nv)), np.zeros((6, m.nv))
         mj.mj_jacBody(m, d, jac[:3], jac[3:], body)
         mj.mj_jacDot(m, d, dot[:3], dot[3:], d.xpos[body], body)
-        turn = np.kron(np.eye(2), d.xmat[body].reshape(3, 3).T)
+        to_body = np.kron(np.eye(2), d.xmat[body].reshape(3, 3).T)
         P = np.zeros((n - r, len(self._dofs)))
         for row, dof in enumerate(self._shape_v):
             P[row, list(self._dofs).index(dof)] = 1.0
         J = self._jacobian(q)
-        root = np.linalg.lstsq(J[:, :r], (turn @ jac)[:, self._dofs] - J[:, r:] @ P)[0]
+        root = np.linalg.lstsq(J[:, :r], (to_body @ jac)[:, self._dofs] - J[:, r:] @ P)[0]
         T = np.vstack([root, P])
         pin.forwardKinematics(model, data, q, T @ d.qvel[self._dofs], np.zeros(n))
         classical = pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL).vector
-        rate = np.linalg.lstsq(J[:, :r], turn @ dot @ d.qvel - classical)[0]
+        rate = np.linalg.lstsq(J[:, :r], to_body @ dot @ d.qvel - classical)[0]
         return T, np.append(rate, np.zeros(n - r))
 
     def _jacobian(self, q: Array) -> Array:
         """Return the Jacobian of the reference body in its own frame, (6, n)."""
-        found = pin.computeFrameJacobian(self._system.model, self._pin, q, self._ref[0])
-        return np.asarray(found).reshape(
-            6, self._system.model.nv
-        )  # a single column comes without axis
+        J = pin.computeFrameJacobian(self._system.model, self._pin, q, self._ref[0])
+        # Pinocchio returns a single column as a one-dimensional array.
+        return np.asarray(J).reshape(6, self._system.model.nv)
 
-    def _terms(self, T: Array, q: Array, v: Array, a: Array) -> Array:
-        """Return the size of the forces that each coordinate's are sums of, (n,).
+    def _force_terms(self, T: Array, q: Array, v: Array, a: Array) -> Array:
+        """Return the sum of magnitudes of the terms in each coordinate's force, (n,).
 
-        Of each body: its mass times what its acceleration is a sum of, and its moments times
-        its angular acceleration and squared rate, along and about all axes ahead of it.  MuJoCo
-        adds moments up about the robot's centre of mass, where those of a small heavy wheel far
-        out cancel: a part of them counts, too.
+        The terms of a body are its mass times those of its acceleration, and its moments of
+        inertia times angular acceleration and squared rate, projected on all axes that move it.
+        MuJoCo sums moments about the robot's centre of mass, where the moments of a distant small
+        heavy wheel cancel. Therefore a fraction of these moments is added.
         """
         model, data = self._system.model, self._pin
-        out, com = np.zeros(model.nv), pin.centerOfMass(model, data, q).copy()
+        terms, com = np.zeros(model.nv), pin.centerOfMass(model, data, q).copy()
         pin.forwardKinematics(model, data, q, v, a)
-        weight = np.linalg.norm(model.gravity.linear)
+        g = np.linalg.norm(model.gravity.linear)
         for i in range(1, model.njoints):
             body, w = model.inertias[i], np.linalg.norm(data.v[i].angular)
-            turned = np.linalg.norm(data.a[i].angular) + w**2
+            angular = np.linalg.norm(data.a[i].angular) + w**2
             lever = np.linalg.norm(body.lever)
             linear = np.linalg.norm(data.a[i].linear) + w * np.linalg.norm(data.v[i].linear)
-            force = body.mass * (linear + weight + lever * turned)
+            force = body.mass * (linear + g + lever * angular)
             far = np.linalg.norm(data.oMi[i].act(body.lever) - com)
-            moment = np.linalg.norm(body.inertia) * turned + lever * force
-            moment += _CANCELS * far * (force + body.mass * far * turned)
+            moment = np.linalg.norm(body.inertia) * angular + lever * force
+            moment += _CANCELS * far * (force + body.mass * far * angular)
             S = np.abs(pin.computeJointJacobian(model, data, q, i)).reshape(6, model.nv)
-            out += S[:3].sum(axis=0) * force + S[3:].sum(axis=0) * moment
-        out += model.armature * np.abs(a)
-        return np.asarray(np.abs(T).T @ out + 1e-300)
+            terms += S[:3].sum(axis=0) * force + S[3:].sum(axis=0) * moment
+        terms += model.armature * np.abs(a)
+        return np.asarray(np.abs(T).T @ terms + 1e-300)
 
 
 def _dofs(world: World) -> Array:
-    """Return the numbers of a robot's degrees of freedom in MuJoCo."""
+    """Return the indices of a robot's degrees of freedom in MuJoCo."""
     model, sizes = world.model, (6, 3, 1, 1)  # of mjtJoint
     return np.array(
         [

@@ -1,4 +1,4 @@
-"""One description tried: loaded, judged against MuJoCo, simulated, judged against ABA."""
+"""Trial of one description: load, compare with MuJoCo, simulate, compare with ABA."""
 
 from __future__ import annotations
 
@@ -28,71 +28,75 @@ from .description_files import Description
 from .scope import why_not_due
 from .second_reader import Differences, differences
 
-_MASS = 1e-12  # of the mass matrix's largest entry
-_FORCES = 1e-11  # of what they are sums of
-_PLACES = 1e-10  # of the robot's reach
-_SHORTER = 0.1  # of a motion whose growth says that its end cannot be judged
-_CHOICES = 5  # that are tried
+_MASS = 1e-12  # largest passing error, relative to the mass matrix's largest entry
+_FORCES = 1e-11  # largest passing error, relative to the terms that forces are sums of
+_PLACES = 1e-10  # largest passing error, relative to the robot's reach
+_SHORTER = 0.1  # factor of the duration where the verdict is CANNOT TELL
+_CHOICES = 5  # number of choices that are tried
 _WEIGHTLESS = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """How descriptions are tried.  duration: of the motion [s]."""
+class TrialOptions:
+    """Options of trials.
+
+    Attributes:
+        duration: Duration of the motion [s].
+    """
 
     duration: float = 0.5
 
 
-def tried(what: Description, wanted: Wanted) -> Entry:
-    """Return what comes of a description, whatever is raised."""
+def run_trial(description: Description, options: TrialOptions) -> Entry:
+    """Try a description; any exception becomes an outcome."""
     began = time.perf_counter()
-    entry = Entry(file=what.file, kind=what.kind, outcome="passed")
+    entry = Entry(file=description.file, kind=description.kind, outcome="passed")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            entry = _tried(what, wanted, entry)
-    except Exception as error:  # a defect: it is what the table is for
+            entry = _try_description(description, options, entry)
+    except Exception as error:  # a defect of pinred, which the table shall show
         entry = replace(
             entry, outcome="error", reason=f"{type(error).__name__}: {_line(error)}",
             about="exception that is not pinred's",
         )  # fmt: skip
-    if what.kind != "name":
-        why = why_not_due(what.file, what.kind)
+    if description.kind != "name":
+        why = why_not_due(description.file, description.kind)
         entry = replace(entry, due=not why, why_not=why)
-    if what.included and entry.outcome == "refused" and not entry.due:
+    if description.included and entry.outcome == "refused" and not entry.due:
         entry = replace(entry, outcome="fragment")
     return replace(entry, wall=time.perf_counter() - began)
 
 
-def _tried(what: Description, wanted: Wanted, entry: Entry) -> Entry:
+def _try_description(description: Description, options: TrialOptions, entry: Entry) -> Entry:
     began = time.perf_counter()
     try:
-        system, options = _loaded(what.file, {})
+        system, choices = _load_with_choices(description.file, {})
     except PinredError as error:
-        # Gravity may be all that is against it, as on rotors without weight.
+        # Gravity may be the only obstacle, for example on massless rotors.
         try:
-            system, options = _loaded(what.file, {"gravity": _WEIGHTLESS})
+            system, choices = _load_with_choices(description.file, {"gravity": _WEIGHTLESS})
         except PinredError:
             return _refused(entry, error)
         entry = replace(entry, outcome="without gravity", reason=_line(error))
     entry = replace(
         entry, load=time.perf_counter() - began, group=system.group.name, joints=system.m,
-        choice=", ".join(f"{k}={v}" for k, v in options.items() if k != "gravity"),
+        choice=", ".join(f"{k}={v}" for k, v in choices.items() if k != "gravity"),
     )  # fmt: skip
-    entry = _read_twice(what, system, options.get("root"), entry)
+    entry = _compare_with_mujoco(description, system, choices.get("root"), entry)
     began = time.perf_counter()
     try:
         try:
-            report, spent = _judged(system, wanted.duration)
+            report, wall = _compare_with_aba(system, options.duration)
         except SymmetryError:
-            system = load(what.file, **{**options, "gravity": _WEIGHTLESS})
+            system = load(description.file, **{**choices, "gravity": _WEIGHTLESS})
             began = time.perf_counter()
-            report, spent = _judged(system, wanted.duration)
+            report, wall = _compare_with_aba(system, options.duration)
             entry = replace(entry, outcome=_worse(entry, "without gravity"))
     except IntegrationError as error:
         return replace(
             entry, outcome=_worse(entry, "stopped"), reason=entry.reason or _line(error),
-            about=entry.about or "the motion cannot be followed",
+            about=entry.about or "the motion cannot be integrated",
             simulate=time.perf_counter() - began,
         )  # fmt: skip
     except PinredError as error:
@@ -106,30 +110,27 @@ def _tried(what: Description, wanted: Wanted, entry: Entry) -> Entry:
         if name.split()[0] in ("shape", "rotation", "position")
     ]
     entry = replace(
-        entry, simulate=spent, duration=report.duration, aba=max(relative),
+        entry, simulate=wall, duration=report.duration, aba=max(relative),
         allowed=allowed,
     )  # fmt: skip
     if report.verdict is Verdict.FAILED:
-        wrong = [
+        failures = [
             f"{name} {value:.2g}, allowed {bound:.2g}"
             for name, (value, bound) in report.checks.items()
             if not value <= bound
         ]
-        reason = "; ".join([*filter(None, [entry.reason]), *wrong])
+        reason = "; ".join([*filter(None, [entry.reason]), *failures])
         entry = replace(entry, outcome="FAILED", reason=reason, about=entry.about or "ABA")
     return entry
 
 
 def _worse(entry: Entry, outcome: Any) -> Any:
-    """Return the outcome, unless MuJoCo has already found a difference."""
+    """Return the outcome, unless the comparison with MuJoCo has already failed."""
     return entry.outcome if entry.outcome == "FAILED" else outcome
 
 
-def _loaded(file: str, options: Mapping[str, Any]) -> tuple[System, dict[str, Any]]:
-    """Return the system of a file and the options that it took, where it leaves a choice.
-
-    options: of load, to begin with.
-    """
+def _load_with_choices(file: str, options: Mapping[str, Any]) -> tuple[System, dict[str, Any]]:
+    """Load a file, trying choices where it is ambiguous; return the system and all options used."""
     try:
         return load(file, **options), dict(options)
     except ChoiceError as error:
@@ -138,56 +139,62 @@ def _loaded(file: str, options: Mapping[str, Any]) -> tuple[System, dict[str, An
         first: PinredError = error
         for n, choice in enumerate(error.choices[:_CHOICES]):
             try:
-                return _loaded(file, {**options, error.option: choice})
+                return _load_with_choices(file, {**options, error.option: choice})
             except ModelError as refusal:
                 first = refusal if n == 0 else first
         raise first from None
 
 
-def _read_twice(what: Description, system: System, root: str | None, entry: Entry) -> Entry:
-    """Return the entry with what MuJoCo says of the same file."""
-    if what.kind == "name":
+def _compare_with_mujoco(
+    description: Description, system: System, root: str | None, entry: Entry
+) -> Entry:
+    """Compare the system with MuJoCo's reading of the file; return the updated entry."""
+    if description.kind == "name":
         return replace(entry, second="a name")
     try:
         mujoco_package()
-        found: Differences = differences(
-            system, what.file, what.kind, root, weightless=entry.outcome == "without gravity"
+        errors: Differences = differences(
+            system,
+            description.file,
+            description.kind,
+            root,
+            weightless=entry.outcome == "without gravity",
         )
     except (LoadError, MissingPackageError) as error:
         return replace(entry, second=_line(error))
-    entry = replace(entry, mass=found.mass, forces=found.forces)
+    entry = replace(entry, mass=errors.mass, forces=errors.forces)
     bounds = {"places": _PLACES, "mass": _MASS, "forces": _FORCES}
-    wrong = [
-        f"{name} {getattr(found, name):.2g}, allowed {bound:.2g}"
+    failures = [
+        f"{name} {getattr(errors, name):.2g}, allowed {bound:.2g}"
         for name, bound in bounds.items()
-        if not getattr(found, name) <= bound
+        if not getattr(errors, name) <= bound
     ]
-    if wrong:
-        reason = f"MuJoCo reads it otherwise: {'; '.join(wrong)}"
-        return replace(entry, outcome="FAILED", reason=reason, about="MuJoCo reads it otherwise")
+    if failures:
+        reason = f"MuJoCo reads it differently: {'; '.join(failures)}"
+        return replace(entry, outcome="FAILED", reason=reason, about="MuJoCo reads it differently")
     return entry
 
 
-def _judged(system: System, duration: float) -> tuple[Report, float]:
-    """Return the comparison of a random motion with ABA, and the seconds of the simulation.
+def _compare_with_aba(system: System, duration: float) -> tuple[Report, float]:
+    """Compare a random motion with ABA; return the report and the simulation's wall time [s].
 
-    Where its perturbations grow too much for the end to be judged, a shorter motion is.
+    If the verdict is CANNOT TELL, a shorter motion is compared.
     """
     began = time.perf_counter()
     traj = simulate(system, duration=duration, seed=0)
-    spent = time.perf_counter() - began
+    wall = time.perf_counter() - began
     report = compare(traj)
     if report.verdict is Verdict.CANNOT_TELL:
         report = compare(simulate(system, duration=_SHORTER * duration, seed=0))
-    return report, spent
+    return report, wall
 
 
 def _refused(entry: Entry, error: PinredError) -> Entry:
     return replace(entry, outcome="refused", reason=_line(error), about=about(error))
 
 
-_KINDS = (  # words in a refusal, and its kind
-    ("follows", "coupling that cannot be"),
+_CATEGORIES = (  # words of an error message, and its category
+    ("follows", "impossible coupling"),
     ("closes a loop", "closed loop"),
     ("closed loop", "closed loop"),
     ("a loop", "closed loop"),
@@ -202,11 +209,11 @@ _KINDS = (  # words in a refusal, and its kind
 
 
 def about(error: PinredError) -> str:
-    """Return the kind of a refusal, in few words."""
+    """Return the category of an error, in a few words."""
     text = str(error)
-    for words, kind in _KINDS:
+    for words, category in _CATEGORIES:
         if words in text:
-            return kind
+            return category
     return {"LoadError": "not read", "ModelError": "not reduced"}.get(
         type(error).__name__, type(error).__name__
     )

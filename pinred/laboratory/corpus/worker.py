@@ -1,6 +1,6 @@
-"""A child process that tries one description after the other, and is replaced when it fails.
+"""A child process that tries descriptions one by one, and is replaced when it fails.
 
-So a file that crashes a parser, or never ends, costs its own line and no other.
+So a file that crashes a parser or exceeds the time limit affects only its own row of the table.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ import time
 from multiprocessing.connection import Connection
 from types import TracebackType
 
-from .corpus_entry import Entry
+from .corpus_entry import Entry, Outcome
 from .description_files import Description
-from .trial import Wanted, tried
+from .trial import TrialOptions, run_trial
 
-_WARM = 60.0  # s in which a new process may import what it needs, beside its first trial
+_WARM_UP = 60.0  # additional time [s] of a new process for its imports
 
 
 class Worker:
-    """A process for trials, started when it is first needed; ends with the `with` block."""
+    """A process for trials, started on first use; it ends with the `with` block."""
 
-    def __init__(self, wanted: Wanted, patience: float) -> None:
-        """Keep how to try, and the seconds that a description may take."""
-        self._wanted, self._patience = wanted, patience
+    def __init__(self, options: TrialOptions, patience: float) -> None:
+        """Store the options of trials and the time limit of one description [s]."""
+        self._options, self._patience = options, patience
         self._process: multiprocessing.process.BaseProcess | None = None
         self._pipe: Connection | None = None
         self._cache = tempfile.TemporaryDirectory(prefix="pinred-corpus-")
@@ -42,40 +42,40 @@ class Worker:
         self._stop()
         self._cache.cleanup()
 
-    def try_out(self, what: Description) -> Entry:
-        """Return what comes of a description; "stopped" if time is up, "error" for a crash."""
+    def run_trial(self, description: Description) -> Entry:
+        """Try a description; the outcome is "stopped" on timeout, "error" on a crash."""
         pipe, patience = self._ready()
+        failure: tuple[Outcome, str, str]
         began = time.perf_counter()
         try:
-            pipe.send(what)
+            pipe.send(description)
             if pipe.poll(patience):
-                found: Entry = pipe.recv()
-                return found
-            outcome, reason, about = "stopped", f"no answer in {self._patience:g} s", "time is up"
+                entry: Entry = pipe.recv()
+                return entry
+            failure = "stopped", f"no answer in {self._patience:g} s", "time is up"
         except (EOFError, OSError):
             assert self._process is not None
             self._process.join(5.0)
             code = self._process.exitcode
-            outcome, reason, about = "error", f"the process ended with code {code}", "crash"
+            failure = "error", f"the process ended with code {code}", "crash"
         self._stop()
-        return Entry(
-            what.file, what.kind, "error" if outcome == "error" else "stopped", reason, about,
-            wall=time.perf_counter() - began,
-        )  # fmt: skip
+        outcome, reason, about = failure
+        wall = time.perf_counter() - began
+        return Entry(description.file, description.kind, outcome, reason, about, wall=wall)
 
     def _ready(self) -> tuple[Connection, float]:
-        """Return the pipe to a living process, and the seconds to wait for it."""
+        """Return the pipe to a running process, and the time to wait for its answer [s]."""
         if self._pipe is not None:
             return self._pipe, self._patience
-        # Not forked: threads and open libraries of the parent do not survive that.
+        # Threads and open libraries of the parent do not survive a fork.
         context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
+        self._pipe, child_end = context.Pipe()
         self._process = context.Process(
-            target=_serve, args=(theirs, self._wanted, self._cache.name), daemon=True
+            target=_serve, args=(child_end, self._options, self._cache.name), daemon=True
         )
         self._process.start()
-        theirs.close()
-        return self._pipe, self._patience + _WARM
+        child_end.close()
+        return self._pipe, self._patience + _WARM_UP
 
     def _stop(self) -> None:
         if self._process is not None:
@@ -87,15 +87,15 @@ class Worker:
         self._process = self._pipe = None
 
 
-def _serve(pipe: Connection, wanted: Wanted, cache: str) -> None:
-    """Try what comes through a pipe until it closes.  cache: a folder for kernels of its own."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent's to answer
-    os.environ["PINRED_CACHE_DIR"] = cache  # times are those of the first use
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # parsers print as they like
+def _serve(pipe: Connection, options: TrialOptions, cache: str) -> None:
+    """Try descriptions from a pipe until it closes.  cache: folder for compiled kernels."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
+    os.environ["PINRED_CACHE_DIR"] = cache  # an empty cache, so that times include compilation
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # parsers print to both streams
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     while True:
         try:
-            what: Description = pipe.recv()
+            description: Description = pipe.recv()
         except EOFError:
             return
-        pipe.send(tried(what, wanted))
+        pipe.send(run_trial(description, options))

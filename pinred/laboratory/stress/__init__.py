@@ -1,7 +1,7 @@
-"""The stress suite: what pinred does where the numbers are hard.
+"""The stress suite: accuracy of pinred in numerically difficult cases.
 
-Each check stands in a file of its own and yields cases, a number and the bound that it has to
-keep.  On the other side of each number stand a closed form, Pinocchio's ABA on the full state,
-or Pinocchio's energy and momentum; where a frame, a unit or the direction of time must not
-matter, the same motion seen otherwise.  `suite` runs them; docs/stress.md says why the bounds.
+Each module defines one check, which yields cases: a measured number and its bound. The numbers are
+errors against a closed form, against Pinocchio's ABA on the full state, or against Pinocchio's
+energy and momentum. Invariance checks compare motions in other frames, other units, or reversed
+time. `run_stress` runs the checks; docs/stress.md derives the bounds.
 """

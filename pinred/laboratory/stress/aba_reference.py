@@ -1,4 +1,4 @@
-"""The full simulation of a scene by Pinocchio's ABA, as what a trajectory is measured by."""
+"""Reference solution of a scene by Pinocchio's ABA on the full state."""
 
 from __future__ import annotations
 
@@ -14,8 +14,15 @@ from ...simulation.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
-class Truth:
-    """The motion of a scene by ABA at some times, and how much a small kick grows in it."""
+class AbaReference:
+    """Reference solution of a scene at some times.
+
+    Attributes:
+        full: Full simulation of the scene.
+        motion: Reference solution at the times.
+        size: Units of its errors.
+        growth: Factor by which a small perturbation grows until the last time.
+    """
 
     full: FullState
     motion: FullMotion
@@ -23,20 +30,24 @@ class Truth:
     growth: float
 
     def error(self, traj: Trajectory, times: Array) -> float:
-        """Return how far a trajectory is from it at its times, relative to the motion's size."""
-        found = traj(times)
-        return self.full.distance(self.motion, FullMotion(x=found.x, q=found.q)).worst(self.size)
+        """Return the largest error of a trajectory at `times`, relative to the motion's size."""
+        states = traj(times)
+        return self.error_of(FullMotion(x=states.x, q=states.q))
+
+    def error_of(self, motion: FullMotion) -> float:
+        """Return the largest error of a motion at the same times, relative to its size."""
+        return self.full.distance(self.motion, motion).worst(self.size)
 
 
-def truth_of(scene: Scene, times: Array) -> Truth:
-    """Return the motion of a scene at times (T,).  Raises IntegrationError."""
+def aba_reference(scene: Scene, times: Array) -> AbaReference:
+    """Integrate a scene by ABA at times (T,); raise IntegrationError if that is impossible."""
     full, start = FullState(scene), scene.start
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     motion = full.run(y0, times, *FINEST)
     growth = float(full.growth(y0, motion, times, 1e-10, 1e-12)[-1])
-    return Truth(full, motion, full.size(motion), growth)
+    return AbaReference(full, motion, full.size(motion), growth)
 
 
 def samples(scene: Scene, count: int = 21) -> Array:
-    """Return even times in a scene, its end last, (count,) [s]."""
+    """Return evenly spaced times of a scene, including its end, (count,) [s]."""
     return np.linspace(0.0, scene.end, count + 1)[1:]

@@ -1,4 +1,4 @@
-"""Chaotic motions: judged step by step, since their ends say nothing."""
+"""Chaotic motions, checked by the defects of steps, because final errors carry no information."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from ...judge.step_defects import largest_defect
 from ...system.load import load
 from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
 
-_ROUNDING = 2e3  # of eps: what a rate has of the momenta's
-# Fast enough, and for long enough, that what is known of the start is lost.
+_ROUNDING = 2e3  # bound on round-off in units of eps; rates amplify that of momenta
+# Factor of the initial rates, and duration [s]: long enough to lose the initial state.
 _SCENES: dict[str, tuple[float, float]] = {
     "planar_chain5": (5.0, 100.0),
     "falling_cat": (5.0, 100.0),
@@ -35,9 +35,9 @@ def _cases(trial: Trial) -> Cases:
                     method=method,
                     **tolerance(rtol),
                 )
-                found = largest_defect(traj, system) / rtol
+                defect = largest_defect(traj, system) / rtol
                 bound = DEFECT + _ROUNDING * EPS / rtol
-                yield Case(f"{name}, {traj.run.method}, {duration:g} s, {rtol:.0e}", found, bound)
+                yield Case(f"{name}, {traj.run.method}, {duration:g} s, {rtol:.0e}", defect, bound)
 
 
 CHECK = Check("chaos", "defect of a step, per tolerance", _cases)

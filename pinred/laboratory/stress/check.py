@@ -1,4 +1,4 @@
-"""A check of the stress suite, its trial, and its outcome."""
+"""Types of the stress suite: checks, their cases, options and outcomes; common bounds."""
 
 from __future__ import annotations
 
@@ -14,17 +14,21 @@ from ...simulation.simulate_many import simulate_many
 from ...simulation.trajectory import Trajectory
 
 T = TypeVar("T")
-_TIGHT = 1e-8  # relative tolerances for which there are special methods
-_ANY = 10**12  # steps
+_TIGHT = 1e-8  # largest relative tolerance for the `adaptive` methods
+_ANY = 10**12  # limit on steps that no run reaches
 Effort: TypeAlias = Literal["short", "usual", "full"]
 
 
 @dataclass(frozen=True)
 class Trial:
-    """The task of a check: how much to do, and what is under trial.
+    """Options of a check: its effort, and the functions under test.
 
-    simulate, simulate_many: take what those of pinred take.  fixed: from a step [s] to
-    methods of fixed step.  adaptive: give methods for tight tolerances, beside DOP853.
+    Attributes:
+        effort: Number and length of cases.
+        simulate: Function under test, with the signature of pinred's simulate.
+        simulate_many: Function under test, with the signature of pinred's simulate_many.
+        fixed: Functions from a step [s] to methods with fixed steps.
+        adaptive: Functions that create methods for tight tolerances, in addition to DOP853.
     """
 
     effort: Effort = "usual"
@@ -34,12 +38,12 @@ class Trial:
     adaptive: tuple[Callable[[], Method], ...] = (AdaptiveGauss,)
 
     def methods(self, rtol: float) -> list[Method]:
-        """Return the adaptive methods for scenes of a tolerance, which they take."""
-        others = self.adaptive if rtol <= _TIGHT else ()
-        return [DOP853(max_steps=_ANY), *(make() for make in others)]
+        """Return the adaptive methods for a relative tolerance."""
+        further = self.adaptive if rtol <= _TIGHT else ()
+        return [DOP853(max_steps=_ANY), *(make() for make in further)]
 
     def pick(self, short: T, usual: T, full: T | None = None) -> T:
-        """Return the value for this effort; the usual one where `full` has none of its own."""
+        """Return the value for this effort; `full` defaults to `usual`."""
         if self.effort == "short":
             return short
         return usual if full is None or self.effort == "usual" else full
@@ -47,7 +51,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Case:
-    """One number of a check, and the largest with which it passes."""
+    """One measured number of a check and the largest value that passes."""
 
     name: str
     measured: float
@@ -55,12 +59,12 @@ class Case:
 
     @property
     def passed(self) -> bool:
-        """Whether the number is within its bound; one that is not a number never is."""
+        """Whether the number is within its bound; NaN never is."""
         return self.measured <= self.bound
 
     @property
     def ratio(self) -> float:
-        """The part of the bound that is used up; infinite for what is not a number."""
+        """Ratio of the number to its bound; infinite for NaN."""
         ratio = self.measured / self.bound
         return ratio if ratio == ratio else inf
 
@@ -74,7 +78,13 @@ Cases: TypeAlias = Iterator[Case]
 
 @dataclass(frozen=True)
 class Check:
-    """A check.  what: that is measured, with its unit.  cases: yields them one by one."""
+    """A check.
+
+    Attributes:
+        name: Name of the check.
+        what: Measured quantity and its unit.
+        cases: Generator of its cases.
+    """
 
     name: str
     what: str
@@ -83,7 +93,15 @@ class Check:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a check.  wall: s.  stopped: why it could not be done, if so."""
+    """The result of a check.
+
+    Attributes:
+        name: Name of the check.
+        what: Measured quantity and its unit.
+        cases: Its cases.
+        wall: Wall time [s].
+        stopped: Message of the error that stopped it; "" if complete.
+    """
 
     name: str
     what: str
@@ -93,37 +111,37 @@ class Outcome:
 
     @property
     def worst(self) -> Case | None:
-        """The case that uses up most of its bound."""
+        """Case with the largest ratio of number to bound."""
         return max(self.cases, key=lambda case: case.ratio, default=None)
 
     @property
     def measured(self) -> float:
-        """The number of the worst case."""
+        """Measured number of the worst case."""
         return inf if self.worst is None else self.worst.measured
 
     @property
     def bound(self) -> float:
-        """The bound of the worst case."""
+        """Bound of the worst case."""
         return 0.0 if self.worst is None else self.worst.bound
 
     @property
     def passed(self) -> bool:
-        """Whether there are cases, and all pass."""
+        """Whether the check is complete, has cases, and all of them pass."""
         return bool(self.cases) and not self.stopped and all(case.passed for case in self.cases)
 
 
 def tolerance(rtol: float) -> dict[str, float]:
-    """Return the options of a scene for a relative tolerance that is all there is."""
+    """Return the options of a scene for a relative tolerance with a smaller absolute one."""
     return {"rtol": rtol, "atol": 1e-2 * rtol}
 
 
 def dop853(rtol: float, atol: float) -> DOP853:
-    """Return DOP853 for runs of any length."""
+    """Return DOP853 without a practical limit on steps."""
     return DOP853(rtol=rtol, atol=atol, max_steps=_ANY)
 
 
-# What passes, in units of the tolerance; docs/stress.md says why.
-DEFECT = 3.0  # of one step
-PER_RADIAN = 3.0  # an error that grows with the angle that has been turned
-PER_GROWTH = 100.0  # an error at the end, over the growth of a small kick
+# Bounds in units of the tolerance; docs/stress.md derives them.
+DEFECT = 3.0  # defect of one step
+PER_RADIAN = 3.0  # error per radian of rotation
+PER_GROWTH = 100.0  # final error over the growth of a small perturbation
 EPS = 2.220446049250313e-16

@@ -1,4 +1,4 @@
-"""Spins up to 1e4 rad/s: of a single body, of wheels, and of a whole robot."""
+"""Spins up to 1e4 rad/s of a single body, of reaction wheels, and of a robot."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def _cases(trial: Trial) -> Cases:
         error = np.abs(traj.xi - rates).max() / spin / _RTOL
         yield Case(f"Euler's top, {spin:g} rad/s, body rates", float(error), bound)
 
-        known = symmetric_top(2.0, 1.0, omega, _TIMES)
+        expected = symmetric_top(2.0, 1.0, omega, _TIMES)
         traj = trial.simulate(single([2.0, 2.0, 1.0]), xi0=omega, times=_TIMES, **options)
-        found = np.array([pin.Quaternion(pose).matrix() for pose in traj.pose])
-        error = np.abs(found - known).max() / _RTOL
+        attitudes = np.array([pin.Quaternion(pose).matrix() for pose in traj.pose])
+        error = np.abs(attitudes - expected).max() / _RTOL
         yield Case(f"symmetric top, {spin:g} rad/s, attitude", float(error), bound)
 
         system = load("reaction_wheel_satellite")

@@ -1,4 +1,4 @@
-"""Bodies as flat or as thin as can be: plates on the triangle inequality's edge, and rods."""
+"""Bodies with extreme inertia: plates at the limit of the triangle inequality, and thin rods."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ def _cases(trial: Trial) -> Cases:
         error = float(np.abs(traj.xi - rates).max()) / _RTOL
         bound = PER_RADIAN * float(np.linalg.norm(_OMEGA)) * float(_TIMES[-1])
         yield Case(f"plate, I₁ + I₂ − I₃ = {short:.0e} I₃, body rates", error, bound)
-        found = _tumbling(trial, 0.02 * moments)
-        yield Case(f"arm of plates, {short:.0e}, defect", found, DEFECT)
+        defect = _tumbling_defect(trial, 0.02 * moments)
+        yield Case(f"arm of plates, {short:.0e}, defect", defect, DEFECT)
     for thin in trial.pick((1e-10,), (1e-2, 1e-6, 1e-10)):
-        found = _tumbling(trial, 0.02 * np.array([thin, 1.0, 1.0 + 0.5 * thin]))
-        yield Case(f"arm of rods, thin to {thin:.0e}, defect", found, DEFECT)
+        moments = 0.02 * np.array([thin, 1.0, 1.0 + 0.5 * thin])
+        defect = _tumbling_defect(trial, moments)
+        yield Case(f"arm of rods, thin to {thin:.0e}, defect", defect, DEFECT)
 
 
-def _tumbling(trial: Trial, moments: Array) -> float:
+def _tumbling_defect(trial: Trial, moments: Array) -> float:
     system = tumbling_arm("flat", [body(1.0, [0.1, 0.05, 0.0], moments)] * 4)
     traj = trial.simulate(system, **TUMBLING, duration=5.0, **tolerance(_RTOL))
     return largest_defect(traj, system) / _RTOL

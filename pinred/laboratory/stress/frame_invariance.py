@@ -1,7 +1,7 @@
-"""The same motion seen from 100 frames: nothing but the frame may differ.
+"""The same motion in 100 frames of the world and of the base: only the frame may differ.
 
-Where steps have a given length, by round-off alone.  Step control makes more of that: an
-estimated error that is little but round-off decides how long a step is.
+With fixed steps, motions differ by round-off alone. Step control amplifies round-off, because an
+error estimate that consists of round-off determines the step length.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from ...scene.scene import Scene
 from ...simulation.trajectory import Trajectory
 from ...system.load import load
 from ...system.system import System
-from .aba_reference import truth_of
+from .aba_reference import aba_reference
 from .check import EPS, Case, Cases, Check, Trial
 
-_ROUNDING = 50.0  # of eps times the growth and the root of the number of steps
+_ROUNDING = 50.0  # bound in units of eps times the growth times the square root of the steps
 _TIMES = np.linspace(0.0, 5.0, 21)
 
 
@@ -30,63 +30,63 @@ def _cases(trial: Trial) -> Cases:
     for name in trial.pick(("falling_cat",), ("falling_cat", "satellite_two_arms")):
         system = load(name)
         scene = Scene(system=system, times=_TIMES)
-        growth = truth_of(scene, _TIMES[1:]).growth
+        growth = aba_reference(scene, _TIMES[1:]).growth
         rng = np.random.default_rng(1)
         frames = [_frame(rng) for _ in range(trial.pick(5, 100))]
-        # Each other frame of the base needs a kernel of its own.
-        robots = [_moved_base(system, frame) for frame in frames[: trial.pick(2, 12, 100)]]
+        # Every frame of the base needs a separate kernel.
+        robots = [_with_base_frame(system, frame) for frame in frames[: trial.pick(2, 12, 100)]]
         for method in methods:
-            here = trial.simulate(system, times=_TIMES, method=method)
-            bound = _ROUNDING * EPS * growth * math.sqrt(here.run.steps)
+            reference = trial.simulate(system, times=_TIMES, method=method)
+            bound = _ROUNDING * EPS * growth * math.sqrt(reference.run.steps)
             if method == "auto":
                 bound += scene.rtol
-            who = f"{name}, {here.run.method}"
-            world = max(_in_the_world(trial, here, frame) for frame in frames)
-            yield Case(f"{who}, {len(frames)} frames of the world", world, bound)
+            case = f"{name}, {reference.run.method}"
+            world = max(_error_in_world(trial, reference, frame) for frame in frames)
+            yield Case(f"{case}, {len(frames)} frames of the world", world, bound)
             base = max(
-                _on_the_base(trial, here, robot, frame)
+                _error_on_base(trial, reference, robot, frame)
                 for robot, frame in zip(robots, frames, strict=False)
             )
-            yield Case(f"{who}, {len(robots)} frames of the base", base, bound)
+            yield Case(f"{case}, {len(robots)} frames of the base", base, bound)
 
 
-def _in_the_world(trial: Trial, here: Trajectory, frame: pin.SE3) -> float:
-    """Return how far the motion is from that which starts turned and moved by a frame."""
-    start = here.scene.start
-    there = trial.simulate(
-        here.system,
+def _error_in_world(trial: Trial, reference: Trajectory, frame: pin.SE3) -> float:
+    """Compare the motion with the one from a rotated and translated initial pose."""
+    start = reference.scene.start
+    transformed = trial.simulate(
+        reference.system,
         x0=start.x,
         xdot0=start.xdot,
         xi0=start.xi,
         pose0=pin.SE3ToXYZQUAT(frame),
         times=_TIMES,
-        method=here.scene.method,
+        method=reference.scene.method,
     )
-    return _apart(here, there, frame, pin.SE3.Identity())
+    return _difference(reference, transformed, frame, pin.SE3.Identity())
 
 
-def _on_the_base(trial: Trial, here: Trajectory, robot: System, frame: pin.SE3) -> float:
-    """Return how far the motion is from that of the robot with another frame on its base."""
-    start = here.scene.start
-    there = trial.simulate(
+def _error_on_base(trial: Trial, reference: Trajectory, robot: System, frame: pin.SE3) -> float:
+    """Compare the motion with that of the robot with another frame on its base."""
+    start = reference.scene.start
+    transformed = trial.simulate(
         robot,
         x0=start.x,
         xdot0=start.xdot,
         xi0=frame.inverse().toActionMatrix() @ start.xi,
         pose0=pin.SE3ToXYZQUAT(frame),
         times=_TIMES,
-        method=here.scene.method,
+        method=reference.scene.method,
     )
-    return _apart(here, there, pin.SE3.Identity(), frame)
+    return _difference(reference, transformed, pin.SE3.Identity(), frame)
 
 
 def _frame(rng: np.random.Generator) -> pin.SE3:
-    """A frame that is turned and moved at random, by less than the robot's size."""
+    """Return a random frame, translated by less than the robot's size."""
     return pin.SE3(pin.exp3(rng.uniform(-2.0, 2.0, 3)), rng.uniform(-0.5, 0.5, 3))
 
 
-def _moved_base(system: System, frame: pin.SE3) -> System:
-    """Return the robot with another frame on its base: that at `frame` in the old one."""
+def _with_base_frame(system: System, frame: pin.SE3) -> System:
+    """Return the robot with its base frame moved to `frame` in the old one."""
     model = system.model.copy()
     inverse = frame.inverse()
     model.inertias[1] = inverse.act(model.inertias[1])
@@ -96,8 +96,8 @@ def _moved_base(system: System, frame: pin.SE3) -> System:
     return load(model)
 
 
-def _apart(a: Trajectory, b: Trajectory, world: pin.SE3, base: pin.SE3) -> float:
-    """Return how far b is from a, if the one's world is `world` in the other's, and so the base."""
+def _difference(a: Trajectory, b: Trajectory, world: pin.SE3, base: pin.SE3) -> float:
+    """Return the largest distance of b from a, with a's world and base frames transformed."""
     worst = float(np.abs(a.x - b.x).max())
     for p, q in zip(a.pose, b.pose, strict=True):
         expected = world * pin.XYZQUATToSE3(p) * base

@@ -1,4 +1,4 @@
-"""Robots that no file holds: chains of bodies built in memory."""
+"""Robots generated in memory: chains of bodies."""
 
 from __future__ import annotations
 
@@ -15,34 +15,39 @@ Link = tuple[pin.JointModel, ArrayLike, pin.Inertia]
 
 
 def serial(name: str, links: Sequence[Link]) -> System:
-    """Return a chain without gravity.  links: joint, its place on the link before, and body.
+    """Build a chain without gravity.
 
-    The first joint is the root.
+    Args:
+        name: Name of the robot.
+        links: Joint, its position on the previous link [m], and body of each link. The first
+            joint is the root.
+    Returns:
+        The chain.
     """
     model = pin.Model()
     model.name = name
     model.gravity = pin.Motion.Zero()
     parent = 0
-    for k, (joint, place, body) in enumerate(links):
-        where = pin.SE3(np.eye(3), np.asarray(place, dtype=float))
-        parent = model.addJoint(parent, joint, where, f"joint{k}")
+    for k, (joint, position, body) in enumerate(links):
+        placement = pin.SE3(np.eye(3), np.asarray(position, dtype=float))
+        parent = model.addJoint(parent, joint, placement, f"joint{k}")
         model.appendBodyToJoint(parent, body, pin.SE3.Identity())
     return load(model)
 
 
 def body(mass: float, com: ArrayLike, moments: ArrayLike) -> pin.Inertia:
-    """Return a body with principal moments (3,) along its axes about its centre `com` (3,)."""
+    """Return a body with centre of mass `com` (3,) and principal moments (3,) along its axes."""
     return pin.Inertia(mass, np.asarray(com, dtype=float), np.diag(np.asarray(moments, float)))
 
 
 def tumbling_arm(name: str, bodies: Sequence[pin.Inertia]) -> System:
-    """Return a free base with an arm of three joints about different axes.  bodies: of all four."""
+    """Build a free base with an arm of three joints about different axes, from four bodies."""
     joints = (pin.JointModelFreeFlyer(), pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ())
-    place = [0.3, 0.1, -0.2]
-    return serial(name, [(j, place, link) for j, link in zip(joints, bodies, strict=True)])
+    position = [0.3, 0.1, -0.2]
+    return serial(name, [(j, position, link) for j, link in zip(joints, bodies, strict=True)])
 
 
-TUMBLING = {  # how that arm begins
+TUMBLING = {  # initial state of that arm
     "x0": [0.3, -0.5, 0.4],
     "xdot0": [0.6, -0.4, 0.8],
     "xi0": [0.1, 0.2, -0.1, 0.3, -0.2, 0.4],
@@ -50,7 +55,7 @@ TUMBLING = {  # how that arm begins
 
 
 def disc_stack(moments: Sequence[float]) -> System:
-    """Return discs on one axis; the first is the base."""
+    """Build discs on one axis; the first is the base."""
     z = np.zeros(3)
     return serial(
         "discs", [(pin.JointModelRZ(), z, body(1.0, z, [0.6 * i, 0.6 * i, i])) for i in moments]
@@ -58,6 +63,6 @@ def disc_stack(moments: Sequence[float]) -> System:
 
 
 def single(moments: ArrayLike) -> System:
-    """Return a rigid body turning about its centre of mass."""
+    """Build a rigid body that rotates about its centre of mass."""
     z = np.zeros(3)
     return serial("body", [(pin.JointModelSpherical(), z, body(1.0, z, moments))])

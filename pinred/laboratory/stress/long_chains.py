@@ -1,4 +1,4 @@
-"""Chains of up to 200 joints, in the plane and in space."""
+"""Chains of up to 200 joints, planar and spatial."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def _cases(trial: Trial) -> Cases:
             duration=0.5,
             **tolerance(_RTOL),
         )
-        found = largest_defect(traj, system, max_steps=trial.pick(5, 20)) / _RTOL
-        yield Case(f"{family}, {joints} joints", found, DEFECT)
+        defect = largest_defect(traj, system, max_steps=trial.pick(5, 20)) / _RTOL
+        yield Case(f"{family}, {joints} joints", defect, DEFECT)
 
 
 CHECK = Check("long_chains", "defect of a step, per tolerance", _cases)

@@ -1,8 +1,8 @@
-"""Quaternions and momenta over up to ten million steps: drift no faster than round-off's walk.
+"""Drift of quaternions and momenta over up to ten million steps: at most a round-off random walk.
 
-The momentum is judged as Pinocchio makes it of (q, v), and the quaternion by its length.
-Without the base, DOP853 integrates three numbers μ, whose length is a Casimir that it does not
-keep, but to its tolerance; Gauss's methods lift them to the quaternion.
+The momentum is computed by Pinocchio from (q, v), and the quaternion is checked by its norm.
+Without the base, DOP853 integrates the three components of μ. Their norm is a Casimir, which DOP853
+conserves up to its tolerance. Gauss methods lift μ to the quaternion.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from ...system.load import load
 from ...system.system import System
 from .check import EPS, Case, Cases, Check, Trial, dop853
 
-_WALK = 10.0  # of eps times the root of the number of steps
+_WALK = 10.0  # bound in units of eps times the square root of the number of steps
 _RTOL = 1e-12
-# Twist of the base, and a step; the joints of the cat start as it comes.
+# Initial twist of the base, and the step [s]; joints have their default initial state.
 _STARTS = {
     "rigid_body": (np.array([0.5, 0.7, 1.6]), 0.1),
     "falling_cat": (np.array([0.1, 0.0, -0.1, 0.8, 0.4, -0.3]), 0.02),
@@ -32,25 +32,25 @@ def _cases(trial: Trial) -> Cases:
     walk = _WALK * EPS * math.sqrt(count)
     for name, (xi0, h) in _STARTS.items():
         system, times = load(name), np.linspace(0.0, count * h, 201)
-        methods: list[Method] = [_steady(h), *(make(h) for make in trial.fixed)]
+        methods: list[Method] = [_fixed_dop853(h), *(make(h) for make in trial.fixed)]
         for method in methods:
-            found = trial.simulate_many(system, xi0=xi0[None], times=times, method=method)[0]
-            who = f"{name}, {method.name}, {count:.0e} steps"
-            length = np.linalg.norm(found.pose[:, -4:], axis=1)
-            yield Case(f"{who}, quaternion", float(np.abs(length - 1.0).max()), 4 * EPS)
-            momentum = _momenta(system, found.q, found.v)
+            traj = trial.simulate_many(system, xi0=xi0[None], times=times, method=method)[0]
+            case = f"{name}, {method.name}, {count:.0e} steps"
+            length = np.linalg.norm(traj.pose[:, -4:], axis=1)
+            yield Case(f"{case}, quaternion", float(np.abs(length - 1.0).max()), 4 * EPS)
+            momentum = _momenta(system, traj.q, traj.v)
             drift = np.abs(momentum - momentum[0]).max() / np.linalg.norm(momentum[0])
-            yield Case(f"{who}, momentum", float(drift), walk)
+            yield Case(f"{case}, momentum", float(drift), walk)
     yield _casimir(trial, count)
 
 
-def _steady(h: float) -> Method:
-    """Return DOP853 with a tolerance that no step misses: its steps are as long as they may be."""
+def _fixed_dop853(h: float) -> Method:
+    """Return DOP853 with a tolerance that accepts all steps, so that all have length h."""
     return DOP853(rtol=1e3, atol=1e3, max_step=h, max_steps=10**12)
 
 
 def _casimir(trial: Trial, count: int) -> Case:
-    """|μ| of a body without its attitude, by DOP853 at its tolerance."""
+    """Check |μ| of a body integrated without its attitude by DOP853."""
     xi0, h = _STARTS["rigid_body"]
     end = count * h
     mu = trial.simulate_many(
@@ -62,22 +62,22 @@ def _casimir(trial: Trial, count: int) -> Case:
     ).y[0]
     length = np.linalg.norm(mu, axis=1)
     change = float(np.abs(length / length[0] - 1.0).max())
-    turned = end * float(np.linalg.norm(xi0))
-    return Case("DOP853, Casimir |μ| without the base, per radian", change / turned, _RTOL)
+    angle = end * float(np.linalg.norm(xi0))
+    return Case("DOP853, Casimir |μ| without the base, per radian", change / angle, _RTOL)
 
 
 def _momenta(system: System, q: Array, v: Array) -> Array:
-    """Return the angular momentum about the centre of mass, (T, 3), by Pinocchio.
+    """Compute the angular momentum about the centre of mass, (T, 3), by Pinocchio.
 
-    The base is put at the origin: far away, its distance would be all that round-off shows.
+    The base is moved to the origin, because round-off grows with its distance.
     """
     model, data = system.model, system.model.createData()
-    here = q.copy()
-    here[:, : system.group.linear] = 0.0
+    centred = q.copy()
+    centred[:, : system.group.linear] = 0.0
     return np.array(
         [
             pin.computeCentroidalMomentum(model, data, *row).angular.copy()
-            for row in zip(here, v, strict=True)
+            for row in zip(centred, v, strict=True)
         ]
     )
 

@@ -1,4 +1,4 @@
-"""All checks by name, and how they are run."""
+"""The table of all checks, and their execution."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ CHECKS: dict[str, Check] = {
 }
 
 
-def chosen(names: Sequence[str]) -> list[Check]:
-    """Return the checks of these names, all if there are none.  Raises InputError."""
+def select_checks(names: Sequence[str]) -> list[Check]:
+    """Return the checks with these names, all if empty; raise InputError for an unknown name."""
     unknown = [name for name in names if name not in CHECKS]
     if unknown:
         raise InputError(f"no check '{unknown[0]}'; the checks are {', '.join(CHECKS)}")
@@ -65,47 +65,49 @@ def chosen(names: Sequence[str]) -> list[Check]:
 
 
 def run_checks(
-    checks: Iterable[Check], trial: Trial, *, begun: Callable[[Check, int], None] | None = None
+    checks: Iterable[Check], trial: Trial, *, on_case: Callable[[Check, int], None] | None = None
 ) -> Iterator[Outcome]:
-    """Run checks one after the other.  begun: called with a check and the cases done so far."""
+    """Run checks in sequence.  on_case: called with a check and its number of finished cases."""
     for check in checks:
-        yield run_check(check, trial, begun)
+        yield run_check(check, trial, on_case)
 
 
 def run_check(
-    check: Check, trial: Trial, begun: Callable[[Check, int], None] | None = None
+    check: Check, trial: Trial, on_case: Callable[[Check, int], None] | None = None
 ) -> Outcome:
-    """Run a check; what cannot be integrated or compiled is a failure, not an error."""
+    """Run a check; errors of pinred count as failures of the check."""
     began = time.perf_counter()
     cases: list[Case] = []
     stopped = ""
     try:
-        # What overflows or is not finite fails its bound; numpy need not say so too.
+        # Overflow fails the bound, so numpy's warnings add nothing.
         with np.errstate(all="ignore"):
             for case in check.cases(trial):
                 cases.append(case)
-                if begun is not None:
-                    begun(check, len(cases))
+                if on_case is not None:
+                    on_case(check, len(cases))
     except PinredError as error:
         stopped = " ".join(f"{type(error).__name__}: {error}".split())
     return Outcome(check.name, check.what, tuple(cases), time.perf_counter() - began, stopped)
 
 
 def table(outcomes: Sequence[Outcome]) -> str:
-    """Return outcomes as a table: of each check its worst case, and below all that failed."""
+    """Format a table with the worst case of each check, followed by all failed cases."""
     rows = [
         f"{'check':<16} {'cases':>5} {'measured':>9} {'bound':>9}        {'wall':>6} s  worst case"
     ]
     rows += [
-        f"{each.name:<16} {len(each.cases):>5} {each.measured:>9.1e} {each.bound:>9.1e} "
-        f"{'ok' if each.passed else 'FAILED':>6} {each.wall:>8.1f}  "
-        f"{'' if each.worst is None else each.worst.name}"
-        for each in outcomes
+        f"{outcome.name:<16} {len(outcome.cases):>5} {outcome.measured:>9.1e} "
+        f"{outcome.bound:>9.1e} {'ok' if outcome.passed else 'FAILED':>6} {outcome.wall:>8.1f}  "
+        f"{'' if outcome.worst is None else outcome.worst.name}"
+        for outcome in outcomes
     ]
-    for each in outcomes:
-        rows += [f"{each.name}: {case}" for case in each.cases if not case.passed]
-        if each.stopped:
-            rows.append(f"{each.name}: stopped after {len(each.cases)} cases: {each.stopped}")
-    passed = sum(each.passed for each in outcomes)
+    for outcome in outcomes:
+        rows += [f"{outcome.name}: {case}" for case in outcome.cases if not case.passed]
+        if outcome.stopped:
+            rows.append(
+                f"{outcome.name}: stopped after {len(outcome.cases)} cases: {outcome.stopped}"
+            )
+    passed = sum(outcome.passed for outcome in outcomes)
     rows.append(f"{passed} of {len(outcomes)} checks passed")
     return "\n".join(rows)

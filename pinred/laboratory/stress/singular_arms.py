@@ -1,4 +1,4 @@
-"""Through shapes where an arm is singular: gimbals that lock, and arms that stretch out."""
+"""Motions through singular shapes of an arm: gimbal lock, and a stretched arm."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .check import DEFECT, EPS, Case, Cases, Check, Trial, tolerance
 from .generated_robots import body, serial
 
 _RTOL = 1e-10
-_ROUNDING = 10.0  # of eps times the ratio of body to ring
+_ROUNDING = 10.0  # bound on round-off in units of eps times the mass ratio of body and ring
 
 
 def _cases(trial: Trial) -> Cases:
@@ -28,8 +28,8 @@ def _cases(trial: Trial) -> Cases:
                 **tolerance(_RTOL),
             )
             bound = DEFECT + _ROUNDING * EPS / light / _RTOL
-            found = largest_defect(traj, system) / _RTOL
-            yield Case(f"gimbal with rings of {light:.0e}, missed by {miss:.0e}", found, bound)
+            defect = largest_defect(traj, system) / _RTOL
+            yield Case(f"gimbal with rings of {light:.0e}, missed by {miss:.0e}", defect, bound)
     for joints in trial.pick((2,), (2, 3, 6)):
         bends = 0.3 * (-1.0) ** np.arange(joints)
         system = chain("spatial", joints)
@@ -40,12 +40,12 @@ def _cases(trial: Trial) -> Cases:
 
 
 def _gimbal(light: float) -> System:
-    """Two bodies on a gimbal; with its middle joint at a right angle, two axes are one."""
+    """Build two bodies on a gimbal; two of its axes align if the middle joint is at 90°."""
     heavy = body(1.0, [0.1, -0.2, 0.1], [0.1, 0.15, 0.2])
     ring = body(light, [0.0, 0.0, 0.0], [0.1 * light] * 3)
     joints = (pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ())
-    place = [[0.3, 0.1, 0.0], [0.0] * 3, [0.0] * 3]
-    links = list(zip(joints, place, (ring, ring, heavy), strict=True))
+    positions = [[0.3, 0.1, 0.0], [0.0] * 3, [0.0] * 3]
+    links = list(zip(joints, positions, (ring, ring, heavy), strict=True))
     return serial("gimbal", [(pin.JointModelFreeFlyer(), [0.0] * 3, heavy), *links])
 
 

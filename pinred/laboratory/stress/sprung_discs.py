@@ -1,4 +1,4 @@
-"""Discs on one axis with springs between them: a robot whose motion is known in closed form."""
+"""Discs on one axis with springs between neighbours, whose motion is known in closed form."""
 
 from __future__ import annotations
 
@@ -17,11 +17,14 @@ from .generated_robots import disc_stack
 
 @dataclass(frozen=True)
 class SprungDiscs:
-    """Discs, and how they begin.
+    """Discs and their initial state.
 
-    moments: (m + 1,) [kg·m²].  stiffness: (m,) of the springs between neighbours [N·m/rad], at
-    rest untwisted.  x0: (m,) twists [rad].  rates: (m + 1,) of the first disc and of the twists
-    [rad/s].  times: (T,) at which the motion is judged [s].
+    Attributes:
+        moments: Moments of inertia, (m + 1,) [kg·m²].
+        stiffness: Stiffness of the springs, which are at rest untwisted, (m,) [N·m/rad].
+        x0: Initial twists of the springs, (m,) [rad].
+        rates: Initial rates of the first disc and of the twists, (m + 1,) [rad/s].
+        times: Times at which the motion is compared, (T,) [s].
     """
 
     moments: Array
@@ -37,22 +40,22 @@ class SprungDiscs:
 
     @property
     def start(self) -> dict[str, Array]:
-        """The initial state, by the names that Scene has for it."""
+        """Options of Scene for the initial state."""
         return {"x0": self.x0, "xdot0": self.rates[1:], "xi0": self.rates[:1]}
 
     @property
     def run(self) -> dict[str, Any]:
-        """Times and springs, by the names that Scene has for them."""
+        """Options of Scene for times and springs."""
         names = self.system.shape_names
         pairs = [(k, 0.0) for k in self.stiffness]
         return {"times": self.times, "springs": dict(zip(names, pairs, strict=True))}
 
-    def error(self, found: Trajectory | State, *, relative: bool = False) -> float:
-        """Return how far a motion is from the closed form [rad].
+    def error(self, motion: Trajectory | State, *, relative: bool = False) -> float:
+        """Return the largest error against the closed form [rad].
 
-        relative: each twist in parts of its largest.
+        relative: divide the error of each twist by the twist's largest value.
         """
         first, twists = discs(self.moments, self.stiffness, self.x0, self.rates, self.times)
         size = np.abs(twists).max(axis=0) if relative else 1.0
-        apart = np.abs(found.x - twists) / size
-        return float(max(apart.max(), np.abs(found.pose[:, 0] - first).max()))
+        errors = np.abs(motion.x - twists) / size
+        return float(max(errors.max(), np.abs(motion.pose[:, 0] - first).max()))

@@ -1,4 +1,4 @@
-"""Light links on stiff springs: fast, small motion beside slow, large motion."""
+"""Light links on stiff springs: fast small motions superposed on slow large ones."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _RTOL = 1e-10
 
 def _cases(trial: Trial) -> Cases:
     for stiff in trial.pick((1e6,), (1e2, 1e4, 1e6)):
-        yield _twisting(trial, stiff)
+        yield _check_discs(trial, stiff)
     for stiff in trial.pick((1e4,), (1e2, 1e4, 1e6)):
         system = _arm(1e-2)
         traj = trial.simulate(
@@ -35,8 +35,8 @@ def _cases(trial: Trial) -> Cases:
         )
 
 
-def _twisting(trial: Trial, stiff: float) -> Case:
-    """A light disc on a stiff spring and a heavy one on a soft spring, in closed form."""
+def _check_discs(trial: Trial, stiff: float) -> Case:
+    """Compare a light disc on a stiff spring and a heavy one on a soft spring with closed forms."""
     discs = SprungDiscs(
         moments=np.array([1.0, 1e-3, 1.0]),
         stiffness=np.array([stiff, 1.0]),

@@ -1,4 +1,4 @@
-"""Forward in time and back again: does the motion return to where it began?"""
+"""Time reversal: does a motion with reversed rates return to its initial state?"""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ...judge.distances import FullMotion
 from ...scene.scene import Scene
 from ...system.catalogue import bundled_robots
 from ...system.load import load
-from .aba_reference import samples, truth_of
+from .aba_reference import aba_reference, samples
 from .check import PER_GROWTH, Case, Cases, Check, Trial, tolerance
 
 _RTOL = 1e-10
@@ -19,23 +19,24 @@ def _cases(trial: Trial) -> Cases:
         system = load(name)
         scene = Scene(system=system)
         start, end = scene.start, np.array([scene.end])
-        truth = truth_of(scene, samples(scene))
-        there = trial.simulate(system, times=end, **tolerance(_RTOL))
+        reference = aba_reference(scene, samples(scene))
+        forward = trial.simulate(system, times=end, **tolerance(_RTOL))
         back = trial.simulate(
             system,
-            pose0=there.pose[-1],
-            x0=there.x[-1],
-            xdot0=-there.xdot[-1],
-            xi0=-there.xi[-1],
+            pose0=forward.pose[-1],
+            x0=forward.x[-1],
+            xdot0=-forward.xdot[-1],
+            xi0=-forward.xi[-1],
             times=end,
             **tolerance(_RTOL),
         )
-        first = FullMotion(x=start.x[None], q=system.q(start.pose, start.x)[None])
-        where = truth.full.distance(first, FullMotion(x=back.x, q=back.q)).worst(truth.size)
+        initial = FullMotion(x=start.x[None], q=system.q(start.pose, start.x)[None])
+        final = FullMotion(x=back.x, q=back.q)
+        pose_error = reference.full.distance(initial, final).worst(reference.size)
         rates = np.concatenate([start.xi, start.xdot])
-        missed = np.abs(np.concatenate([back.xi[-1], back.xdot[-1]]) + rates).max()
-        error = max(where, float(missed / np.abs(rates).max()))
-        yield Case(name, error / _RTOL, PER_GROWTH * truth.growth)
+        rate_error = np.abs(np.concatenate([back.xi[-1], back.xdot[-1]]) + rates).max()
+        error = max(pose_error, float(rate_error / np.abs(rates).max()))
+        yield Case(name, error / _RTOL, PER_GROWTH * reference.growth)
 
 
 CHECK = Check("reversal", "error of the return, relative, per tolerance", _cases)

@@ -1,4 +1,4 @@
-"""Very short and very long times: together in one motion, and alone."""
+"""Very short and very long time scales, together in one motion and separately."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _OMEGA = np.array([0.5, 0.7, 1.6])
 
 
 def _cases(trial: Trial) -> Cases:
-    for apart in trial.pick((1e2,), (1e2, 1e3, 1e4)):
-        yield _together(trial, apart)
-    # The same turn, in as many seconds.
+    for ratio in trial.pick((1e2,), (1e2, 1e3, 1e4)):
+        yield _check_two_scales(trial, ratio)
+    # The same rotation within very short and very long times.
     for seconds in trial.pick((1e-9, 1e9), (1e-12, 1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9, 1e12)):
         times = seconds * np.linspace(0.0, 10.0, 21)
         omega = _OMEGA / seconds
@@ -29,20 +29,20 @@ def _cases(trial: Trial) -> Cases:
         yield Case(f"a top of some rad per {seconds:.0e} s", error / _RTOL, bound)
 
 
-def _together(trial: Trial, apart: float) -> Case:
-    """Discs with one spring stiffer than the other by apart², over three slow periods."""
+def _check_two_scales(trial: Trial, ratio: float) -> Case:
+    """Compare discs whose springs have stiffness ratio² : 1 with the closed form."""
     discs = SprungDiscs(
         moments=np.array([1.0, 2.0, 1.5]),
-        stiffness=np.array([apart**2, 1.0]),
-        x0=np.array([0.3 / apart, 0.4]),
+        stiffness=np.array([ratio**2, 1.0]),
+        x0=np.array([0.3 / ratio, 0.4]),
         rates=np.array([0.2, 0.1, -0.3]),
         times=np.linspace(0.0, 20.0, 101),
     )
     starts = {name: value[None] for name, value in discs.start.items()}
     many = trial.simulate_many(discs.system, **starts, **discs.run, **tolerance(_RTOL))
     error = discs.error(many[0], relative=True) / _RTOL
-    turned = apart * float(discs.times[-1])
-    return Case(f"two springs, {apart:.0e} apart", error, PER_RADIAN * turned)
+    angle = ratio * float(discs.times[-1])
+    return Case(f"two springs, {ratio:.0e} apart", error, PER_RADIAN * angle)
 
 
 CHECK = Check("time_scales", "error against closed forms, relative, per tolerance", _cases)

@@ -1,4 +1,4 @@
-"""Momentum swept through zero: the kernel without momentum and that with it have to join."""
+"""Momentum swept through zero: kernels with and without momentum must agree in the limit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ...common.arrays import Array
 from ...judge.distances import FullMotion
 from ...scene.scene import Scene
 from ...system.load import load
-from .aba_reference import truth_of
+from .aba_reference import aba_reference
 from .check import Case, Cases, Check, Trial, tolerance
 
 _RTOL = 1e-10
@@ -24,7 +24,7 @@ _DIRECTION = {
 
 def _cases(trial: Trial) -> Cases:
     for name in trial.pick(("falling_cat",), tuple(_DIRECTION)):
-        system, along = load(name), _DIRECTION[name]
+        system, direction = load(name), _DIRECTION[name]
         assert system.initial is not None
         options: dict[str, Any] = {
             "x0": system.initial.x,
@@ -36,36 +36,35 @@ def _cases(trial: Trial) -> Cases:
         most = trial.pick(2, 3)
         sizes = 10.0 ** np.arange(-16, most + 1)
         sweep = np.concatenate([-sizes[::-1], [0.0], sizes])
-        many = trial.simulate_many(system, momentum=sweep[:, None] * along, **options)
+        many = trial.simulate_many(system, momentum=sweep[:, None] * direction, **options)
         ends = [many[k] for k in range(len(sweep))]
-        still = ends[len(sizes)]
-        # What a momentum of 1e-3 does, by ABA, says what a smaller one may do.
-        kick = _apart_by_aba(Scene(system=system, momentum=1e-3 * along, **options), options)
+        at_zero = ends[len(sizes)]
+        # The effect of smaller momenta is bounded by that of 1e-3, measured by ABA.
+        effect = _effect_by_aba(Scene(system=system, momentum=1e-3 * direction, **options), options)
         for k in np.flatnonzero(np.abs(sweep) <= 1e-3):
-            jump = float(np.abs(ends[k].x - still.x).max())
-            bound = 2.0 * kick * abs(sweep[k]) / 1e-3 + _RTOL
+            jump = float(np.abs(ends[k].x - at_zero.x).max())
+            bound = 2.0 * effect * abs(sweep[k]) / 1e-3 + _RTOL
             yield Case(f"{name}, momentum {sweep[k]:.0e}, from that at zero", jump, bound)
         for k in np.flatnonzero(
             np.isin(sweep, trial.pick((0.0, 1.0), (0.0, 1e-16, 1e-8, 1e-2, 1.0)))
         ):
             size = sweep[k]
-            scene = Scene(system=system, momentum=size * along, **options)
-            truth = truth_of(scene, scene.report_times)
-            found = FullMotion(x=ends[k].x, q=ends[k].q)
-            error = truth.full.distance(truth.motion, found).worst(truth.size)
-            yield Case(f"{name}, momentum {size:.0e}, by ABA", error, 10 * _RTOL * truth.growth)
+            scene = Scene(system=system, momentum=size * direction, **options)
+            reference = aba_reference(scene, scene.report_times)
+            error = reference.error_of(FullMotion(x=ends[k].x, q=ends[k].q))
+            bound = 10 * _RTOL * reference.growth
+            yield Case(f"{name}, momentum {size:.0e}, by ABA", error, bound)
 
 
-def _apart_by_aba(scene: Scene, options: dict[str, Any]) -> float:
-    """Return how far a motion ends from the one without momentum, by ABA."""
-    still = Scene(system=scene.system, momentum=0, **options)
-    a, b = (_end_by_aba(each) for each in (still, scene))
+def _effect_by_aba(scene: Scene, options: dict[str, Any]) -> float:
+    """Return the distance of the final shape from that without momentum, by ABA."""
+    at_zero = Scene(system=scene.system, momentum=0, **options)
+    a, b = (_final_shape_by_aba(each) for each in (at_zero, scene))
     return float(np.abs(a - b).max())
 
 
-def _end_by_aba(scene: Scene) -> Array:
-    truth = truth_of(scene, scene.report_times)
-    return np.asarray(truth.motion.x[-1])
+def _final_shape_by_aba(scene: Scene) -> Array:
+    return np.asarray(aba_reference(scene, scene.report_times).motion.x[-1])
 
 
 CHECK = Check("zero_momentum", "difference of the ends; error by ABA", _cases)

@@ -18,7 +18,7 @@ from ...scene.toml.schema import (
     Whole,
     document_schema,
 )
-from ...scene.toml.signal_tables import NUMBER, NUMBERS, POSITIVE, SHAPE
+from ...scene.toml.signal_tables import NUMBER, NUMBERS, POSITIVE
 from ..optimisation.aims import AIMS
 from ..optimisation.costs import COSTS
 
@@ -146,51 +146,88 @@ GAITS = {
 }
 _LIMIT = Either((NUMBER, ListOf(NUMBER, 2)))
 _RANGES = Either((NUMBER, ListOf(_LIMIT), ByName(_LIMIT)))
-_MOSTS = Either((POSITIVE, ListOf(POSITIVE), ByName(POSITIVE)))
+_MAXIMA = Either((POSITIVE, ListOf(POSITIVE), ByName(POSITIVE)))
+_FORMAT = "R, R1,R2,… or J1=R1,…"  # command-line format of limits
 _LIMITS = {
     "limits": Key(
-        _RANGES, "limits of joints [rad | m]: r for [−r, r], one value or pair each, or by joint",
-        default="those in the robot's file",
+        _RANGES,
+        "joint ranges [rad | m]: R for [-R, R], or a limit or a pair for each joint, or by joint",
+        default="limits of the robot's file", command=f"--limits {_FORMAT}",
     ),
-    "speeds": Key(_MOSTS, "largest speeds [rad/s | m/s], for all joints, for each, or by joint"),
-    "torques": Key(_MOSTS, "largest torques [N m | N], in the same formats"),
+    "speeds": Key(
+        _MAXIMA, "largest joint rates [rad/s | m/s], for all, for each, or by joint",
+        default="none", command=f"--speeds {_FORMAT}",
+    ),
+    "torques": Key(
+        _MAXIMA, "largest joint torques [N·m | N], for all, for each, or by joint",
+        default="none", command=f"--torques {_FORMAT}",
+    ),
 }  # fmt: skip
 _TARGET = Either((NUMBER, NUMBERS))
 OPTIMISE = Table(
     {
-        "objective": Key(Text(AIMS), "objective of the loop", default=AIMS[0]),
-        "axis": Key(Either((Text(("x", "y", "z")), NUMBERS)), "axis of the objective"),
-        "target": Key(
-            _TARGET, "target of objective 'target': an angle, a rotation vector, or a pose"
+        "objective": Key(
+            Text(AIMS), f"objective: {', '.join(AIMS)}", default=AIMS[0], command="--objective O"
         ),
-        "cost": Key(Text((*COSTS, "none")), "cost of the loop", default=COSTS[0]),
-        "most": Key(POSITIVE, "bound on the cost, under which the objective is maximised"),
-        "harmonics": Key(Whole(1), "number of harmonics of the Fourier series", default="5"),
-        "vertices": Key(Whole(3), "number of corners of a polygon instead"),
-        "winding": Key(Either((Whole(1, 1), Text(("any",)))), "winding number", default="1"),
+        "axis": Key(
+            Either((Text(("x", "y", "z")), NUMBERS)),
+            "axis of the rotation or displacement: x, y, z, or a vector", command="--axis AXIS",
+        ),
+        "target": Key(
+            _TARGET, "target of objective target: angle or rotation vector [rad], or pose",
+            command="--target V1,V2,…",
+        ),
+        "cost": Key(
+            Text((*COSTS, "none")), f"cost: {', '.join(COSTS)}, none",
+            default=COSTS[0], command="--cost C",
+        ),
+        "most": Key(
+            POSITIVE, "upper bound on the cost, under which the objective is maximised",
+            command="--most C",
+        ),
+        "harmonics": Key(
+            Whole(1), "number of Fourier harmonics", default="5", command="--harmonics H"
+        ),
+        "vertices": Key(
+            Whole(3), "number of vertices of a polygon, instead of a Fourier series",
+            command="--vertices N",
+        ),
+        "winding": Key(
+            Either((Whole(1, 1), Text(("any",)))), "winding number of the loop", default="1"
+        ),
         **_LIMITS,
-        "period": Key(POSITIVE, "time of one cycle [s]", default="1"),
-        "starts": Key(Whole(1), "number of random initial loops", default="5"),
-        "seed": Key(Whole(), "seed of their random numbers", default="0"),
+        "period": Key(POSITIVE, "time of one cycle [s]", default="1", command="--period T"),
+        "starts": Key(
+            Whole(1), "number of random initial loops", default="5", command="--starts N"
+        ),
+        "seed": Key(Whole(), "seed of the random loops", default="0", command="--seed S"),
     },
     "the objective of a best gait",
-)
+)  # fmt: skip
 REORIENT = Table(
     {
-        "target": Key(_TARGET, "rotation vector, angle [rad] or pose", required=True),
+        "target": Key(
+            _TARGET, "rotation vector or angle [rad], or a pose, whose attitude is the target",
+            required=True, command="--target V1,V2,…",
+        ),
         **_LIMITS,
-        "x0": Key(SHAPE, "initial and final shape, in order or by joint", default="zero"),
-        "cycles": Key(Whole(1), "number of equal loops", default="as few as possible"),
-        "duration": Key(POSITIVE, "total duration [s]", default="2 s per cycle"),
+        "x0": replace(
+            SCENE_OPTIONS["x0"], text="shape at start and end [rad | m]", default="zero"
+        ),
+        "cycles": Key(
+            Whole(1), "number of equal loops", default="smallest possible", command="--cycles N"
+        ),
+        "duration": Key(
+            POSITIVE, "duration of the motion [s]", default="2 per cycle", command="--time T"
+        ),
     },
-    "reorientation of the base",
-)
+    "the rotation of the base",
+)  # fmt: skip
 GAIT_FILE = Table(
     {
         **ROBOT,
         "parameters": replace(
-            SCENE_OPTIONS["parameters"],
-            text="values of robot parameters, such as hand.mass (docs/flow.md)",
+            SCENE_OPTIONS["parameters"], text="robot parameters by name (docs/flow.md)"
         ),
         "connection": Key(
             Tagged("kind", CONNECTIONS, "a connection"),
@@ -202,8 +239,8 @@ GAIT_FILE = Table(
         ),
         "gait": Key(Tagged("kind", GAITS, "a gait"), "the closed path"),
         "momentum": replace(SCENE_OPTIONS["momentum"], default="0"),
-        "optimise": Key(OPTIMISE, "the objective of a best gait"),
-        "reorient": Key(REORIENT, "reorientation of the base"),
+        "optimise": Key(OPTIMISE, OPTIMISE.words),
+        "reorient": Key(REORIENT, REORIENT.words),
     },
     "a gait file",
 )

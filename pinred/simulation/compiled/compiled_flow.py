@@ -1,14 +1,17 @@
-"""The compiled flow of a scene: kernel, parameters, and the full state behind a reduced one."""
+"""The compiled flow of a scene or of members: kernel, initial states and parameters."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import InputError
+from ...common.memo import once
 from ...forces.acting import BaseInSpace
 from ...integrators.methods import Method
+from ...kernels.build import build_kernel
 from ...kernels.evaluate import evaluate
 from ...kernels.initial_conditions import InitialConditions, initial_conditions_kernel
 from ...kernels.kernel import Kernel
@@ -19,55 +22,65 @@ from ...reduction.tree.free_bodies import free_numbers
 from ...scene.initial_state import GivenStates, finite_start
 from ...system.coordinates import Indices
 from ...system.state_fields import ShapeState, State
-from ..entry_name import entry_name
-from ..own_numbers import OwnNumbers
-from ..plan import Plan
+from ...system.variants import nominal
+from ..plan import NO_DIFFERENCES, Kind, MemberParameters, Plan
+from ..reduced_flow import entry_name
 from ..sample import Sample
-from .kernel_of_plan import kernel_of
 
-_AT_ONCE = 512  # members that are set up together
+# Number of members that are set up together, which bounds the memory for it.
+_AT_ONCE = 512
 
 
+@dataclass(frozen=True, eq=False)
 class CompiledFlow:
-    """The flow of a scene for the compiled integrators.
+    """The flow of one scene, or of N members, under one kernel.
 
-    kernel: machine code and layout.  y0: (k,) reduced state at the start.  parameters:
-    (p,) what the kernel reads besides.  numbers: those of them that are in the forces; the
-    torques that controllers hold are set in it as time goes on.
+    Attributes:
+        kernel: Machine code and layout.
+        y0: Initial reduced states, (k,), or (N, k) for members.
+        parameters: Parameters of the vector field, (p,) or (N, p).
+        path: Start, velocity and fall of the centre of mass, (3k,) or (N, 3k) [m, m/s, m/s²].
     """
 
-    def __init__(self, plan: Plan) -> None:
-        """Set up the flow from the plan's own initial state."""
-        self._take(CompiledFlows(plan, plan.scene.given), 0)
+    kernel: Kernel
+    y0: Array
+    parameters: Array
+    path: Array
 
     @classmethod
-    def of(cls, flows: CompiledFlows, member: int) -> CompiledFlow:
-        """Return one of many flows."""
-        flow = cls.__new__(cls)
-        flow._take(flows, member)
-        return flow
+    def of_plan(cls, plan: Plan) -> CompiledFlow:
+        """Return the flow of a plan from its initial state."""
+        given = plan.scene.given
+        start = _initial_conditions(plan, given, NO_DIFFERENCES)
+        return _set_up(plan, given, start, NO_DIFFERENCES, zero=not start.about.any())[0]
 
-    @classmethod
-    def made(cls, kernel: Kernel, y0: Array, parameters: Array, line: Array) -> CompiledFlow:
-        """Return the flow of a kernel from a reduced state (k,); see CompiledFlows."""
-        flow = cls.__new__(cls)
-        flow._keep(kernel, y0, parameters, line)
-        return flow
+    def __getitem__(self, members: object) -> CompiledFlow:
+        """Return the flow of one or some of the members."""
+        rows = (a[members] for a in (self.y0, self.parameters, self.path))  # type: ignore[call-overload]
+        return CompiledFlow(self.kernel, *rows)
 
-    def _take(self, flows: CompiledFlows, member: int) -> None:
-        row = (flows.y0[member], flows.parameters[member], flows.line[member])
-        self._keep(flows.kernel, *row)
-
-    def _keep(self, kernel: Kernel, y0: Array, parameters: Array, line: Array) -> None:
-        self._system, self.kernel = kernel.system, kernel
-        self.y0, self.parameters, self._line = y0, parameters, line
+    @property
+    def numbers_at(self) -> slice:
+        """Indices of the force parameters among `parameters`."""
         layout = self.kernel.layout
-        self.numbers = self.parameters[layout.parameters - layout.numbers :]
+        return slice(layout.parameters - layout.numbers, layout.parameters)
 
-    def sample(self, t: float, y: Array, numbers: Array) -> Sample:
-        """Return what forces see at one time."""
-        where, parameters = self.kernel.where, self._with(numbers)
-        out = self.kernel.evaluate_outputs(t, y, parameters, self._line)
+    @property
+    def numbers(self) -> Array:
+        """Force parameters, a view of the last of `parameters`."""
+        return self.parameters[..., self.numbers_at]
+
+    def parameters_between(self, start: float, stop: float) -> Array:
+        """Return a copy of the parameters that selects the pieces of tables between two stops."""
+        parameters, forces = self.parameters.copy(), self.kernel.forces
+        if forces is not None:
+            parameters[..., self.numbers_at][..., forces.within] = 0.5 * (start + stop)
+        return parameters
+
+    def sample(self, t: float, y: Array, parameters: Array | None = None) -> Sample:
+        """Return the state at time t that forces depend on; see `states`."""
+        parameters = self.parameters if parameters is None else parameters
+        where, out = self.kernel.where, self.kernel.evaluate_outputs(t, y, parameters, self.path)
         weight = out[where.weight] if where.weight.stop > where.weight.start else np.zeros(3)
         base = None
         if self.kernel.layout.base_requested:
@@ -76,202 +89,175 @@ class CompiledFlow:
         x, xdot = out[where.fields["x"]], out[where.xdot]
         return Sample(x, xdot, out[where.xi], out[where.mu], weight, base)
 
-    def states(self, t: Array, y: Array, numbers: Array) -> State | ShapeState:
-        """Return the full states at times t (T,) of reduced states y (T, k).
-
-        numbers: (p,) those in the forces then.
-        """
-        kernel, where = self.kernel, self.kernel.where
-        parameters = np.concatenate([self._with(numbers), self._line])
-        rows = y[:, : kernel.layout.size]
-        if not kernel.layout.clock:
+    def outputs(self, t: Array, y: Array, parameters: Array | None = None) -> Array:
+        """Return the kernel's outputs, (T, ·), at times (T,) and reduced states (T, k)."""
+        kernel, layout = self.kernel, self.kernel.layout
+        parameters = self.parameters if parameters is None else parameters
+        rows = y[:, : layout.size]
+        if not layout.clock:
             rows = np.concatenate([rows, t[:, None]], axis=1)
-        out = evaluate(kernel.outputs.address, parameters, rows, where.size)
-        kind = State if kernel.layout.base_requested else ShapeState
-        fields = {name: where.read_field(name, out, self._system) for name in where.fields}
+        constants = np.concatenate([parameters, self.path])
+        return evaluate(kernel.outputs.address, constants, rows, kernel.where.size)
+
+    def states(self, t: Array, y: Array, parameters: Array | None = None) -> State | ShapeState:
+        """Return the full states behind reduced ones.
+
+        Args:
+            t: Times, (T,) [s].
+            y: Reduced states, (T, k).
+            parameters: Parameters at these times, (p,); the initial ones if None.
+
+        Returns:
+            The states, without the base if the scene leaves it out.
+        """
+        system, where = self.kernel.system, self.kernel.where
+        out = self.outputs(t, y, parameters)
+        kind = State if self.kernel.layout.base_requested else ShapeState
+        fields = {name: where.read_field(name, out, system) for name in where.fields}
         return kind(t=t.copy(), **fields)
 
-    def rates(self, t: Array, y: Array, numbers: Array) -> Array:  # noqa: ARG002
-        """Return dy/dt (T, k) of reduced states y (T, k), which hold the time where it counts."""
-        return evaluate(self.kernel.rate.address, self._with(numbers), y, y.shape[1])
+    def rates(self, t: Array, y: Array, parameters: Array) -> Array:  # noqa: ARG002
+        """Return dy/dt, (T, k), at reduced states (T, k), which contain the time if it matters."""
+        return evaluate(self.kernel.rate.address, parameters, y, y.shape[1])
 
     def address(self, method: Method) -> int:
-        """Address of the vector field, in the form in which a method takes it."""
+        """Return the address of the vector field in the form that a method calls."""
         return rate_address(self.kernel, method)
 
     def tangent(self) -> int:
-        """Address of the derivative of the vector field, made when first asked for."""
+        """Return the address of the derivative of the vector field, compiled at first use."""
         return tangent_of(self.kernel).address
 
-    def shape(self, t: float, y: Array) -> Array:
-        """Return the shape (m,) in a reduced state."""
-        out = self.kernel.evaluate_outputs(t, y, self.parameters, self._line)
+    def shape(self, t: float, y: Array, parameters: Array) -> Array:
+        """Return the shape (m,) of a reduced state (k,) at time t [s]."""
+        out = self.kernel.evaluate_outputs(t, y, parameters, self.path)
         return np.asarray(out[self.kernel.where.fields["x"]])
 
     def entry_name(self, entry: int) -> str:
-        """Return what an entry of the reduced state is, for messages."""
+        """Return the name of an entry of the reduced state, for messages."""
         layout = self.kernel.layout
-        return entry_name(self._system, list(layout.active), list(layout.cyclic), entry)
-
-    def _with(self, numbers: Array) -> Array:
-        """Return the parameters with these numbers in the forces."""
-        return np.concatenate([self.parameters[: len(self.parameters) - len(numbers)], numbers])
-
-
-class CompiledFlows:
-    """Flows of one plan from many initial states, all with or all without momentum.
-
-    kernel: of all of them.  y0: (N, k).  parameters: (N, p).  line: (N, 3k) where their
-    centres of mass begin, how fast, and how they fall.
-    """
-
-    kernel: Kernel
-    y0: Array
-    parameters: Array
-    line: Array
-
-    def __init__(self, plan: Plan, given: GivenStates) -> None:
-        """Set up the flows.  given: (N, …)."""
-        start = _started(plan, given, None)
-        self._begin(plan, given, start, zero=not start.about.any())
-
-    @classmethod
-    def several(
-        cls,
-        plan: Plan,
-        given: GivenStates,
-        members: Indices,
-        own: OwnNumbers | None = None,
-        *,
-        zero: bool,
-    ) -> CompiledFlows:
-        """Set up the flows of some members, a few at a time: memory beside them stays small."""
-        parts = [members[k : k + _AT_ONCE] for k in range(0, len(members), _AT_ONCE)]
-        flows = cls.__new__(cls)
-        for n, part in enumerate(parts):
-            some = given[part]
-            new = cls.__new__(cls)
-            theirs = None if own is None else own[part]
-            new._begin(plan, some, _started(plan, some, theirs), theirs, zero=zero)
-            if n == 0:
-                flows.kernel = new.kernel
-                for name in ("y0", "parameters", "line"):
-                    columns = getattr(new, name).shape[1]
-                    setattr(flows, name, np.empty((len(members), columns)))
-            rows = slice(n * _AT_ONCE, n * _AT_ONCE + len(part))
-            for name in ("y0", "parameters", "line"):
-                getattr(flows, name)[rows] = getattr(new, name)
-        return flows
-
-    @classmethod
-    def made(cls, kernel: Kernel, y0: Array, parameters: Array, line: Array) -> CompiledFlows:
-        """Return the flows of a kernel from reduced states (N, k)."""
-        flows = cls.__new__(cls)
-        flows.kernel, flows.y0, flows.parameters, flows.line = kernel, y0, parameters, line
-        return flows
-
-    def _begin(
-        self,
-        plan: Plan,
-        given: GivenStates,
-        start: InitialConditions,
-        own: OwnNumbers | None = None,
-        *,
-        zero: bool,
-    ) -> None:
-        x, N = given.x, len(given.x)
-        any_robot = own is not None and own.robot is not None
-        self.kernel = kernel_of(plan, zero_momentum=zero, generic=any_robot)
-        layout = self.kernel.layout
-        parts = layout.base
-        if plan.method.steady_momentum and parts.momentum:
-            raise InputError(
-                f"{plan.method.name} needs a constant angular momentum, and here gravity or a "
-                "wrench changes it; Gauss and the others take that"
-            )
-        active, cyclic = list(layout.active), list(layout.cyclic)
-        attitude = given.pose[:, plan.system.group.linear :]
-        pieces = [x[:, active], start.pi[:, active], x[:, cyclic], attitude[:, : parts.attitude]]
-        if parts.down:
-            pieces.append(_down(plan, attitude, own))
-        pieces += [start.about[:, : parts.momentum], np.zeros((N, parts.push + layout.clock))]
-        self.y0 = np.concatenate(pieces, axis=1)
-        spin, before = parts.spin, parts.spin + len(cyclic)
-        self.parameters = np.empty((N, layout.parameters))
-        self.parameters[:, :spin] = start.fixed[:, :spin]
-        self.parameters[:, spin:before] = start.pi[:, cyclic]
-        after = before + len(layout.gravity)
-        self.parameters[:, before:after] = plan.acting.gravity[list(layout.gravity)]
-        bodies: Array | None = None if own is None else own.robot
-        if bodies is None:
-            bodies = free_numbers(plan.system, layout.freed)
-        self.parameters[:, after : after + layout.freed.size] = bodies
-        after += layout.freed.size
-        k = plan.system.group.linear
-        self.line = np.empty((N, 3 * k))
-        self.line[:, :k], self.line[:, k : 2 * k] = start.c0, start.v0
-        self.line[:, 2 * k :] = root_of(plan.system).g
-        numbers = plan.numbers
-        if own is not None:
-            if own.gravity is not None and own.fall is not None:
-                self.parameters[:, before : before + len(layout.gravity)] = own.gravity[
-                    :, list(layout.gravity)
-                ]
-                self.line[:, 2 * k :] = own.fall
-            if own.numbers is not None:
-                numbers = own.numbers
-        self.parameters[:, after : after + layout.com_path] = self.line[:, : layout.com_path]
-        self.parameters[:, after + layout.com_path :] = numbers
-        finite_start(self.y0, self.parameters, self.line)
+        return entry_name(self.kernel.system, layout.active, layout.cyclic, entry)
 
 
 def rate_address(kernel: Kernel, method: Method) -> int:
-    """Return the address of a kernel's vector field, in the form in which a method takes it."""
+    """Return the address of a kernel's vector field in the form that a method calls."""
     lanes = method.lanes
     return (kernel.rate if lanes == 1 else wide_rate(kernel, lanes)).address
 
 
-def _down(plan: Plan, attitude: Array, own: OwnNumbers | None) -> Array:
-    """Return the directions (N, 3) of a weight that turns a pivoted base, in the body's frame."""
+def kernel_of(plan: Plan, *, zero_momentum: bool, generic: bool = False) -> Kernel:
+    """Return the kernel of a plan, built at most once for a System.
+
+    Args:
+        plan: The plan.
+        zero_momentum: Whether the initial angular momentum of the base is exactly zero.
+        generic: Whether the variable parameters of the robot may take any value.
+
+    Returns:
+        The kernel; plans of the same structure and force expressions share it.
+    """
+    kind = plan.kind(zero_momentum=zero_momentum, generic=generic)
+    return once(kind, Kernel, lambda: _kernel(kind))
+
+
+def _kernel(kind: Kind) -> Kernel:
+    system, structure, forces = kind.system, kind.structure, kind.forces
+    key = (Kernel, structure, None if forces is None else forces.key)
+    # Parameters are inputs of a kernel, so robots that differ only in these share it.
+    return once(nominal(system), key, lambda: build_kernel(system, structure, forces))
+
+
+def flows_of(
+    plan: Plan, given: GivenStates, own: MemberParameters = NO_DIFFERENCES
+) -> list[tuple[Indices, CompiledFlow]]:
+    """Return the flows of N members of a plan: those with angular momentum, and those without.
+
+    Args:
+        plan: The plan of all members.
+        given: Their initial states, (N, …).
+        own: Parameters in which they differ from the plan.
+
+    Returns:
+        Sorted indices of members and their flow, for each of both kinds that has members.
+    """
+    members: dict[bool, list[Indices]] = {False: [], True: []}
+    flows: dict[bool, list[CompiledFlow]] = {False: [], True: []}
+    for first in range(0, len(given.x), _AT_ONCE):
+        chunk = slice(first, first + _AT_ONCE)
+        start = _initial_conditions(plan, given[chunk], own[chunk])
+        zeros = ~start.about.any(axis=1) & (not plan.acting.momentum_changes)
+        for zero in (False, True):
+            some = np.flatnonzero(zeros == zero)
+            if some.size:
+                here = InitialConditions(*(rows[some] for rows in vars(start).values()))
+                members[zero].append(first + some)
+                flows[zero].append(
+                    _set_up(plan, given[chunk][some], here, own[chunk][some], zero=zero)
+                )
+    return [(np.concatenate(members[zero]), _stacked(some)) for zero, some in flows.items() if some]
+
+
+def has_no_momentum(plan: Plan) -> bool:
+    """Return whether the angular momentum of a plan is zero, and stays so."""
+    start = _initial_conditions(plan, plan.scene.given, NO_DIFFERENCES)
+    return not plan.acting.momentum_changes and not start.about.any()
+
+
+def _stacked(flows: list[CompiledFlow]) -> CompiledFlow:
+    """Return one flow with the members of several."""
+    if len(flows) == 1:
+        return flows[0]
+    columns = zip(*((flow.y0, flow.parameters, flow.path) for flow in flows), strict=True)
+    return CompiledFlow(flows[0].kernel, *map(np.concatenate, columns))
+
+
+def _initial_conditions(plan: Plan, given: GivenStates, own: MemberParameters) -> InitialConditions:
+    freed = plan.freed(generic=own.robot is not None)
+    kernel = initial_conditions_kernel(plan.system, "xi" if given.mu is None else "mu", freed)
+    return kernel(given.pose, given.x, given.xdot, given.motion, own.robot)
+
+
+def _set_up(
+    plan: Plan, given: GivenStates, start: InitialConditions, own: MemberParameters, *, zero: bool
+) -> CompiledFlow:
+    """Return the flow of N members, all with or all without angular momentum."""
+    x, system = given.x, plan.system
+    kernel = kernel_of(plan, zero_momentum=zero, generic=own.robot is not None)
+    layout, base = kernel.layout, kernel.layout.base
+    if plan.method.steady_momentum and base.momentum:
+        raise InputError(
+            f"{plan.method.name} needs a constant angular momentum, and here gravity or a "
+            "wrench changes it; Gauss and the others take that"
+        )
+    active, cyclic = list(layout.active), list(layout.cyclic)
+    attitude = given.pose[:, system.group.linear :]
+    state = [x[:, active], start.pi[:, active], x[:, cyclic], attitude[:, : base.attitude]]
+    if base.down:
+        state.append(_down(plan, attitude, own))
+    state += [start.about[:, : base.momentum], np.zeros((len(x), base.push + layout.clock))]
+    gravity, fall = own.gravity, own.fall
+    if gravity is None or fall is None:
+        gravity, fall = plan.acting.gravity, root_of(system).g
+    bodies = free_numbers(system, layout.freed) if own.robot is None else own.robot
+    numbers = plan.numbers if own.numbers is None else own.numbers
+    path = _rows(len(x), [start.c0, start.v0, fall])
+    pieces = [start.fixed[:, : base.spin], start.pi[:, cyclic], gravity[..., list(layout.gravity)]]
+    parameters = _rows(len(x), [*pieces, bodies, path[:, : layout.com_path], numbers])
+    y0 = np.concatenate(state, axis=1)
+    finite_start(y0, parameters, path)
+    return CompiledFlow(kernel, y0, parameters, path)
+
+
+def _rows(count: int, pieces: list[Array]) -> Array:
+    """Return pieces (N, …), or (…) if all members share one, beside each other."""
+    return np.concatenate([np.broadcast_to(a, (count, a.shape[-1])) for a in pieces], axis=1)
+
+
+def _down(plan: Plan, attitude: Array, own: MemberParameters) -> Array:
+    """Return the directions (N, 3), in the body frame, of a weight that turns a pivoted base."""
     weight = plan.acting.weight
-    if own is None or own.gravity is None:
+    if own.gravity is None:
         return into_body(attitude, weight / np.linalg.norm(weight))
     units = own.gravity / np.linalg.norm(own.gravity, axis=1)[:, None]
     rows = [into_body(q[None], unit) for q, unit in zip(attitude, units, strict=True)]
     return np.concatenate(rows)
-
-
-def flows_of(
-    plan: Plan, given: GivenStates, own: OwnNumbers | None = None
-) -> list[tuple[Indices, CompiledFlows]]:
-    """Return the flows of many initial states (N, …): of members with momentum, and without.
-
-    Each with the indices of the members, sorted.  own: numbers that the members have for
-    themselves.
-    """
-    still = without_momentum(plan, given, own)
-    groups = [(np.flatnonzero(~still), False), (np.flatnonzero(still), True)]
-    return [
-        (members, CompiledFlows.several(plan, given, members, own, zero=zero))
-        for members, zero in groups
-        if members.size
-    ]
-
-
-def without_momentum(
-    plan: Plan, given: GivenStates, own: OwnNumbers | None = None
-) -> NDArray[np.bool_]:
-    """Return which initial states (N, …) have no angular momentum, nor will ever have any."""
-    still = np.full(len(given.x), not plan.acting.momentum_changes)
-    for k in range(0, len(still) if still.any() else 0, _AT_ONCE):
-        some = slice(k, k + _AT_ONCE)
-        theirs = None if own is None else own[some]
-        still[some] = ~_started(plan, given[some], theirs).about.any(axis=1)
-    return still
-
-
-def _started(plan: Plan, given: GivenStates, own: OwnNumbers | None) -> InitialConditions:
-    robot = None if own is None else own.robot
-    freed = plan.freed(generic=robot is not None)
-    kernel = initial_conditions_kernel(plan.system, "xi" if given.mu is None else "mu", freed)
-    return kernel(given.pose, given.x, given.xdot, given.motion, robot)

@@ -1,4 +1,4 @@
-"""Integrate a compiled flow, with failures told in terms of the robot."""
+"""Integration of a compiled flow, with failures in terms of the robot."""
 
 from __future__ import annotations
 
@@ -16,90 +16,87 @@ from ...common.errors import (
     TooManySteps,
 )
 from ...common.plain_names import quoted
-from ...integrators.integrate import Solution, integrate_checked
+from ...integrators.integrate import Integration
 from ...integrators.methods import Method
+from ...integrators.solution import Solution
 from ...kernels.kernel import Kernel
 from ...reduction.lost_inertia import lost_inertia
 from ...scene.scene import Scene
 from ...system.joints import joint_units
-from ..piece import Integrate, Piece
 from ..plan import Plan
+from ..reduced_flow import Integrate, Segment
 from .compiled_flow import CompiledFlow
 
-_prepared: set[type[Method]] = set()
-_WILD = 100.0  # rad in one step
+_compiled_methods: set[type[Method]] = set()
+# Largest turn of a joint within one step of constant length [rad].
+_WILD = 100.0
 _NO_TIMES = read_only(np.empty(0))
-
-
-def prepare(flow: CompiledFlow, plan: Plan) -> None:
-    """Have the machine code of kernel and integrator ready: a run's time is then its own."""
-    method = plan.method
-    flow.address(method)
-    if type(method) in _prepared:
-        return
-    _prepared.add(type(method))
-    with suppress(IntegrationError):  # the run itself will say so
-        integrator(flow, plan, None)(0.0, 1e-9 * plan.scene.end, flow.y0)
 
 
 def integrator(
     flow: CompiledFlow, plan: Plan, progress: Callable[[float], None] | None
 ) -> Integrate:
-    """Return what integrates a flow from one time of its plan to another.
+    """Return the function that integrates a compiled flow from one time of its plan to another.
 
-    That raises an IntegrationError with time and shape.
+    Args:
+        flow: The flow of the plan.
+        plan: The plan.
+        progress: Called now and then with the fraction of the time that is done.
+
+    Returns:
+        The function; it raises an IntegrationError with time and shape.
     """
     scene, method, layout = plan.scene, plan.method, flow.kernel.layout
-    asked, address = scene.report_times, flow.address(method)
-    # Between knots the power of a force is like a polynomial of degree 7; a step of eight
-    # stages is too long for that.
+    reports, address = scene.report_times, flow.address(method)
+    # Balances integrate polynomials of degree 7 between knots, so steps of eight stages are split.
     parts = max(1, method.order // 4) if method.lanes > 1 else 1
 
     def run(
-        start: float, end: float, y0: Array, watch: Callable[[Piece], bool] | None = None
-    ) -> Piece:
-        # The integrators' time begins at 0; what depends on the time has it in its state.
+        start: float,
+        end: float,
+        y0: Array,
+        parameters: Array,
+        watch: Callable[[Segment], bool] | None = None,
+    ) -> Segment:
+        # The clock of an integration begins at 0; equations that depend on time have it in y.
         whole = start == 0.0 and end == scene.end
-        # Read-only as ever: to numba an array that is not is of another type.
-        times = asked if whole else _NO_TIMES
-        parameters = read_only(flow.parameters.copy())
-        numbers = parameters[len(parameters) - len(flow.numbers) :]
+        # The arrays are read-only: numba has a separate type for those that are not.
+        times = reports if whole else _NO_TIMES
         done = progress and (lambda part: progress((start + part * (end - start)) / scene.end))
         y0 = y0 if y0.size else np.zeros(1)
 
-        def made(found: Solution, *, complete: bool) -> Piece:
-            knots = _refined(found.knots + start, parts)
-            if complete:
-                knots[-1] = end  # whatever round-off says
+        def segment(solution: Solution) -> Segment:
+            knots = _refined(solution.knots + start, parts)
+            if solution.complete:
+                knots[-1] = end  # whatever round-off makes of it
 
             def at(t: Array) -> Array:
-                if t is asked and whole and complete:  # these have been asked for already
-                    return found.y
-                return found.at(np.clip(t - start, 0.0, found.knots[-1]))
+                if t is solution.times:
+                    return solution.y
+                return solution.at(np.clip(t - start, 0.0, solution.knots[-1]))
 
-            return Piece(knots, at, numbers, found.steps, found.evaluations)
+            return Segment(knots, at, parameters, solution.steps, solution.evaluations)
 
+        integrate = Integration(
+            method, address, len(y0), end - start, times, layout.quaternion, layout.canonical,
+            flow.tangent,
+        )  # fmt: skip
         try:
-            found = integrate_checked(
-                method,
-                address,
-                parameters,
-                y0,
-                end - start,
-                times,
-                layout.quaternion,
-                done,
-                flow.tangent,
-                layout.canonical,
-                watch and (lambda found: watch(made(found, complete=False))),
+            solution = integrate(
+                parameters, y0, progress=done, watch=watch and (lambda part: watch(segment(part)))
             )
         except IntegrationError as stop:
-            raise explained(stop, flow, scene, start) from None
-        wild = wild_steps(flow.kernel, plan, found.states, found.knots)
+            raise explained(stop, flow, scene, start, parameters) from None
+        wild = wild_steps(flow.kernel, plan, solution.states, solution.knots)
         if wild:
             raise IntegrationError(wild)
-        return made(found, complete=found.complete)
+        return segment(solution)
 
+    if type(method) not in _compiled_methods:
+        # The first integration compiles the method, which is not to count as time of the run.
+        _compiled_methods.add(type(method))
+        with suppress(IntegrationError):  # the run itself will raise it
+            run(0.0, 1e-9 * scene.end, flow.y0, read_only(flow.parameters.copy()))
     return run
 
 
@@ -139,13 +136,24 @@ def _refined(knots: Array, parts: int) -> Array:
 
 
 def explained(
-    stop: IntegrationError, flow: CompiledFlow, scene: Scene, start: float
+    stop: IntegrationError, flow: CompiledFlow, scene: Scene, start: float, parameters: Array
 ) -> IntegrationError:
-    """Return a failure in terms of the robot."""
+    """Return a failure of the integrator in terms of the robot.
+
+    Args:
+        stop: The failure; its time begins at `start`.
+        flow: The flow.
+        scene: The scene.
+        start: Start time of the segment [s].
+        parameters: Parameters of the vector field in the segment, (p,).
+
+    Returns:
+        The error to raise instead.
+    """
     name = scene.system.name
     if isinstance(stop, NonFiniteState):
         time = start + stop.time
-        x = flow.shape(time, stop.state)
+        x = flow.shape(time, stop.state, parameters)
         return NonFiniteState(
             f"{flow.entry_name(stop.entry)} of '{name}' is not finite after t = {time:g} s, "
             f"at shape x = {x}{lost_inertia(scene.system, x)}",
@@ -155,7 +163,7 @@ def explained(
         )
     if isinstance(stop, (StepSizeUnderflow, NoConvergence, TooManySteps)):
         time = start + stop.time
-        x = flow.shape(time, stop.state)
+        x = flow.shape(time, stop.state, parameters)
         return type(stop)(
             f"'{name}' cannot be followed beyond t = {time:g} s of {scene.end:g} s at "
             f"rtol = {scene.rtol:g}, shape x = {x}{lost_inertia(scene.system, x)}: {stop}",

@@ -21,7 +21,7 @@ from ...system.system import System
 from ..plan import plan_of
 from ..simulate import as_scene
 from .inputs import Inputs, motion_of, with_varied
-from .runs import Course, Run
+from .propagator import Propagator, Run
 
 if TYPE_CHECKING:
     from .casadi_adapter import FlowCallback
@@ -53,9 +53,9 @@ class Flow:
         self.scene = scene
         plan = plan_of(scene)
         self.over_times = over_times
-        self._course = Course(plan, zero_momentum=_stays_zero(scene, wrt))
-        kernel = self._course.kernel
-        self._inputs = Inputs(scene, kernel, plan.acting.gravity, wrt)
+        self.propagator = Propagator(plan, zero_momentum=_stays_zero(scene, wrt))
+        kernel = self.propagator.kernel
+        self.input_map = Inputs(scene, kernel, plan.acting.gravity, wrt)
         self._rows = _checked_rows(of, wanted=plan.wanted)
         sizes, at = sizes_of(scene.system), 0
         places: dict[str, slice] = {}
@@ -63,12 +63,12 @@ class Flow:
             places[row] = slice(at, at + sizes[row])
             at += sizes[row]
         self.outputs: Mapping[str, slice] = MappingProxyType(places)
-        self.inputs: Mapping[str, int] = MappingProxyType(self._inputs.sizes)
+        self.inputs: Mapping[str, int] = MappingProxyType(self.input_map.sizes)
         self._size = at
         self._last: tuple[bytes, Run] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _flow_of, (self.scene, self._inputs.names, self._rows, self.over_times)
+        return _flow_of, (self.scene, self.input_map.names, self._rows, self.over_times)
 
     def __repr__(self) -> str:
         inputs = ", ".join(f"{name} ({size})" for name, size in self.inputs.items()) or "nothing"
@@ -90,26 +90,26 @@ class Flow:
 
         Raises InputError, and IntegrationError as `simulate` does.
         """
-        run = self._run(inputs)
-        return self._course.states(run) if self.over_times else self._course.end(run)
+        run = self.run(inputs)
+        return self.propagator.states(run) if self.over_times else self.propagator.end(run)
 
     def jvp(self, along: Mapping[str, Any], /, **inputs: Any) -> Array:
         """Return the derivative of the outputs along directions of inputs, (…, rows).
 
         along: {input: direction}; zero where nothing is given.  …: the times, of a flow over times.
         """
-        run = self._run(inputs)
-        state, constants = self._inputs.directions(along, run.given)
-        return self._shaped(self._course.along(run, self._rows, state, constants)[..., 0])
+        run = self.run(inputs)
+        state, constants = self.input_map.directions(along, run.given)
+        return self._shaped(self.propagator.along(run, self._rows, state, constants)[..., 0])
 
     def jacobian(self, **inputs: Any) -> dict[str, Array]:
         """Return the derivatives of the outputs by each input, {name: (…, rows, size)}.
 
         Those by a parameter have no last axis.
         """
-        run = self._run(inputs)
-        found = self._course.along(run, self._rows, *self._inputs.basis(run.given))
-        return {name: self._shaped(part) for name, part in self._inputs.by_name(found).items()}
+        run = self.run(inputs)
+        found = self.propagator.along(run, self._rows, *self.input_map.basis(run.given))
+        return {name: self._shaped(part) for name, part in self.input_map.by_name(found).items()}
 
     def vjp(self, covector: Any, /, **inputs: Any) -> dict[str, Array]:
         """Return the derivatives of covector · outputs by each input, {name: (size,)}.
@@ -117,17 +117,17 @@ class Flow:
         covector: (…, rows), or {output: (…, its rows)} with zero for the others.  That by a
         parameter is a number.
         """
-        run = self._run(inputs, stages=True)
-        by_state, by_constants = self._course.back(run, self._rows, self._covectors(covector))
-        state, constants = self._inputs.basis(run.given)
-        return self._inputs.by_name(by_state @ state + by_constants @ constants)
+        run = self.run(inputs, stages=True)
+        by_state, by_constants = self.propagator.back(run, self._rows, self._covectors(covector))
+        state, constants = self.input_map.basis(run.given)
+        return self.input_map.by_name(by_state @ state + by_constants @ constants)
 
     def explain(self) -> str:
         """Return what the flow skips and integrates, and which numbers are its inputs, as lines."""
         from ..explain import integrated, seen_and_integrated, skipped, varying
 
-        plan = self._course.plan
-        zero = self._course.zero_momentum
+        plan = self.propagator.plan
+        zero = self.propagator.zero_momentum
         lines = [f"skipped: {line}" for line in skipped(plan, zero_momentum=zero)]
         lines += [f"integrated: {integrated(plan)}", *seen_and_integrated(plan)]
         lines += varying(plan, generic=True)
@@ -135,7 +135,7 @@ class Flow:
 
     def own(self, name: str) -> Array:
         """Return the scene's value of an input, (size,)."""
-        return self._inputs.value(name)
+        return self.input_map.value(name)
 
     def step(self, h: float) -> StepMap:
         """Return one step of this length [s] as a map with its Jacobians, for shooting solvers.
@@ -154,15 +154,15 @@ class Flow:
         self, inputs: Mapping[str, Any], h: float, t: float, *, derivatives: bool
     ) -> tuple[State | ShapeState, Array]:
         """Return the state after one step from time t [s], and slopes (rows, N)."""
-        given = self._inputs.given(inputs)
-        columns = self._inputs.basis(given) if derivatives else None
-        return self._course.one_step(given, h, t, self._rows, columns)
+        given = self.input_map.given(inputs)
+        columns = self.input_map.basis(given) if derivatives else None
+        return self.propagator.one_step(given, h, t, self._rows, columns)
 
     def columns(self) -> Columns:
         """Return the flow between plain columns of numbers, in the order of `inputs`."""
         from .flow_columns import Columns
 
-        return Columns(self, self._course, self._inputs, self._run)
+        return Columns(self, self.propagator, self.input_map, self.run)
 
     def casadi(self, name: str = "flow") -> FlowCallback:
         """Return the flow as a CasADi Callback with derivatives; see `columns`.
@@ -185,16 +185,16 @@ class Flow:
 
         return torch_function(self.columns())
 
-    def _run(self, inputs: Mapping[str, Any], *, stages: bool = False) -> Run:
+    def run(self, inputs: Mapping[str, Any], *, stages: bool = False) -> Run:
         """Return a run with these inputs: the last one, if they are the same.
 
         stages: whether a new one is to keep those of its steps.
         """
-        given = self._inputs.given(inputs)
+        given = self.input_map.given(inputs)
         key = given.state.tobytes() + given.constants.tobytes()
         last = self._last
         if last is None or last[0] != key:
-            last = self._last = (key, self._course.run(given, stages=stages))
+            last = self._last = (key, self.propagator.run(given, stages=stages))
         return last[1]
 
     def _covectors(self, covector: Any) -> Array:

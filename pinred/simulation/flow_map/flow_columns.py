@@ -17,8 +17,7 @@ from ...common.names import nearest
 from ...common.plain_names import brief, listed
 from ...kernels.flow_functions import Row, sizes_of
 from .inputs import Inputs
-from .many_runs import entries, outputs_of_many
-from .runs import Course, Run
+from .propagator import Propagator, Run
 
 # Up to this number of runs, one thread finishes before a second one has started.
 _RUNS_OF_ONE_THREAD = 32
@@ -36,12 +35,14 @@ class Columns:
         size: Number of entries of the output, of all times one after another.
     """
 
-    def __init__(self, flow: Any, course: Course, inputs: Inputs, run: Callable[..., Run]) -> None:
+    def __init__(
+        self, flow: Any, propagator: Propagator, inputs: Inputs, run: Callable[..., Run]
+    ) -> None:
         """Prepare the vectors of a flow.
 
         Args:
             flow: The Flow.
-            course: Its kernels and runs.
+            propagator: Its kernels and runs.
             inputs: Its inputs.
             run: Function from values by name to the run with these inputs.
         Raises:
@@ -64,10 +65,10 @@ class Columns:
         self.outputs = dict(zip(flow.outputs, map(slice, ends, ends[1:]), strict=True))
         self._times = len(flow.t) if flow.over_times else 1
         self.size = ends[-1] * self._times
-        self._course, self._inputs, self._run = course, inputs, run
+        self._propagator, self._inputs, self._run = propagator, inputs, run
         ends = np.cumsum([0, *self.sizes]).tolist()
         self._cuts, self._spans = ends[1:-1], list(map(slice, ends, ends[1:]))
-        self._entries = entries(self._course, self.outputs)
+        self._entries = self._propagator.entries(self.outputs)
 
     def value(self, *columns: Any) -> Array:
         """Compute the output.
@@ -128,7 +129,7 @@ class Columns:
         state = np.array([argument.state for argument in arguments])
         constants = np.array([argument.constants for argument in arguments])
         threads = 1 if threads is None and count <= _RUNS_OF_ONE_THREAD else threads
-        outputs = outputs_of_many(self._course, state, constants, threads)
+        outputs = self._propagator.outputs_of_many(state, constants, threads)
         return np.ascontiguousarray(outputs[..., self._entries].reshape(count, -1))
 
     def jacobian(self, *columns: Any) -> list[Array]:
@@ -234,12 +235,12 @@ class Columns:
         return {name: column[span] for name, span in zip(self.names, self._spans, strict=True)}
 
     def _output(self, run: Run) -> Array:
-        return np.asarray(self._course.outputs(run)[:, self._entries].ravel())
+        return np.asarray(self._propagator.outputs(run)[:, self._entries].ravel())
 
     def _jvp(self, run: Run, directions: Array) -> Array:
         """Return the derivatives (size, N) of the output along directions (inputs, N)."""
         state, constants = self._inputs.basis(run.given)
-        derivatives = self._course.along(
+        derivatives = self._propagator.along(
             run, self._rows, state @ directions, constants @ directions
         )
         return np.asarray(derivatives.reshape(self.size, directions.shape[1]))
@@ -247,7 +248,7 @@ class Columns:
     def _vjp(self, run: Run, covector: Array) -> Array:
         """Return the derivatives (inputs,) of covector · output."""
         covectors = np.ascontiguousarray(covector).reshape(self._times, -1)
-        by_state, by_constants = self._course.back(run, self._rows, covectors)
+        by_state, by_constants = self._propagator.back(run, self._rows, covectors)
         state, constants = self._inputs.basis(run.given)
         return np.asarray(by_state @ state + by_constants @ constants)
 

@@ -14,6 +14,7 @@ from ...common.arrays import Array, as_floats, entries_of, vector
 from ...common.errors import InputError, ShapeError
 from ...common.names import nearest
 from ...common.plain_names import brief, listed
+from ...kernels.initial_conditions import TwistOrMomentum
 from ...kernels.kernel import Kernel
 from ...reduction.potential import falling
 from ...reduction.tree.free_bodies import free_numbers
@@ -230,7 +231,7 @@ def with_varied(scene: Scene, names: Sequence[str]) -> Scene:
     return with_own(scene, _listed(names))
 
 
-def motion_of(scene: Scene) -> str:
+def motion_of(scene: Scene) -> TwistOrMomentum:
     """Return which of twist and momentum a scene gives: "xi" or "mu"."""
     return "xi" if scene.given.mu is None else "mu"
 

@@ -3,52 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...scene.scene import Scene
-from ...system.coordinates import Indices
-from ...system.state_fields import FIELDS, ShapeState, State, axis_lengths, map_arrays
+from ...system.state_fields import FIELDS, ShapeState, State, arrays_of, axis_lengths, map_arrays
 from ...system.system import System
 from ..over_time import OverTime
 from ..simulate import trajectory_of
-from ..trajectory import Run, Trajectory, known_trajectory
-
-if TYPE_CHECKING:
-    from ..compiled.compiled_flow import CompiledFlows
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A member that did not come to its end.  time: the last it reached [s]."""
-
-    member: int
-    time: float
-    reason: str
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Members that share a kernel and have run together.
-
-    members: their indices, sorted.  flows: theirs; None of members that came from elsewhere.
-    method: name of the integrator.  steps, evaluations: of each.  wall: seconds that one has
-    taken in the mean.
-    """
-
-    members: Indices
-    flows: CompiledFlows | None
-    method: str
-    steps: NDArray[np.int64]
-    evaluations: NDArray[np.int64]
-    wall: float
+from ..trajectory import Cost, Trajectory
+from .batch import Batch, Failure
 
 
 class Trajectories(OverTime):
@@ -57,36 +27,44 @@ class Trajectories(OverTime):
     `trajectories[i]` is the Trajectory of one member.  Numbers are NaN at times that a member has
     not reached.
 
-    t: (T,) [s].  y: (N, T, k) reduced states, NaN past the end of those that need fewer numbers.
     failures: the members that did not come to their end.
     """
 
     def __init__(
         self,
-        scene_of: Callable[[int], Scene],
-        y: Array,
+        members: tuple[int, Callable[[int], Scene]],
         batches: Sequence[Batch],
         single: Mapping[int, Trajectory],
         failures: Sequence[Failure],
+        outputs: State | ShapeState | None = None,
     ) -> None:
-        """Take the scenes of members, their reduced states, and what makes full ones of them.
+        """Take the results of all members.
 
-        single: the trajectories of members that ran by themselves.
+        Args:
+            members: Number of members, and the function that returns the scene of one.
+            batches: Members that were integrated together.
+            single: Trajectories of the members that were integrated one by one.
+            failures: Members that did not reach their end time.
+            outputs: States of all members, if they are known already.
         """
-        first = scene_of(0)
-        self._system, self._times, self.y = first.system, first.report_times, y
-        self._wanted, self._scene_of = first.outputs == "all", scene_of
+        self._count, self._scene_of = members
+        first = self._scene_of(0)
+        self._system, self._times, self._wanted = (
+            first.system, first.report_times, first.outputs == "all",
+        )  # fmt: skip
         self._batches, self._single, self.failures = tuple(batches), single, tuple(failures)
         self._failed = {failure.member: failure for failure in failures}
+        if outputs is not None:  # the constructor of a state makes unpickled arrays read-only
+            vars(self)["outputs"] = type(outputs)(**arrays_of(outputs))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Kernels stay here: batches travel without their flows, beside the states made of them.
-        batches = [replace(batch, flows=None) for batch in self._batches]
-        parts = (self._scene_of, self.y, batches, dict(self._single), list(self.failures))
-        return _travelled, (parts, self.outputs)
+        # Kernels cannot be pickled, so the states travel instead of the flows.
+        batches = [replace(batch, flow=None) for batch in self._batches]
+        members, single = (self._count, self._scene_of), dict(self._single)
+        return Trajectories, (members, batches, single, self.failures, self.outputs)
 
     def __len__(self) -> int:
-        return len(self.y)
+        return self._count
 
     def __repr__(self) -> str:
         return f"Trajectories({len(self)} of {len(self.t)} times, {len(self.failures)} failed)"
@@ -116,6 +94,23 @@ class Trajectories(OverTime):
         return self._times
 
     @cached_property
+    def y(self) -> Array:
+        """Reduced states, (N, T, k); NaN past the end of those with fewer entries."""
+        parts = [(batch.members, batch.y) for batch in self._batches]
+        for member, traj in self._single.items():
+            reached = self.t[self.t <= traj.scene.end]
+            rows = traj.motion.reduced(reached)
+            missing = np.full((len(self.t) - len(reached), rows.shape[1]), np.nan)
+            parts.append((np.array([member]), np.concatenate([rows, missing])[None]))
+        if len(parts) == 1 and len(parts[0][1]) == len(self):
+            return parts[0][1]
+        width = max((y.shape[2] for _, y in parts), default=0)
+        combined = np.full((len(self), len(self.t), width), np.nan)
+        for members, y in parts:
+            combined[members, :, : y.shape[2]] = y
+        return combined
+
+    @cached_property
     def outputs(self) -> State | ShapeState:
         """States of all members over the report times, (N, T, …); made when first looked at."""
         every = [self._states(member) for member in range(len(self))]
@@ -139,8 +134,9 @@ class Trajectories(OverTime):
             return self._single[member]
         scene, (batch, k) = self._scene_of(member), self._place(member)
         steps, evaluations = int(batch.steps[k]), int(batch.evaluations[k])
-        run = Run("compiled", batch.method, steps, evaluations, batch.wall)
-        return known_trajectory(scene, run, self._states(member), partial(trajectory_of, scene))
+        run = Cost("compiled", batch.method, steps, evaluations, batch.wall)
+        again = partial(trajectory_of, scene)
+        return Trajectory(scene, None, run, again, self._states(member))
 
     def save(self, path: str | Path) -> None:
         """Write all members to a .npz or .zarr file (see save_members.py).  Raises InputError."""
@@ -158,12 +154,9 @@ class Trajectories(OverTime):
             return _up_to(self._single[member], self.t, self.system, wanted=self._wanted)
         if not any(member in batch.members for batch in self._batches):
             return _nothing(self.system, self.t, wanted=self._wanted)
-        from ..compiled.compiled_flow import CompiledFlow
-
         batch, k = self._place(member)
-        assert batch.flows is not None
-        flow = CompiledFlow.of(batch.flows, k)
-        return flow.states(self.t, self.y[member, :, : flow.y0.size], flow.numbers)
+        assert batch.flow is not None
+        return batch.flow[k].states(self.t, batch.y[k])
 
     def _place(self, member: int) -> tuple[Batch, int]:
         """Return the batch of a member, and its place there."""
@@ -172,13 +165,6 @@ class Trajectories(OverTime):
             if k < len(batch.members) and batch.members[k] == member:
                 return batch, k
         raise IndexError(member)
-
-
-def _travelled(parts: tuple[Any, ...], outputs: State | ShapeState) -> Trajectories:
-    """Return members that were pickled, with their states."""
-    found = Trajectories(*parts)
-    vars(found)["outputs"] = type(outputs)(**vars(outputs))  # read-only once more
-    return found
 
 
 def _up_to(traj: Trajectory, t: Array, system: System, *, wanted: bool) -> State | ShapeState:

@@ -23,10 +23,10 @@ from ...scene.scene import Scene
 from ...system.model_parameters import GRAVITY, kinds_near, requested, size_of
 from ...system.system import System
 from ...system.variants import in_gravity, nominal
-from ..own_numbers import OwnNumbers
+from ..plan import MemberParameters
 from ..robot_columns import RobotColumns, with_own
 from ..simulate import as_scene
-from .groups import Group, Members, members_plan
+from .member_groups import Group, Members, members_plan
 
 STATES = ("x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0")
 _BY_JOINT = ("x0", "xdot0")
@@ -181,9 +181,7 @@ class Varied:
         robot = self._robot_numbers(template) if varying else None
         scene_of = partial(self._scene_by, method)
         if self.gravity is None:
-            own = None
-            if not (numbers is None and robot is None):
-                own = OwnNumbers(numbers=numbers, robot=robot)
+            own = MemberParameters(numbers, robot)
             every = np.arange(self.count)
             return Members(self.count, [Group(every, members_plan(template), given, own)], scene_of)
         return Members(self.count, self._by_gravity(template, given, numbers, robot), scene_of)
@@ -208,7 +206,7 @@ class Varied:
                 if np.array_equal(acting_gravity(template.system) != 0.0, axes):
                     system = template.system
             plan = members_plan(replace(template, system=system))
-            own = OwnNumbers(
+            own = MemberParameters(
                 numbers=None if numbers is None else numbers[members],
                 robot=None if robot is None else robot[members],
                 gravity=acting[which[members]],

@@ -11,15 +11,15 @@ from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...integrators.methods import DOP853_LEAST
 from ...reduction.lost_inertia import lost_inertia
-from ..piece import Integrate, Piece
 from ..plan import Plan
-from .readable_flow import ReducedFlow
+from ..reduced_flow import Integrate, Segment
+from .pinocchio_flow import PinocchioFlow
 
 MOST_STEPS = 1_000_000
 
 
 def integrator(
-    flow: ReducedFlow, plan: Plan, progress: Callable[[float], None] | None
+    flow: PinocchioFlow, plan: Plan, progress: Callable[[float], None] | None
 ) -> Integrate:
     """Return what integrates a flow from one time of its plan to another.
 
@@ -31,41 +31,47 @@ def integrator(
     rtol = max(rtol, DOP853_LEAST)
 
     def run(
-        start: float, end: float, y0: Array, watch: Callable[[Piece], bool] | None = None
-    ) -> Piece:
-        if y0.size == 0:  # one body that only translates: all of its motion is known
-            empty = np.array([start, end])
-            return Piece(empty, lambda t: np.empty((len(t), 0)), flow.numbers.copy(), 0, 0)
-        solver = DOP853(flow.rate, start, y0, end, rtol=rtol, atol=atol)
+        start: float,
+        end: float,
+        y0: Array,
+        parameters: Array,
+        watch: Callable[[Segment], bool] | None = None,
+    ) -> Segment:
+        if y0.size == 0:  # a single body that only translates
+            return Segment(
+                np.array([start, end]), lambda t: np.empty((len(t), 0)), parameters, 0, 0
+            )
+
+        def rate(t: float, y: Array) -> Array:
+            return flow.rate(t, y, parameters)
+
+        solver = DOP853(rate, start, y0, end, rtol=rtol, atol=atol)
         knots: list[float] = [start]
 
         def lost() -> str:
             y = solver.y if np.isfinite(solver.y).all() else solver.y_old
-            return lost_inertia(scene.system, flow.shape(solver.t, y, flow.numbers))
+            return lost_inertia(scene.system, flow.shape(solver.t, y, parameters))
 
-        pieces: list[DenseOutput] = []
+        steps: list[DenseOutput] = []
 
-        def so_far() -> Piece:
-            dense = OdeSolution(knots, pieces)
-            return Piece(
-                knots=np.array(knots),
-                at=lambda t: np.asarray(dense(t)).T,
-                numbers=flow.numbers.copy(),
-                steps=len(pieces),
-                evaluations=solver.nfev,
-            )
+        def so_far() -> Segment:
+            dense = OdeSolution(knots, steps)
+            return Segment(
+                np.array(knots), lambda t: np.asarray(dense(t)).T, parameters, len(steps),
+                solver.nfev,
+            )  # fmt: skip
 
         while solver.status == "running":
-            if watch is not None and pieces and watch(so_far()):
+            if watch is not None and steps and watch(so_far()):
                 return so_far()
-            if len(pieces) >= MOST_STEPS:
+            if len(steps) >= MOST_STEPS:
                 raise IntegrationError(
                     f"'{scene.system.name}' took {MOST_STEPS} steps to t = {solver.t:g} s of "
                     f"{scene.end:g} s; shorten the scene or loosen the tolerance{lost()}"
                 )
             with np.errstate(over="ignore", invalid="ignore"):  # what overflows is caught below
                 message = solver.step()
-                piece = solver.dense_output() if solver.status != "failed" else None
+                step = solver.dense_output() if solver.status != "failed" else None
             if not np.isfinite(solver.y).all():
                 entry = int(np.argmin(np.isfinite(solver.y)))
                 raise IntegrationError(
@@ -78,7 +84,7 @@ def integrator(
                     f"{scene.end:g} s at rtol = {scene.rtol:g}: {message}{lost()}"
                 )
             knots.append(solver.t)
-            pieces.append(piece)
+            steps.append(step)
             if progress is not None:
                 progress(solver.t / scene.end)
         return so_far()

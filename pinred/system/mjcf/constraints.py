@@ -54,8 +54,9 @@ class _Constraint:
 def constraints_of(tree: Tree) -> Constraints:
     """Return the constraints that act on a robot.
 
-    Raises ModelError for a constraint that closes a loop, holds a joint, or couples joints
-    otherwise than in proportion.
+    Raises:
+        ModelError: A constraint closes a loop, holds a joint, or couples joints otherwise than in
+            proportion.
     """
     couplings: list[Coupling] = []
     outside: list[str] = []
@@ -88,8 +89,9 @@ def _active(world: World) -> Iterator[_Constraint]:
 def _ties_outside(tree: Tree, constraint: _Constraint) -> bool:
     """Return whether a constraint ties the robot to a body that is not part of it.
 
-    Raises ModelError if it ties bodies of the robot, or one of them and the ground, that
-    move against each other.
+    Raises:
+        ModelError: It ties bodies of the robot, or one of them and the ground, that move against
+            each other.
     """
     world, model = tree.world, tree.world.model
     bodies = list(constraint.objects)
@@ -126,6 +128,9 @@ def _coupling(tree: Tree, constraint: _Constraint) -> Sequence[Coupling]:
     """Return the coupling of a constraint between joints, if the follower can move.
 
     MuJoCo's polynomial is in displacements from the position at which the file draws the joints.
+
+    Raises:
+        ModelError: The constraint holds a joint, is not proportional, or its leader is frozen.
     """
     world, free = tree.world, tree.free_joints
     first, second = constraint.objects
@@ -167,8 +172,10 @@ def locked_with_followers(
 ) -> tuple[dict[str, float], dict[str, Tie]]:
     """Return locks that include the followers of locked joints, and how these follow.
 
-    Followers may use any polynomial.  Raises InputError for proportional followers that are
-    locked without their leader.
+    Followers may use any polynomial.
+
+    Raises:
+        InputError: A proportional follower is locked without its leader.
     """
     joints = set(world.all_joints)
     couplings: list[Coupling] = []

@@ -129,7 +129,7 @@ def _reduced(problem: Problem, tolerance: float) -> PreparedRun:
     from ....simulation.plan import plan_of
 
     scene = problem.scene()
-    flow = CompiledFlow(plan_of(scene))
+    flow = CompiledFlow.of_plan(plan_of(scene))
     code = problem.system.workspace(
         ("reduced C", problem.name), lambda: compiled(reduced_graph(problem))
     )
@@ -138,7 +138,7 @@ def _reduced(problem: Problem, tolerance: float) -> PreparedRun:
 
     def end(y: Array) -> End:
         count = float(integrator.stats()["nfevals"])
-        states = with_base(flow.states(scene.report_times, y[None], flow.numbers), problem.name)
+        states = with_base(flow.states(scene.report_times, y[None]), problem.name)
         return End(states.x[0], states.q[0], states.v[0], count)
 
     return PreparedRun(lambda: _run(integrator, inputs), end, code.build)

@@ -24,7 +24,7 @@ def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> PreparedR
     from ....simulation.plan import plan_of
 
     scene = problem.scene()
-    flow = CompiledFlow(plan_of(scene))
+    flow = CompiledFlow.of_plan(plan_of(scene))
     began = time.perf_counter()
     ta = taylor_integrator(
         reduced_graph(problem), flow.parameters.tolist(), flow.y0, tolerance, unrolled=unrolled
@@ -40,7 +40,7 @@ def _prepare(problem: Problem, tolerance: float, *, unrolled: bool) -> PreparedR
         return steps
 
     def end(steps: Any) -> End:
-        reduced = flow.states(scene.report_times, np.array([ta.state]), flow.numbers)
+        reduced = flow.states(scene.report_times, np.array([ta.state]))
         states = with_base(reduced, scene.system.name)
         return End(states.x[0], states.q[0], states.v[0], int(steps))
 

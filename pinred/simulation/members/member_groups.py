@@ -17,8 +17,7 @@ from ...scene.initial_state import GivenStates
 from ...scene.scene import Scene
 from ...system.coordinates import Indices
 from ...system.variants import nominal
-from ..own_numbers import OwnNumbers
-from ..plan import Plan, plan_of
+from ..plan import NO_DIFFERENCES, MemberParameters, Plan, plan_of
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Group:
     members: Indices
     plan: Plan
     given: GivenStates
-    own: OwnNumbers | None = None
+    own: MemberParameters = NO_DIFFERENCES
 
     @property
     def one_by_one(self) -> str:
@@ -123,7 +122,7 @@ def _group(members: Indices, plans: Sequence[Plan]) -> Group:
         else np.concatenate([getattr(p.scene.given, name) for p in plans])
         for name, part in vars(plans[0].scene.given).items()
     }
-    own = OwnNumbers(numbers=np.array([plan.numbers for plan in plans]))
+    own = MemberParameters(numbers=np.array([plan.numbers for plan in plans]))
     varied = plans[0].scene.varied
     if varied is not None:
         freed = plans[0].freed(generic=True)

@@ -10,22 +10,25 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
-from ...forces.acting import BaseInSpace
+from ...forces.acting import BaseInSpace, ForceInputs
 from ...reduction.canonical_form import CanonicalForm
 from ...reduction.inertia_split import symmetric
 from ...reduction.potential import shape_gravity
 from ...system.state_fields import ShapeState, State
-from ..entry_name import entry_name
 from ..plan import Plan
+from ..reduced_flow import entry_name
 from ..sample import Sample
 from .base_motion import Base
 
 
-class ReducedFlow:
-    """The flow of a scene by Pinocchio's numbers.  Not thread-safe.
+class PinocchioFlow:
+    """The reduced flow of a scene, evaluated by Pinocchio.  Not thread-safe.
 
-    y0: (k,) reduced state at the start.  numbers: (p,) those in the forces; the torques
-    that controllers hold are set in it as time goes on.
+    Attributes:
+        y0: Initial reduced state, (k,).
+        parameters: Force parameters, (p,).
+        numbers_at: Indices of the force parameters among them, which is all.
+        base: The motion of the base.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -38,7 +41,7 @@ class ReducedFlow:
         self._potential = shape_gravity(system)
         self._weight = plan.acting.weight
         self._form = CanonicalForm(system, self._potential)
-        self.numbers = plan.numbers.copy()
+        self.parameters, self.numbers_at = plan.numbers, slice(None)
         self.base = base = Base(plan, start)
         pi = start.mass_matrix[system.r :] @ np.concatenate([base.relative_twist0, start.xdot])
         self.y0 = np.concatenate([start.x[self._free], pi[self._free], base.b0])
@@ -49,8 +52,8 @@ class ReducedFlow:
         return np.array([self.rate(time, row, numbers) for time, row in rows]).reshape(y.shape)
 
     def rate(self, t: float, y: Array, numbers: Array | None = None) -> Array:
-        """Return dy/dt, (k,).  numbers: (p,) in the forces, or those there are now."""
-        numbers = self.numbers if numbers is None else numbers
+        """Return dy/dt, (k,), with force parameters (p,); the initial ones if None."""
+        numbers = self.parameters if numbers is None else numbers
         system, form, free, r = self._system, self._form, self._free, self._system.r
         k = system.group.linear
         b = y[2 * len(free) :]
@@ -61,7 +64,7 @@ class ReducedFlow:
         if self._forces is not None:
             mu = self.base.momentum(b)
             base = self._in_space(t, b, x, v, com) if self._seen else None
-            acting = self._forces.acting(t, x, v[r:], v[:r], mu, numbers, base)
+            acting = self._forces.acting(ForceInputs(t, x, v[r:], v[:r], mu, numbers, base))
             pidot = pidot + acting.torque
             if self._forces.has_wrench:
                 push = acting.wrench[:k]

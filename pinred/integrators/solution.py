@@ -1,0 +1,135 @@
+"""Solution: the result of one integration, with dense output."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..common.arrays import Array, as_floats, read_only
+from ..common.errors import InputError, NoConvergence, ShapeError
+from .methods.method import Method
+from .stepping.run_record import Runs, copied
+
+
+@dataclass(eq=False)
+class Solution:
+    """Solution of one integration: states at the report times, and at any other time.
+
+    The kernel must stay in memory as long as `at` is called.
+
+    Attributes:
+        method: Integrator.
+        times: Report times, (T,) sorted [s].
+        y: States at these times, (T, n); read-only.
+        complete: Whether the integration reached its end, and was not stopped by a watcher.
+        params: Parameters of the kernel, (p,).
+    """
+
+    method: Method
+    times: Array
+    y: Array
+    complete: bool
+    params: Array = field(repr=False)
+    _run: Runs = field(repr=False)
+    _knots: Array = field(repr=False)
+    _rows: Array = field(repr=False)
+
+    @property
+    def steps(self) -> int:
+        """Number of accepted steps."""
+        return int(self._run["steps"].item())
+
+    @property
+    def rejected(self) -> int:
+        """Number of rejected steps."""
+        return int(self._run["rejected"].item())
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations of the vector field."""
+        return int(self._run["evaluations"].item())
+
+    @property
+    def knots(self) -> Array:
+        """Times of all step ends, (K,) [s]."""
+        return read_only(self._knots[: self.steps + 1])
+
+    @property
+    def states(self) -> Array:
+        """States at the step ends, (K, n).
+
+        A quaternion in them has the length that the step has left; `at` gives it length one.
+        """
+        return read_only(self._rows[: self.steps + 1, : self.y.shape[1]])
+
+    @property
+    def stored(self) -> Array:
+        """States at the step ends, followed by the stored stage derivatives, (K, n + …)."""
+        return read_only(self._rows[: self.steps + 1])
+
+    def at(self, times: ArrayLike) -> Array:
+        """Return the states at given times, equal to those reported by the run.
+
+        Only the steps that contain these times are recomputed.
+
+        Args:
+            times: Times in any order, (T,) [s].
+        Returns:
+            States, (T, n).
+        Raises:
+            InputError: A time is outside of the run.
+            NoConvergence: An implicit step to one of the times was not solved.
+        """
+        asked = checked_times(times, float(self.knots[-1]), ordered=False)
+        order = np.argsort(asked, kind="stable")
+        n = self.states.shape[1]
+        sorted_states = np.empty((len(asked), n))
+        stepper, run = self.method.stepper(), copied(self._run)
+        stepper.loops.recall(
+            run,
+            self.params,
+            stepper.work(n, tangent=run["tangent"].item() > 0),
+            read_only(asked[order]),
+            sorted_states,
+            self.knots,
+            self.stored,
+        )
+        lost = np.flatnonzero(np.isnan(sorted_states).any(axis=1))
+        if lost.size:
+            time = float(asked[order][lost[0]])
+            last_state = self.states[np.searchsorted(self.knots, time) - 1]
+            raise NoConvergence(
+                f"the state at t = {time:g} s, within a step, has no solution that could be "
+                "found: take shorter steps",
+                time,
+                last_state,
+            )
+        y = np.empty_like(sorted_states)
+        y[order] = sorted_states
+        return y
+
+
+def checked_times(times: ArrayLike, t_end: float, *, ordered: bool) -> Array:
+    """Return times as a read-only array (T,) within [0, t_end].
+
+    Args:
+        times: Times [s].
+        t_end: End time [s].
+        ordered: Whether they must be sorted.
+    Returns:
+        The times.
+    Raises:
+        ShapeError: There is not exactly one axis.
+        InputError: Times are outside of the run or not sorted.
+    """
+    checked = np.array(as_floats(times, "times"))
+    if checked.ndim != 1:
+        raise ShapeError(f"times must have shape (T,), got {checked.shape}")
+    if checked.size:
+        if not (checked.min() >= 0.0 and checked.max() <= t_end):  # NaN is outside too
+            raise InputError(f"times must lie between 0 and {t_end:g} s, got {checked}")
+        if ordered and (checked[1:] < checked[:-1]).any():
+            raise InputError(f"times must be sorted, got {checked}")
+    return read_only(checked)

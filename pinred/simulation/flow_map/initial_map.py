@@ -1,0 +1,150 @@
+"""The map from the inputs of a flow to its initial reduced state, with derivatives."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...common.arrays import Array
+from ...common.errors import InputError
+from ...kernels.differentiable import call_value
+from ...kernels.evaluate import evaluate_each
+from ...kernels.flow_functions import initial_conditions_of
+from ...kernels.initial_conditions import TwistOrMomentum
+from ...kernels.kernel import Kernel
+from ..compiled.compiled_flow import CompiledFlow
+from .inputs import Given
+
+
+class InitialMap:
+    """The map from input columns to reduced state, parameters and centre-of-mass path.
+
+    The columns are those of Given: `state`, and `constants`, which end with the fall of the centre
+    of mass.  Reduced states without entries have one zero, as integrators need one.
+    """
+
+    def __init__(self, kernel: Kernel, motion: TwistOrMomentum) -> None:
+        """Prepare the map for inputs with a body twist ("xi") or a body momentum ("mu")."""
+        layout, k = kernel.layout, kernel.system.group.linear
+        self._kernel, self._function = kernel, initial_conditions_of(kernel, motion)
+        self._address = self._function.value.address
+        self._cuts = [layout.size, layout.size + layout.gravity_at]
+        self._size, self._fall = self._cuts[1] + 2 * k, k
+        self._hole, self._path = layout.com_path_at - layout.gravity_at, layout.com_path
+
+    def __call__(self, given: Given, t: float = 0.0) -> CompiledFlow:
+        """Return the flow that starts from inputs.
+
+        Args:
+            given: The inputs.
+            t: Time of the start [s]; the path of the centre of mass starts at time zero.
+
+        Returns:
+            The flow.
+
+        Raises:
+            InputError: The momentum or twist overflows.
+        """
+        constants, fall = self._split(given.constants)
+        out = np.empty(self._size)
+        call_value(self._address, given.state, self._with_path(constants, None), out)
+        _refuse_overflow(out)
+        y, head, start = self._pieces(out)
+        path = _moved_back(t, np.concatenate([start, fall]), self._fall)
+        parameters = np.concatenate([head, self._with_path(constants, path)])
+        return CompiledFlow(self._kernel, y if y.size else np.zeros(1), parameters, path)
+
+    def of_many(self, states: Array, constants: Array) -> CompiledFlow:
+        """Return the flow of N inputs, rows of states and constants.  Raises InputError."""
+        rest, falls = self._split(constants.T)
+        known = np.ascontiguousarray(self._with_path(rest, None).T)
+        out = evaluate_each(self._address, states, known, self._size)
+        _refuse_overflow(out)
+        y, head, start = self._pieces(out.T)
+        path = np.vstack([start, falls])
+        parameters = np.vstack([head, self._with_path(rest, path)])
+        return CompiledFlow(
+            self._kernel, *(np.ascontiguousarray(columns.T) for columns in (y, parameters, path))
+        )
+
+    def along(
+        self, given: Given, state: Array, constants: Array, t: float = 0.0
+    ) -> tuple[Array, Array, Array]:
+        """Return derivatives along N directions of the inputs.
+
+        Args:
+            given: The inputs.
+            state: Directions of their state, (…, N).
+            constants: Directions of their constants, (…, N).
+            t: Time of the start [s].
+
+        Returns:
+            Derivatives of the reduced state (n, N), the parameters (p, N) and the path (3k, N).
+        """
+        constants, falls = self._split(constants)
+        known, directions = self._known(given), self._with_path(constants, None)
+        out = self._function.forward(given.state, known, state, directions, self._size)
+        y, head, start = self._pieces(out)
+        path = _moved_back(t, np.vstack([start, falls]), self._fall)
+        parameters = np.vstack([head, self._with_path(constants, path)])
+        return y if len(y) else np.zeros((1, state.shape[1])), parameters, path
+
+    def back(
+        self, given: Given, by_y: Array, by_parameters: Array, by_path: Array
+    ) -> tuple[Array, Array]:
+        """Return the cotangents of the inputs' state and constants.
+
+        Args:
+            given: The inputs.
+            by_y: Cotangent of the reduced state, (n,).
+            by_parameters: Cotangent of the parameters, (p,).
+            by_path: Cotangent of the path, (3k,).
+
+        Returns:
+            The cotangents.
+        """
+        size, head = self._cuts[0], self._cuts[1] - self._cuts[0]
+        hole = slice(head + self._hole, head + self._hole + self._path)
+        if self._path:
+            by_path = by_path.copy()
+            by_path[: self._path] += by_parameters[hole]
+        starts = len(by_path) - self._fall
+        covector = np.concatenate([by_y[:size], by_parameters[:head], by_path[:starts]])
+        state, constants = self._function.reverse(given.state, self._known(given), covector)
+        constants += by_parameters[head:]
+        if self._path:
+            constants = np.delete(constants, np.s_[self._hole : self._hole + self._path])
+        return state, np.concatenate([constants, by_path[starts:]])
+
+    def _pieces(self, out: Array) -> tuple[Array, Array, Array]:
+        """Split outputs into reduced state, first parameters, and start with velocity."""
+        first, second = self._cuts
+        return out[:first], out[first:second], out[second:]
+
+    def _known(self, given: Given) -> Array:
+        return self._with_path(self._split(given.constants)[0], None)
+
+    def _with_path(self, constants: Array, path: Array | None) -> Array:
+        """Return constants (…) with the path among them if forces depend on it; zero for None."""
+        if not self._path:
+            return constants
+        if path is None:
+            path = np.zeros((self._path, *constants.shape[1:]))
+        return np.concatenate([constants[: self._hole], path, constants[self._hole :]])
+
+    def _split(self, constants: Array) -> tuple[Array, Array]:
+        """Split input constants into those of the kernel and the fall of the centre of mass."""
+        at = len(constants) - self._fall
+        return constants[:at], constants[at:]
+
+
+def _refuse_overflow(out: Array) -> None:
+    if not np.isfinite(out).all():
+        raise InputError("the initial momentum or twist overflows: rates or momentum too large")
+
+
+def _moved_back(t: float, path: Array, k: int) -> Array:
+    """Return the path (3k, …) from time zero that has this start and velocity at time t."""
+    if t == 0.0:
+        return path
+    start, velocity, fall = path[:k], path[k : 2 * k], path[2 * k :]
+    return np.concatenate([start - t * velocity + 0.5 * t**2 * fall, velocity - t * fall, fall])

@@ -1,0 +1,367 @@
+"""Propagator: values of a flow map from stop to stop, its tangents, and its adjoint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...common.arrays import Array, read_only
+from ...common.errors import InputError, IntegrationError
+from ...integrators.integrate import Integration
+from ...integrators.run_derivatives import Slopes, refuse_without_derivatives, run_along, run_back
+from ...integrators.solution import Solution
+from ...kernels.differentiable import call_value
+from ...kernels.evaluate import evaluate_each
+from ...kernels.flow_functions import Row, outcome_of, rate_of, sizes_of
+from ...kernels.tangent import tangent_of
+from ...system.coordinates import Indices
+from ...system.state_fields import Outcome, ShapeState, State, map_arrays
+from ..compiled.compiled_flow import CompiledFlow, kernel_of, rate_address
+from ..compiled.integrator import explained, wild_steps
+from ..members.integrate_members import integrate_members
+from ..plan import Plan, Span
+from .initial_map import InitialMap
+from .inputs import Given, motion_of
+from .later import made_later
+from .outcomes_back import OutcomesBack
+
+
+@dataclass
+class Run:
+    """A value of a flow map.
+
+    Attributes:
+        given: Its inputs.
+        flow: The compiled flow that starts from these.
+        solutions: Solution between each two stops.
+    """
+
+    given: Given
+    flow: CompiledFlow
+    solutions: list[Solution]
+
+
+class Propagator:
+    """The kernels and integrations that all values of a flow map share.
+
+    Attributes:
+        plan: The plan of the scene.
+        method: Integrator.
+        zero_momentum: Whether the angular momentum is zero whatever the inputs are.
+        kernel: Machine code and layout.
+        address: Address of the vector field.
+        slopes: Addresses of its derivatives.
+    """
+
+    def __init__(self, plan: Plan, *, zero_momentum: bool) -> None:
+        """Prepare the kernels.  Raises InputError if the scene or its method has no derivatives."""
+        self.plan, self.method, self.zero_momentum = plan, plan.method, zero_momentum
+        if plan.forces is not None and plan.forces.held:
+            controller, _ = plan.forces.held[0]
+            raise InputError(
+                f"{controller.name} is a function of Python, which has no derivatives; write it as "
+                "a Torque of CasADi expressions, or use simulate"
+            )
+        if plan.scene.events_given:
+            raise InputError("a flow map looks for no events; use simulate for them")
+        refuse_without_derivatives(self.method)
+        self.kernel = kernel = kernel_of(plan, zero_momentum=zero_momentum, generic=True)
+        self._initial = InitialMap(kernel, motion_of(plan.scene))
+        self.address, self.rate = rate_address(kernel, self.method), rate_of(kernel)
+        rate, layout = self.rate, kernel.layout
+        self.slopes = Slopes(
+            tangent=lambda: rate.tangent.address,
+            adjoint=lambda: rate.adjoint.address,
+            tangents=lambda count: rate.wide_tangent(count).address,
+            adjoints=lambda count: rate.wide_adjoint(count).address,
+        )
+        self._n = max(layout.size, 1)
+        self._backs: dict[tuple[Row, ...], OutcomesBack] = {}
+        self._integrations = [
+            Integration(
+                self.method, self.address, self._n, span.stop - span.start, span.times,
+                layout.quaternion, layout.canonical, lambda: tangent_of(kernel).address,
+            )
+            for span in plan.spans
+        ]  # fmt: skip
+
+    def run(self, given: Given, *, stages: bool = False) -> Run:
+        """Return the value at inputs.
+
+        Args:
+            given: The inputs.
+            stages: Whether to store stage derivatives for the backward pass.
+
+        Returns:
+            The value.
+
+        Raises:
+            InputError: The initial momentum or twist overflows.
+            IntegrationError: The motion cannot be followed.
+        """
+        flow = self._initial(given)
+        y, layout = flow.y0, self.kernel.layout
+        solutions: list[Solution] = []
+        for span, integrate in zip(self.plan.spans, self._integrations, strict=True):
+            if solutions:
+                y = solutions[-1].states[-1].copy()
+                if layout.quaternion >= 0 and self.method.lanes == 1:
+                    q = slice(layout.quaternion, layout.quaternion + 4)
+                    y[q] /= np.linalg.norm(y[q])
+            parameters = read_only(flow.parameters_between(span.start, span.stop))
+            try:
+                solution = integrate(parameters, y, stages=stages)
+            except IntegrationError as stop:
+                raise explained(stop, flow, self.plan.scene, span.start, parameters) from None
+            if not self.method.adaptive:
+                wild = wild_steps(self.kernel, self.plan, solution.states, solution.knots)
+                if wild:
+                    raise IntegrationError(wild)
+            solutions.append(solution)
+        return Run(given, flow, solutions)
+
+    def end(self, run: Run) -> State | ShapeState:
+        """Return the full state at the end of a value; its fields are computed at first access."""
+        span, solution = self.plan.spans[-1], run.solutions[-1]
+        time = span.start + span.times[-1]
+        return self._state(run.flow, time, solution.y[-1], solution.params)
+
+    def states(self, run: Run) -> State | ShapeState:
+        """Return the full states of a value at the report times."""
+        parts = [
+            run.flow.states(span.start + span.times, solution.y, solution.params)
+            for span, solution in self._reported(run)
+        ]
+        return map_arrays(_joined, *parts) if len(parts) > 1 else parts[0]
+
+    def outputs(self, run: Run) -> Array:
+        """Return the kernel's outputs, (T, ·), at the report times."""
+        return _joined(
+            *(
+                run.flow.outputs(span.start + span.times, solution.y, solution.params)
+                for span, solution in self._reported(run)
+            )
+        )
+
+    def outputs_of_many(self, states: Array, constants: Array, threads: int | None) -> Array:
+        """Return the kernel's outputs at many inputs, in SIMD lanes where the method can.
+
+        They agree with `outputs` within round-off times the stretch of the flow.
+
+        Args:
+            states: State of the inputs, (N, …), as in Given.
+            constants: Constants of the inputs, (N, …), as in Given.
+            threads: Number of threads; as many as processors if None.
+
+        Returns:
+            (N, T, ·): the outputs at the report times.
+
+        Raises:
+            InputError: An initial momentum or twist overflows.
+            IntegrationError: A member cannot be followed.
+        """
+        flow, kernel, count = self._initial.of_many(states, constants), self.kernel, len(states)
+        batch = integrate_members(flow, self.plan, np.arange(count), threads)
+        if batch.failures:
+            failure = min(batch.failures, key=lambda failure: failure.member)
+            raise IntegrationError(
+                f"member {failure.member} of {count} stopped at t = {failure.time:g} s: "
+                f"{failure.reason}"
+            )
+        parts = []
+        for span in self.plan.spans:
+            T = len(span.times)
+            rows = batch.y[:, span.rows, : kernel.layout.size].reshape(
+                count * T, kernel.layout.size
+            )
+            if not kernel.layout.clock:
+                rows = np.hstack([rows, np.tile(span.start + span.times, count)[:, None]])
+            constants = np.hstack([flow.parameters_between(span.start, span.stop), flow.path])
+            out = evaluate_each(
+                kernel.outputs.address, rows, np.repeat(constants, T, axis=0), kernel.where.size
+            )
+            parts.append(out.reshape(count, T, kernel.where.size))
+        return np.concatenate(parts, axis=1)
+
+    def entries(self, rows: Iterable[Outcome]) -> Indices:
+        """Return the indices of fields of State among the kernel's outputs."""
+        where = self.kernel.where
+        indices = np.arange(where.size)
+        return np.concatenate([indices[where.fields[row]] for row in rows])
+
+    def along(self, run: Run, rows: tuple[Row, ...], state: Array, constants: Array) -> Array:
+        """Return derivatives of outputs along N directions of the inputs.
+
+        Args:
+            run: The value.
+            rows: The outputs.
+            state: Directions of the inputs' state, (…, N).
+            constants: Directions of their constants, (…, N).
+
+        Returns:
+            (T, rows, N).
+        """
+        layout, size = self.kernel.layout, self._size(rows)
+        y, parameters, path = self._initial.along(run.given, state, constants)
+        outcome, out = outcome_of(self.kernel, rows), []
+        for span, solution in zip(self.plan.spans, run.solutions, strict=True):
+            tangents = run_along(
+                self.method, self.address, self.slopes, solution.params, solution.states[0],
+                solution.knots, span.times, layout.quaternion, y, parameters, solution.states,
+            )  # fmt: skip
+            y = tangents.end_slopes
+            if not span.times.size:
+                continue
+            b = np.concatenate([solution.params, run.flow.path])
+            b_along = np.vstack([parameters, path])
+            points = self._outcome_points(run.flow, span, solution)
+            for a, slopes in zip(points, tangents.slopes, strict=True):
+                a_along = np.zeros((len(a), state.shape[1]))
+                a_along[: layout.size] = slopes[: layout.size]
+                out.append(outcome.forward(a, b, a_along, b_along, size))
+        return np.array(out)
+
+    def back(self, run: Run, rows: tuple[Row, ...], covectors: Array) -> tuple[Array, Array]:
+        """Return the cotangents of the inputs' state and constants.
+
+        Args:
+            run: The value.
+            rows: The outputs.
+            covectors: Cotangents of the outputs, (T, rows).
+
+        Returns:
+            The cotangents.
+        """
+        layout = self.kernel.layout
+        back = self._backs.get(rows)
+        if back is None:
+            back = self._backs[rows] = OutcomesBack(self.kernel, rows)
+        p = layout.parameters
+        by_rest = np.zeros(p + len(run.flow.path))
+        covector = np.zeros(self._n)
+        for span, solution in zip(self.plan.spans[::-1], run.solutions[::-1], strict=True):
+            at_times = np.zeros((len(span.times), self._n))
+            if len(span.times):
+                constants = np.concatenate([solution.params, run.flow.path])
+                back(
+                    span.start, span.times, solution.y, constants, covectors[span.rows], at_times,
+                    by_rest,
+                )  # fmt: skip
+            found = run_back(
+                self.method, self.address, self.slopes, solution.params, solution, span.times,
+                layout.quaternion, covector, at_times,
+            )  # fmt: skip
+            covector = found.by_state
+            by_rest[:p] += found.by_parameters
+        return self._initial.back(run.given, covector, by_rest[:p], by_rest[p:])
+
+    def one_step(
+        self,
+        given: Given,
+        h: float,
+        t: float,
+        rows: tuple[Row, ...],
+        columns: tuple[Array, Array] | None,
+    ) -> tuple[State | ShapeState, Array]:
+        """Return the state after one step, and the derivatives of outputs there.
+
+        Args:
+            given: The inputs, with the state at the start of the step.
+            h: Length of the step [s].
+            t: Time of its start [s].
+            rows: The outputs.
+            columns: N directions of the inputs' state and constants, (…, N); None for no
+                derivatives.
+
+        Returns:
+            The state, and the derivatives, (rows, N).
+
+        Raises:
+            InputError: The step passes a time at which a force is not smooth.
+            IntegrationError: The state is not finite.
+        """
+        kernel, layout = self.kernel, self.kernel.layout
+        self._check_step(t, h)
+        state, constants = columns or (
+            np.zeros((len(a), 0)) for a in (given.state, given.constants)
+        )
+        flow = self._initial(given, t)
+        y_along, parameters_along, path_along = self._initial.along(given, state, constants, t)
+        if layout.clock:
+            flow.y0[layout.size - 1] = t
+        parameters, knots = read_only(flow.parameters_between(t, t + h)), np.array([0.0, h])
+        step = run_along(
+            self.method, self.address, self.slopes, parameters, flow.y0, knots, knots[1:],
+            layout.quaternion, y_along, parameters_along,
+        )  # fmt: skip
+        if not np.isfinite(step.y).all():
+            raise IntegrationError(
+                f"a step of {h:g} s of '{kernel.system.name}' is not finite: take shorter ones"
+            )
+        end = self._state(flow, t + h, step.y[0], parameters)
+        if columns is None or not isinstance(end, State):
+            return end, np.zeros((0, 0))
+        a = np.concatenate([step.y[0, : layout.size], [t + h], end.pose])
+        b = np.concatenate([parameters, flow.path])
+        a_along = np.zeros((len(a), state.shape[1]))
+        a_along[: layout.size] = step.slopes[0][: layout.size]
+        b_along = np.vstack([parameters_along, path_along])
+        return end, outcome_of(kernel, rows).forward(a, b, a_along, b_along, self._size(rows))
+
+    def _state(
+        self, flow: CompiledFlow, t: float, y: Array, parameters: Array
+    ) -> State | ShapeState:
+        """Return the full state at one time; its fields are computed at first access."""
+        kernel, layout = self.kernel, self.kernel.layout
+
+        def outputs() -> Array:
+            row = np.empty(layout.size + 1 - layout.clock)
+            row[: layout.size] = y[: layout.size]
+            if not layout.clock:
+                row[layout.size] = t
+            out = np.empty(kernel.where.size)
+            call_value(kernel.outputs.address, row, np.concatenate([parameters, flow.path]), out)
+            return out
+
+        return made_later(kernel.system, kernel.where, t, outputs, wanted=layout.base_requested)
+
+    def _reported(self, run: Run) -> Iterator[tuple[Span, Solution]]:
+        """Yield the spans that have report times, with their solutions."""
+        for span, solution in zip(self.plan.spans, run.solutions, strict=True):
+            if span.times.size:
+                yield span, solution
+
+    def _check_step(self, t: float, h: float) -> None:
+        plan = self.plan
+        if not (np.isfinite(t) and t >= 0.0 and t + h <= plan.scene.end * (1.0 + 1e-12)):
+            raise InputError(
+                f"a step of {h:g} s from t = {t:g} s is not within the scene's {plan.scene.end:g} s"
+            )
+        inside = plan.stops[(plan.stops > t + 1e-12) & (plan.stops < t + h - 1e-12)]
+        if inside.size:
+            raise InputError(
+                f"a function of time is not smooth at t = {inside[0]:g} s, within the step of "
+                f"{h:g} s from {t:g} s; let steps end there"
+            )
+        if t and plan.acting.driven:
+            raise InputError("a step of a scene with prescribed joints begins at t = 0")
+
+    def _outcome_points(self, flow: CompiledFlow, span: Span, solution: Solution) -> Array:
+        """Return the first arguments of the outcome at report times: reduced state, time, pose."""
+        t, size = span.start + span.times, self.kernel.layout.size
+        points = np.zeros((len(t), size + 1 + self.kernel.system.group.size))
+        points[:, :size], points[:, size] = solution.y[:, :size], t
+        if self.kernel.layout.base_requested:
+            outputs = flow.outputs(t, solution.y, solution.params)
+            points[:, size + 1 :] = outputs[:, self.kernel.where.fields["pose"]]
+        return points
+
+    def _size(self, rows: tuple[Row, ...]) -> int:
+        sizes = sizes_of(self.plan.system)
+        return sum(sizes[row] for row in rows)
+
+
+def _joined(*parts: Array) -> Array:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)

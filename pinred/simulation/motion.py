@@ -1,0 +1,201 @@
+"""Motion: the segments of an integrated scene, and the outcome of events and controllers.
+
+Integration stops where a force is not smooth, or where a controller is due.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.arrays import Array, read_only
+from ..system.coordinates import Indices
+from ..system.state_fields import ShapeState, State, map_arrays
+from .control import Control, ControlAction, Replay
+from .events import Found, Watch, ended
+from .plan import Plan
+from .reduced_flow import Integrate, ReducedFlow, Segment
+from .sample import Sample
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Reduced states at times (T,) and their rates.
+
+    Attributes:
+        which: Index of the segment of each time, (T,).
+        y: Reduced states, (T, k).
+        rates: Their rates, (T, k).
+    """
+
+    which: Indices
+    y: Array
+    rates: Array
+
+
+class Motion:
+    """A solved scene: full states at any time.
+
+    Attributes:
+        flow: The reduced flow.
+        segments: Segments in order of time.
+        actions: Calls of the controllers.
+        found: Crossings of the events.
+        ended_by: The crossing that ended the motion, None if none did.
+    """
+
+    def __init__(
+        self,
+        flow: ReducedFlow,
+        segments: Sequence[Segment],
+        *,
+        varies: bool = False,
+        actions: Sequence[ControlAction] = (),
+        watch: Watch | None = None,
+    ) -> None:
+        """Take a flow and its segments.
+
+        Args:
+            flow: The reduced flow.
+            segments: Segments in order of time.
+            varies: Whether full states follow from reduced ones differently in each segment.
+            actions: Calls of the controllers.
+            watch: The search for events, None without events.
+        """
+        self.flow, self.segments, self._varies = flow, segments, varies
+        self.actions = tuple(actions)
+        self.found: list[Found] = [] if watch is None else watch.found
+        self.ended_by = None if watch is None else watch.end
+        self._ends = np.array([segment.end for segment in segments])
+
+    @property
+    def steps(self) -> int:
+        """Number of accepted steps."""
+        return sum(segment.steps for segment in self.segments)
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations of the vector field."""
+        return sum(segment.evaluations for segment in self.segments)
+
+    @property
+    def knots(self) -> Array:
+        """Times of all step ends, (K,) [s]."""
+        return np.unique(np.concatenate([segment.knots for segment in self.segments]))
+
+    @property
+    def replay(self) -> Replay:
+        """The actions of the controllers, for another simulation."""
+        return Replay(self._ends, [self._numbers(segment) for segment in self.segments])
+
+    def reduced(self, t: Array) -> Array:
+        """Return the reduced states at times (T,), (T, k)."""
+        if len(self.segments) == 1:
+            return self.segments[0].at(t)
+        y = np.empty((len(t), len(self.flow.y0)))
+        for segment, rows in self._by_segment(self._which(t)):
+            y[rows] = segment.at(t[rows])
+        return y
+
+    def states(self, t: Array) -> State | ShapeState:
+        """Return the full states at times (T,)."""
+        y = self.reduced(t)
+        if not self._varies:
+            return self.flow.states(t, y, self.segments[-1].parameters)
+        return self._states(t, y, self._which(t))
+
+    def samples(self, t: Array) -> list[tuple[Sample, Array]]:
+        """Return the states at times (T,) that forces depend on, with the force parameters."""
+        segments = [self.segments[k] for k in self._which(t)]
+        return [
+            (self.flow.sample(time, row, segment.parameters), self._numbers(segment))
+            for time, row, segment in zip(t.tolist(), self.reduced(t), segments, strict=True)
+        ]
+
+    def numbers(self, t: Array) -> list[Array]:
+        """Return the force parameters (p,) at each of times (T,)."""
+        return [self._numbers(self.segments[k]) for k in self._which(t)]
+
+    def changes(self, t: Array) -> Changes:
+        """Return reduced states and their rates at times (T,)."""
+        y, which = self.reduced(t), self._which(t)
+        rates = np.empty_like(y)
+        for segment, rows in self._by_segment(which):
+            rates[rows] = self.flow.rates(t[rows], y[rows], segment.parameters)
+        return Changes(which, y, rates)
+
+    def beside(self, t: Array, changes: Changes, s: Array) -> Array:
+        """Extrapolate reduced states at constant rates, and return the velocities there.
+
+        Args:
+            t: Times, (T,) [s].
+            changes: Reduced states and rates at these times.
+            s: Time differences, (T,) [s].
+
+        Returns:
+            (T, n): body twist and shape rate at times t + s.
+        """
+        y = changes.y + s[:, None] * changes.rates
+        states = self._states(t + s, y, changes.which)
+        assert isinstance(states, State)
+        return np.hstack([states.xi, states.xdot])
+
+    def _states(self, t: Array, y: Array, which: Indices) -> State | ShapeState:
+        """Return the full states of reduced states that belong to several segments."""
+        parts, order = [], []
+        for segment, rows in self._by_segment(which):
+            parts.append(self.flow.states(t[rows], y[rows], segment.parameters))
+            order.append(np.flatnonzero(rows))
+        back = np.argsort(np.concatenate(order))
+        return map_arrays(lambda *columns: np.concatenate(columns)[back], *parts)
+
+    def _by_segment(self, which: Indices) -> Iterator[tuple[Segment, NDArray[np.bool_]]]:
+        """Yield each segment among `which`, with the mask of its times."""
+        for k in np.unique(which):
+            yield self.segments[k], which == k
+
+    def _numbers(self, segment: Segment) -> Array:
+        return segment.parameters[self.flow.numbers_at]
+
+    def _which(self, t: Array) -> Indices:
+        """Return the segment of each time; a stop belongs to the segment that ends there."""
+        return np.minimum(np.searchsorted(self._ends, t, side="left"), len(self.segments) - 1)
+
+
+def follow(plan: Plan, flow: ReducedFlow, integrate: Integrate) -> Motion:
+    """Integrate a flow from stop to stop, with the actions of controllers and events.
+
+    Args:
+        plan: The plan of the scene.
+        flow: Its reduced flow.
+        integrate: The function that integrates the flow.
+
+    Returns:
+        The motion.
+
+    Raises:
+        IntegrationError: The integration failed.
+    """
+    t, y, parameters = 0.0, flow.y0, flow.parameters.copy()
+    numbers = parameters[flow.numbers_at]
+    control, watched = Control(plan.scene), plan.scene.watched
+    watch = None if watched is None else Watch(plan.scene, flow, watched)
+    stopping = watch.look if watch is not None and watch.may_end else None
+    segments: list[Segment] = []
+    for stop in plan.stops.tolist():
+        while t < stop and (watch is None or watch.end is None):
+            until = control.begin(numbers, t, stop, partial(flow.sample, t, y, parameters))
+            segment = integrate(t, until, y, read_only(parameters.copy()), stopping)
+            if watch is not None and watch.look(segment):
+                segments += ended(watch, segment, integrate)
+                break
+            segments.append(segment)
+            t = until
+            if t != plan.stops[-1]:
+                y = segment.at(np.array([t]))[0]
+    varies = bool(plan.acting.driven) and len(segments) > 1
+    return Motion(flow, segments, varies=varies, actions=control.calls, watch=watch)

@@ -1,0 +1,115 @@
+"""The interface of a reduced flow, and one segment of its integration.
+
+Two classes implement ReducedFlow: CompiledFlow and PinocchioFlow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from ..common.arrays import Array
+from ..system.state_fields import ShapeState, State
+from ..system.system import System
+from .sample import Sample
+
+
+class ReducedFlow(Protocol):
+    """A vector field on reduced states, and the full states that follow from these."""
+
+    @property
+    def y0(self) -> Array:
+        """Initial reduced state, (k,)."""
+
+    @property
+    def parameters(self) -> Array:
+        """Initial parameters of the vector field, (p,)."""
+
+    @property
+    def numbers_at(self) -> slice:
+        """Indices of the force parameters among `parameters`."""
+
+    def sample(self, t: float, y: Array, parameters: Array) -> Sample:
+        """Return the state at time t that forces depend on."""
+
+    def states(self, t: Array, y: Array, parameters: Array) -> State | ShapeState:
+        """Return the full states at times (T,) from reduced states (T, k)."""
+
+    def rates(self, t: Array, y: Array, parameters: Array) -> Array:
+        """Return dy/dt, (T, k), at times (T,) and reduced states (T, k)."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """The solution between two stops, during which the parameters are constant.
+
+    Attributes:
+        knots: Times of the step ends, or of the ends of parts of long steps, (K,) [s].
+        at: Dense output, from times (T,) within the segment to reduced states (T, k).
+        parameters: Parameters of the vector field, (p,).
+        steps: Number of accepted steps.
+        evaluations: Number of evaluations of the vector field.
+    """
+
+    knots: Array
+    at: Callable[[Array], Array]
+    parameters: Array
+    steps: int
+    evaluations: int
+
+    @property
+    def end(self) -> float:
+        """End time [s]."""
+        return float(self.knots[-1])
+
+
+class Integrate(Protocol):
+    """A function that integrates a flow from one stop to the next."""
+
+    def __call__(
+        self,
+        start: float,
+        end: float,
+        y0: Array,
+        parameters: Array,
+        watch: Callable[[Segment], bool] | None = None,
+    ) -> Segment:
+        """Return the segment from a reduced state at the start.
+
+        Args:
+            start: Start time [s].
+            end: End time [s].
+            y0: Reduced state at the start, (k,).
+            parameters: Parameters of the vector field, (p,); nobody changes them afterwards.
+            watch: Called with the segment so far, now and then and before a failure; if it
+                returns True, the integration stops there.
+
+        Returns:
+            The segment.
+
+        Raises:
+            IntegrationError: The integration failed.
+        """
+
+
+def entry_name(system: System, active: Sequence[int], cyclic: Sequence[int], entry: int) -> str:
+    """Return the name of an entry of a reduced state, for messages.
+
+    Args:
+        system: The system.
+        active: Indices of the joints whose positions and momenta come first.
+        cyclic: Indices of the cyclic joints, whose positions follow.
+        entry: Index of the entry.
+
+    Returns:
+        A noun phrase.
+    """
+    names, k = system.shape_names, len(active)
+    if entry < k:
+        return f"the position of joint '{names[active[entry]]}'"
+    if entry < 2 * k:
+        return f"the momentum of joint '{names[active[entry - k]]}'"
+    if entry < 2 * k + len(cyclic):
+        return f"the position of joint '{names[cyclic[entry - 2 * k]]}'"
+    return f"the motion of the root joint '{system.root_name}'"
