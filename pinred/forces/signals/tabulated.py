@@ -41,24 +41,22 @@ class _Table(Signal):
     _smoothness: ClassVar[int]
 
     def __post_init__(self) -> None:
-        type_name = type(self).__name__
+        name = type(self).__name__
         if next(parameters_in(self.times), None):
             raise InputError(
-                f"times of a {type_name} define its breaks and cannot be Parameters; its values can"
+                f"times of a {name} define its breaks and cannot be Parameters; its values can"
             )
-        times = finite_list(self.times, f"times of a {type_name}")
+        times = finite_list(self.times, f"times of a {name}")
         if times.size < self._least:
-            raise ShapeError(
-                f"a {type_name} needs at least {self._least} entries, got {times.size}"
-            )
+            raise ShapeError(f"a {name} needs at least {self._least} entries, got {times.size}")
         object.__setattr__(self, "_given", dict(parameters_in(self.values)))
-        values = vector(values_of(self.values), times.size, f"values of a {type_name}").copy()
+        values = vector(values_of(self.values), times.size, f"values of a {name}").copy()
         with np.errstate(over="ignore"):
             late = np.flatnonzero(np.diff(times) <= 0)
         if late.size:
             k = int(late[0]) + 1
             raise InputError(
-                f"times of a {type_name} must increase strictly, but entry {k} ({float(times[k])} s) "
+                f"times of a {name} must increase strictly, but entry {k} ({float(times[k])} s) "
                 f"follows {float(times[k - 1])} s"
             )
         object.__setattr__(self, "times", read_only(times))
@@ -69,7 +67,7 @@ class _Table(Signal):
         if wrong.any():
             k = int(np.argmax(wrong))
             raise InputError(
-                f"a {type_name} through these values overflows after entry {k} ({float(times[k])} s): "
+                f"a {name} through these values overflows after entry {k} ({float(times[k])} s): "
                 "times too close or values too large"
             )
         object.__setattr__(self, "_starts", times[: coefficients.shape[1]])
@@ -133,9 +131,9 @@ class _Table(Signal):
         is_selected = ca.vertcat(1, has_started) - ca.vertcat(has_started, 0)
         since = t - ca.dot(ca.SX(ca.vertcat(*start_symbols)), is_selected)
         result = ca.SX(0)
-        for coefficients_of_power in coefficients:
+        for terms in coefficients:
             coefficient = ca.dot(
-                ca.SX(ca.vertcat(*(number(value) for value in coefficients_of_power))), is_selected
+                ca.SX(ca.vertcat(*(number(value) for value in terms))), is_selected
             )
             result = result * since + coefficient
         return result
@@ -157,9 +155,9 @@ class _Table(Signal):
         return [
             [
                 Affine(float(at_zero[i, j]), {p: float(w[i, j]) for p, w in weights.items()})
-                for j in range(len(coefficients_of_power))
+                for j in range(len(terms))
             ]
-            for i, coefficients_of_power in enumerate(coefficients)
+            for i, terms in enumerate(coefficients)
         ]
 
     def _numbers(self, t: Array, order: int) -> Array:
