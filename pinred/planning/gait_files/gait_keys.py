@@ -1,4 +1,4 @@
-"""The keys of gait files: the one description that reader, JSON Schema and docs go by."""
+"""The keys of gait files: one description for the reader, the JSON Schema and the docs."""
 
 from __future__ import annotations
 
@@ -48,13 +48,15 @@ _BODIES = {
             "centre": _CENTRE,
             "axis": _AXIS,
             "convention": Key(
-                Text(("textbook", "sysplotter")), "of the added moment", default="textbook"
+                Text(("textbook", "sysplotter")),
+                "convention of the added moment",
+                default="textbook",
             ),
         },
         "an elliptic cylinder across the plane",
     ),
 }
-_AT = Key(_POINT, "where, in the link's frame [m]", default="[0, 0, 0]")
+_AT = Key(_POINT, "position in the link's frame [m]", default="[0, 0, 0]")
 _LINK = Key(Text((), "the name of a link"), "the link that carries it", required=True)
 _WHEELS = {
     "wheel": Table(
@@ -67,11 +69,13 @@ _WHEELS = {
     ),
     "rolling": Table(
         {
-            "joint": Key(Text((), "the name of a joint"), "that turns the wheel", required=True),
+            "joint": Key(
+                Text((), "the name of a joint"), "the joint that rotates the wheel", required=True
+            ),
             "radius": Key(POSITIVE, "radius [m]", required=True),
             "link": _LINK,
             "at": _AT,
-            "heading": Key(_POINT, "where positive rates take it", default="[1, 0, 0]"),
+            "heading": Key(_POINT, "direction of motion for positive rates", default="[1, 0, 0]"),
         },
         "a wheel that rolls without slipping",
     ),
@@ -81,7 +85,9 @@ CONNECTIONS = {
     "viscous": Table({"drag": Key(ByName(_ROD), "a rod for each link", required=True)}, "drag"),
     "fluid": Table(
         {
-            "density": Key(POSITIVE, "of the fluid [kg/m³]; of ellipses [kg/m²]", required=True),
+            "density": Key(
+                POSITIVE, "density of the fluid [kg/m³]; for ellipses [kg/m²]", required=True
+            ),
             "bodies": Key(
                 ByName(Tagged("kind", _BODIES, "a body")), "a body for each link", required=True
             ),
@@ -92,7 +98,7 @@ CONNECTIONS = {
         {
             "wheels": Key(
                 ListOf(Tagged("kind", _WHEELS, "a wheel")),
-                "as many as the group has dimensions",
+                "one wheel for each dimension of the group",
                 required=True,
             )
         },
@@ -115,7 +121,7 @@ GAITS = {
     "spline": Table(
         {
             "points": _POINTS,
-            "times": Key(NUMBERS, "from 0, increasing [s]", default="even ones"),
+            "times": Key(NUMBERS, "increasing times from 0 [s]", default="equally spaced"),
             "period": _PERIOD,
         },
         "a periodic cubic spline",
@@ -133,7 +139,7 @@ GAITS = {
     "recorded": Table(
         {
             "file": Key(Text(), "a csv or npz file, relative to this one", required=True),
-            "period": Key(POSITIVE, "time of one cycle [s]", default="that of the data"),
+            "period": Key(POSITIVE, "time of one cycle [s]", default="the time span of the data"),
         },
         "recorded joint data",
     ),
@@ -224,9 +230,13 @@ GAIT_FILE = Table(
             SCENE_OPTIONS["parameters"], text="robot parameters by name (docs/flow.md)"
         ),
         "connection": Key(
-            Tagged("kind", CONNECTIONS, "a connection"), "what moves the body", default="mechanical"
+            Tagged("kind", CONNECTIONS, "a connection"),
+            "connection that moves the body",
+            default="mechanical",
         ),
-        "base": Key(Text((), "the name of a link"), "the link to be the base", default="the root"),
+        "base": Key(
+            Text((), "the name of a link"), "link that serves as the base", default="the root"
+        ),
         "gait": Key(Tagged("kind", GAITS, "a gait"), "the closed path"),
         "momentum": replace(SCENE_OPTIONS["momentum"], default="0"),
         "optimise": Key(OPTIMISE, OPTIMISE.words),
@@ -237,5 +247,5 @@ GAIT_FILE = Table(
 
 
 def gait_schema() -> Schema:
-    """Return the JSON Schema (draft 2020-12) of gait files, as read from TOML."""
+    """Return the JSON Schema (draft 2020-12) of gait files."""
     return document_schema(GAIT_FILE, "pinred gait")
