@@ -20,7 +20,7 @@ from ...integrators.integrate import Integration
 from ...integrators.methods import Method
 from ...integrators.solution import Solution
 from ...kernels.kernel import Kernel
-from ...reduction.lost_inertia import lost_inertia
+from ...reduction.inertia_split import lost_inertia
 from ...scene.scene import Scene
 from ...system.joints import joint_units
 from ..plan import Plan
