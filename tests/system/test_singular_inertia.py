@@ -23,7 +23,7 @@ from pinred import ModelError, ModelWarning
 from pinred.common.arrays import Array
 from pinred.forces.signals import Spline
 from pinred.reduction.canonical_form import CanonicalForm
-from pinred.reduction.lost_inertia import lost_inertia
+from pinred.reduction.inertia_split import lost_inertia
 from pinred.reduction.potential import Potential
 from pinred.scene.scene import Engine
 from pinred.system.massless_motions import bound_massless_twists, moves_no_mass, tree_of
