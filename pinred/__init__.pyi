@@ -86,8 +86,8 @@ from .planning.gait_files.gait_keys import gait_schema as gait_schema
 from .planning.gait_files.load_gait import GaitFile as GaitFile
 from .planning.gait_files.load_gait import load_gait as load_gait
 from .planning.optimisation.best_gait import BestGait as BestGait
+from .planning.optimisation.best_gait import Optimum as Optimum
 from .planning.optimisation.optimise import optimise_gait as optimise_gait
-from .planning.optimisation.optimum import Optimum as Optimum
 from .planning.reorientation.reorient import reorient as reorient
 from .planning.reorientation.turn_plan import TurnPlan as TurnPlan
 from .reduction.at_a_shape import ReducedShape as ReducedShape

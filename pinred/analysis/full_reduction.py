@@ -3,15 +3,39 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from ..common.arrays import vectors
+from ..common.arrays import Array, vector, vectors
 from ..reduction.at_a_shape import PointwiseReduction
+from ..reduction.levi_civita import (
+    christoffel_symbols,
+    left_invariant_derivative,
+    reduced_metric_derivatives,
+    riemann_tensor,
+    sectional,
+)
+from ..reduction.tree.second_derivatives import inertia_derivatives
+from ..system.coordinates import Velocity
 
 if TYPE_CHECKING:
     from .connections.shape_field import ShapeField
+
+
+@dataclass(frozen=True)
+class SplitVelocity:
+    """A velocity as a sum of two.
+
+    Attributes:
+        vertical: (Ω, 0), a rigid motion.
+        horizontal: (−A ẋ, ẋ), without momentum.
+    """
+
+    vertical: Velocity
+    horizontal: Velocity
 
 
 class Reduction(PointwiseReduction):
@@ -22,6 +46,198 @@ class Reduction(PointwiseReduction):
     numerically singular there.  To get several quantities at one shape, call `at`, which computes
     them together.  An instance owns Pinocchio work space, so use one per thread.
     """
+
+    def amended_potential(self, x: ArrayLike, mu: ArrayLike) -> float:
+        """Compute the amended potential V(x) + ½ μᵀ I⁻¹ μ.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+            mu: Body momentum, (r,) [N s | N m s].
+        Returns:
+            The amended potential [J].  Raises SymmetryError if gravity breaks the symmetry.
+        """
+        return self.potential(x) + self.split(x).locked_energy(mu)
+
+    def kinetic_energy(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> float:
+        """Compute the kinetic energy ½ vᵀ H v, v = (ξ, ẋ).
+
+        Args:
+            x: Shape, (m,) [rad | m].
+            xdot: Shape rate, (m,) [rad/s | m/s].
+            xi: Body twist, (r,) [m/s; rad/s].
+        Returns:
+            The energy [J].
+        """
+        return self.split(x).kinetic_energy(xdot, xi)
+
+    def body_momentum(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> Array:
+        """Compute the body momentum μ = H_bb ξ + H_bs ẋ.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+            xdot: Shape rate, (m,) [rad/s | m/s].
+            xi: Body twist, (r,) [m/s; rad/s].
+        Returns:
+            (r,) [linear; angular], in the frame of the root body.
+        """
+        return self.split(x).body_momentum(xdot, xi)
+
+    def locked_velocity(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> Array:
+        """Compute the locked velocity Ω = ξ + A ẋ, the twist after the joints freeze.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+            xdot: Shape rate, (m,) [rad/s | m/s].
+            xi: Body twist, (r,) [m/s; rad/s].
+        Returns:
+            (r,); the body momentum is μ = I Ω.
+        """
+        return self.split(x).locked_velocity(xdot, xi)
+
+    def spatial_momentum(self, pose: ArrayLike, mu: ArrayLike) -> Array:
+        """Compute the spatial momentum J = Ad*_{g⁻¹} μ.
+
+        Args:
+            pose: Pose coordinates of the base.
+            mu: Body momentum, (r,) [N s | N m s].
+        Returns:
+            (r,), in the root joint's fixed frame, about its origin.
+        """
+        g = self.group.pose(pose)
+        return self.group.spatial_momentum(g, vector(mu, self.system.r, "mu"))
+
+    def connection_form(self, pose: ArrayLike, x: ArrayLike) -> Array:
+        """Compute the connection one-form 𝒜 = Ad_g (ξ + A ẋ) on velocities v = (ξ, ẋ).
+
+        Its value is the spatial twist of the locked system, J = 𝕀 𝒜(v) (`spatial_momentum`,
+        `locked_inertia_in_space`).  On a rigid motion it is the spatial twist of that motion.
+
+        Args:
+            pose: Pose coordinates of the base.
+            x: Shape, (m,) [rad | m].
+        Returns:
+            (r, n).
+        """
+        Ad = self.group.Ad(self.group.pose(pose))
+        return np.hstack([Ad, Ad @ self.local_connection(x)])
+
+    def curvature_form(self, pose: ArrayLike, x: ArrayLike) -> Array:
+        """Compute the curvature two-form d𝒜 − [𝒜, 𝒜] = Ad_g B(ẋ, ẋ′) on v = (ξ, ẋ).
+
+        Args:
+            pose: Pose coordinates of the base.
+            x: Shape, (m,) [rad | m].
+        Returns:
+            (r, n, n): a spatial twist, antisymmetric in the last two indices.  It vanishes if
+            either velocity is vertical.
+        """
+        r, n = self.system.r, self.system.n
+        form = np.zeros((r, n, n))
+        Ad = self.group.Ad(self.group.pose(pose))
+        form[:, r:, r:] = np.einsum("ij,jab->iab", Ad, self.curvature(x))
+        return form
+
+    def locked_inertia_in_space(self, pose: ArrayLike, x: ArrayLike) -> Array:
+        """Compute the spatial locked inertia 𝕀 = Ad_{g⁻¹}ᵀ I Ad_{g⁻¹}.
+
+        Args:
+            pose: Pose coordinates of the base.
+            x: Shape, (m,) [rad | m].
+        Returns:
+            (r, r), in the root joint's fixed frame, about its origin.
+        """
+        to_body = self.group.Ad(self.group.inverse(self.group.pose(pose)))
+        return np.asarray(to_body.T @ self.locked_inertia(x) @ to_body)
+
+    def horizontal_lift(self, x: ArrayLike, xdot: ArrayLike) -> Velocity:
+        """Compute the horizontal lift (−A ẋ, ẋ) of a shape rate: the velocity without momentum.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+            xdot: Shape rate, (m,) [rad/s | m/s].
+        Returns:
+            The velocity.
+        """
+        xdot = vector(xdot, self.system.m, "xdot")
+        return Velocity(xi=-self.local_connection(x) @ xdot, xdot=xdot)
+
+    def split_velocity(self, x: ArrayLike, xdot: ArrayLike, xi: ArrayLike) -> SplitVelocity:
+        """Split the velocity (ξ, ẋ) into (Ω, 0) and (−A ẋ, ẋ), which are orthogonal in H.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+            xdot: Shape rate, (m,) [rad/s | m/s].
+            xi: Body twist, (r,) [m/s; rad/s].
+        Returns:
+            Both velocities.
+        """
+        omega = self.locked_velocity(x, xdot, xi)
+        horizontal = self.horizontal_lift(x, xdot)
+        return SplitVelocity(Velocity(omega, np.zeros(self.system.m)), horizontal)
+
+    def christoffel(self, x: ArrayLike) -> Array:
+        """Compute the Christoffel symbols Γ^c_ab of the reduced metric.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+        Returns:
+            (m, m, m), c first.  Geodesics obey ẍ^c = −Γ^c_ab ẋ^a ẋ^b.
+        """
+        M, dM, _ = self._metric_derivatives(x)
+        return christoffel_symbols(M, dM)
+
+    def riemann(self, x: ArrayLike) -> Array:
+        """Compute the Riemann tensor R_abcd of the reduced metric.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+        Returns:
+            (m, m, m, m); R_abcd u^a v^b u^c v^d > 0 on a sphere.
+        """
+        return riemann_tensor(*self._metric_derivatives(x))
+
+    def sectional_curvature(self, x: ArrayLike, u: ArrayLike, v: ArrayLike) -> float:
+        """Compute the sectional curvature R(u, v, u, v)/(|u|² |v|² − ⟨u, v⟩²) of M.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+            u: Shape rate, (m,) [rad/s | m/s].
+            v: Shape rate, (m,) [rad/s | m/s].
+        Returns:
+            The curvature.  Raises InputError if u and v are parallel.
+        """
+        u, v = vector(u, self.system.m, "u"), vector(v, self.system.m, "v")
+        M, dM, d2M = self._metric_derivatives(x)
+        return sectional(riemann_tensor(M, dM, d2M), M, u, v)
+
+    def covariant_acceleration(self, x: ArrayLike, xdot: ArrayLike, xddot: ArrayLike) -> Array:
+        """Compute the covariant acceleration ẍ^c + Γ^c_ab ẋ^a ẋ^b in the reduced metric.
+
+        Args:
+            x: Shape, (m,) [rad | m].
+            xdot: Shape rate, (m,) [rad/s | m/s].
+            xddot: Shape acceleration, (m,) [rad/s² | m/s²].
+        Returns:
+            (m,); zero on geodesics.
+        """
+        xdot = vector(xdot, self.system.m, "xdot")
+        return vector(xddot, self.system.m, "xddot") + self.christoffel(x) @ xdot @ xdot
+
+    def left_invariant_derivative(self, x: ArrayLike, xi: ArrayLike, eta: ArrayLike) -> Array:
+        """Compute ∇_ξ η = ½[ξ, η] − ½ I⁻¹(ad*_ξ I η + ad*_η I ξ) in the metric I(x).
+
+        Geodesics of the frozen system obey ξ̇ = −∇_ξ ξ (Euler–Poincaré).
+
+        Args:
+            x: Shape, (m,) [rad | m].
+            xi: Body twist ξ, (r,).
+            eta: Body twist η, (r,).
+        Returns:
+            (r,).
+        """
+        r = self.system.r
+        xi, eta = vector(xi, r, "xi"), vector(eta, r, "eta")
+        return left_invariant_derivative(self.group, self.locked_inertia(x), xi, eta)
 
     def grid(self, shapes: ArrayLike) -> ShapeField:
         """Return the same quantities at many shapes, as a field over the leading axes.
@@ -36,8 +252,6 @@ class Reduction(PointwiseReduction):
             shapes: Shapes, (..., m) [rad | m].
         Returns:
             The field.
-        Raises:
-            ShapeError: shapes has the wrong length or an entry that is not finite.
         """
         from .connections.shape_field import ShapeField
 
@@ -46,3 +260,9 @@ class Reduction(PointwiseReduction):
         flat = x.reshape(math.prod(x.shape[:-1]), self.system.m)
         moves = tuple(frame.moves(flat) for frame in self.frames)
         return ShapeField(self.system, x, self._potential, moves)
+
+    def _metric_derivatives(self, x: ArrayLike) -> tuple[Array, Array, Array]:
+        """Return M and its first and second derivatives."""
+        shape = self.split(x).x  # raises SingularInertiaError
+        d = inertia_derivatives(self.system, shape[None])
+        return reduced_metric_derivatives(d, self.system.r)

@@ -16,7 +16,7 @@ from ..common.plain_names import quoted
 if TYPE_CHECKING:
     from ..scene.event import Event
     from ..scene.scene import Scene
-    from ..scene.scene_options import Option
+    from ..scene.toml.schema import Key
     from ..system.system import System
 
 ROBOT = "robot: a name (see `pinred robots`), or a URDF or MJCF file"
@@ -41,43 +41,42 @@ def option_adder(sub: argparse.ArgumentParser) -> Callable[..., None]:
     return add
 
 
-def add_options(sub: argparse.ArgumentParser, options: Mapping[str, Option]) -> None:
-    """Add the scene options that have a name on the command line.
+def add_options(sub: argparse.ArgumentParser, keys: Mapping[str, Key]) -> None:
+    """Add the keys of scene or gait files that have a name on the command line.
 
     Args:
         sub: Parser of the command.
-        options: {name: description}.  The parsed text is stored under the name.
+        keys: {name: description}.  The parsed text is stored under the name.
     """
-    from ..scene.toml.schema import ByName, Number, Whole
+    from ..scene.toml.schema import ByName, Flag, Number, Whole
 
     add = option_adder(sub)
-    for name, option in options.items():
-        more: dict[str, Any] = {"dest": name, "default": None}
-        if " " in option.command:
-            more["kind"] = {Number: float, Whole: int}.get(type(option.node), str)
-            more["action"] = "append" if isinstance(option.node, ByName) else "store"
-        if option.command:
-            add(option.command, option.description, **more)
+    for name, key in keys.items():
+        if isinstance(key.node, Flag):
+            text = key.description
+            sub.add_argument(key.command, dest=name, action="store_const", const=True, help=text)
+        elif key.command:
+            kind = {Number: float, Whole: int}.get(type(key.node), str)
+            action = "append" if isinstance(key.node, ByName) else "store"
+            add(key.command, key.description, kind, dest=name, action=action)
 
 
-def options_in(arguments: argparse.Namespace, options: Mapping[str, Option]) -> dict[str, Any]:
-    """Return the values of scene options that the arguments state.
+def options_in(arguments: argparse.Namespace, keys: Mapping[str, Key]) -> dict[str, Any]:
+    """Return the values that the arguments state.
 
     Args:
         arguments: Parsed arguments of a command.
-        options: {name: description}, as for add_options.
-
+        keys: {name: description}, as for add_options.
     Returns:
-        {name: value} of the stated options, as Scene accepts them.
-
+        {name: value} of the stated options, as Python accepts them.
     Raises:
         InputError: a text does not have the format of its option.
     """
     values: dict[str, Any] = {}
-    for name, option in options.items():
+    for name, key in keys.items():
         value = getattr(arguments, name, None)
-        if option.command and value is not None:
-            parse = _PARSERS.get(option.command.partition(" ")[2])
+        if key.command and value is not None:
+            parse = _PARSERS.get(key.command.partition(" ")[2])
             values[name] = value if parse is None else parse(value, name)
     if values.get("momentum") == [0.0]:
         values["momentum"] = 0
@@ -89,10 +88,7 @@ def add_robot(sub: argparse.ArgumentParser, text: str = ROBOT) -> None:
     from ..scene.toml.keys import LOAD
 
     sub.add_argument("robot", metavar="ROBOT", help=text)
-    add = option_adder(sub)
-    usages = ("--group G", "--lock J1,J2=VALUE,…", "--gravity GX,GY,GZ", "--root BODY", "--strict")
-    for usage in usages:
-        add(usage, LOAD.keys[usage[2:].partition(" ")[0]].description)
+    add_options(sub, {name: key for name, key in LOAD.keys.items() if key.command})
     add_parameters(sub)
 
 
@@ -131,22 +127,11 @@ def refuse_of_robots(arguments: argparse.Namespace, source: str, *names: str) ->
 
 def system_of(arguments: argparse.Namespace) -> System:
     """Load the robot that the options of add_robot name."""
+    from ..scene.toml.keys import LOAD
     from ..system.load import load
 
-    lock: dict[str, float] = {}
-    for entry in arguments.lock.split(",") if arguments.lock else ():
-        name, _, value = entry.partition("=")
-        lock[name] = (numbers_in(value, "lock") or [0.0])[0]
-    gravity = numbers_in(arguments.gravity, "gravity")
-    return load(
-        arguments.robot,
-        group=arguments.group,
-        lock=lock,
-        gravity=gravity,
-        root=arguments.root,
-        strict=arguments.strict,
-        parameters=parameters_in(arguments.parameter),
-    )
+    parameters = parameters_in(arguments.parameter)
+    return load(arguments.robot, parameters=parameters, **options_in(arguments, LOAD.keys))
 
 
 def add_scene(sub: argparse.ArgumentParser) -> None:
@@ -268,12 +253,32 @@ def prescribed_in(entries: Sequence[str]) -> dict[str, float | str]:
     return plans
 
 
-# Parsers of option texts, by the value format that the option states in `command`.
+def _lock_in(text: str, _: str) -> dict[str, float]:
+    """Return {joint: value} of a text J1,J2=VALUE,…, with zero for joints without a value."""
+    lock: dict[str, float] = {}
+    for entry in text.split(",") if text else ():
+        name, _, value = entry.partition("=")
+        lock[name] = (numbers_in(value, "lock") or [0.0])[0]
+    return lock
+
+
+def _limits_in(text: str, option: str) -> float | list[float] | dict[str, float]:
+    values = by_joint_in(text, option)
+    if not values:
+        raise InputError(f"--{option} takes {_LIMITS}, got nothing")
+    return values[0] if isinstance(values, list) and len(values) == 1 else values
+
+
+_LIMITS = "R, R1,R2,… or J1=R1,…"
+# Parsers of option texts, by the value format that a key states in `command`.
 _PARSERS: dict[str, Callable[[Any, str], Any]] = {
     "V1,V2,…": numbers_in,
     "V1,V2,… or J1=V1,…": by_joint_in,
+    "J1,J2=VALUE,…": _lock_in,
     "J=K,REST": lambda entries, _: springs_in(entries),
     "J=PLAN": lambda entries, _: prescribed_in(entries),
+    "AXIS": lambda text, name: text if text in ("x", "y", "z") else numbers_in(text, name),
+    _LIMITS: _limits_in,
 }
 
 

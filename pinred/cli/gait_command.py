@@ -7,39 +7,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import InputError
-from .command_options import add_parameters, numbers_in, option_adder
-from .gait_options import add_limits, limits_in, source_of
+from .command_options import add_options, add_parameters, option_adder, options_in
+from .gait_options import source_of
 from .output_files import describe_file, save_figure
 
 if TYPE_CHECKING:
     from ..analysis.gaits.gait import Gait
 
 _SAMPLES = 400  # number of samples of a cycle in a file
-_PLAIN = ("objective", "most", "harmonics", "vertices", "period", "starts", "seed")
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    from ..planning.optimisation.aims import AIMS
-    from ..planning.optimisation.costs import COSTS
+    from ..planning.gait_files.gait_keys import OPTIMISE
+    from ..scene.toml.keys import LOAD
 
     text = "gait file (.toml) with connection and objective, or robot: a name or a file"
     sub.add_argument("source", metavar="SOURCE", help=text)
-    add = option_adder(sub)
-    add("--group G", "symmetry group of a robot")
+    add_options(sub, {"group": LOAD.keys["group"], **OPTIMISE.keys})
     add_parameters(sub)
-    add("--objective O", f"objective: {', '.join(AIMS)} (default: {AIMS[0]})")
-    add("--axis A", "axis of the displacement: x, y, z, or V1,V2,…")
-    add("--target V1,…", "rotation [rad] or pose of objective target")
-    add("--cost C", f"cost: {', '.join(COSTS)} or none (default: {COSTS[0]})")
-    add("--most C", "upper bound on the cost", float)
-    add("--harmonics H", "number of Fourier harmonics (default: 5)", int)
-    add("--vertices N", "number of vertices of a polygon, instead of harmonics", int)
+    add = option_adder(sub)
     add("--any-winding", "let the winding number vary")
-    add_limits(sub)
-    add("--period T", "time of one cycle [s] (default: 1)", float)
-    add("--starts N", "number of random initial loops (default: 5)", int)
-    add("--seed S", "seed of the random initial loops (default: 0)", int)
     add("--compare", "compare a cycle with full ABA")
     add("--out FILE", "gait as joint data (.npz, .csv), or figure of it on the curvature")
 
@@ -73,19 +61,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _stated(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the stated options by their names in Python."""
-    values: dict[str, Any] = {
-        name: getattr(arguments, name) for name in _PLAIN if getattr(arguments, name) is not None
-    }
-    if arguments.axis is not None:
-        axis = arguments.axis
-        values["axis"] = axis if axis in ("x", "y", "z") else numbers_in(axis, "axis")
-    if arguments.target is not None:
-        values["target"] = numbers_in(arguments.target, "target")
-    if arguments.cost is not None:
-        values["cost"] = None if arguments.cost == "none" else arguments.cost
+    from ..planning.gait_files.gait_keys import OPTIMISE
+
+    options = options_in(arguments, OPTIMISE.keys)
+    if options.get("cost") == "none":
+        options["cost"] = None
     if arguments.any_winding:
-        values["winding"] = None
-    return values | limits_in(arguments)
+        options["winding"] = None
+    return options
 
 
 def _write(gait: Gait, joints: tuple[str, ...], path: Path) -> None:

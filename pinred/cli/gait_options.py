@@ -1,4 +1,4 @@
-"""Options of the commands on gaits: the source of a gait and connection, and joint limits."""
+"""Options of the commands on gaits: the source of a gait and its connection."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from ..common.errors import InputError
 from ..common.plain_names import quoted
 from .command_options import (
+    add_options,
     add_parameters,
-    by_joint_in,
     numbers_in,
     option_adder,
     parameters_in,
@@ -20,16 +20,16 @@ from .command_options import (
 if TYPE_CHECKING:
     from ..planning.gait_files.load_gait import GaitFile
 
-_LIMIT_FORMAT = "R, R1,R2,… or J1=R1,…"
-
 
 def add_source(sub: argparse.ArgumentParser) -> None:
     """Add the options that name a connection and a gait."""
+    from ..scene.toml.keys import LOAD
+
     text = "gait file (.toml), or robot: a name (see `pinred robots`) or a file"
     sub.add_argument("source", metavar="SOURCE", help=text)
-    add = option_adder(sub)
-    add("--group G", "symmetry group of a robot")
+    add_options(sub, {"group": LOAD.keys["group"]})
     add_parameters(sub)
+    add = option_adder(sub)
     add("--gait FILE", "recorded joint data (.csv, .npz) of a robot")
     add("--circle J1,J2,RADIUS", "gait of a robot: a circle of two joints about zero [rad | m]")
 
@@ -69,28 +69,3 @@ def source_of(arguments: argparse.Namespace, *, gait: bool) -> GaitFile:
         sin[0, joint_index(words[1], system.shape_names, "--circle")] = radius
         path = Gait.fourier(zero[0], cos, sin)
     return GaitFile(system, connection, path, np.zeros(system.r))
-
-
-def add_limits(sub: argparse.ArgumentParser) -> None:
-    """Add the limits of joint positions, rates and torques."""
-    add = option_adder(sub)
-    text = "keep joints in [-R, R] [rad | m] (default: limits of the robot's file)"
-    add(f"--limits {_LIMIT_FORMAT}", text)
-    add(f"--speeds {_LIMIT_FORMAT}", "largest joint rates [rad/s | m/s] (default: none)")
-    add(f"--torques {_LIMIT_FORMAT}", "largest joint torques [N·m | N] (default: none)")
-
-
-def limits_in(
-    arguments: argparse.Namespace,
-) -> dict[str, float | list[float] | dict[str, float]]:
-    """Return the stated limits, by their names in Python.  Raises InputError."""
-    limits: dict[str, float | list[float] | dict[str, float]] = {}
-    for name in ("limits", "speeds", "torques"):
-        text = getattr(arguments, name)
-        if text is None:
-            continue
-        values = by_joint_in(text, name)
-        if not values:
-            raise InputError(f"--{name} takes {_LIMIT_FORMAT}, got nothing")
-        limits[name] = values[0] if isinstance(values, list) and len(values) == 1 else values
-    return limits

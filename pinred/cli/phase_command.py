@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .command_options import numbers_in, option_adder
+from .command_options import add_options, option_adder, options_in
 from .gait_options import add_source, source_of
 from .output_files import describe_file, save_figure
 
@@ -17,9 +17,11 @@ if TYPE_CHECKING:
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
+    from ..planning.gait_files.gait_keys import GAIT_FILE
+
     add_source(sub)
+    add_options(sub, {"momentum": GAIT_FILE.keys["momentum"]})
     add = option_adder(sub)
-    add("--momentum V1,V2,…", "initial body momentum [N·s; N·m·s], or 0")
     add("--tolerance TOL", "tolerance of the pose", float, 1e-10)
     add("--cycles N", "number of cycles", int, 1)
     add("--out FILE", "figure of the cycles, or .npz or .csv file of the poses")
@@ -29,11 +31,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Print the phase.  Returns 0."""
     from ..analysis.phases.phase import phase
     from ..common.files import DATA, FIGURES, check_path
+    from ..planning.gait_files.gait_keys import GAIT_FILE
 
     path = None if arguments.out is None else check_path(arguments.out, (*FIGURES, *DATA))
     source = source_of(arguments, gait=True)
-    stated = numbers_in(arguments.momentum, "momentum")
-    momentum = source.momentum if stated is None else (0 if stated == [0.0] else stated)
+    stated = options_in(arguments, {"momentum": GAIT_FILE.keys["momentum"]})
+    momentum = stated.get("momentum", source.momentum)
     result = phase(source.connection, source.path, momentum, tolerance=arguments.tolerance)
     print(f"{source.connection}: one cycle of {source.path.period:g} s")
     _print(result)

@@ -46,7 +46,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
     add("--direction D", "direction of a Poincaré section: 1, -1 or 0", int)
     add("--against W", "axis of work_precision: wall or evaluations")
     add("--time T", "duration of the motion of a robot [s]", float)
-    add("--seed S", "seed of a random initial state of a robot", int)
+    add("--seed S", "random seed of the initial state of a robot", int)
     add("--group G", "symmetry group of a robot")
     add("--root BODY", "root body of a robot in an MJCF file with several")
     add_parameters(sub)

@@ -9,31 +9,25 @@ from typing import TYPE_CHECKING, Any
 from ..common.errors import InputError
 from .command_options import (
     ROBOT,
+    add_options,
     add_robot,
-    by_joint_in,
-    numbers_in,
     option_adder,
+    options_in,
     refuse_of_robots,
     system_of,
 )
-from .gait_options import add_limits, limits_in
 from .output_files import describe_file, save_figure
 
 if TYPE_CHECKING:
+    from ..scene.toml.schema import Key
     from ..system.system import System
 
 
 def add_arguments(sub: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add_robot(sub, f"{ROBOT}, or a gait file with [reorient]")
-    add_limits(sub)
+    add_options(sub, _keys())
     add = option_adder(sub)
-    text = "rotation vector or angle [rad], or a pose, whose attitude is the target"
-    add("--target V1,V2,V3", text)
-    add("--x0 V1,V2,… or J1=V1,…", "shape at start and end [rad | m] (default: zero)")
-    add("--momentum V1,V2,…", "initial body momentum [N·s; N·m·s], or 0")
-    add("--cycles N", "number of equal loops (default: smallest possible)", int)
-    add("--time T", "duration of the motion [s] (default: 2 per cycle)", float)
     add("--compare", "compare the motion with full ABA")
     add("--out FILE", "write the motion (.npz, .csv) or a figure")
 
@@ -79,16 +73,14 @@ def _stated(arguments: argparse.Namespace) -> tuple[System, dict[str, Any]]:
         options |= file.reorient
     else:
         system = system_of(arguments)
-    if arguments.target is not None:
-        options["target"] = numbers_in(arguments.target, "target")
-        if not options["target"]:
-            raise InputError("--target takes numbers separated by commas, got nothing")
-    if arguments.x0 is not None:
-        options["x0"] = by_joint_in(arguments.x0, "x0")
-    momentum = numbers_in(arguments.momentum, "momentum")
-    if momentum is not None:
-        options["momentum"] = 0 if momentum == [0.0] else momentum
-    for name, value in (("cycles", arguments.cycles), ("duration", arguments.time)):
-        if value is not None:
-            options[name] = value
-    return system, options | limits_in(arguments)
+    stated = options_in(arguments, _keys())
+    if stated.get("target") == []:
+        raise InputError("--target takes numbers separated by commas, got nothing")
+    return system, options | stated
+
+
+def _keys() -> dict[str, Key]:
+    """Return the keys of gait files that are options of this command."""
+    from ..planning.gait_files.gait_keys import GAIT_FILE, REORIENT
+
+    return {**REORIENT.keys, "momentum": GAIT_FILE.keys["momentum"]}

@@ -1,7 +1,7 @@
-"""Everything that acts on a system: forces, controllers, and the signals they follow.
+"""Forces on a system: torques, wrenches, potentials, controllers, and the signals they follow.
 
-One set of expressions serves every route.  Imports `reduction` and what lies below it.
-The names are those that `kinds` lists, imported when they are first used.
+The same expressions serve all routes to the dynamics. This package imports `reduction` and packages
+below it. Its public names are those of `kinds`, imported when first used.
 """
 
 from importlib import import_module

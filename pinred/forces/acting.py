@@ -1,4 +1,4 @@
-"""Numbers of forces at one state: what they see of the base in space, and what acts."""
+"""Arguments and values of forces at one state, as numbers."""
 
 from __future__ import annotations
 
@@ -9,9 +9,13 @@ from ..common.arrays import Array, freeze
 
 @dataclass(frozen=True)
 class BaseInSpace:
-    """The base as seen from the root joint's fixed frame: see SeenState.
+    """The base relative to the root joint's fixed frame: see SeenState.
 
-    pose: (size,).  xi, mu, J: (r,) body twist, body momentum, spatial momentum.
+    Attributes:
+        pose: Pose, (size,).
+        xi: Body twist, (r,).
+        mu: Body momentum, (r,).
+        J: Spatial momentum, (r,).
     """
 
     pose: Array
@@ -21,8 +25,36 @@ class BaseInSpace:
 
 
 @dataclass(frozen=True)
+class ForceInputs:
+    """The state that forces depend on, and their numbers: see Symbols.
+
+    Attributes:
+        t: Time [s].
+        x: Shape, (m,).
+        xdot: Shape rate, (m,).
+        xi: Body twist relative to the centre of mass, (r,).
+        mu: Body momentum about the centre of mass, (r,).
+        numbers: Numbers of the forces, (p,).
+        base: The base in space; needed if forces depend on it.
+    """
+
+    t: float
+    x: Array
+    xdot: Array
+    xi: Array
+    mu: Array
+    numbers: Array
+    base: BaseInSpace | None = None
+
+
+@dataclass(frozen=True)
 class Acting:
-    """All that acts at one state.  torque: (m,) on the joints, −∂V/∂x included.  wrench: (r,)."""
+    """The sum of all forces at one state.
+
+    Attributes:
+        torque: Torques on the joints, −∂V/∂x included, (m,).
+        wrench: Wrench on the base, (r,).
+    """
 
     torque: Array
     wrench: Array
@@ -30,7 +62,13 @@ class Acting:
 
 @dataclass(frozen=True)
 class Prescribed:
-    """Positions, rates and accelerations of the prescribed joints, (k,) each."""
+    """Motion of k prescribed joints at one time.
+
+    Attributes:
+        x: Positions, (k,).
+        xdot: Rates, (k,).
+        xddot: Accelerations, (k,).
+    """
 
     x: Array
     xdot: Array

@@ -1,10 +1,10 @@
-"""The two forms of functions of the state, and how they are told apart.
+"""The two accepted argument lists of functions of the state.
 
-A function that can take four arguments is given (t, x, xdot, mu), as seen from the centre of
-mass; one that can take one, and not four, is given a SeenState.  What decides is the number of
-positional arguments, never their names.  A function that takes `*args` takes four.  One that
-could take either, because its other arguments have defaults, is refused: say which is meant,
-with a lambda or with keyword-only arguments.
+A function that accepts four positional arguments is called with (t, x, xdot, mu), where mu is about
+the centre of mass. A function that accepts one, and not four, is called with a SeenState. Only the
+number of positional arguments decides, never their names. A function with `*args` is called with
+four. A function that accepts both, because other arguments have defaults, is rejected: use a lambda
+or keyword-only arguments.
 """
 
 from __future__ import annotations
@@ -21,15 +21,21 @@ from .force import of_time, scalar
 
 Action: TypeAlias = Callable[..., Any]
 
-_MANY = 1_000_000  # what *args take
+_MANY = 1_000_000  # number of arguments that *args accept
 _POSITIONAL = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
 FORMS = "(t, x, xdot, mu), or one state s with s.t, s.x, s.xdot, s.pose, s.xi, s.mu and s.J"
 
 
 def takes_state(function: Callable[..., Any], what: str) -> bool:
-    """Return whether a function is of one argument, a SeenState, and not of (t, x, xdot, mu).
+    """Return whether a function takes one SeenState instead of (t, x, xdot, mu).
 
-    Raises InputError, naming `what`, where it is neither, or could be both.
+    Args:
+        function: The function.
+        what: Its name in messages.
+    Returns:
+        True for one argument, False for four.
+    Raises:
+        InputError: It accepts neither number of arguments, or both.
     """
     least, most = _counts(function, what)
     if least > 4 or most < 1 or (least > 1 and most < 4):
@@ -47,7 +53,7 @@ def takes_state(function: Callable[..., Any], what: str) -> bool:
 
 
 def _counts(function: Callable[..., Any], what: str) -> tuple[int, int]:
-    """Return how many positional arguments a function takes, at least and at most."""
+    """Return the smallest and the largest number of positional arguments of a function."""
     if hasattr(function, "n_in"):  # a Function of CasADi
         return function.n_in(), function.n_in()
     try:
@@ -66,7 +72,15 @@ def _counts(function: Callable[..., Any], what: str) -> tuple[int, int]:
 
 
 def called(function: Callable[..., Any], s: Symbols, what: str) -> Any:
-    """Return what a function of the state gives, in the form that it has, with symbols."""
+    """Call a function of the state with symbols, and return its result.
+
+    Args:
+        function: The function, or a Formula.
+        s: Variables of the forces.
+        what: Name of the function in messages.
+    Returns:
+        Its result.
+    """
     from .formula import Formula  # needs CasADi
 
     if isinstance(function, Formula):
@@ -77,7 +91,16 @@ def called(function: Callable[..., Any], s: Symbols, what: str) -> Any:
 
 
 def acting_value(value: Any, s: Symbols, number: Callable[[Any], Any], what: str) -> Any:
-    """Return a Signal, a number or a function of the state as an expression."""
+    """Return a Signal, a number or a function of the state as an expression.
+
+    Args:
+        value: The value.
+        s: Variables of the forces.
+        number: Converts a number to a symbol.
+        what: Name of the value in messages.
+    Returns:
+        A scalar expression.
+    """
     if callable(value):
         return scalar(called(value, s, what), what)
     return of_time(value, s, number, what)

@@ -1,4 +1,4 @@
-"""Symbols of which forces are functions, and columns of what they give."""
+"""Symbols for the arguments of forces, and columns of torques, wrenches and loads."""
 
 from __future__ import annotations
 
@@ -11,15 +11,21 @@ from ..reduction.tree.all_joints import joint_rates, joint_values
 from ..system.coupling import following
 from ..system.force_interface import Load, SeenState
 from ..system.system import System
-from .by_name import Column
 from .force import Symbols, Terms
+from .named_arrays import Column
 
 
 def symbols_of(system: System, within: ca.SX | None) -> tuple[Symbols, tuple[ca.SX, ...]]:
-    """Return the variables of forces, and those of the base in space among them.
+    """Create the variables of forces, and the symbols of the base in space among them.
 
-    These are pose, body twist, body momentum and spatial momentum.  What forces see of the base
-    is made of them only where it is not known from the frame of the centre of mass already.
+    What forces see of the base is expressed by symbols of the base in space only where the frame of
+    the centre of mass does not determine it.
+
+    Args:
+        system: The robot.
+        within: Time that selects the piece of tables, None without tables.
+    Returns:
+        The variables, and the symbols of pose, body twist, body momentum and spatial momentum.
     """
     r, group = system.r, system.group
     t, xi, mu = ca.SX.sym("t"), ca.SX.sym("xi", r), ca.SX.sym("mu", r)
@@ -45,31 +51,38 @@ def symbols_of(system: System, within: ca.SX | None) -> tuple[Symbols, tuple[ca.
 
 
 def seen_of_base(system: System, everything: ca.SX, base: tuple[ca.SX, ...]) -> tuple[bool, bool]:
-    """Return whether expressions depend on the attitude, and on place or speed of the base.
+    """Return whether expressions depend on the attitude, and on position or velocity of the base.
 
-    base: its symbols, as `symbols_of` gives them.
+    Args:
+        system: The robot.
+        everything: Expressions.
+        base: Symbols of the base in space, as `symbols_of` returns them.
+    Returns:
+        Two flags.
     """
-    k, (pose, *others) = system.group.linear, base
+    k, (pose, *motion) = system.group.linear, base
     coordinates = ca.vertsplit(pose)
-    place, turned = [*coordinates[:k], *others], coordinates[k:]
+    translation, attitude_symbols = [*coordinates[:k], *motion], coordinates[k:]
     if not k:
-        place, turned = [], [*turned, *others]
-    attitude, where = (ca.vertcat(ca.SX(0, 1), *each) for each in (turned, place))
-    return ca.depends_on(everything, attitude), ca.depends_on(everything, where)
+        translation, attitude_symbols = [], [*attitude_symbols, *motion]
+    attitude_column, place_column = (
+        ca.vertcat(ca.SX(0, 1), *symbols) for symbols in (attitude_symbols, translation)
+    )
+    return ca.depends_on(everything, attitude_column), ca.depends_on(everything, place_column)
 
 
 def _column(system: System, what: str, on_joints: Callable[..., list[Any]]) -> Column:
-    """Return the symbols of the shape or its rate, with the expressions of what follows it."""
+    """Return symbols of the shape or its rate, with expressions for follower joints."""
     symbols = ca.SX.sym(what, system.m)
     if system.coupled is None:
         return Column(symbols, system.shape_names, what)
-    every = on_joints(system, ca.vertsplit(symbols))
-    followers = [ca.SX(every[system.joint_number(name)]) for name in system.followers]
+    joint_expressions = on_joints(system, ca.vertsplit(symbols))
+    followers = [ca.SX(joint_expressions[system.joint_number(name)]) for name in system.followers]
     return Column(symbols, (*system.shape_names, *system.followers), what, followers)
 
 
 def torque_column(terms: Terms, system: System) -> ca.SX:
-    """Return the torques (m,) on the shape."""
+    """Return the torques on the shape, (m,)."""
     column = ca.SX(system.m, 1)
     for k, value in sorted(terms.torque.items()):
         i, ratio = through(system, k)
@@ -78,7 +91,14 @@ def torque_column(terms: Terms, system: System) -> ca.SX:
 
 
 def through(system: System, k: int) -> tuple[int, float]:
-    """Return the shape coordinate on which what acts on a joint acts, and by what factor."""
+    """Return the shape coordinate and the factor through which a torque on a joint acts.
+
+    Args:
+        system: The robot.
+        k: Index of a shape joint, or m plus the index of a follower joint.
+    Returns:
+        Index of the shape coordinate, and the ratio of the joint's motion to it.
+    """
     if k < system.m or system.coupled is None:
         return k, 1.0
     j = system.joint_number(system.followers[k - system.m])
@@ -86,14 +106,14 @@ def through(system: System, k: int) -> tuple[int, float]:
 
 
 def wrench_column(terms: Terms, r: int) -> ca.SX:
-    """Return the wrench (r,) on the base."""
+    """Return the wrench on the base, (r,)."""
     entries: list[Any] = terms.wrench if terms.wrench is not None else [0.0] * r
     column: ca.SX = ca.vertcat(*entries)
     return column
 
 
 def load_column(load: Load) -> ca.SX:
-    """Return what a load is, (9,): its entries, with zeros to six, and its point."""
+    """Return a load as a column (9,): its entries, padded with zeros to six, and its point."""
     padding = [0.0] * (6 - len(load.entries))
     column: ca.SX = ca.vertcat(*load.entries, *padding, *load.at)
     return column

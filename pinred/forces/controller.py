@@ -1,4 +1,4 @@
-"""Controllers: any Python function in the loop, called at equal times and held in between."""
+"""Controllers: Python functions sampled at equal intervals, with a zero-order hold."""
 
 from __future__ import annotations
 
@@ -19,12 +19,17 @@ from .force import Limit, Named, Symbols, Terms, checked, limited
 
 @dataclass(frozen=True)
 class Command:
-    """What a controller gives, where torques alone do not say it.
+    """Torques and a wrench for one period of a controller.
 
-    torque: {joint: torque} or one for each of its joints; none if None.  wrench: r entries on the
-    base in its own frame, [linear; angular], at its origin.  width: for how long of the period all
-    of it is held [s], then nothing acts; to the next call if None, or if that comes first.  A
-    thruster that fires for a part of each period is a wrench with a width.
+    With a width, a thruster fires for a part of each period.
+
+    Attributes:
+        torque: Torques [N·m | N], as {joint: torque} or one for each of the controller's joints;
+            None for zero.
+        wrench: Wrench on the base in its own axes, at its origin, [linear; angular], (r,); None for
+            zero.
+        width: Duration for which the command acts [s], at most to the next sample; None for the
+            whole period.
     """
 
     torque: Mapping[str, float] | ArrayLike | None = None
@@ -42,7 +47,12 @@ STATELESS = _Stateless()
 
 @dataclass(frozen=True)
 class Held:
-    """What is held.  values: torques of the joints, then the wrench.  width: s, or None."""
+    """The zero-order hold of a command.
+
+    Attributes:
+        values: Torques of the joints, then the wrench.
+        width: Duration [s], or None for the whole period.
+    """
 
     values: Array
     width: float | None
@@ -50,19 +60,23 @@ class Held:
 
 @dataclass(frozen=True)
 class Controller(Named):
-    """Torques and wrenches from any Python function, called every `period` seconds and held.
+    """Torques and wrenches from a Python function, sampled periodically with a zero-order hold.
 
-    function: (t, x, xdot, mu), the numbers of Symbols, or one SeenState with pose, twist and
-    momenta of the base (see arguments.py), → {joint: torque}, a torque for each of its joints, or
-    a Command.  x["hinge"] and xdot["hinge"] are entries by joint, as x[0] is; arrays made of them
-    are plain.  joints: those whose torques it gives; all if None, or none if it gives a wrench.
-    wrench: whether its Commands have wrenches on the base, of which momentum is then integrated.
-    state0: the first state of a controller that keeps one, anything that can be copied; its
-    function is update(t, state, measurement) → (action, state), with a SeenState as measurement.
-    Every simulation begins with a copy of it.
+    The commands are stored with the motion (Trajectory.actions). `compare` uses them instead of
+    calling the function again.
 
-    What it gave is kept with the motion (Trajectory.actions), and `compare` takes it from there
-    instead of calling it again.
+    Attributes:
+        function: Called with numbers, as (t, x, xdot, mu) or with one SeenState (see arguments.py).
+            It returns {joint: torque}, one torque per joint, or a Command. x["hinge"] equals x[0]
+            for the first joint "hinge".
+        period: Sampling interval [s].
+        joints: Joints whose torques it sets. None: all joints, or none if it sets a wrench.
+        limit: Bounds on the torques, or None.
+        name: Name in messages and results.
+        wrench: Whether its Commands have wrenches on the base. Momentum is then integrated.
+        state0: Initial state of a controller with memory, any object that can be copied. The
+            function is then update(t, state, measurement) → (action, state) with a SeenState as
+            measurement. Every simulation starts with a copy of state0.
     """
 
     function: Callable[..., Any]
@@ -79,7 +93,7 @@ class Controller(Named):
         if not isinstance(self.wrench, bool):
             raise InputError(
                 f"wrench of {self.name} must be True or False, got {brief(self.wrench)}; "
-                "the wrench itself stands in the Command that it gives"
+                "the wrench itself is part of the Command that the function returns"
             )
         if not self.keeps_state:
             takes_state(self.function, self.name)
@@ -93,87 +107,128 @@ class Controller(Named):
         if len(set(self.joints)) < len(self.joints):
             raise InputError(f"joints of {self.name} must differ, got {', '.join(self.joints)}")
         if not (self.joints or self.wrench):
-            raise InputError(f"{self.name} has no joints and gives no wrench: it does nothing")
+            raise InputError(
+                f"{self.name} has no joints and no wrench, so it has no effect. "
+                "Add joints or wrench=True"
+            )
 
     @property
     def keeps_state(self) -> bool:
-        """Whether it has a state of its own."""
+        """Whether the controller has a state."""
         return not isinstance(self.state0, _Stateless)
 
     @property
     def sees_base(self) -> bool:
-        """Whether it is given the pose of the base."""
+        """Whether the function takes the pose of the base."""
         return self.keeps_state or takes_state(self.function, self.name)
 
     def driven(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the joints whose torques it gives; names: of all shape joints."""
+        """Return the joints whose torques it sets.
+
+        Args:
+            names: All shape joints.
+        Returns:
+            Names.
+        """
         return names if self.joints is None else self.joints
 
     def count(self, names: tuple[str, ...], r: int) -> int:
-        """Return how many numbers it gives."""
+        """Return the number of values in a command.
+
+        Args:
+            names: All shape joints.
+            r: Dimension of the symmetry group.
+        Returns:
+            Number of torques and wrench entries.
+        """
         return len(self.driven(names)) + (r if self.wrench else 0)
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return what is held: numbers that are set anew at every sample."""
+        """Return torques and wrench as numbers that each sample sets.
+
+        Args:
+            s: Variables of the forces.
+            number: Converts a number to a symbol.
+        Returns:
+            The terms.
+        """
         torque = {s.joint(name, self.name): number(0.0) for name in self.driven(s.names)}
         wrench = [number(0.0) for _ in range(s.mu.numel())] if self.wrench else None
         return Terms(torque=limited(self.limit, s, torque, number, self.name), wrench=wrench)
 
     def sample(self, seen: SeenState, about: Array, state: Any) -> tuple[Any, Any]:
-        """Return what it gives at one time, and its new state.
+        """Call the function at one time.
 
-        seen: numbers.  about: (r,) μ about the centre of mass, which functions of four arguments
-        are given.  Raises InputError.
+        Args:
+            seen: State, as numbers.
+            about: Momentum μ about the centre of mass for functions of four arguments, (r,).
+            state: State of the controller.
+        Returns:
+            Its command, and its new state.
+        Raises:
+            InputError: A controller with a state does not return (action, state).
         """
         if self.keeps_state:
-            given = self.function(seen.t, state, seen)
-            if not (isinstance(given, tuple) and len(given) == 2):
+            result = self.function(seen.t, state, seen)
+            if not (isinstance(result, tuple) and len(result) == 2):
                 raise InputError(
                     f"{self.name} keeps a state, so it must give (action, state), "
-                    f"but gave {brief(given)} at t = {seen.t:g} s"
+                    f"but gave {brief(result)} at t = {seen.t:g} s"
                 )
-            return given
+            return result
         if self.sees_base:
             return self.function(seen), state
         return self.function(seen.t, seen.x, seen.xdot, about.copy()), state
 
     def held(self, given: Any, names: tuple[str, ...], r: int, t: float) -> Held:
-        """Return what it gave as numbers.  Raises InputError."""
+        """Convert a command to numbers.
+
+        Args:
+            given: The function's result.
+            names: All shape joints.
+            r: Dimension of the symmetry group.
+            t: Time of the sample [s].
+        Returns:
+            The numbers and their duration.
+        Raises:
+            InputError: The result is not a valid command.
+        """
         command = given if isinstance(given, Command) else Command(torque=given)
         if command.wrench is not None and not self.wrench:
             raise InputError(
                 f"{self.name} gave a wrench at t = {t:g} s; say so beforehand with "
                 "Controller(…, wrench=True), for momentum is then integrated"
             )
-        parts = [self._torques(command.torque, names, t)]
+        blocks = [self._torques(command.torque, names, t)]
         if self.wrench:
             wrench = [0.0] * r if command.wrench is None else command.wrench
-            parts.append(self._checked(wrench, r, "a wrench of {} finite entries", t))
+            blocks.append(self._checked(wrench, r, "a wrench of {} finite entries", t))
         width = command.width
         if width is not None:
             width = float(self._checked([width], 1, "one width [s]", t)[0])
             if width < 0.0:
                 raise InputError(f"{self.name} gave a width of {width:g} s at t = {t:g} s")
-        return Held(np.concatenate(parts), width)
+        return Held(np.concatenate(blocks), width)
 
-    def _torques(self, given: Any, names: tuple[str, ...], t: float) -> Array:
-        wanted = self.driven(names)
-        if given is None and (self.wrench or not wanted):
-            return np.zeros(len(wanted))
-        if isinstance(given, Mapping):
-            unknown = [name for name in given if name not in wanted]
+    def _torques(self, torques: Any, names: tuple[str, ...], t: float) -> Array:
+        driven = self.driven(names)
+        if torques is None and (self.wrench or not driven):
+            return np.zeros(len(driven))
+        if isinstance(torques, Mapping):
+            unknown = [name for name in torques if name not in driven]
             if unknown:
                 raise InputError(
                     f"{self.name} gave a torque for '{unknown[0]}' at t = {t:g} s; "
-                    f"its joints are {', '.join(wanted) or 'none'}"
+                    f"its joints are {', '.join(driven) or 'none'}"
                 )
-            given = [given.get(name, 0.0) for name in wanted]
-        return self._checked(given, len(wanted), f"{{}} finite torques ({', '.join(wanted)})", t)
+            torques = [torques.get(name, 0.0) for name in driven]
+        return self._checked(torques, len(driven), f"{{}} finite torques ({', '.join(driven)})", t)
 
-    def _checked(self, given: Any, count: int, wanted: str, t: float) -> Array:
-        values = as_floats(given, f"what {self.name} gave at t = {t:g} s")
+    def _checked(self, result: Any, count: int, expected: str, t: float) -> Array:
+        values = as_floats(result, f"what {self.name} gave at t = {t:g} s")
         if values.shape != (count,) or not np.isfinite(values).all():
             raise InputError(
-                f"{self.name} must give {wanted.format(count)}, but gave {given!r} at t = {t:g} s"
+                f"{self.name} must give {expected.format(count)}, but gave {result!r} "
+                f"at t = {t:g} s"
             )
         return values

@@ -1,4 +1,4 @@
-"""Formulas of the state as text: what scene files and events have in the place of functions."""
+"""Formulas of the state as text, used in scene files and events in place of functions."""
 
 from __future__ import annotations
 
@@ -16,22 +16,32 @@ NAMES = ("t", "x", "xdot", "mu", "pose", "xi", "J")
 
 @dataclass(frozen=True)
 class Formula:
-    """An expression in t, x, xdot, mu, pose, xi and J.  others: names beside these, {name: SX}.
+    """An expression in t, x, xdot, mu, pose, xi and J.
 
-    mu is that of functions of (t, x, xdot, mu), about the centre of mass; pose, xi and J are those
-    of a SeenState, of the base in space.
+    mu is the momentum about the centre of mass. pose, xi and J describe the base in space, as in a
+    SeenState.
+
+    Attributes:
+        text: The formula, see signals/expressions.py.
+        others: Further names, {name: SX}.
     """
 
     text: str
     others: Mapping[str, Any] = field(default_factory=dict)
 
     def __call__(self, s: Symbols) -> ca.SX:
-        """Return the expression.  Raises InputError with the place of a fault."""
+        """Return the expression for given variables.
+
+        Args:
+            s: Variables of the forces.
+        Returns:
+            The expression.
+        """
         return parse(self.text, formula_names(s) | dict(self.others))
 
 
 def formula_names(s: Symbols) -> dict[str, Any]:
-    """Return {name: symbols} of all that formulas may use of the state."""
+    """Return the names that formulas may use of the state, {name: symbols}."""
     seen = s.seen
     lists = {"mu": s.mu, "pose": seen.pose, "xi": seen.xi, "J": seen.J}
     return {

@@ -1,4 +1,4 @@
-"""A wrench on the base, or on any link at any point of it."""
+"""A wrench on the base, or on a point of any link."""
 
 from __future__ import annotations
 
@@ -23,17 +23,20 @@ AXES: tuple[Axes, ...] = ("body", "world")
 
 @dataclass(frozen=True)
 class Wrench(Named):
-    """A wrench [linear; angular]: thrusters, drag, a hand that is pulled.
+    """A wrench [linear; angular], such as a thruster, drag, or a pulled hand.
 
-    function: (t, x, xdot, mu) → its entries, called once; or a list of entries, each a Signal, a
-    number or (t, x, xdot, mu) → expression; joints by name as in Torque.  A function of one
-    argument is given a SeenState instead, with pose, twist and momenta of the base.
+    Without a link it acts on the base: r entries along the group's axes, at the base's origin. On a
+    link it has 3 entries, a force [N], or 6, a force and a moment [N; N·m].
 
-    On the base, where no link is named: r entries along the group's axes, at the base's origin.
-    link: the name of any link.  Then it has 3 entries, a force [N], or 6, a force and a moment
-    [N; N·m], in space; at: the point of the link it acts at, (3,) in the link's frame [m].
-    frame: whose axes its entries are along: "body", the base's or the link's own, or "world",
-    those of the root joint's fixed frame, in which pose and spatial momentum are.
+    Attributes:
+        function: (t, x, xdot, mu) → entries, called once with symbols, or the same of one
+            SeenState; or a list of entries, each a Signal, a number or such a function of one
+            entry.
+        name: Name in messages and results.
+        link: Name of a link, or None for the base.
+        at: Point of the link at which the wrench acts, in the link's frame, (3,) [m].
+        frame: Axes of the entries: "body", those of the base or link, or "world", those of the root
+            joint's fixed frame, in which pose and spatial momentum are given.
     """
 
     function: Action | Sequence[Action | Signal | float | Parameter]
@@ -43,8 +46,8 @@ class Wrench(Named):
     frame: Axes = field(default="body", kw_only=True)
 
     def __post_init__(self) -> None:
-        wanted = "a function of (t, x, xdot, mu), of a state, or a list of Signals or numbers"
-        checked(self.name, wanted, self.function, Sequence, np.ndarray)
+        expected = "a function of (t, x, xdot, mu), of a state, or a list of Signals or numbers"
+        checked(self.name, expected, self.function, Sequence, np.ndarray)
         if not one_of(self.frame, AXES):
             raise InputError(
                 f"frame of {self.name} must be one of {', '.join(AXES)}, got {brief(self.frame)}"
@@ -58,40 +61,47 @@ class Wrench(Named):
         point = as_floats(values_of(self.at), f"at of {self.name}")
         if point.shape != (3,) or not np.isfinite(point).all():
             raise InputError(f"at of {self.name} must be 3 finite numbers, got {brief(self.at)}")
-        given = self.at.tolist() if isinstance(self.at, np.ndarray) else self.at
-        object.__setattr__(self, "at", tuple(given))
+        coordinates = self.at.tolist() if isinstance(self.at, np.ndarray) else self.at
+        object.__setattr__(self, "at", tuple(coordinates))
 
     @property
     def signals(self) -> Iterable[Signal]:
-        """The functions of time in it."""
+        """Functions of time in the wrench."""
         return () if callable(self.function) else signals_in(self.function)
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the wrench, or the load on a link."""
-        found = self._entries(s, number, s.mu.numel())
+        """Return the wrench, or the load on a link.
+
+        Args:
+            s: Variables of the forces.
+            number: Converts a number to a symbol.
+        Returns:
+            The terms.
+        """
+        values = self._entries(s, number, s.mu.numel())
         if self.link is None and self.frame == "body":
-            return Terms(wrench=found)
+            return Terms(wrench=values)
         if self.link is None:
-            return Terms(loads=[Load(None, [0.0] * 3, self.frame, found)])
+            return Terms(loads=[Load(None, [0.0] * 3, self.frame, values)])
         point = [number(a) if isinstance(a, Parameter) else float(a) for a in self.at or (0, 0, 0)]
-        both = [*found, *[0.0] * (6 - len(found))]
-        return Terms(loads=[Load(self.link, point, self.frame, both)])
+        padded = [*values, *[0.0] * (6 - len(values))]
+        return Terms(loads=[Load(self.link, point, self.frame, padded)])
 
     def _entries(self, s: Symbols, number: Callable[[Any], Any], r: int) -> list[Any]:
-        """Return the entries as expressions.  Raises InputError for another number of them."""
+        """Return the entries as expressions; InputError if their number is wrong."""
         function = self.function
-        given = called(function, s, self.name) if callable(function) else function
+        value = called(function, s, self.name) if callable(function) else function
         if self.link is None:
-            found = entries(given, r, self.name)
+            values = entries(value, r, self.name)
         else:
-            found = entries(given, 3 if _count(given) == 3 else 6, f"{self.name} on a link")
+            values = entries(value, 3 if _count(value) == 3 else 6, f"{self.name} on a link")
         if callable(function):
-            return [scalar(v, f"{self.name}[{i}]") for i, v in enumerate(found)]
-        return [acting_value(v, s, number, f"{self.name}[{i}]") for i, v in enumerate(found)]
+            return [scalar(v, f"{self.name}[{i}]") for i, v in enumerate(values)]
+        return [acting_value(v, s, number, f"{self.name}[{i}]") for i, v in enumerate(values)]
 
 
 def _count(given: Any) -> int:
-    """Return how many entries something has; 0 if it has none."""
+    """Return the number of entries of a value, 0 if it has none."""
     if hasattr(given, "numel"):
         return int(given.numel())
     return len(given) if hasattr(given, "__len__") else 0

@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import IntegrationError
-from ..forces.acting import BaseInSpace
+from ..forces.acting import BaseInSpace, ForceInputs
 from ..kernels.loads_by_pinocchio import LoadsByPinocchio
 from ..scene.scene import Scene
 from ..simulation.control import Control, Replay
@@ -245,11 +245,12 @@ class FullState:
         x, v, q = y[size : size + m], y[size + m :], self.q(y)
         xi, mu = self.totals.about_com(q, v) if self._forces.sees_momentum else self._unused
         shape = self.couplings.shape
-        state = shape(x), shape(v[r:]), xi, mu, self._parameters
         base = None
         if self._forces.sees_base:
             base = self.base_in_space(q, y[:size], v, momenta=self._forces.sees_base_momenta)
-        acting, loads = self._forces.acting_apart(t, *state, base)
+        acting, loads = self._forces.acting_apart(
+            ForceInputs(t, shape(x), shape(v[r:]), xi, mu, self._parameters, base)
+        )
         tau = np.append(acting.wrench, self.couplings.joint_torques(acting.torque))
         if self._loads is not None:
             tau += self._loads.generalised(q, loads)

@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..common.arrays import Array
-from ..forces.acting import BaseInSpace
+from ..forces.acting import BaseInSpace, ForceInputs
 from ..reduction.inertia_split import mass_matrix_at
 from ..reduction.potential import acting_gravity, falling, translations
 from ..reduction.tree.body_frames import bodies_of
@@ -214,7 +214,7 @@ def random_state(kernel: Kernel, rng: np.random.Generator, reach: float) -> Refe
     com = np.array(data.Ycrb[1].lever)
     if forces is not None:
         base = _base_in_space(system, pose, com_path, push, time, com, H, v)
-        acting = forces.acting(time, x, v[r:], v[:r], mu, force_parameters, base)
+        acting = forces.acting(ForceInputs(time, x, v[r:], v[:r], mu, force_parameters, base))
         potential = np.array([forces.potential(x, force_parameters)])
         if not np.isfinite(np.concatenate([acting.torque, acting.wrench, potential])).all():
             return None

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
 from ..common.arrays import Array
 from ..common.errors import InputError, KernelMismatch, ModelError
+from ..forces.acting import ForceInputs
 from ..reduction.potential import translations
 from ..system.joints import axes_of
 from ..system.scale import ill_scaled
@@ -242,7 +243,7 @@ def _validate_inverse_dynamics(kernel: Kernel, at: ReferenceState, v: Array) -> 
     if kernel.forces is None:
         return
     full = system.joint_rates(v)
-    for acceleration, torque in kernel.forces.required(*_force_arguments(at, v)):
+    for acceleration, torque in kernel.forces.required(force_inputs(at, v)):
         bias = system.on_shape(pin.nonLinearEffects(at.model, system.data, at.q, full))
         base = -np.linalg.solve(H[:r, :r], H[:r, r:] @ acceleration + bias[:r])
         a = np.append(base, acceleration)
@@ -257,7 +258,7 @@ def _forces_at(kernel: Kernel, at: ReferenceState, v: Array) -> tuple[Array, Arr
     system, forces = kernel.system, kernel.forces
     if forces is None:
         return np.zeros(system.m), np.zeros(system.r)
-    acting, loads = forces.acting_apart(*_force_arguments(at, v))
+    acting, loads = forces.acting_apart(force_inputs(at, v))
     if not forces.loads:
         return acting.torque, acting.wrench
     root = axes_of(system.model.joints[1])
@@ -267,10 +268,10 @@ def _forces_at(kernel: Kernel, at: ReferenceState, v: Array) -> tuple[Array, Arr
     return acting.torque + on_links[system.r :], acting.wrench + on_links[: system.r]
 
 
-def _force_arguments(at: ReferenceState, v: Array) -> tuple[Any, ...]:
-    """Return the arguments of a ForceModel at a state, in its order."""
+def force_inputs(at: ReferenceState, v: Array) -> ForceInputs:
+    """Return the arguments of a ForceModel at a state with velocity v, (r + m,)."""
     xi, xdot = v[: len(at.mu)], v[len(at.mu) :]
-    return at.time, at.x, xdot, xi, at.mu, at.force_parameters, at.in_space(v)
+    return ForceInputs(at.time, at.x, xdot, xi, at.mu, at.force_parameters, at.in_space(v))
 
 
 def _gravity_moment(kernel: Kernel, at: ReferenceState) -> Array:

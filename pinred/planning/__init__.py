@@ -1,4 +1,4 @@
-"""Motions that do what is asked of them: best gaits, and joint motion that turns the base.
+"""Motion planning: optimal gaits, and joint motions that reorient the base.
 
-Imports `judge` and the packages below it, since each plan can be judged.
+Imports `judge` and the packages below it, so that each plan can be validated.
 """

@@ -1,20 +1,20 @@
-"""The base as it follows the shape: which parts are integrated, which known in closed form.
+"""The variables of the base: which are integrated, and which have a closed form.
 
 Translations are not integrated.  In the frame of the centre of mass the linear momentum is
-zero; the centre of mass itself moves on c0 + v0 t + ½ g t², and the base is where that puts
-it, p = c − R c_b(x).  Of the rotation, the attitude is integrated if it is asked for; the
-angular momentum is not: about a single axis (SO(2), SE(2), ℝ × SE(2)) it is a constant, in SO(3)
-and SE(3) it turns with the body, μ = Rᵀ J.
+zero.  The centre of mass follows c0 + v0 t + ½ g t², and the base is at p = c − R c_b(x).  The
+attitude is integrated if it is requested.  The angular momentum is not integrated: about a single
+axis (SO(2), SE(2), ℝ × SE(2)) it is constant, and in SO(3) and SE(3) it rotates with the body,
+μ = Rᵀ J.
 
-Forces on the base make more parts move.  A wrench (F, N) at the base's origin, in its frame,
-or the weight of a pivoted body changes the angular momentum μ about the centre of mass (in
-SO(3), about the pivot), which is then integrated,
+Forces on the base require more variables.  A wrench (F, N) at the base's origin, in its frame, or
+the weight of a pivoted body changes the angular momentum μ about the centre of mass (in SO(3),
+about the pivot), which is then integrated,
 
-    μ̇ = μ × ω + N − c × F + m|g| c × Γ
+    μ̇ = μ × ω + N − c × F + m|g| c × Γ.
 
-and a wrench pushes the centre of mass off its path: δċ = δP/m, δṖ = R F.  Where the base is
-not wanted, the 3 numbers μ stand for the 4 of the attitude, and the direction of gravity in
-the body, Γ̇ = Γ × ω, for the attitude under the weight.
+A wrench also pushes the centre of mass off its path: δċ = δP/m, δṖ = R F.  If the base is not
+requested, the 3 entries of μ replace the 4 of the attitude, and the direction of gravity in the
+body, Γ̇ = Γ × ω, replaces the attitude under the weight.
 """
 
 from __future__ import annotations
@@ -32,12 +32,15 @@ from .potential import falling, translations
 
 @dataclass(frozen=True)
 class BaseParts:
-    """Counts of the base's numbers: those that are integrated, in this order, and constants.
+    """Sizes of the base variables: integrated ones, in this order, and constants.
 
-    attitude: its angle or quaternion.  down: the direction Γ of gravity in the body's frame.
-    momentum: angular momentum in the body's frame, about the centre of mass.  push: how far
-    a wrench has driven the centre of mass off its path, and the momentum it has given it.
-    spin: the angular momentum where it is a constant, in the fixed frame; not integrated.
+    Attributes:
+        attitude: Angle or quaternion.
+        down: Direction Γ of gravity in the body's frame.
+        momentum: Angular momentum in the body's frame, about the centre of mass.
+        push: Deviation of the centre of mass from its path by a wrench, and the momentum that the
+            wrench has added.
+        spin: Angular momentum in the fixed frame where it is constant; not integrated.
     """
 
     attitude: int = 0
@@ -48,11 +51,11 @@ class BaseParts:
 
     @property
     def size(self) -> int:
-        """The number of entries that are integrated."""
+        """Number of integrated entries."""
         return self.attitude + self.down + self.momentum + self.push
 
     def split(self, b: Array) -> tuple[Array, Array, Array, Array]:
-        """Return attitude, down, momentum and push of b (..., size)."""
+        """Return attitude, down, momentum and push from b (..., size)."""
         i = self.attitude
         j = i + self.down
         k = j + self.momentum
@@ -62,10 +65,16 @@ class BaseParts:
 def base_parts(
     group: Group, *, wanted: bool, heavy: bool, wrench: bool, zero_momentum: bool
 ) -> BaseParts:
-    """Return the parts of the base that are integrated, for a group.
+    """Return the base variables that must be integrated.
 
-    wanted: whether the base is asked for.  heavy: whether gravity turns it.  wrench:
-    whether one acts on it.  zero_momentum: whether its angular momentum is exactly zero.
+    Args:
+        group: Symmetry group.
+        wanted: Whether the pose of the base is requested.
+        heavy: Whether gravity rotates the base about a pivot.
+        wrench: Whether a wrench acts on the base.
+        zero_momentum: Whether the angular momentum is exactly zero.
+    Returns:
+        Their sizes.
     """
     turns = group.turns
     changing = turns > 0 and (heavy or wrench)
@@ -82,10 +91,12 @@ def base_parts(
 
 @dataclass(frozen=True)
 class Root:
-    """The facts about a system's base that hold in every state.
+    """Constants of a system's base.
 
-    axes: (3, k) directions of its translations.  g: (k,) its acceleration by gravity along them
-    [m/s²].  origin: (3,) origin of the root joint's fixed frame, in that frame.
+    Attributes:
+        axes: Directions of its translations, (3, k), in the root joint's fixed frame.
+        g: Its acceleration by gravity along them, (k,) [m/s²].
+        origin: Position of the root joint's fixed frame in the world, in its own axes, (3,) [m].
     """
 
     axes: Array
@@ -94,23 +105,23 @@ class Root:
 
 
 def root_of(system: System) -> Root:
-    """Return the root of a system, found once."""
-    return system.workspace(Root, lambda: _find_root(system))
+    """Return the constants of a system's base, computed once."""
 
+    def make() -> Root:
+        placement = system.model.jointPlacements[1]
+        origin = placement.rotation.T @ placement.translation
+        return Root(translations(system), falling(system), origin)
 
-def _find_root(system: System) -> Root:
-    placement = system.model.jointPlacements[1]
-    origin = placement.rotation.T @ placement.translation
-    return Root(translations(system), falling(system), origin)
+    return system.workspace(Root, make)
 
 
 def into_body(q: Array, v: Array) -> Array:
-    """Return Rᵀ v, (N, 3), for unit quaternions (N, 4) and a vector of the fixed frame."""
+    """Return Rᵀ v, (N, 3), for unit quaternions q (N, 4) and a vector v of the fixed frame."""
     return np.asarray(apply(np.swapaxes(rotation(q), -1, -2), v))
 
 
 def quaternion_rate(q: Array, omega: Array) -> Array:
-    """Return ½ q ω, (4,), by scalars, which are faster here; it runs at every step."""
+    """Return ½ q ω, (4,), in scalar arithmetic, which is faster here; called at every step."""
     x, y, z, w = q.tolist()
     a, b, c = omega.tolist()
     return 0.5 * np.array(

@@ -1,12 +1,12 @@
-"""The canonical form of the reduced equations: the form that is integrated.
+"""The reduced equations in canonical form, which are integrated.
 
 In shape x, canonical momentum π = ∂L/∂ẋ and body momentum μ there is no curvature term:
 
     H(x) [ξ; ẋ] = [μ; π]
     π̇_α = ½ vᵀ ∂_αH v − ∂_αV,   v = (ξ, ẋ)
 
-With Pinocchio's Coriolis matrix C, Ḣ = C + Cᵀ, so that ½ vᵀ ∂_αH v are the shape rows of
-Cᵀ v: an evaluation takes one CRBA, one solve and one Coriolis matrix.
+Pinocchio's Coriolis matrix C satisfies Ḣ = C + Cᵀ, so ½ vᵀ ∂_αH v are the shape rows of Cᵀ v.  An
+evaluation takes one CRBA, one linear solve and one Coriolis matrix.
 """
 
 from __future__ import annotations
@@ -20,26 +20,30 @@ from scipy.linalg.lapack import dposv
 from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
 from ..system.system import System
-from .inertia_split import symmetric, usual_inertias
-from .lost_inertia import lost_inertia
+from .inertia_split import com_derivative, lost_inertia, symmetric, usual_inertias
 from .potential import Potential
 
 
 class CanonicalForm:
-    """Velocities and shape forces of one system, in canonical variables.  Not thread-safe."""
+    """Velocities and shape forces of one system in canonical variables.  Not thread-safe."""
 
     def __init__(self, system: System, potential: Potential) -> None:
         """Prepare Pinocchio's work space."""
         self._system = system
         self._model = system.model
-        self._data = pin.Data(system.model)  # not shared: `com` reads it later
+        # `com` reads the results of the last CRBA, so this work space must not be shared.
+        self._data = pin.Data(system.model)
         self._identity = system.group.identity()
         self._r = system.r
         self._least = np.finfo(float).eps * usual_inertias(system).min() if system.doubts else 0.0
         self._gradient = None if potential.is_zero else potential.gradient
 
     def mass_matrix(self, x: Array) -> Array:
-        """Return the upper triangle of H(x), as CRBA fills it; sets the centre of mass."""
+        """Return H(x) with at least its upper triangle, as CRBA fills it; set the centre of mass.
+
+        Args:
+            x: Shape, (m,).
+        """
         upper = pin.crba(self._model, self._data, self._system.model_q(self._identity, x))
         if self._system.coupled is None:
             return np.asarray(upper)
@@ -51,29 +55,32 @@ class CanonicalForm:
 
     def com_slope(self, x: Array) -> Array:
         """Return ∂c/∂x of the centre of mass in the root body's frame, (3, m)."""
-        q = self._system.model_q(self._identity, x)
-        slope = pin.jacobianCenterOfMass(self._model, self._data, q).reshape(
-            3, -1
-        )  # of one joint: (3,)
-        every = self._system.on_shape(slope)
-        world = every[:, self._r :]
-        return np.asarray(self._model.jointPlacements[1].rotation.T @ world)
+        return com_derivative(self._system, x)
 
     def velocity(self, x: Array, momentum: Array) -> Array:
-        """Return v = (ξ, ẋ) with H v = (μ, π).  Raises SingularInertiaError."""
+        """Solve H v = (μ, π) for v = (ξ, ẋ).  Raises SingularInertiaError."""
         return self._solve(self.mass_matrix(x), momentum, x)
 
     def driven_velocity(
         self, x: Array, momentum: Array, driven: Sequence[int], rates: Array
     ) -> Array:
-        """Return v where the rates of some shape joints are given; their momenta are not read."""
+        """Solve H v = (μ, π) for v = (ξ, ẋ) where the rates of some shape joints are prescribed.
+
+        Args:
+            x: Shape, (m,).
+            momentum: (μ, π), (n,); the momenta of prescribed joints are not read.
+            driven: Indices of the prescribed shape joints.
+            rates: Their rates.
+        Returns:
+            v, (n,).
+        """
         H = symmetric(self.mass_matrix(x))
         fixed = self._r + np.array(driven, dtype=np.intp)
         free = np.setdiff1d(np.arange(len(momentum)), fixed)
         v = np.empty(len(momentum))
         v[fixed] = rates
-        rest = momentum[free] - H[np.ix_(free, fixed)] @ rates
-        v[free] = self._solve(H[np.ix_(free, free)], rest, x)
+        momentum_of_free = momentum[free] - H[np.ix_(free, fixed)] @ rates
+        v[free] = self._solve(H[np.ix_(free, free)], momentum_of_free, x)
         return v
 
     def force(self, x: Array, v: Array) -> Array:
@@ -89,7 +96,7 @@ class CanonicalForm:
 
     def _solve(self, H: Array, momentum: Array, x: Array) -> Array:
         factor, v, info = dposv(H, momentum)
-        # Where the matrix can be singular, what a coordinate has of its own must not be round-off.
+        # If the matrix may become singular, its pivots must exceed round-off.
         if info or (self._least and not factor.diagonal().min() ** 2 > self._least):
             raise SingularInertiaError(
                 f"the mass matrix of '{self._system.name}' is not positive definite at x = {x}"

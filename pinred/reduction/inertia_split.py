@@ -1,4 +1,4 @@
-"""The mass matrix at one shape, split along the symmetry.
+"""The mass matrix at one shape, split along the symmetry, and its singular directions.
 
 H(x) = [[I, IA], [AᵀI, M̃]],   A = I⁻¹ H_bs,   M = H_ss − Aᵀ I A.
 """
@@ -13,17 +13,28 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import Array, freeze, vector
 from ..common.errors import SingularInertiaError
+from ..common.plain_names import quoted
 from ..system.system import System
 
-_SAMPLES = 20  # random shapes that tell what is usual
+_SAMPLES = 20  # random shapes from which usual inertias are taken
+# The mass matrix counts as singular if its least eigenvalue is below this multiple of the usual
+# one.  The eigenvalue falls with the square of the distance from a singular shape.
+_SINGULAR = 1e-6
+# A coordinate takes part in a singular motion if its share is above this multiple of the largest.
+_SHARE = 0.1
 
 
 @dataclass(frozen=True)
 class InertiaSplit:
-    """Inertia at one shape x; arrays are read-only.
+    """Inertia at one shape; arrays are read-only.
 
-    mass_matrix: (n, n), base rows first.  locked_inertia: (r, r).  local_connection:
-    (r, m).  reduced_metric: (m, m).  com: (3,) centre of mass in the root body's frame [m].
+    Attributes:
+        x: Shape, (m,) [rad | m].
+        mass_matrix: H, (n, n), base rows first.
+        locked_inertia: I, (r, r).
+        local_connection: A, (r, m).
+        reduced_metric: M, (m, m).
+        com: Centre of mass in the root body's frame, (3,) [m].
     """
 
     x: Array
@@ -42,21 +53,48 @@ class InertiaSplit:
         return len(self.locked_inertia)
 
     def kinetic_energy(self, xdot: ArrayLike, xi: ArrayLike) -> float:
-        """½ vᵀ H v with v = (ξ, ẋ) [J]."""
+        """Compute the kinetic energy ½ vᵀ H v, v = (ξ, ẋ).
+
+        Args:
+            xdot: Shape rate, (m,) [rad/s | m/s].
+            xi: Body twist, (r,) [m/s; rad/s].
+        Returns:
+            The energy [J].
+        """
         v = self._velocity(xdot, xi)
         return 0.5 * float(v @ self.mass_matrix @ v)
 
     def body_momentum(self, xdot: ArrayLike, xi: ArrayLike) -> Array:
-        """μ = I ξ + I A ẋ, (r,), in the frame of the root body."""
+        """Compute the body momentum μ = I ξ + I A ẋ.
+
+        Args:
+            xdot: Shape rate, (m,) [rad/s | m/s].
+            xi: Body twist, (r,) [m/s; rad/s].
+        Returns:
+            (r,), in the frame of the root body.
+        """
         return np.asarray(self.mass_matrix[: self.r] @ self._velocity(xdot, xi))
 
     def locked_velocity(self, xdot: ArrayLike, xi: ArrayLike) -> Array:
-        """Ω = ξ + A ẋ, (r,): the twist of the system if its joints froze; μ = I Ω."""
+        """Compute the locked velocity Ω = ξ + A ẋ, the twist after the joints freeze.
+
+        Args:
+            xdot: Shape rate, (m,) [rad/s | m/s].
+            xi: Body twist, (r,) [m/s; rad/s].
+        Returns:
+            (r,); the body momentum is μ = I Ω.
+        """
         v = self._velocity(xdot, xi)
         return np.asarray(v[: self.r] + self.local_connection @ v[self.r :])
 
     def locked_energy(self, mu: ArrayLike) -> float:
-        """½ μᵀ I⁻¹ μ [J], the energy of body momentum mu (r,) with frozen joints."""
+        """Compute the energy ½ μᵀ I⁻¹ μ with frozen joints.
+
+        Args:
+            mu: Body momentum, (r,) [N s | N m s].
+        Returns:
+            The energy [J].
+        """
         mu = vector(mu, self.r, "mu")
         return 0.5 * float(mu @ np.linalg.solve(self.locked_inertia, mu))
 
@@ -66,10 +104,16 @@ class InertiaSplit:
 
 
 def split_inertia(system: System, x: Array, H: Array, com: Array) -> InertiaSplit:
-    """Split the mass matrix H (n, n) of `system` at shape x.
+    """Split a mass matrix along the symmetry.
 
-    Raises SingularInertiaError, naming the direction without inertia, if H is not
-    positive definite to working precision.
+    Args:
+        system: The system.
+        x: Shape, (m,) [rad | m].
+        H: Mass matrix, (n, n).
+        com: Centre of mass in the root body's frame, (3,) [m].
+    Returns:
+        The split.  Raises SingularInertiaError, naming the direction without inertia, if H is not
+        positive definite to working precision.
     """
     r, L = system.r, cholesky(H, system, x)
     return InertiaSplit(
@@ -77,7 +121,7 @@ def split_inertia(system: System, x: Array, H: Array, com: Array) -> InertiaSpli
         mass_matrix=H,
         locked_inertia=H[:r, :r].copy(),
         # H = L Lᵀ by blocks: I = L₁₁L₁₁ᵀ, A = L₁₁⁻ᵀ L₂₁ᵀ, and M = L₂₂L₂₂ᵀ loses no digits.
-        # (SciPy's triangular solver starts threads even for these few numbers.)
+        # SciPy's triangular solver would start threads even for such small matrices.
         local_connection=np.asarray(np.linalg.solve(L[:r, :r].T, L[r:, :r].T)),
         reduced_metric=L[r:, r:] @ L[r:, r:].T,
         com=com,
@@ -85,55 +129,83 @@ def split_inertia(system: System, x: Array, H: Array, com: Array) -> InertiaSpli
 
 
 def cholesky(H: Array, system: System, x: Array) -> Array:
-    """Return L with H = L Lᵀ.  Raises SingularInertiaError as `split_inertia` does."""
+    """Factor H = L Lᵀ.
+
+    Args:
+        H: Mass matrix, (n, n).
+        system: The system, to name its joints.
+        x: Shape, (m,) [rad | m].
+    Returns:
+        L, (n, n), lower triangular.
+    Raises:
+        SingularInertiaError: H is not positive definite to working precision.
+    """
     try:
         L = np.asarray(np.linalg.cholesky(H), dtype=float)
     except np.linalg.LinAlgError:
         eigenvalues, directions = np.linalg.eigh(H)
         i = int(np.argmax(np.abs(directions[:, 0])))
-        found = f"least eigenvalue {eigenvalues[0]:.3g}"
+        reason = f"least eigenvalue {eigenvalues[0]:.3g}"
     else:
-        own = own_part(L, H, system)
-        if (own > len(H) * np.finfo(float).eps).all():
+        # The square of a pivot is the inertia that the coordinates before it do not explain.
+        size = np.diag(H)
+        if system.doubts:
+            size = np.maximum(size, usual_inertias(system))
+        independent = np.diag(L) ** 2 / size
+        if (independent > len(H) * np.finfo(float).eps).all():
             return np.asarray(L)
-        i = int(np.argmin(own))
-        found = f"{own[i]:.1e} of its inertia is its own"
+        i = int(np.argmin(independent))
+        reason = f"{independent[i]:.1e} of its inertia is its own"
     if i < system.r:
         who = f"direction {i} of the root joint '{system.root_name}'"
     else:
         who = f"joint '{system.shape_names[i - system.r]}'"
     raise SingularInertiaError(
         f"the mass matrix of '{system.name}' is singular to working precision at x = {x}: "
-        f"{who} has no inertia of its own ({found})"
+        f"{who} has no inertia of its own ({reason})"
     )
 
 
-def own_part(L: Array, H: Array, system: System) -> Array:
-    """Return the part of each diagonal entry that the coordinates before it do not explain.
+def lost_inertia(system: System, x: Array) -> str:
+    """Describe the joint that moves hardly any mass at shape x (m,), as the end of a message.
 
-    L: (..., n, n), with H = L Lᵀ.  Where a mass matrix can be singular, entries count at least
-    with what they usually are.
+    Empty if the least eigenvalue of the mass matrix, scaled by usual inertias, is not far below
+    its value at random shapes.
     """
-    size = np.diagonal(H, axis1=-2, axis2=-1)
-    if system.doubts:
-        size = np.maximum(size, usual_inertias(system))
-    return np.asarray(np.diagonal(L, axis1=-2, axis2=-1) ** 2 / size)
+    if not np.isfinite(x).all():
+        return ""
+    size, usual_matrices = np.sqrt(usual_inertias(system)), usual_mass_matrices(system)
+    if not (size > 0.0).all():
+        return ""
+    scale = np.outer(size, size)
+    usual = float(np.median([np.linalg.eigvalsh(H / scale)[0] for H in usual_matrices]))
+    eigenvalues, directions = np.linalg.eigh(mass_matrix(system, x) / scale)
+    if not eigenvalues[0] < _SINGULAR * usual:
+        return ""
+    share = np.abs(directions[:, 0])
+    i = int(np.argmax(share > _SHARE * share.max()))
+    who = (
+        f"the root joint {quoted(system.root_name)}"
+        if i < system.r
+        else f"joint {quoted(system.shape_names[i - system.r])}"
+    )
+    return f"; the mass matrix is singular there or nearby, where {who} moves no mass"
 
 
 def usual_inertias(system: System) -> Array:
-    """Return the diagonal of the mass matrix, (n,), each entry at its largest over some shapes."""
+    """Return the largest diagonal entries of the mass matrix over some random shapes, (n,)."""
     return np.asarray(np.max([np.diag(H) for H in usual_mass_matrices(system)], axis=0))
 
 
 def usual_mass_matrices(system: System) -> list[Array]:
-    """Return the mass matrices (n, n) at some random shapes, found once."""
+    """Return the mass matrices (n, n) at some random shapes, computed once."""
     rng = np.random.default_rng(0)
     shapes = rng.uniform(-np.pi, np.pi, (_SAMPLES, system.m))
     return system.workspace(usual_mass_matrices, lambda: [mass_matrix(system, x) for x in shapes])
 
 
 def mass_matrix(system: System, x: Array) -> Array:
-    """Return the mass matrix (n, n) at shape x (m,), whatever it is."""
+    """Compute the mass matrix (n, n) at shape x (m,), even if it is singular."""
     data = system.workspace(mass_matrix, system.model.createData)
     return mass_matrix_at(system, system.model, data, system.group.identity(), x)
 
@@ -141,14 +213,31 @@ def mass_matrix(system: System, x: Array) -> Array:
 def mass_matrix_at(
     system: System, model: pin.Model, data: pin.Data, pose: Array, x: Array
 ) -> Array:
-    """Return the mass matrix (n, n) of base and shape by CRBA, with what that leaves in `data`.
+    """Compute the mass matrix of base and shape by CRBA.
 
-    model: the system's, or one that differs from it in gravity.
+    Args:
+        system: The system.
+        model: Its model, or one that differs in gravity only.
+        data: Pinocchio's work space, which keeps the results of CRBA.
+        pose: Pose coordinates of the base.
+        x: Shape, (m,) [rad | m].
+    Returns:
+        (n, n).
     """
     upper = pin.crba(model, data, system.model_q(pose, x))
     return system.coupled_matrix(symmetric(upper))
 
 
 def symmetric(upper: Array) -> Array:
-    """Return the matrix whose upper triangle CRBA filled."""
+    """Return the symmetric matrix with the given upper triangle, which CRBA fills."""
     return np.asarray(np.triu(upper) + np.triu(upper, 1).T)
+
+
+def com_derivative(system: System, x: Array) -> Array:
+    """Compute ∂c/∂x of the centre of mass in the root body's frame, (3, m)."""
+    model, data = system.model, system.workspace(com_derivative, system.model.createData)
+    q = system.model_q(system.group.identity(), x)
+    # With one joint, Pinocchio returns a vector (3,).
+    jacobian = pin.jacobianCenterOfMass(model, data, q).reshape(3, -1)
+    in_world = system.on_shape(jacobian)[:, system.r :]
+    return np.asarray(model.jointPlacements[1].rotation.T @ in_world)

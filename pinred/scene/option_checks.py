@@ -1,7 +1,7 @@
 """Checks of scene options that need more than the type of the value.
 
-They concern the seed, the keyframe, tolerances, report times, lists of forces, the passive
-forces of the robot's file, and the time span that signals and controllers cover.
+They concern the seed, the keyframe, tolerances, report times, lists of forces, and the time span
+that signals and controllers cover.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .random_state import DURATION
 if TYPE_CHECKING:
     from ..forces.force_model import ForceModel
 
-EVEN_TIMES = 201  # number of evenly spaced report times without the options times and samples
+EVEN_TIMES = 201  # number of report times if a scene states none; they are evenly spaced
 _COUNTS = np.arange(float(EVEN_TIMES))
 MOST_CALLS = 1_000_000  # calls of one controller in one scene; each call interrupts the integrator
 
@@ -128,19 +128,6 @@ def list_forces(forces: Any) -> tuple[Any, ...]:
     if entries is None:
         raise InputError(f"forces must be a list of those of pinred.forces, got {brief(forces)}")
     return tuple(entries)
-
-
-def check_passive(passive: Any, friction: Any) -> tuple[bool, float | None]:
-    """Validate the options `passive` and `friction` [rad/s | m/s]; raise InputError."""
-    if not isinstance(passive, bool):
-        raise InputError(f"passive must be True or False, got {passive!r}")
-    if friction is None:
-        return passive, None
-    if isinstance(friction, bool):
-        raise InputError(
-            f"friction must be the width of the smooth law [rad/s | m/s], got {friction!r}"
-        )
-    return passive, positive(friction, "friction")
 
 
 def check_span(model: ForceModel, end: float, *, base: bool) -> None:

@@ -2,9 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+from ..common.arrays import positive
+from ..common.errors import InputError
 from ..forces.force import Force
 from ..system.passive import Damper, Friction, Spring
 from ..system.system import System
+
+
+def check_passive(passive: Any, friction: Any) -> tuple[bool, float | None]:
+    """Validate the options `passive` and `friction` [rad/s | m/s]; raise InputError."""
+    if not isinstance(passive, bool):
+        raise InputError(f"passive must be True or False, got {passive!r}")
+    if friction is None:
+        return passive, None
+    if isinstance(friction, bool):
+        raise InputError(
+            f"friction must be the width of the smooth law [rad/s | m/s], got {friction!r}"
+        )
+    return passive, positive(friction, "friction")
 
 
 def acting_passive(system: System, *, passive: bool, friction: float | None) -> tuple[Force, ...]:

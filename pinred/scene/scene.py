@@ -25,7 +25,6 @@ from .event import Event, list_events, watched_of
 from .initial_state import GivenStates, Start, start_of
 from .option_checks import (
     check_keyframe,
-    check_passive,
     check_seed,
     check_span,
     check_tolerances,
@@ -34,7 +33,7 @@ from .option_checks import (
     with_tolerances,
 )
 from .parameters import GivenParameters, given_parameters
-from .passive_forces import acting_passive, passive_left_out
+from .passive_forces import acting_passive, check_passive, passive_left_out
 from .random_state import random_state
 from .scene_options import ENGINES as ENGINES
 from .scene_options import OUTPUTS, SCENE_OPTIONS, SceneFields, describe_fields
@@ -42,8 +41,8 @@ from .scene_options import Engine as Engine
 
 if TYPE_CHECKING:
     from ..common.parameter import Parameter
+    from ..forces.event_expressions import Watched
     from ..forces.force_model import ForceModel
-    from ..forces.watched import Watched
 
 TIGHTEST = 1e-14  # smallest relative tolerance; below it round-off controls the step size
 # Momenta are integrated, but users need rates.  If a light joint is attached to heavy links, a
@@ -257,10 +256,12 @@ class Scene(SceneFields):
             self._keep("_forces", None)
             self._check_parameters([parameter.name for parameter in watched])
             return
-        from ..forces.remembered import remembered_model  # Imported here because it needs CasADi.
+        from ..forces.force_model_cache import (
+            cached_force_model,  # Imported here because it needs CasADi.
+        )
 
         acting = (*forces, *file_forces)
-        model = remembered_model(self.system, self.springs, acting, prescribed, self.varied)
+        model = cached_force_model(self.system, self.springs, acting, prescribed, self.varied)
         self._check_parameters([parameter.name for parameter in (*model.parameters, *watched)])
         model = model.with_values(self.parameters)
         check_span(model, self.end, base=self.outputs == "all")

@@ -49,15 +49,14 @@ class Option(Key):
         required: Not used; every option has a default.
         default: Value without the option, in words.
         formats: Accepted values in Python, beyond the annotated type.
-        table: Table of the option in scene files; "" for the top level.
         command: Name and value format on the command line, such as "--time T"; "" for none.
+        table: Table of the option in scene files; "" for the top level.
         replaces: Options that cannot be combined with this one, because it sets them too.
         scope: The quantities that this option sets in their place.
     """
 
     formats: str = ""
     table: str = ""
-    command: str = ""
     replaces: tuple[str, ...] = ()
     scope: str = ""
 

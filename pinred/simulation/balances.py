@@ -15,6 +15,7 @@ import pinocchio as pin
 from numpy.polynomial import legendre
 
 from ..common.arrays import Array, freeze
+from ..forces.acting import ForceInputs
 from ..system.joints import axes_of
 from ..system.state_fields import State, with_base
 from .driving_torques import driving_torques
@@ -113,7 +114,7 @@ def energy_balance(plan: Plan, motion: Motion, states: State) -> EnergyBalance:
         values = np.empty((len(t), len(labels)))
         for k, (s, numbers) in enumerate(samples):
             values[k, : len(forces.labels)] = forces.powers(
-                float(t[k]), s.x, s.xdot, s.xi, s.mu, numbers, full.xi[k], s.base
+                ForceInputs(float(t[k]), s.x, s.xdot, s.xi, s.mu, numbers, s.base), full.xi[k]
             )
         if forces.joints:
             drive = driving_torques(plan, t, samples)
@@ -151,7 +152,9 @@ def momentum_balance(plan: Plan, motion: Motion, states: State) -> MomentumBalan
             wrenches[k] = axes.T @ (np.array([weight, moment]) @ rotation).ravel()
         if forces is not None and plan.acting.wrench:
             body = [
-                forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers, s.base).wrench
+                forces.acting(
+                    ForceInputs(float(time), s.x, s.xdot, s.xi, s.mu, numbers, s.base)
+                ).wrench
                 for time, (s, numbers) in zip(t, motion.samples(t), strict=True)
             ]
             wrenches += system.group.spatial_momentum(full.pose, np.array(body))

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from ..common.arrays import Array, read_only
-from ..forces.by_name import Vector
+from ..forces.named_arrays import Vector
 from ..scene.scene import Scene
 from ..system.force_interface import SeenState
 from .sample import Sample

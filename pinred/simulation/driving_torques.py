@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..common.arrays import Array, read_only
+from ..forces.acting import ForceInputs
 from ..reduction.at_a_shape import PointwiseReduction
 from ..reduction.canonical_form import CanonicalForm
 from ..reduction.potential import shape_gravity
@@ -43,7 +44,7 @@ def driving_torques(plan: Plan, t: Array, samples: list[tuple[Sample, Array]]) -
     driven, free = np.array(plan.acting.driven), np.array(plan.acting.free, dtype=np.intp)
     torques = np.empty((len(t), len(driven)))
     for k, (time, (s, numbers)) in enumerate(zip(t, samples, strict=True)):
-        acting = forces.acting(float(time), s.x, s.xdot, s.xi, s.mu, numbers, s.base)
+        acting = forces.acting(ForceInputs(float(time), s.x, s.xdot, s.xi, s.mu, numbers, s.base))
         at = red.at(s.x)
         torque = acting.torque - gravity.gradient(s.x)
         wrench = acting.wrench.copy()

@@ -13,7 +13,7 @@ import numpy as np
 from ..common.arrays import Array
 from ..common.errors import SingularInertiaError
 from ..common.memo import once
-from ..forces.acting import BaseInSpace
+from ..forces.acting import BaseInSpace, ForceInputs
 from ..forces.force_model import ForceModel
 from ..reduction.at_a_shape import PointwiseReduction
 from ..scene.scene import Scene
@@ -57,7 +57,7 @@ def _rates(system: System, forces: ForceModel, numbers: Array) -> Rates:
     def torque(x: Array, xdot: Array) -> Array:
         xi = -at.local_connection @ xdot  # The body twist at zero momentum.
         base = BaseInSpace(system.group.identity(), xi, np.zeros(r), np.zeros(r))
-        return forces.acting(0.0, x, xdot, xi, np.zeros(r), numbers, base).torque
+        return forces.acting(ForceInputs(0.0, x, xdot, xi, np.zeros(r), numbers, base)).torque
 
     rest = np.zeros(m)
     K, D = np.empty((m, m)), np.empty((m, m))

@@ -128,26 +128,6 @@ class Bodies:
         """Return the values of the system, {name: (size,)}."""
         return {entry.name: _value(self._body(entry), entry.kind) for entry in self.parameters}
 
-    def checked(self, given: Mapping[str, Any], known: Mapping[str, Array]) -> dict[str, Array]:
-        """Return validated copies of values.
-
-        Args:
-            given: Values by name.
-            known: Values of the other parameters, which were validated before.
-        Returns:
-            {name: (size,)}, read-only.
-        Raises:
-            InputError: No real body has these values.
-        """
-        values = {
-            entry.name: read_only(numbers(given[entry.name], entry.name, entry.size))
-            for entry in self.parameters
-            if entry.name in given
-        }
-        for body in self.changed_by(given):
-            self.dynamic(body, {**known, **values})
-        return values
-
     def changed_by(self, names: Iterable[str]) -> list[int]:
         """Return the bodies that parameters change, sorted."""
         return sorted({self._body_of[name] for name in names if name in self._body_of})

@@ -65,19 +65,11 @@ def bundled_robots() -> dict[str, BundledRobot]:
     """Return the bundled robots by name."""
     folder = bundled_folder()
     table = tomllib.loads((folder / "robots.toml").read_text(encoding="utf-8"))
-    return {
-        name: BundledRobot(
-            name=name,
-            path=folder / entry["file"],
-            group=entry["group"],
-            description=entry["description"],
-            gravity=tuple(entry["gravity"]),
-            initial=entry["initial"],
-            closed_form=entry.get("closed_form", ""),
-            source=entry.get("source", ""),
-        )
-        for name, entry in table.items()
-    }
+    robots = {}
+    for name, entry in table.items():
+        path, gravity = folder / entry.pop("file"), tuple(entry.pop("gravity"))
+        robots[name] = BundledRobot(name=name, path=path, gravity=gravity, **entry)
+    return robots
 
 
 def has_example_robots() -> bool:

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from ..common.arrays import Array, read_only
+from ..common.arrays import Array
 from ..common.errors import InputError
 from ..common.names import nearest
 from ..common.plain_names import listed, quoted
-from .body_parameters import numbers
 from .locked_joints import LockedJoints, moments_of
 from .system import System
 
@@ -146,16 +144,6 @@ class Joints:
             rpy = pin.rpy.matrixToRpy(place.rotation)
             values[parameter.name] = np.concatenate([place.translation, rpy])[: parameter.size]
         return values
-
-    def checked(self, given: Mapping[str, Any]) -> dict[str, Array]:
-        """Return read-only copies of values."""
-        return {
-            parameter.name: read_only(
-                numbers(given[parameter.name], parameter.name, parameter.size)
-            )
-            for parameter in self.parameters
-            if parameter.name in given
-        }
 
     def perturbed(self, rng: np.random.Generator) -> dict[str, Array]:
         """Return random values that differ from those of the system."""

@@ -187,10 +187,13 @@ class ModelParameters:
         Raises:
             InputError: No real robot has these values.
         """
-        values = self._bodies.checked(given, known) | self._joints.checked(given)
-        for name in self._gravity:
-            if name in given:
-                values[name] = read_only(numbers(given[name], name, GRAVITY[name]))
+        values = {
+            name: read_only(numbers(given[name], name, size))
+            for name, size in self.sizes.items()
+            if name in given
+        }
+        for body in self._bodies.changed_by(given):
+            self._bodies.dynamic(body, {**known, **values})
         for name, value in values.items():
             if np.abs(value).max() > _HUGE:
                 raise InputError(

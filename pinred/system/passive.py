@@ -63,11 +63,8 @@ class Spring(Force):
         Raises:
             InputError: Both ends are the same joint.
         """
-        length = s.x[s.joint(self.joint, self.label)]
-        if self.to is not None:
-            if self.to == self.joint:
-                raise InputError(f"{self.label}: both ends are the same joint")
-            length = length - s.x[s.joint(self.to, self.label)]
+        k, j = _ends(self, s)
+        length = s.x[k] if j is None else s.x[k] - s.x[j]
         stretch = length - number(self.rest)
         potential = 0.5 * number(self.stiffness) * stretch * stretch
         power = stretch * stretch
@@ -119,13 +116,8 @@ class Damper(Force):
         """
         import casadi as ca
 
-        k, c = s.joint(self.joint, self.label), number(self.coefficient)
-        v, j = s.xdot[k], None
-        if self.to is not None:
-            j = s.joint(self.to, self.label)
-            if j == k:
-                raise InputError(f"{self.label}: both ends are the same joint")
-            v = v - s.xdot[j]
+        k, j = _ends(self, s)
+        v, c = s.xdot[k] if j is None else s.xdot[k] - s.xdot[j], number(self.coefficient)
         for power, coefficient in enumerate(self.polynomial, start=1):
             # |v| is only used for odd powers, so smooth laws stay without kinks.
             size = v**power if power % 2 == 0 else ca.fabs(v) * v ** (power - 1)
@@ -201,6 +193,15 @@ class Friction(Force):
             )
         k = s.joint(self.joint, self.label)
         return Terms(torque={k: -number(self.most) * ca.tanh(s.xdot[k] / number(self.width))})
+
+
+def _ends(force: Spring | Damper, s: Symbols) -> tuple[int, int | None]:
+    """Return the indices of both joints of a force; the second is None for a single joint."""
+    first = s.joint(force.joint, force.label)
+    second = None if force.to is None else s.joint(force.to, force.label)
+    if first == second:
+        raise InputError(f"{force.label}: both ends are the same joint")
+    return first, second
 
 
 def _label(kind: str, joint: str, to: str | None) -> str:

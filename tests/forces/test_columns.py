@@ -10,9 +10,9 @@ from trees import random_model
 
 import pinred
 from pinred.forces.acting import Prescribed
-from pinred.forces.by_name import Column
 from pinred.forces.columns import symbols_of, torque_column
 from pinred.forces.force import Terms
+from pinred.forces.named_arrays import Column
 from pinred.lie import GROUPS
 
 

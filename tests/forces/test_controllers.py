@@ -14,6 +14,7 @@ from forced_trees import against_aba, tree
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import PD, ComputedTorque, Controller, Damper, Limit, Spring, Torque
+from pinred.forces.acting import ForceInputs
 from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES, Engine
 from pinred.signals import Expression, Fourier, Signal, Spline
@@ -52,7 +53,7 @@ def test_pd_turns_the_satellite(limit: str | None, engine: Engine) -> None:
     assert model is not None
     acting = np.array(
         [
-            model.acting(t, s.x, s.xdot, s.xi, s.mu, numbers).torque
+            model.acting(ForceInputs(t, s.x, s.xdot, s.xi, s.mu, numbers)).torque
             for t, (s, numbers) in zip(traj.t, traj.motion.samples(traj.t), strict=True)
         ]
     )

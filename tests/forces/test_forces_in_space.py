@@ -16,7 +16,7 @@ from forced_trees import against_aba, tree
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import SeenState, Torque, Wrench
-from pinred.forces.acting import BaseInSpace
+from pinred.forces.acting import BaseInSpace, ForceInputs
 from pinred.forces.force_model import ForceModel
 from pinred.lie import GROUPS
 from pinred.scene.scene import ENGINES, Engine
@@ -245,7 +245,7 @@ def test_links_that_follow_others(group: str, axes: Any, seed: int) -> None:
     pose, x = system.group.exp(rng.normal(size=system.r)), rng.normal(size=system.m)
     base = BaseInSpace(pose, *np.zeros((3, system.r)))
     xdot, xi = np.zeros(system.m), np.zeros(system.r)
-    acting = force.acting(0.0, x, xdot, xi, xi, force.numbers, base)
+    acting = force.acting(ForceInputs(0.0, x, xdot, xi, xi, force.numbers, base))
     model, data = system.model, system.model.createData()
     hand, q = model.getBodyId("hand"), system.model_q(pose, x)
     jacobian = pin.computeFrameJacobian(

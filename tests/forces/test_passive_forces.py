@@ -15,6 +15,7 @@ from passive_trees import MujocoForces, passive_tree
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import Damper, Force, Friction, Spring
+from pinred.forces.acting import ForceInputs
 from pinred.forces.force_model import ForceModel
 
 WIDTH = 0.05
@@ -28,7 +29,7 @@ def loaded(text: str) -> pinred.System:
 def torque(system: pinred.System, forces: tuple[Force, ...], x: Array, xdot: Array) -> Array:
     """What forces of a system do at its joints, as simulations use it."""
     model, zero = ForceModel(system, forces, {}), np.zeros(system.r)
-    return model.acting(0.0, x, xdot, zero, zero, model.numbers).torque
+    return model.acting(ForceInputs(0.0, x, xdot, zero, zero, model.numbers)).torque
 
 
 def without_friction(system: pinred.System) -> tuple[Force, ...]:

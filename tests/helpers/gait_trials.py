@@ -26,7 +26,7 @@ def target(rng: np.random.Generator) -> Array:
 
 
 def turns(name: str, count: int) -> bool:
-    """Reach so many random targets with a robot; return whether all were."""
+    """TargetAim so many random targets with a robot; return whether all were."""
     system, limit, reached, hardest = pinred.load(name), ROBOTS[name], 0, None
     pinred.reorient(system, [0.1, 0.0, 0.0], limits=limit)  # compiles
     for seed in range(count):

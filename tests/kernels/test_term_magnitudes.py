@@ -242,7 +242,7 @@ def test_terms_of_inverse_dynamics_equal_closed_form(monkeypatch: pytest.MonkeyP
     tested, at, found = record_accelerations(monkeypatch, forces=held)
     coupled, moment = -POLE * HALF * np.cos(at.x[0]), 0.09 + POLE * HALF**2
     assert tested.forces is not None
-    (((wanted,), _),) = tested.forces.required(*validation._force_arguments(at, at.v))
+    (((wanted,), _),) = tested.forces.required(validation.force_inputs(at, at.v))
     weight = POLE * 9.81 * HALF * np.sin(at.x[0])
     swing = POLE * HALF * np.sin(at.x[0]) * at.v[1] ** 2  # of the pole on the cart
     cart = -(coupled * wanted + swing) / (CART + POLE)

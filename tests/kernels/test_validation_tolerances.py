@@ -19,6 +19,7 @@ from pinred.common.arrays import Array
 from pinred.kernels import validation
 from pinred.kernels.kernel import Kernel
 from pinred.kernels.reference_state import ReferenceState, random_state
+from pinred.kernels.validation import force_inputs
 from pinred.simulation.compiled.compiled_flow import kernel_of
 from pinred.simulation.plan import plan_of
 
@@ -71,9 +72,8 @@ def forces_before_cancellation(tested: Kernel, at: ReferenceState, a: Array) -> 
     sizes = np.abs(system.on_shape(pin.nonLinearEffects(still, data, at.q, full)))
     sizes += np.abs(system.on_shape(pin.computeGeneralizedGravity(at.model, data, at.q)))
     if tested.forces is not None:
-        seen = at.time, at.x, at.v[system.r :], at.v[: system.r], at.mu, at.force_parameters
-        given = tested.forces.acting(*seen, at.in_space(at.v))
-        sizes += np.abs(np.append(given.wrench, given.torque))
+        acting = tested.forces.acting(force_inputs(at, at.v))
+        sizes += np.abs(np.append(acting.wrench, acting.torque))
     whole = np.zeros(system.n)
     whole[at.free] = np.abs(a)
     whole[[system.r + k for k in at.prescribed]] = np.abs(at.accelerations)

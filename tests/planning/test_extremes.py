@@ -1,4 +1,4 @@
-"""Greatest torques and speeds between samples, against closed forms."""
+"""Tests of peak torques and speeds between samples, against closed forms."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WHEEL = 1
 
 
 def wheels(shift: float = 0.37) -> tuple[pinred.Connection, pinred.Gait, Array]:
-    """Wheels about axes of symmetry, one of which swings: A(x), a gait, and M."""
+    """Return the connection, a gait of one wheel about its symmetry axis, and the constant M."""
     system = pinred.load("reaction_wheel_satellite")
     M = pinred.Reduction(system).reduced_metric(np.zeros(system.m))
     cos, sin = np.zeros((2, 1, system.m))
@@ -27,45 +27,45 @@ def wheels(shift: float = 0.37) -> tuple[pinred.Connection, pinred.Gait, Array]:
     return pinred.Connection.mechanical(system), gait, M
 
 
-def test_torques_between_samples() -> None:
-    """M is constant: the peak is M (2π/T)², a third of the way between two samples."""
+def test_peak_torques_between_samples_equal_closed_form() -> None:
+    """M is constant: the peak is M (2π/T)², at a third of a sample interval."""
     A, gait, M = wheels()
-    at, most = margins.strongest(A, gait)
+    at, most = margins.peak_torques(A, gait)
     close(most, np.abs(M[:, WHEEL]) * (2.0 * np.pi / T) ** 2, 1e-12)
     assert at[WHEEL] * 1024.0 % 512.0 == pytest.approx(0.37, abs=1e-4)
 
 
-def test_it_needs_to_look_between(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Samples alone are short of it."""
+def test_peak_torques_without_refinement_are_too_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The samples alone underestimate the peak."""
     A, gait, M = wheels()
     monkeypatch.setattr(extremes, "_ROUNDS", 0)
-    most = margins.strongest(A, gait)[1][WHEEL]
+    most = margins.peak_torques(A, gait)[1][WHEEL]
     assert most < M[WHEEL, WHEEL] * (2.0 * np.pi / T) ** 2 * (1.0 - 1e-7)
 
 
-def test_margins_and_times_of_torques() -> None:
-    """A limit just below the peak is broken, at the time of the peak; one just above is kept."""
+def test_torque_limit_near_peak_is_detected() -> None:
+    """A limit just below the peak is violated at the peak's time; one just above is not."""
     A, gait, M = wheels()
     peak = M[WHEEL, WHEEL] * (2.0 * np.pi / T) ** 2
     for factor in (1.0 - 1e-9, 1.0 + 1e-9):
         limits = limits_of(A, 9.0, None, {A.joints[WHEEL]: factor * peak})
         margin = margins.margins(A, gait, limits)["torques"]
         assert margin == pytest.approx((factor - 1.0) * peak, rel=1e-3)
-        assert len(margins.worst_times(A, gait, limits)) == (factor < 1.0)
+        assert len(margins.violation_times(A, gait, limits)) == (factor < 1.0)
 
 
-def test_peaks_from_rest_to_rest() -> None:
-    """Of sin φ, φ = a − sin a, by the same on a grid of a million points."""
+def test_peaks_from_rest_to_rest_equal_fine_grid() -> None:
+    """Peaks of sin φ, φ = a − sin a, equal those on a grid of a million points."""
     A, _, M = wheels()
     mean, cos, sin = np.zeros(A.m), np.zeros((1, A.m)), np.zeros((1, A.m))
     sin[0, WHEEL] = 1.0
     for cycles in (1, 3):
-        found = peaks_of(A, pinred.Gait.fourier(mean, cos, sin), cycles)
+        peaks = peaks_of(A, pinred.Gait.fourier(mean, cos, sin), cycles)
         a = np.linspace(0.0, 2.0 * np.pi, 1_000_001)
         phi, rate, bend = cycles * (a - np.sin(a)), cycles * (1.0 - np.cos(a)), cycles * np.sin(a)
         w = 2.0 * np.pi
         speed = np.abs(w * rate * np.cos(phi)).max()
         torque = M[WHEEL, WHEEL] * np.abs(w**2 * (bend * np.cos(phi) - rate**2 * np.sin(phi))).max()
-        assert found.speed[WHEEL] == pytest.approx(speed, rel=1e-9)
-        assert found.torque[WHEEL] == pytest.approx(torque, rel=1e-9)
-        assert found.speed[WHEEL] >= speed * (1.0 - 1e-14)
+        assert peaks.speed[WHEEL] == pytest.approx(speed, rel=1e-9)
+        assert peaks.torque[WHEEL] == pytest.approx(torque, rel=1e-9)
+        assert peaks.speed[WHEEL] >= speed * (1.0 - 1e-14)

@@ -1,4 +1,4 @@
-"""Gait files: read key by key, and the same gaits and connections as in Python."""
+"""Tests of gait files against gaits and connections created in Python."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ CIRCLE = "[gait]\nkind = 'fourier'\nmean = [0.0, 0.0]\ncos = [[1.0, 0.0]]\nsin =
 
 
 def read(folder: Path, text: str) -> pinred.GaitFile:
-    """Read a file with a text; its schema agrees that it is one."""
+    """Read a file with this text, and validate the text against the schema."""
     path = folder / "gait.toml"
     path.write_text(text, "utf-8")
-    found = pinred.load_gait(path)
+    contents = pinred.load_gait(path)
     jsonschema.validate(tomllib.loads(text), pinred.gait_schema())
-    return found
+    return contents
 
 
-def test_the_example() -> None:
-    """The file in examples is Purcell's circle."""
+def test_example_file_is_purcells_circle() -> None:
+    """The example file gives the published displacement."""
     file = pinred.load_gait(ROOT / "examples/gaits/purcell_circle.toml")
     p = pinred.phase(file.connection, file.path, file.momentum, tolerance=1e-12)
     assert float(np.hypot(*p.pose[:2])) == pytest.approx(0.0512808243, abs=5e-11)
@@ -46,15 +46,15 @@ def test_the_example() -> None:
         ),
     ],
 )
-def test_kinds_of_gaits(text: str, shape: list[float], tmp_path: Path) -> None:
-    """Each kind by the name of its function."""
+def test_load_gait_reads_each_kind_of_gait(text: str, shape: list[float], tmp_path: Path) -> None:
+    """Each kind has the name of its function."""
     file = read(tmp_path, f"{HEAD}[gait]\n{text}\n")
     close(file.path.at(0.0)[0], shape)
     assert file.connection.joints == ("alpha1", "alpha2")
 
 
-def test_recorded(tmp_path: Path) -> None:
-    """A file of joint data, relative to the gait file."""
+def test_load_gait_reads_recorded_joint_data(tmp_path: Path) -> None:
+    """The data file is relative to the gait file."""
     t = np.linspace(0.0, 1.0, 21)
     x = np.stack([np.cos(2 * np.pi * t), np.sin(2 * np.pi * t)], axis=1)
     np.savez(tmp_path / "loop.npz", t=t, x=x)
@@ -62,8 +62,8 @@ def test_recorded(tmp_path: Path) -> None:
     close(file.path.at(0.25)[0], [0.0, 1.0], 1e-12)
 
 
-def test_kinds_of_connections(tmp_path: Path) -> None:
-    """Wheels, fluid, momentum, base: each the same as in Python."""
+def test_load_gait_reads_each_kind_of_connection(tmp_path: Path) -> None:
+    """Wheels, fluid, momentum and base equal those created in Python."""
     wheels = ", ".join(
         f"{{kind = 'wheel', link = '{name}', at = [{CENTRES[name]}, 0.0, 0.0]}}" for name in LINKS
     )
@@ -113,8 +113,8 @@ def test_kinds_of_connections(tmp_path: Path) -> None:
         (f"{HEAD}speed = 1.0\n{CIRCLE}", "unknown key"),
     ],
 )
-def test_refusals(text: str, message: str, tmp_path: Path) -> None:
-    """In one line, with file, line and key."""
+def test_load_gait_rejects_invalid_files(text: str, message: str, tmp_path: Path) -> None:
+    """The message is one line with file, line and key."""
     path = tmp_path / "gait.toml"
     path.write_text(text, "utf-8")
     with pytest.raises(pinred.PinredError, match=message) as caught:
@@ -123,26 +123,26 @@ def test_refusals(text: str, message: str, tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_gait_can_be_simulated() -> None:
-    """Its signals are its joints, again and again; shifted and reversed ones, too."""
+def test_gait_signals_prescribe_joints_periodically() -> None:
+    """Signals of shifted and reversed gaits prescribe the joints, too."""
     gait = pinred.Gait.fourier(
         [0.2, 0.0, -0.1], [[0.3, 0.0, 0.2], [0.1, 0.0, 0.0]], [[0.0, 0.4, 0.1], [0.0, 0.1, 0.1]]
     )
     cat = pinred.load("falling_cat")
-    for each in (gait, gait.shifted(0.3), gait.reversed().lasting(2.0)):
-        plans = each.signals(cat.shape_names)
+    for path in (gait, gait.shifted(0.3), gait.reversed().lasting(2.0)):
+        plans = path.signals(cat.shape_names)
         traj = pinred.simulate(
-            cat, prescribed=plans, momentum=0, times=np.linspace(0.0, 1.7 * each.period, 7)
+            cat, prescribed=plans, momentum=0, times=np.linspace(0.0, 1.7 * path.period, 7)
         )
-        close(traj.x, each.at(traj.t)[0], 1e-12)
-        close(traj.xdot, each.at(traj.t)[1], 1e-11)
+        close(traj.x, path.at(traj.t)[0], 1e-12)
+        close(traj.xdot, path.at(traj.t)[1], 1e-11)
     corners = pinred.Gait.waypoints([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     with pytest.raises(pinred.InputError, match="one Fourier series"):
         corners.signals(["a", "b"])
 
 
-def test_objectives(tmp_path: Path) -> None:
-    """Options by their names in Python; what a file leaves out, Python has a value for."""
+def test_load_gait_reads_objectives_as_python_options(tmp_path: Path) -> None:
+    """Missing options have Python's defaults."""
     text = f"""{HEAD}[optimise]
 objective = "rotation"
 cost = "none"

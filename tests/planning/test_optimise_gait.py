@@ -1,4 +1,4 @@
-"""Best gaits: published numbers, other routes to what they do, and what holds them in bounds."""
+"""Tests of gait optimisation against published values, ABA, RNEA and differences."""
 
 from __future__ import annotations
 
@@ -13,44 +13,44 @@ from three_links import CENTRES, LENGTH, LINKS
 
 import pinred
 from pinred.common.arrays import Array
-from pinred.planning.optimisation import search
-from pinred.planning.optimisation.aims import along, reach
+from pinred.planning.optimisation import gait_search
+from pinred.planning.optimisation.aims import axis_aim, target_aim
 from pinred.planning.optimisation.costs import COSTS
+from pinred.planning.optimisation.gait_search import fourier_path_of
 from pinred.planning.optimisation.ipopt import Problem, kkt_residual, minimum
 from pinred.planning.optimisation.limits import limits_of
-from pinred.planning.optimisation.search import fourier_path_of
 from pinred.planning.optimisation.transcription import Task, problem_of
 
-TURN = 0.033787199534  # of three rods, around half of the square |α| ≤ 1
+TURN = 0.033787199534  # rotation of three rods by half of the square |α| ≤ 1 [rad]
 RODS = {name: pinred.Rod(LENGTH, 2.0, 1.0, centre=(CENTRES[name], 0.0, 0.0)) for name in LINKS}
 
 
 def swimmer() -> pinred.Connection:
-    """Purcell's, with drag ratio 2."""
+    """Return the connection of Purcell's swimmer with drag ratio 2."""
     return pinred.Connection.viscous(pinred.load("purcell_swimmer"), RODS)
 
 
 def rods() -> pinred.Connection:
-    """Three equal rods, by their momenta."""
+    """Return the mechanical connection of three equal rods."""
     return pinred.Connection.mechanical(pinred.load("three_rods"))
 
 
 @pytest.mark.by_hand
-def test_purcells_swimmer() -> None:
-    """Displacement per metric length, above the published efficient stroke's 0.11094879."""
+def test_optimal_stroke_of_purcells_swimmer_exceeds_published_one() -> None:
+    """Displacement per metric length, above the published 0.11094879."""
     best = pinred.optimise_gait(swimmer(), objective="displacement", harmonics=5, starts=5)
     first = best.optima[0]
     assert first.found >= 4
     assert 0.11119 < best.merit < 0.1112
     assert abs(first.winding or 0.0) == 1.0
     assert first.residual < 1e-5
-    assert abs(first.phase.pose[2]) < 1e-8  # it swims straight on
+    assert abs(first.phase.pose[2]) < 1e-8  # it swims straight
     assert best.merit == pytest.approx(first.phase.pose[0] / first.phase.length, rel=1e-12)
 
 
 @pytest.mark.by_hand
-def test_three_rods() -> None:
-    """Rotation over metric length, by SciPy over Pinocchio's mass matrix as well."""
+def test_optimal_rotation_of_three_rods() -> None:
+    """Rotation per metric length, also by SciPy with Pinocchio's mass matrix."""
     best = pinred.optimise_gait(rods(), objective="rotation", harmonics=9, starts=1)
     assert best.merit == pytest.approx(2.38599, abs=6e-6)
     assert abs(best.winding or 0.0) == 1.0
@@ -63,8 +63,8 @@ def test_three_rods() -> None:
 
 
 @pytest.mark.by_hand
-def test_largest_turn_of_a_simple_loop() -> None:
-    """Half of the square: what no simple loop exceeds, found from every start by polygons."""
+def test_optimal_polygon_reaches_largest_rotation() -> None:
+    """All starts reach half of the square's rotation, the maximum of simple loops."""
     best = pinred.optimise_gait(rods(), cost=None, vertices=24, limits=1.0, starts=3)
     assert best.optima[0].found == 3
     for each in best.optima:
@@ -74,8 +74,8 @@ def test_largest_turn_of_a_simple_loop() -> None:
 
 
 @pytest.mark.by_hand
-def test_what_the_best_loop_needs() -> None:
-    """The certificate: full ABA under its torques, the torques by RNEA, limits between nodes."""
+def test_best_gait_certificate_agrees_with_aba_and_rnea() -> None:
+    """Full ABA under its torques, torques by RNEA, and limits between the nodes."""
     torque, speed = 0.1, 3.0
     best = pinred.optimise_gait(
         rods(), cost="time", limits={"alpha1": 1.0, "alpha2": (-0.8, 1.0)}, speeds=speed,
@@ -103,17 +103,17 @@ def test_what_the_best_loop_needs() -> None:
 
 
 @pytest.mark.by_hand
-def test_limits_hold_between_the_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Imposed at even times alone, they are overshot."""
+def test_limits_hold_between_sample_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without additional sample times the limits are violated."""
     best = pinred.optimise_gait(rods(), cost="power", limits=1.0, harmonics=3, starts=1)
     assert np.abs(best.gait.limits).max() <= 1.0
-    monkeypatch.setattr(search, "worst_times", lambda *_: np.zeros(0))
+    monkeypatch.setattr(gait_search, "violation_times", lambda *_: np.zeros(0))
     loose = pinred.optimise_gait(rods(), cost="power", limits=1.0, harmonics=3, starts=1)
     assert np.abs(loose.gait.limits).max() > 1.0001
 
 
-def test_a_target_at_least_cost() -> None:
-    """30 degrees of three rods; a loop twice as long in time needs a quarter of the torque."""
+def test_target_is_reached_at_minimal_torque() -> None:
+    """A rotation of 30°; a doubled period needs a quarter of the torque."""
     target = np.radians(30.0)
     options = {"objective": "target", "target": target, "cost": "torque", "limits": 3.0}
     one, two = (
@@ -124,8 +124,8 @@ def test_a_target_at_least_cost() -> None:
     assert one.value < 1e-9
 
 
-def test_under_a_bound_on_the_cost() -> None:
-    """It is used up, and what is reached under it is more than random loops of that length."""
+def test_bound_on_cost_is_used_and_result_beats_random_loops() -> None:
+    """The bound is active, and random loops of this length rotate less."""
     best = pinred.optimise_gait(rods(), most=0.2, harmonics=1, starts=1)
     assert best.cost <= 0.2 + 1e-9
     rng, A = np.random.default_rng(0), rods()
@@ -138,12 +138,16 @@ def test_under_a_bound_on_the_cost() -> None:
 
 
 @pytest.mark.parametrize("cost", COSTS)
-def test_slopes_of_the_transcription(cost: str) -> None:
-    """Of the objective and of all constraints, by differences of order 4."""
+def test_transcription_derivatives_equal_differences(cost: str) -> None:
+    """Derivatives of the objective and all constraints, by differences of order 4."""
     for A in (rods(), swimmer()):
         limits = limits_of(A, 1.0, 2.0, 0.3)
-        bound = along(A.group, "displacement", "x")
-        for aim, most in ((bound, None), (bound, 1.0), (reach(A.group, [0.1, 0.2, 0.3]), None)):
+        bound = axis_aim(A.group, "displacement", "x")
+        for aim, most in (
+            (bound, None),
+            (bound, 1.0),
+            (target_aim(A.group, [0.1, 0.2, 0.3]), None),
+        ):
             task = Task(A, aim, cost, most, limits, 1.3)  # type: ignore[arg-type]
             path = fourier_path_of(task, 2)
             problem = problem_of(task, path)
@@ -159,8 +163,8 @@ def test_slopes_of_the_transcription(cost: str) -> None:
             close(found / size, expected / size, 1e-8)
 
 
-def test_costs_by_hand() -> None:
-    """Of an ellipse of three rods: torques by RNEA, the metric by Pinocchio."""
+def test_costs_equal_rnea_and_pinocchio_metric() -> None:
+    """Costs of an ellipse, with torques by RNEA and the metric by Pinocchio."""
     A, system = rods(), pinred.load("three_rods")
     red, T = pinred.Reduction(system), 1.7
     gait = pinred.Gait.fourier([0.2, -0.1], [[0.5, 0.1]], [[-0.2, 0.6]], period=T)
@@ -177,19 +181,19 @@ def test_costs_by_hand() -> None:
     }
     c = np.array([[0.2, -0.1], [0.5, 0.1], [-0.2, 0.6]])
     for cost, value in expected.items():
-        task = Task(A, reach(A.group, 0.1), cost, None, limits_of(A, 3.0, None, None), T)  # type: ignore[arg-type]
+        task = Task(A, target_aim(A.group, 0.1), cost, None, limits_of(A, 3.0, None, None), T)  # type: ignore[arg-type]
         path = fourier_path_of(task, 1)
         root = problem_of(task, path).evaluate(path.unknowns(c))[0][0]
         power = {"length": 1, "torque": 2, "power": 4, "acceleration": 2}[cost]
-        if cost == "length":  # its action stands in for it, never less
+        if cost == "length":  # replaced by the action, which is never smaller
             assert root >= value
             assert root == pytest.approx(value, rel=0.2)
         else:
             assert root**power == pytest.approx(value, rel=1e-9)
 
 
-def test_residuals() -> None:
-    """Zero at optima, inside and at bounds; not where a bound would have to pull."""
+def test_kkt_residual_is_zero_at_optima_alone() -> None:
+    """Interior and bounded optima have zero residual; wrong multiplier signs do not."""
 
     def parabola(z: Array) -> tuple[Array, Array]:
         return np.array([1.0 + (z[0] - 2.0) ** 2]), np.array([[2.0 * (z[0] - 2.0)]])
@@ -204,42 +208,42 @@ def test_residuals() -> None:
     assert minimum(problem(-9.0, 1.0), np.zeros(1)).z == pytest.approx(1.0, abs=1e-6)
 
 
-def test_a_loop_that_unwinds_is_no_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The winding number is counted in the end, whatever continuation does."""
+def test_wrong_winding_number_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The winding number is checked at the end, independently of the continuation."""
     monkeypatch.setattr(pinred.Gait, "winding", lambda _: 3.0)
     with pytest.raises(pinred.NoOptimum, match="winding number 3"):
         pinred.optimise_gait(rods(), harmonics=1, starts=1)
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "message"),
     [
         ({"objective": "spin"}, "objective must be one of rotation, displacement, target"),
         ({"cost": "love"}, "unknown cost 'love'; the costs are length"),
         ({"winding": 2}, "winding is 1, or None"),
-        ({"winding": None, "cost": None}, "unless the winding number is held"),
-        ({"objective": "target"}, "go together"),
+        ({"winding": None, "cost": None}, "winding=None needs a cost"),
+        ({"objective": "target"}, "require each other"),
         ({"cost": "time"}, "needs limits of speeds or torques"),
         ({"most": 1.0, "cost": None}, "most is a bound on a cost"),
         ({"limits": {"alpha3": 1.0}}, "no shape joint 'alpha3'; did you mean 'alpha"),
         ({"limits": -1.0}, "above zero, or a pair"),
         ({"vertices": 2}, "from 3 on"),
-        ({"vertices": 24, "cost": "torque"}, "costs no finite torque"),
+        ({"vertices": 24, "cost": "torque"}, "the torque of a polygon is infinite"),
         ({"starts": 0}, "starts must be a whole number from 1 on"),
         ({"objective": "displacement", "axis": "z"}, "axis must be x, y or a vector"),
         ({"objective": "target", "target": [1.0, 2.0]}, "pose of SE2"),
     ],
 )
-def test_refusals(options: dict[str, object], says: str) -> None:
-    """What makes no sense is refused by name."""
-    with pytest.raises(pinred.InputError, match=re.escape(says)):
+def test_optimise_gait_rejects_invalid_options(options: dict[str, object], message: str) -> None:
+    """The message names the option."""
+    with pytest.raises(pinred.InputError, match=re.escape(message)):
         pinred.optimise_gait(rods(), **options)  # type: ignore[arg-type]
 
 
-def test_more_joints_need_a_cost() -> None:
-    """'More in a cycle' means nothing with three joints, and rotation in space needs an axis."""
+def test_optimise_gait_with_three_joints_needs_cost_and_axis() -> None:
+    """Three joints need a cost, and a rotation in space needs an axis."""
     A = pinred.Connection.mechanical(pinred.load("falling_cat"))
-    with pytest.raises(pinred.InputError, match="means nothing with 3 joints"):
+    with pytest.raises(pinred.InputError, match="expected a cost for 3 joints"):
         pinred.optimise_gait(A, axis="x", cost=None)
     with pytest.raises(pinred.InputError, match="needs an axis"):
         pinred.optimise_gait(A)

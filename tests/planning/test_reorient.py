@@ -1,4 +1,4 @@
-"""Plans that turn the base: judged by SciPy over Pinocchio's mass matrix, and by full ABA."""
+"""Tests of reorientation plans against SciPy with Pinocchio's mass matrix, and against full ABA."""
 
 from __future__ import annotations
 
@@ -16,20 +16,24 @@ from trees import random_model
 import pinred
 from pinred.common.arrays import Array
 from pinred.planning.reorientation import turning_loop
-from pinred.planning.reorientation.first_loops import first_loop
 from pinred.planning.reorientation.tumble import passage_of
+from pinred.planning.reorientation.turning_loop import first_loop
 
-ROBOTS = {"falling_cat": 1.6, "satellite_two_arms": 2.6, "solo12": 1.0}  # their limits [rad]
+ROBOTS = {
+    "falling_cat": 1.6,
+    "satellite_two_arms": 2.6,
+    "solo12": 1.0,
+}  # limits of the joints [rad]
 
 
-def target(rng: np.random.Generator, least: float = 20.0, most: float = 180.0) -> Array:
-    """A rotation vector of random direction, and of so many degrees."""
+def random_target(rng: np.random.Generator, least: float = 20.0, most: float = 180.0) -> Array:
+    """Draw a rotation vector of random direction, with an angle in a range [°]."""
     w = rng.normal(size=3)
     return np.asarray(np.radians(rng.uniform(least, most)) * w / np.linalg.norm(w))
 
 
-def ends_at_rest(plan: pinred.TurnPlan) -> None:
-    """The joints begin and end at rest, in the same shape, within their limits."""
+def assert_rest_to_rest(plan: pinred.TurnPlan) -> None:
+    """Check that the joints start and end at rest, in the same shape, within their limits."""
     traj = plan.trajectory
     start = plan.gait.at(0.0)[0]
     for k in (0, -1):
@@ -40,8 +44,8 @@ def ends_at_rest(plan: pinred.TurnPlan) -> None:
 
 
 @pytest.mark.slow
-def test_the_falling_cat_rights_itself() -> None:
-    """Half a turn about its length, as SciPy has it, too, and full ABA."""
+def test_reorient_falling_cat_by_half_a_turn() -> None:
+    """Half a turn about its length, confirmed by SciPy and full ABA."""
     cat = pinred.load("falling_cat")
     w = np.array([np.pi, 0.0, 0.0])
     plan = pinred.reorient(cat, w, limits=1.6)
@@ -49,7 +53,7 @@ def test_the_falling_cat_rights_itself() -> None:
     assert plan.missed < 1e-8
     assert plan.report.passed
     assert np.abs(plan.gait.limits).max() <= 1.6
-    ends_at_rest(plan)
+    assert_rest_to_rest(plan)
     group = cat.group
     once = by_pinocchio(cat, plan.gait, np.zeros(6))
     pose = group.identity()
@@ -61,26 +65,26 @@ def test_the_falling_cat_rights_itself() -> None:
 
 @pytest.mark.by_hand
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.48, -0.64, 0.6)])
-def test_a_satellite_turns_a_quarter_about_any_axis(axis: tuple[float, ...]) -> None:
-    """By its two arms, without thrusters; full ABA agrees."""
+def test_reorient_satellite_about_any_axis(axis: tuple[float, ...]) -> None:
+    """A quarter turn by two arms, confirmed by full ABA."""
     satellite = pinred.load("satellite_two_arms")
     plan = pinred.reorient(satellite, 0.5 * np.pi * np.array(axis), limits=2.6)
     assert plan.missed < 1e-8
     assert plan.report.passed
     assert np.abs(plan.gait.limits).max() <= 2.6
-    ends_at_rest(plan)
+    assert_rest_to_rest(plan)
 
 
 @pytest.mark.by_hand
-def test_solo12_rights_itself_in_flight() -> None:
-    """Half a roll within a radian of each joint, while it falls; full ABA agrees."""
+def test_reorient_solo12_in_free_fall() -> None:
+    """Half a roll within one radian of each joint, confirmed by full ABA."""
     solo = pinred.load("solo12")
     assert solo.gravity.any()
     plan = pinred.reorient(solo, [np.pi, 0.0, 0.0], limits=1.0)
     assert plan.missed < 1e-8
     assert plan.report.passed
     assert np.abs(plan.gait.limits).max() <= 1.0
-    ends_at_rest(plan)
+    assert_rest_to_rest(plan)
     before, after = plan.trajectory.pose[[0, -1]]
     up = np.array([pin.Quaternion(q[3:]).toRotationMatrix()[2, 2] for q in (before, after)])
     close(up, [1.0, -1.0], 1e-8)
@@ -88,19 +92,19 @@ def test_solo12_rights_itself_in_flight() -> None:
 
 @pytest.mark.by_hand
 @pytest.mark.parametrize(("name", "seed"), [("satellite_two_arms", 2), ("falling_cat", 3)])
-def test_random_targets(name: str, seed: int) -> None:
-    """Reached within limits, rest to rest; tests/helpers/gait_trials.py has more."""
+def test_reorient_reaches_random_targets(name: str, seed: int) -> None:
+    """Targets are reached within limits; tests/helpers/gait_trials.py has more."""
     system = pinred.load(name)
     plan = pinred.reorient(
-        system, target(np.random.default_rng(seed), 20.0, 60.0), limits=ROBOTS[name]
+        system, random_target(np.random.default_rng(seed), 20.0, 60.0), limits=ROBOTS[name]
     )
     assert plan.missed < 1e-8
     assert np.abs(plan.gait.limits).max() <= ROBOTS[name]
-    ends_at_rest(plan)
+    assert_rest_to_rest(plan)
 
 
-def test_a_planar_base_turns_by_an_angle() -> None:
-    """Three rods, also from a line, where their curvature vanishes; a turn takes several cycles."""
+def test_reorient_planar_base_by_angle() -> None:
+    """Three rods, also from their singular straight shape; a full turn needs several cycles."""
     rods = pinred.load("three_rods")
     for angle, start in ((0.5, {"alpha1": 0.4, "alpha2": 0.5}), (-7.0, None)):
         plan = pinred.reorient(rods, angle, limits=2.5, x0=start)
@@ -110,8 +114,8 @@ def test_a_planar_base_turns_by_an_angle() -> None:
     assert plan.cycles > 1
 
 
-def test_speeds_and_torques_decide_how_long_it_takes() -> None:
-    """Peaks by differences of the motion, torques by RNEA; one more hurry breaks them."""
+def test_reorient_duration_respects_speeds_and_torques() -> None:
+    """Peaks by differences, torques by RNEA; a shorter duration is rejected."""
     rods = pinred.load("three_rods")
     options: dict[str, Any] = {"limits": 2.5, "x0": [0.4, 0.5]}
     plan = pinred.reorient(rods, 0.3, **options, speeds=1.0, torques=0.02)
@@ -131,8 +135,8 @@ def test_speeds_and_torques_decide_how_long_it_takes() -> None:
 
 
 @pytest.mark.parametrize("name", ["falling_cat", "satellite_two_arms"])
-def test_first_loops_are_right_to_leading_order(name: str) -> None:
-    """Small loops of the least bivector turn by the curvature, with an error of the next order."""
+def test_first_loop_rotation_agrees_with_curvature(name: str) -> None:
+    """Small loops rotate by the curvature, with an error of the next order."""
     system = pinred.load(name)
     A = pinred.Connection.mechanical(system)
     start = np.full(system.m, 0.3)
@@ -151,9 +155,9 @@ def test_first_loops_are_right_to_leading_order(name: str) -> None:
     assert wrong[1] < 0.1 * np.linalg.norm(w)
 
 
-def test_the_polish_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without it, the target is missed by what IPOPT leaves."""
-    monkeypatch.setattr(turning_loop, "polished", lambda _task, _aim, _path, y: y + 1e-8)
+def test_reorient_without_polish_misses_target(monkeypatch: pytest.MonkeyPatch) -> None:
+    """IPOPT alone leaves an error that is rejected."""
+    monkeypatch.setattr(turning_loop, "polish_loop", lambda _task, _aim, _path, y: y + 1e-8)
     with pytest.raises(pinred.NoOptimum, match=r"leaves .* of the target"):
         pinred.reorient(pinred.load("three_rods"), 0.3, limits=2.5, x0=[0.4, 0.5], cycles=1)
 
@@ -169,8 +173,10 @@ def test_the_polish_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
         ),
     ],
 )  # fmt: skip
-def test_a_base_that_tumbles(name: str, omega: list[float], target: list[float]) -> None:
-    """It passes through the target with the twist that momentum leaves it; full ABA agrees."""
+def test_reorient_with_momentum_passes_through_target(
+    name: str, omega: list[float], target: list[float]
+) -> None:
+    """The final twist is that of the momentum; full ABA agrees."""
     system = pinred.load(name)
     red, start = pinred.Reduction(system), np.full(system.m, 0.2)
     limit = ROBOTS.get(name, 2.5)
@@ -180,7 +186,7 @@ def test_a_base_that_tumbles(name: str, omega: list[float], target: list[float])
     quicker = pinred.simulate(plan.trajectory.scene, rtol=1e-8, atol=1e-10)
     assert pinred.compare(quicker).passed
     assert np.abs(plan.gait.limits).max() <= limit
-    ends_at_rest(plan)
+    assert_rest_to_rest(plan)
     group, k = system.group, system.group.linear
     wanted = group.exp(np.concatenate([np.zeros(k), target]))
     mu_there = group.Ad(plan.pose).T @ mu
@@ -192,8 +198,8 @@ def test_a_base_that_tumbles(name: str, omega: list[float], target: list[float])
     assert "which momentum fixes" in str(plan)
 
 
-def test_what_momentum_makes_of_limits() -> None:
-    """Speeds hold or are an error, as the duration decides the drift; torques are refused."""
+def test_reorient_with_momentum_checks_limits() -> None:
+    """Speeds hold or raise an error, and torques are rejected."""
     rods = pinred.load("three_rods")
     options: dict[str, Any] = {"limits": 2.5, "x0": [0.4, 0.5], "momentum": [0.0, 0.0, 0.01]}
     plan = pinred.reorient(rods, 0.3, **options, speeds=9.0)
@@ -210,7 +216,7 @@ def test_what_momentum_makes_of_limits() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "message"),
     [
         ({"target": [0.1, 0.2]}, "pose of SE2"),
         ({"target": 0.0}, "nothing has to move"),
@@ -219,38 +225,38 @@ def test_what_momentum_makes_of_limits() -> None:
         ({"target": 0.3, "duration": -1.0}, "duration must be finite and above zero"),
     ],
 )
-def test_refusals(options: dict[str, object], says: str) -> None:
-    """What makes no sense is refused by name."""
-    with pytest.raises(pinred.InputError, match=re.escape(says)):
+def test_reorient_rejects_invalid_options(options: dict[str, object], message: str) -> None:
+    """The message names the option."""
+    with pytest.raises(pinred.InputError, match=re.escape(message)):
         pinred.reorient(pinred.load("three_rods"), **options)  # type: ignore[arg-type]
 
 
-def test_what_cannot_be_reached_is_said() -> None:
-    """A joint that hardly moves turns nothing far."""
+def test_reorient_unreachable_target_raises() -> None:
+    """A joint with a tiny range cannot rotate the base far, and one joint cannot at all."""
     with pytest.raises(pinred.NoOptimum, match="give wider limits"):
         pinred.reorient(pinred.load("three_rods"), 3.0, limits=0.05, x0=[0.03, 0.03], cycles=1)
     with pytest.raises(pinred.InputError, match="needs two joints"):
         pinred.reorient(pinred.load("elroys_beanie"), 1.0)
 
 
-def test_weight_at_a_pivot_is_refused() -> None:
-    """Its momentum does not stay zero; without gravity, or about the vertical, it does."""
+def test_reorient_rejects_gravity_on_pivot() -> None:
+    """Gravity on a pivoted base changes its momentum."""
     model = random_model("SO3", 2, 1)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     with pytest.raises(pinred.SymmetryError, match="momenta do not stay what they are"):
         pinred.reorient(pinred.load(model), [0.0, 0.0, 0.1], limits=1.5)
 
 
-@pytest.mark.parametrize(("turned", "taken"), [(190.0, True), (210.0, False)])
-def test_tumbling_has_a_bound(turned: float, taken: bool) -> None:
-    """Through 200 rad with the joints at rest, by Pinocchio's mass matrix; beyond, in words."""
+@pytest.mark.parametrize(("angle", "accepted"), [(190.0, True), (210.0, False)])
+def test_passage_rejects_tumbling_above_bound(angle: float, accepted: bool) -> None:
+    """The bound is 200 rad with joints at rest, by Pinocchio's mass matrix."""
     rods, momentum, start = pinred.load("three_rods"), np.array([0.0, 0.0, 0.05]), [0.4, 0.5]
     q = rods.model_q(rods.group.identity(), start)
     upper = pin.crba(rods.model, rods.data, q)[:3, :3]
     locked = np.triu(upper) + np.triu(upper, 1).T
-    time = turned / abs(np.linalg.solve(locked, momentum)[2])
-    if taken:
-        assert passage_of(rods, momentum, np.array(start), 1, time).more >= 4 * turned
+    time = angle / abs(np.linalg.solve(locked, momentum)[2])
+    if accepted:
+        assert passage_of(rods, momentum, np.array(start), 1, time).more >= 4 * angle
         return
     with pytest.raises(pinred.InputError, match="tumble through 210 rad"):
         passage_of(rods, momentum, np.array(start), 1, time)

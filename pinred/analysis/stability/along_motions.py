@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...common.arrays import Array, freeze, positive
 from ...common.errors import InputError
 from ...common.progress import Progress, shown
+from ...forces.acting import ForceInputs
 from ...simulation.compiled.compiled_flow import CompiledFlow
 from ...simulation.plan import plan_of
 from ...simulation.trajectory import Trajectory
@@ -155,8 +156,10 @@ def _closure(traj: Trajectory, whole: Variational, start: Array, T: float) -> fl
     if model is not None and model.needs_time:
         first, last = (
             model.acting(
-                t, np.zeros(system.m), np.zeros(system.m), np.zeros(system.r), np.zeros(system.r),
-                model.numbers_from(t, traj.scene.end),
+                ForceInputs(
+                    t, np.zeros(system.m), np.zeros(system.m), np.zeros(system.r),
+                    np.zeros(system.r), model.numbers_from(t, traj.scene.end),
+                )
             ).torque
             for t in (0.0, T)
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The keys of gait files: the one description that reader, JSON Schema and docs go by."""
+"""The keys of gait files: one description for the reader, the JSON Schema and the docs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ...scene.toml.schema import (
     Whole,
     document_schema,
 )
-from ...scene.toml.signal_tables import NUMBER, NUMBERS, POSITIVE, SHAPE
+from ...scene.toml.signal_tables import NUMBER, NUMBERS, POSITIVE
 from ..optimisation.aims import AIMS
 from ..optimisation.costs import COSTS
 
@@ -48,13 +48,15 @@ _BODIES = {
             "centre": _CENTRE,
             "axis": _AXIS,
             "convention": Key(
-                Text(("textbook", "sysplotter")), "of the added moment", default="textbook"
+                Text(("textbook", "sysplotter")),
+                "convention of the added moment",
+                default="textbook",
             ),
         },
         "an elliptic cylinder across the plane",
     ),
 }
-_AT = Key(_POINT, "where, in the link's frame [m]", default="[0, 0, 0]")
+_AT = Key(_POINT, "position in the link's frame [m]", default="[0, 0, 0]")
 _LINK = Key(Text((), "the name of a link"), "the link that carries it", required=True)
 _WHEELS = {
     "wheel": Table(
@@ -67,11 +69,13 @@ _WHEELS = {
     ),
     "rolling": Table(
         {
-            "joint": Key(Text((), "the name of a joint"), "that turns the wheel", required=True),
+            "joint": Key(
+                Text((), "the name of a joint"), "the joint that rotates the wheel", required=True
+            ),
             "radius": Key(POSITIVE, "radius [m]", required=True),
             "link": _LINK,
             "at": _AT,
-            "heading": Key(_POINT, "where positive rates take it", default="[1, 0, 0]"),
+            "heading": Key(_POINT, "direction of motion for positive rates", default="[1, 0, 0]"),
         },
         "a wheel that rolls without slipping",
     ),
@@ -81,7 +85,9 @@ CONNECTIONS = {
     "viscous": Table({"drag": Key(ByName(_ROD), "a rod for each link", required=True)}, "drag"),
     "fluid": Table(
         {
-            "density": Key(POSITIVE, "of the fluid [kg/m³]; of ellipses [kg/m²]", required=True),
+            "density": Key(
+                POSITIVE, "density of the fluid [kg/m³]; for ellipses [kg/m²]", required=True
+            ),
             "bodies": Key(
                 ByName(Tagged("kind", _BODIES, "a body")), "a body for each link", required=True
             ),
@@ -92,7 +98,7 @@ CONNECTIONS = {
         {
             "wheels": Key(
                 ListOf(Tagged("kind", _WHEELS, "a wheel")),
-                "as many as the group has dimensions",
+                "one wheel for each dimension of the group",
                 required=True,
             )
         },
@@ -115,7 +121,7 @@ GAITS = {
     "spline": Table(
         {
             "points": _POINTS,
-            "times": Key(NUMBERS, "from 0, increasing [s]", default="even ones"),
+            "times": Key(NUMBERS, "increasing times from 0 [s]", default="equally spaced"),
             "period": _PERIOD,
         },
         "a periodic cubic spline",
@@ -133,72 +139,113 @@ GAITS = {
     "recorded": Table(
         {
             "file": Key(Text(), "a csv or npz file, relative to this one", required=True),
-            "period": Key(POSITIVE, "time of one cycle [s]", default="that of the data"),
+            "period": Key(POSITIVE, "time of one cycle [s]", default="the time span of the data"),
         },
         "recorded joint data",
     ),
 }
 _LIMIT = Either((NUMBER, ListOf(NUMBER, 2)))
 _RANGES = Either((NUMBER, ListOf(_LIMIT), ByName(_LIMIT)))
-_MOSTS = Either((POSITIVE, ListOf(POSITIVE), ByName(POSITIVE)))
+_MAXIMA = Either((POSITIVE, ListOf(POSITIVE), ByName(POSITIVE)))
+_FORMAT = "R, R1,R2,… or J1=R1,…"  # command-line format of limits
 _LIMITS = {
     "limits": Key(
-        _RANGES, "of joints [rad | m]: r for [−r, r], or one or a pair for each, or by joint",
-        default="those in the robot's file",
+        _RANGES,
+        "joint ranges [rad | m]: R for [-R, R], or a limit or a pair for each joint, or by joint",
+        default="limits of the robot's file", command=f"--limits {_FORMAT}",
     ),
-    "speeds": Key(_MOSTS, "greatest of joints [rad/s | m/s], for all, for each, or by joint"),
-    "torques": Key(_MOSTS, "greatest of joints [N m | N], in the same forms"),
+    "speeds": Key(
+        _MAXIMA, "largest joint rates [rad/s | m/s], for all, for each, or by joint",
+        default="none", command=f"--speeds {_FORMAT}",
+    ),
+    "torques": Key(
+        _MAXIMA, "largest joint torques [N·m | N], for all, for each, or by joint",
+        default="none", command=f"--torques {_FORMAT}",
+    ),
 }  # fmt: skip
 _TARGET = Either((NUMBER, NUMBERS))
 OPTIMISE = Table(
     {
-        "objective": Key(Text(AIMS), "what is wanted of the loop", default=AIMS[0]),
-        "axis": Key(Either((Text(("x", "y", "z")), NUMBERS)), "along or about which"),
-        "target": Key(_TARGET, "of objective target: an angle, a rotation vector, or a pose"),
-        "cost": Key(Text((*COSTS, "none")), "what it is to cost little of", default=COSTS[0]),
-        "most": Key(POSITIVE, "bound on the cost, under which the objective is made great"),
-        "harmonics": Key(Whole(1), "of the Fourier series", default="5"),
-        "vertices": Key(Whole(3), "of a polygon instead"),
+        "objective": Key(
+            Text(AIMS), f"objective: {', '.join(AIMS)}", default=AIMS[0], command="--objective O"
+        ),
+        "axis": Key(
+            Either((Text(("x", "y", "z")), NUMBERS)),
+            "axis of the rotation or displacement: x, y, z, or a vector", command="--axis AXIS",
+        ),
+        "target": Key(
+            _TARGET, "target of objective target: angle or rotation vector [rad], or pose",
+            command="--target V1,V2,…",
+        ),
+        "cost": Key(
+            Text((*COSTS, "none")), f"cost: {', '.join(COSTS)}, none",
+            default=COSTS[0], command="--cost C",
+        ),
+        "most": Key(
+            POSITIVE, "upper bound on the cost, under which the objective is maximised",
+            command="--most C",
+        ),
+        "harmonics": Key(
+            Whole(1), "number of Fourier harmonics", default="5", command="--harmonics H"
+        ),
+        "vertices": Key(
+            Whole(3), "number of vertices of a polygon, instead of a Fourier series",
+            command="--vertices N",
+        ),
         "winding": Key(
-            Either((Whole(1, 1), Text(("any",)))), "how often it goes round", default="1"
+            Either((Whole(1, 1), Text(("any",)))), "winding number of the loop", default="1"
         ),
         **_LIMITS,
-        "period": Key(POSITIVE, "time of one cycle [s]", default="1"),
-        "starts": Key(Whole(1), "random first loops", default="5"),
-        "seed": Key(Whole(), "of their random numbers", default="0"),
+        "period": Key(POSITIVE, "time of one cycle [s]", default="1", command="--period T"),
+        "starts": Key(
+            Whole(1), "number of random initial loops", default="5", command="--starts N"
+        ),
+        "seed": Key(Whole(), "seed of the random loops", default="0", command="--seed S"),
     },
     "the objective of a best gait",
-)
+)  # fmt: skip
 REORIENT = Table(
     {
-        "target": Key(_TARGET, "rotation vector, angle [rad] or pose", required=True),
+        "target": Key(
+            _TARGET, "rotation vector or angle [rad], or a pose, whose attitude is the target",
+            required=True, command="--target V1,V2,…",
+        ),
         **_LIMITS,
-        "x0": Key(SHAPE, "shape at start and end, in order or by joint", default="zero"),
-        "cycles": Key(Whole(1), "of equal loops", default="as few as will do"),
-        "duration": Key(POSITIVE, "of all of it [s]", default="2 s a cycle"),
+        "x0": replace(
+            SCENE_OPTIONS["x0"], text="shape at start and end [rad | m]", default="zero"
+        ),
+        "cycles": Key(
+            Whole(1), "number of equal loops", default="smallest possible", command="--cycles N"
+        ),
+        "duration": Key(
+            POSITIVE, "duration of the motion [s]", default="2 per cycle", command="--time T"
+        ),
     },
-    "how the base is to turn",
-)
+    "the rotation of the base",
+)  # fmt: skip
 GAIT_FILE = Table(
     {
         **ROBOT,
         "parameters": replace(
-            SCENE_OPTIONS["parameters"],
-            text="values of robot parameters, such as hand.mass (docs/flow.md)",
+            SCENE_OPTIONS["parameters"], text="robot parameters by name (docs/flow.md)"
         ),
         "connection": Key(
-            Tagged("kind", CONNECTIONS, "a connection"), "what moves the body", default="mechanical"
+            Tagged("kind", CONNECTIONS, "a connection"),
+            "connection that moves the body",
+            default="mechanical",
         ),
-        "base": Key(Text((), "the name of a link"), "the link to be the base", default="the root"),
+        "base": Key(
+            Text((), "the name of a link"), "link that serves as the base", default="the root"
+        ),
         "gait": Key(Tagged("kind", GAITS, "a gait"), "the closed path"),
         "momentum": replace(SCENE_OPTIONS["momentum"], default="0"),
-        "optimise": Key(OPTIMISE, "the objective of a best gait"),
-        "reorient": Key(REORIENT, "how the base is to turn"),
+        "optimise": Key(OPTIMISE, OPTIMISE.words),
+        "reorient": Key(REORIENT, REORIENT.words),
     },
     "a gait file",
 )
 
 
 def gait_schema() -> Schema:
-    """Return the JSON Schema (draft 2020-12) of gait files, as read from TOML."""
+    """Return the JSON Schema (draft 2020-12) of gait files."""
     return document_schema(GAIT_FILE, "pinred gait")

@@ -1,4 +1,4 @@
-"""Gaits and objectives from TOML files: read, checked, and built.  Nothing in them is executed."""
+"""Gait files: reading and validation of gaits and objectives in TOML."""
 
 from __future__ import annotations
 
@@ -27,9 +27,13 @@ from .gait_keys import GAIT_FILE
 class GaitFile:
     """The contents of a gait file.
 
-    gait: None if the file has none.  momentum: (r,) body momentum at the start.  optimise: options
-    of `optimise_gait`, and reorient: options of `reorient`, by their names in Python; what the file
-    does not say is left out.
+    Attributes:
+        system: The system.
+        connection: The connection.
+        gait: The gait, or None.
+        momentum: Initial body momentum, (r,).
+        optimise: Options of `optimise_gait` in the file, by name.
+        reorient: Options of `reorient` in the file, by name.
     """
 
     system: System
@@ -43,15 +47,22 @@ class GaitFile:
     def path(self) -> Gait:
         """The gait.  Raises InputError if the file has none."""
         if self.gait is None:
-            raise InputError(f"no gait of '{self.system.name}' is given")
+            raise InputError(
+                f"no gait of '{self.system.name}' is given; add a [gait] table to the file"
+            )
         return self.gait
 
 
 def load_gait(path: str | Path) -> GaitFile:
-    """Return robot, connection, gait and objectives of a TOML file, as docs/phases.md lists them.
+    """Read robot, connection, gait and objectives from a TOML file (see docs/phases.md).
 
-    Raises LoadError if the file, or one that it names, cannot be read; InputError, or what the
-    parts raise, naming file and key.
+    Args:
+        path: Name of the file.
+    Returns:
+        The contents.
+    Raises:
+        LoadError: The file, or a file that it names, cannot be read.
+        InputError: A value is invalid; the message names file and key.
     """
     document, place = read_document(path, GAIT_FILE, "gait")
     folder = Path(path).parent
@@ -76,8 +87,8 @@ def load_gait(path: str | Path) -> GaitFile:
             (place / "momentum").fail(f"must have {connection.r} entries ({names}), or be 0")
         momentum[:] = values
     optimise = dict(document.get("optimise", {}))
-    for name, nothing in (("cost", "none"), ("winding", "any")):
-        if optimise.get(name) == nothing:
+    for name, word in (("cost", "none"), ("winding", "any")):
+        if optimise.get(name) == word:
             optimise[name] = None
     turn = dict(document.get("reorient", {}))
     if turn and momentum.any():
@@ -118,7 +129,7 @@ def _gait(table: Mapping[str, Any], connection: Connection, folder: Path) -> Gai
         gait = getattr(Gait, kind)(**options)
     if gait.m != connection.m:
         raise InputError(
-            f"it moves {gait.m} joints, but the robot has {connection.m}: "
+            f"the gait moves {gait.m} joints, but the robot has {connection.m}: "
             f"{', '.join(connection.joints)}"
         )
     return gait

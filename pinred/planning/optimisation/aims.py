@@ -1,4 +1,4 @@
-"""Aims: what a loop is to do to the body, as functions of the phase with exact slopes."""
+"""Objectives of a loop: functions of the final pose with exact derivatives."""
 
 from __future__ import annotations
 
@@ -27,14 +27,18 @@ _LETTERS = {"x": 0, "y": 1, "z": 2}
 
 
 @dataclass(frozen=True, eq=False)
-class Along:
-    """As much as possible of a rotation about an axis, or of a displacement along one.
+class AxisAim:
+    """A rotation about an axis, or a displacement along one, to be maximised.
 
-    rotation: the angle, unwrapped, where the group has one rotation; in space, the part along the
-    axis of the rotation vector of a cycle [rad], at most π.  displacement: the part along the axis
-    of the position after a cycle that turns the base by nothing [m]; with a turn, the base would
-    go round in a circle, cycle after cycle.  axis: (turns,) or (linear,), a unit vector in the
-    frame in which the base starts.
+    The rotation of a planar group is the unwrapped angle [rad].  In space it is the component of
+    the rotation vector along the axis, at most π.  A displacement is the component of the final
+    position along the axis [m].  It requires a zero rotation, because otherwise repeated cycles
+    would move the base in a circle.
+
+    Attributes:
+        group: The symmetry group.
+        kind: "rotation" or "displacement".
+        axis: Unit vector in the initial frame of the base, (turns,) or (linear,).
     """
 
     group: Group
@@ -46,74 +50,102 @@ class Along:
 
     @property
     def unit(self) -> str:
-        """The unit of the value."""
+        """Unit of the value."""
         return "rad" if self.kind == "rotation" else "m"
 
-    def held(self, pose: Array) -> tuple[Array, Array]:
-        """Return what must be zero (k,), and its slopes (k, r): the turn, of a displacement."""
+    def constraint(self, pose: Array) -> tuple[Array, Array]:
+        """Compute the equality constraints: a displacement requires zero rotation.
+
+        Args:
+            pose: Pose after one cycle, (size,).
+        Returns:
+            The constraint values, (k,), and their derivatives by g⁻¹δg, (k, r).
+        """
         if self.kind == "rotation" or not self.group.turns:
             return np.zeros(0), np.zeros((0, self.group.dim))
-        return Reach(self.group, self.group.identity()[self.group.linear :], None).missed(pose)
+        return TargetAim(self.group, self.group.identity()[self.group.linear :], None).error(pose)
 
     def value(self, pose: Array) -> tuple[float, Array]:
-        """Return the value at a pose and its slope (r,) by g⁻¹δg."""
+        """Compute the value.
+
+        Args:
+            pose: Pose after one cycle, (size,).
+        Returns:
+            The value and its derivative by g⁻¹δg, (r,).
+        """
         group, k = self.group, self.group.linear
-        slope = np.zeros(group.dim)
+        derivative = np.zeros(group.dim)
         if self.kind == "displacement":
-            slope[:k] = group.turned_back(pose[k:], self.axis)
-            return float(self.axis @ pose[:k]), slope
+            derivative[:k] = group.turned_back(pose[k:], self.axis)
+            return float(self.axis @ pose[:k]), derivative
         if group.turns == 1:
-            slope[k] = self.axis[0]
-            return float(self.axis[0] * pose[k]), slope
+            derivative[k] = self.axis[0]
+            return float(self.axis[0] * pose[k]), derivative
         w = quaternion_log(pose[k:])
-        slope[k:] = self.axis @ left_jacobian_inverse(-w)
-        return float(self.axis @ w), slope
+        derivative[k:] = self.axis @ left_jacobian_inverse(-w)
+        return float(self.axis @ w), derivative
 
 
 @dataclass(frozen=True, eq=False)
-class Reach:
-    """A pose, or an attitude with any position.
+class TargetAim:
+    """A pose, or an attitude with any position, to be reached.
 
-    attitude: (size − linear,), an angle or a quaternion, or none.  position: (linear,) [m], or
-    None if any will do.
+    Attributes:
+        group: The symmetry group.
+        attitude: Angle [rad] or unit quaternion, (size − linear,).
+        position: Position, (linear,) [m], or None for any position.
     """
 
     group: Group
     attitude: Array
     position: Array | None
 
-    def missed(self, pose: Array) -> tuple[Array, Array]:
-        """Return what is missing (k,), rotation [rad] before position [m], and slopes (k, r)."""
+    def error(self, pose: Array) -> tuple[Array, Array]:
+        """Compute the deviation from the target.
+
+        Args:
+            pose: Pose after one cycle, (size,).
+        Returns:
+            The deviation, (k,), rotation [rad] before position [m], and its derivatives by g⁻¹δg,
+            (k, r).
+        """
         group, k = self.group, self.group.linear
-        parts, slopes = [], []
+        errors, derivatives = [], []
         if group.turns:
-            rows = np.zeros((group.turns, group.dim))
+            by_twist = np.zeros((group.turns, group.dim))
             if group.turns == 1:
-                parts.append(pose[k:] - self.attitude)
-                rows[0, k] = 1.0
+                errors.append(pose[k:] - self.attitude)
+                by_twist[0, k] = 1.0
             else:
                 w = rotation_between(self.attitude, pose[k:])
-                parts.append(w)
-                rows[:, k:] = left_jacobian_inverse(-w)
-            slopes.append(rows)
+                errors.append(w)
+                by_twist[:, k:] = left_jacobian_inverse(-w)
+            derivatives.append(by_twist)
         if self.position is not None:
-            parts.append(pose[:k] - self.position)
-            rows = np.zeros((k, group.dim))
+            errors.append(pose[:k] - self.position)
+            by_twist = np.zeros((k, group.dim))
             for j, axis in enumerate(np.eye(k)):
-                rows[j, :k] = group.turned_back(pose[k:], axis)
-            slopes.append(rows)
-        return np.concatenate(parts), np.vstack(slopes)
+                by_twist[j, :k] = group.turned_back(pose[k:], axis)
+            derivatives.append(by_twist)
+        return np.concatenate(errors), np.vstack(derivatives)
 
 
 def rotation_between(a: Array, b: Array) -> Array:
-    """Return the rotation vector of a⁻¹ b, (3,), of unit quaternions."""
+    """Return the rotation vector of a⁻¹ b, (3,), for unit quaternions."""
     return quaternion_log(quaternion_product(conjugate(a), b))
 
 
-def along(group: Group, kind: AimKind, axis: str | ArrayLike | None) -> Along:
-    """Return the aim of a kind along an axis: a letter, a vector, or None for the only one.
+def axis_aim(group: Group, kind: AimKind, axis: str | ArrayLike | None) -> AxisAim:
+    """Create the objective along or about an axis.
 
-    Raises InputError if the group does not move so, or has several axes and none is given.
+    Args:
+        group: The symmetry group.
+        kind: "rotation" or "displacement".
+        axis: 'x', 'y', 'z', a vector, or None for the first or only axis.
+    Returns:
+        The objective.
+    Raises:
+        InputError: The group has no such motion, or the axis is missing or invalid.
     """
     size = group.turns if kind == "rotation" else group.linear
     if not size:
@@ -121,40 +153,47 @@ def along(group: Group, kind: AimKind, axis: str | ArrayLike | None) -> Along:
     if axis is None:
         if size > 1 and kind == "rotation":
             raise InputError("rotation in space needs an axis: 'x', 'y', 'z' or a vector (3,)")
-        return Along(group, kind, np.eye(size)[0])
-    own = group.axes[group.linear :] if kind == "rotation" else group.axes[: group.linear]
+        return AxisAim(group, kind, np.eye(size)[0])
+    axes = group.axes[group.linear :] if kind == "rotation" else group.axes[: group.linear]
     if isinstance(axis, str):
-        place = {
-            letter: own.index(k + 3 * (kind == "rotation"))
+        indices = {
+            letter: axes.index(k + 3 * (kind == "rotation"))
             for letter, k in _LETTERS.items()
-            if k + 3 * (kind == "rotation") in own
+            if k + 3 * (kind == "rotation") in axes
         }
-        if axis not in place:
-            raise InputError(f"axis must be {', '.join(place)} or a vector, got {brief(axis)}")
-        return Along(group, kind, np.eye(size)[place[axis]])
+        if axis not in indices:
+            raise InputError(f"axis must be {', '.join(indices)} or a vector, got {brief(axis)}")
+        return AxisAim(group, kind, np.eye(size)[indices[axis]])
     direction = vector(np.atleast_1d(as_floats(axis, "axis")), size, "axis")
     norm = float(np.linalg.norm(direction))
     if not norm > 0.0:
-        raise InputError("axis must have a direction")
-    return Along(group, kind, direction / norm)
+        raise InputError(f"axis: expected a nonzero vector, got {brief(axis)}")
+    return AxisAim(group, kind, direction / norm)
 
 
-def reach(group: Group, target: ArrayLike) -> Reach:
-    """Return the aim of a target: a pose (size,), or the rotation alone, (turns,).
+def target_aim(group: Group, target: ArrayLike) -> TargetAim:
+    """Create the objective of a target.
 
-    Rotation: an angle [rad], which may be more than a turn, or a rotation vector [rad].
-    Raises InputError or ShapeError for anything else.
+    Args:
+        group: The symmetry group.
+        target: A pose, (size,), or a rotation, (turns,): an angle [rad], which may exceed a full
+            turn, or a rotation vector [rad].
+    Returns:
+        The objective.
+    Raises:
+        InputError: The target is not in the group.
+        ShapeError: The target has another shape, or is not finite.
     """
-    given = np.atleast_1d(as_floats(getattr(target, "homogeneous", target), "target"))
-    if group.turns and given.shape == (group.turns,):
-        given = vector(given, group.turns, "target")
-        turn = given.copy() if group.turns == 1 else quaternion_exp(given)
-        return Reach(group, turn, None)
-    pose = group.pose(given)
+    values = np.atleast_1d(as_floats(getattr(target, "homogeneous", target), "target"))
+    if group.turns and values.shape == (group.turns,):
+        values = vector(values, group.turns, "target")
+        attitude = values.copy() if group.turns == 1 else quaternion_exp(values)
+        return TargetAim(group, attitude, None)
+    pose = group.pose(values)
     if group.turns == 3:
         pose = np.concatenate([pose[:-4], unit(pose[-4:])])
     k = group.linear
-    return Reach(group, pose[k:].copy(), pose[:k].copy() if k else None)
+    return TargetAim(group, pose[k:].copy(), pose[:k].copy() if k else None)
 
 
 def _names(group: Group) -> str:

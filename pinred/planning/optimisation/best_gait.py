@@ -1,8 +1,9 @@
-"""BestGait: the best loop that was found, its certificate, and the other local optima."""
+"""Results of a gait optimisation: the best loop, its certificate, and the other local optima."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,20 +17,63 @@ from ...lie.group import PoseError
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
-from .aims import Along, Reach
+from .aims import AxisAim, TargetAim
 from .costs import ABOUT, DEGREES
-from .optimum import Optimum
 from .transcription import Task
+
+SAME = 1e-5  # relative difference of merits below which optima count as equal
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """A loop that no small change within the limits improves.
+
+    Attributes:
+        gait: The loop.
+        phase: Phase of one cycle, sampled independently of the optimiser.
+        value: Objective of one cycle [rad | m]; for a target, the deviation from it.
+        cost: Cost of one cycle, in the unit of the cost; NaN without a cost.
+        merit: The maximised quantity.
+        residual: Residual of the Karush–Kuhn–Tucker conditions, relative to the merit.
+        margins: Smallest distance to the limits of each kind.
+        winding: Winding number in the plane of two joints; None with more joints.
+        found: Number of starts that converged to this optimum.
+    """
+
+    gait: Gait
+    phase: Phase
+    value: float
+    cost: float
+    merit: float
+    residual: float
+    margins: Mapping[str, float]
+    winding: float | None
+    found: int = 1
+
+
+def group_optima(optima: list[Optimum]) -> tuple[Optimum, ...]:
+    """Merge optima of equal merit; return them best first, with their numbers of starts."""
+    distinct: list[Optimum] = []
+    for optimum in sorted(optima, key=lambda optimum: -optimum.merit):
+        if distinct and distinct[-1].merit - optimum.merit <= SAME * abs(distinct[-1].merit):
+            distinct[-1] = replace(distinct[-1], found=distinct[-1].found + 1)
+        else:
+            distinct.append(optimum)
+    return tuple(distinct)
+
 
 _ROOTS = {1: "", 2: "√", 4: "⁴√"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BestGait:
-    """The best of the loops found, and all others.
+    """The best loop of an optimisation, with all other local optima.
 
-    optima: local optima, best first, each with how often it was found.  starts: how many first
-    loops there were.  lost: why others led to none.
+    Attributes:
+        task: The optimisation task.
+        optima: Local optima, best first.
+        starts: Number of initial loops.
+        lost: Reasons why other starts failed.
     """
 
     task: Task = field(repr=False)
@@ -44,63 +88,68 @@ class BestGait:
 
     @property
     def phase(self) -> Phase:
-        """What one cycle of it does to the body."""
+        """Phase of one cycle of the best loop."""
         return self.optima[0].phase
 
     @property
     def value(self) -> float:
-        """The objective of one cycle [rad | m]; of a target, what is missing."""
+        """Objective of one cycle [rad | m]; for a target, the deviation from it."""
         return self.optima[0].value
 
     @property
     def cost(self) -> float:
-        """What one cycle costs; NaN without a cost."""
+        """Cost of one cycle; NaN without a cost."""
         return self.optima[0].cost
 
     @property
     def merit(self) -> float:
-        """What was made great: the objective, per cost if that was asked for; or less the cost."""
+        """The maximised quantity: the objective, the objective per cost, or the negative cost."""
         return self.optima[0].merit
 
     @property
     def winding(self) -> float | None:
-        """How often it goes round, of two joints; None with more."""
+        """Winding number of the loop of two joints; None with more joints."""
         return self.optima[0].winding
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """One cycle, simulated at zero momentum with the joints on the loop.
+        """One cycle, simulated at zero momentum with all joints prescribed.
 
-        `driving_torques` are those that it needs.  Raises InputError unless the connection is
-        mechanical and the loop smooth.
+        Its `driving_torques` are the torques that the loop needs.
+
+        Raises:
+            InputError: The connection is not mechanical, or the loop has corners.
         """
         return cycle(self._system(), self.gait)
 
     @cached_property
     def report(self) -> Report:
-        """The judgement of the trajectory by full ABA, under the torques that follow the loop."""
+        """Comparison of the trajectory with full ABA under the driving torques."""
         return compare(self.trajectory)
 
     @property
     def flow_error(self) -> PoseError:
-        """How far the simulated base ends from the phase: rotation [rad], position [m].
+        """Distance between the simulated final pose and the phase [rad, m].
 
-        Less what it falls by, where there is gravity.
+        Under gravity, the displacement of the free fall is subtracted.
         """
         system, group, end = self._system(), self.task.connection.group, self.trajectory.pose[-1]
-        fallen = 0.5 * system.gravity[: group.linear] * self.gait.period**2
-        if len(fallen) == 3:
-            end = end - np.pad(fallen, (0, len(end) - 3))
+        fall = 0.5 * system.gravity[: group.linear] * self.gait.period**2
+        if len(fall) == 3:
+            end = end - np.pad(fall, (0, len(end) - 3))
         return group.error(self.phase.pose, end)
 
     def _system(self) -> System:
         connection = self.task.connection
         if connection.system is None or not connection.is_mechanical:
             raise InputError(
-                f"only a motion without drag and wheels can be simulated, not {connection}"
+                f"expected a mechanical connection, got {connection}; motions with drag or wheels "
+                "cannot be simulated"
             )
         if not self.gait.is_smooth:
-            raise InputError("at the corners of a polygon joints would need infinite torques")
+            raise InputError(
+                "a polygon cannot be simulated, because its corners need infinite torques"
+            )
         return connection.system
 
     def __repr__(self) -> str:
@@ -114,41 +163,52 @@ class BestGait:
         task, best, group = self.task, self.optima[0], self.task.connection.group
         lines = [f"best gait of {task.connection.form.what}, {group.name} × {task.connection.m}"]
 
-        def row(name: str, value: float | str, note: str = "") -> None:
+        def add_row(name: str, value: float | str, note: str = "") -> None:
             shown = value if isinstance(value, str) else f"{value:.10g}"
             lines.append(f"  {name:<26} {shown:>16}{'  ' + note if note else ''}")
 
-        if isinstance(task.aim, Reach):
-            row("missing of the target", best.value)
+        if isinstance(task.aim, TargetAim):
+            add_row("deviation from target", best.value)
         else:
-            row(f"{task.aim.kind} a cycle [{task.aim.unit}]", best.value)
+            add_row(f"{task.aim.kind} a cycle [{task.aim.unit}]", best.value)
         if task.cost is not None:
-            row(task.cost, best.cost, ABOUT[task.cost])
-        if task.per_cost and isinstance(task.aim, Along):
-            row(f"{task.aim.kind} / {_ROOTS[DEGREES[task.cost or 'time']]}{task.cost}", best.merit)
-        row("period [s]", best.gait.period)
+            add_row(task.cost, best.cost, ABOUT[task.cost])
+        if task.per_cost and isinstance(task.aim, AxisAim):
+            add_row(
+                f"{task.aim.kind} / {_ROOTS[DEGREES[task.cost or 'time']]}{task.cost}", best.merit
+            )
+        add_row("period [s]", best.gait.period)
         if best.winding is not None:
-            row("winding number", f"{best.winding:g}")
+            add_row("winding number", f"{best.winding:g}")
         error = best.phase.error
-        row(
+        add_row(
             "error of the phase",
             f"{float(error.rotation):.1e} rad",
             f"{float(error.translation):.1e} m, by doubled samples",
         )
-        row("KKT residual", f"{best.residual:.1e}", "relative to the merit")
+        add_row("KKT residual", f"{best.residual:.1e}", "relative to the merit")
         for name, margin in best.margins.items():
-            row(f"margin to {name}", f"{margin:.2e}")
+            add_row(f"margin to {name}", f"{margin:.2e}")
         lines.append(f"  local optima, from {self.starts} starts:")
         lines += [
-            f"    merit {each.merit:.10g}, found {each.found} times, residual {each.residual:.1e}"
-            for each in self.optima
+            f"    merit {opt.merit:.10g}, found {opt.found} times, residual {opt.residual:.1e}"
+            for opt in self.optima
         ]
-        lines += [f"    none {self.lost.count(why)} times: {why}" for why in sorted(set(self.lost))]
+        lines += [
+            f"    failed {self.lost.count(why)} times: {why}" for why in sorted(set(self.lost))
+        ]
         return "\n".join(lines)
 
 
 def cycle(system: System, gait: Gait) -> Trajectory:
-    """Return one cycle of a gait from zero momentum, the base free and the joints on the loop."""
+    """Simulate one cycle of a gait from zero momentum, with a free base and prescribed joints.
+
+    Args:
+        system: The system.
+        gait: The gait.
+    Returns:
+        The trajectory.
+    """
     x, xdot = gait.at(0.0)
     plan = gait.signals(system.shape_names)
     return simulate(system, x0=x, xdot0=xdot, momentum=0, prescribed=plan, duration=gait.period)

@@ -1,4 +1,4 @@
-"""IPOPT, as CasADi's wheel brings it, on functions of NumPy with exact derivatives."""
+"""IPOPT from CasADi's wheel, for NumPy functions with exact derivatives."""
 
 from __future__ import annotations
 
@@ -12,15 +12,20 @@ import numpy as np
 from ...common.arrays import Array
 from ...common.interrupts import held_interrupt
 
-# z (n,) → the objective and the constraints (1 + k,), and their derivatives (1 + k, n).
+# Function z (n,) → objective and constraints, (1 + k,), and their derivatives, (1 + k, n).
 Evaluate: TypeAlias = Callable[[Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Least f(z) with lower ≤ (g(z), R z) ≤ upper.
+    """Minimise f(z) subject to lower ≤ (g(z), R z) ≤ upper.
 
-    evaluate: f and g, (1 + k,), with derivatives.  rows: R (l, n).  lower, upper: (k + l,).
+    Attributes:
+        size: Number of unknowns n.
+        evaluate: Function z → f and g, (1 + k,), with derivatives, (1 + k, n).
+        rows: Matrix R of the linear constraints, (l, n).
+        lower: Lower bounds, (k + l,).
+        upper: Upper bounds, (k + l,).
     """
 
     size: int
@@ -37,7 +42,14 @@ class Problem:
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where IPOPT stopped.  status: in its words.  residual: see `kkt_residual`."""
+    """The final point of IPOPT.
+
+    Attributes:
+        z: Unknowns, (n,).
+        status: Return status of IPOPT.
+        iterations: Number of iterations.
+        residual: See `kkt_residual`.
+    """
 
     z: Array
     status: str
@@ -46,21 +58,30 @@ class Minimum:
 
 
 def minimum(problem: Problem, start: Array, *, tolerance: float = 1e-8, most: int = 500) -> Minimum:
-    """Return a local minimum near a start (n,).
+    """Find a local minimum near an initial point.
 
-    Its Hessian is built by L-BFGS.  A failure is no error: the residual tells what was found.
+    The Hessian is approximated by L-BFGS.  A failure raises no error; the residual tells whether
+    the point is a minimum.
+
+    Args:
+        problem: The problem.
+        start: Initial point, (n,).
+        tolerance: IPOPT's tolerance.
+        most: Maximum number of iterations.
+    Returns:
+        The final point.
     """
     with held_interrupt() as pressed:
         function = _Function(problem, pressed)
         z = ca.MX.sym("z", problem.size)
-        out = function(z)
-        constraints = [out[1:]] if problem.constraints else []
+        values = function(z)
+        constraints = [values[1:]] if problem.constraints else []
         if len(problem.rows):
             constraints.append(ca.densify(ca.mtimes(ca.sparsify(ca.DM(problem.rows)), z)))
-        parts: Any = {"x": z, "f": out[0], "g": ca.vertcat(ca.MX(0, 1), *constraints)}
-        slope = float(np.linalg.norm(problem.evaluate(start)[1][0]))
+        nlp: Any = {"x": z, "f": values[0], "g": ca.vertcat(ca.MX(0, 1), *constraints)}
+        gradient = float(np.linalg.norm(problem.evaluate(start)[1][0]))
         options: Any = {
-            "ipopt.obj_scaling_factor": 1.0 / slope if 0.0 < slope < np.inf else 1.0,
+            "ipopt.obj_scaling_factor": 1.0 / gradient if 0.0 < gradient < np.inf else 1.0,
             "ipopt.hessian_approximation": "limited-memory",
             "ipopt.limited_memory_max_history": 30,
             "ipopt.tol": tolerance,
@@ -75,41 +96,51 @@ def minimum(problem: Problem, start: Array, *, tolerance: float = 1e-8, most: in
             "print_time": False,
             "show_eval_warnings": False,
         }
-        solver = ca.nlpsol("gait", "ipopt", parts, options)
-        found = solver(x0=start, lbg=problem.lower, ubg=problem.upper)
+        solver = ca.nlpsol("gait", "ipopt", nlp, options)
+        solution = solver(x0=start, lbg=problem.lower, ubg=problem.upper)
         stats = solver.stats()
-    best = np.array(found["x"]).ravel()
+    best = np.array(solution["x"]).ravel()
     return Minimum(
         best, str(stats["return_status"]), int(stats["iter_count"]), kkt_residual(problem, best)
     )
 
 
 def kkt_residual(problem: Problem, z: Array, *, active: float = 1e-6) -> float:
-    """Return what no forces of the active constraints can balance of ∇f, relative to f.
+    """Compute the residual of the Karush–Kuhn–Tucker conditions, relative to f.
 
-    |∇f + Σ λᵢ ∇cᵢ| / |f| at its least, with λ ≥ 0 at upper bounds and ≤ 0 at lower ones, by
-    bounded least squares.  It knows nothing of how z was found.
+    The residual is min |∇f + Σ λᵢ ∇cᵢ| / |f| over the multipliers of active constraints, with λ ≥ 0
+    at upper bounds and λ ≤ 0 at lower bounds, by bounded least squares.  It uses no information
+    of the optimiser.
+
+    Args:
+        problem: The problem.
+        z: Unknowns, (n,).
+        active: Distance to a bound below which a constraint is active, relative to its size.
+    Returns:
+        The residual; inf if a value is not finite or f is zero.
     """
     from scipy.optimize import lsq_linear
 
     values, slopes = problem.evaluate(z)
     if not (np.isfinite(values).all() and np.isfinite(slopes).all() and values[0]):
         return np.inf
-    left = slopes[0] / abs(values[0])
-    at = np.concatenate([values[1:], problem.rows @ z])
-    rows = np.vstack([slopes[1:], problem.rows])
-    high = problem.upper - at < active * np.maximum(1.0, np.abs(at))
-    low = at - problem.lower < active * np.maximum(1.0, np.abs(at))
-    norms = np.linalg.norm(rows, axis=1)
+    residual = slopes[0] / abs(values[0])
+    constraints = np.concatenate([values[1:], problem.rows @ z])
+    gradients = np.vstack([slopes[1:], problem.rows])
+    tolerance = active * np.maximum(1.0, np.abs(constraints))
+    high = problem.upper - constraints < tolerance
+    low = constraints - problem.lower < tolerance
+    norms = np.linalg.norm(gradients, axis=1)
     use = (high | low) & (norms > 0.0)
     if use.any():
         bounds = np.where(low[use], -np.inf, 0.0), np.where(high[use], np.inf, 0.0)
-        left = lsq_linear((rows[use] / norms[use, None]).T, -left, bounds, tol=1e-14).fun
-    return float(np.linalg.norm(left))
+        normals = (gradients[use] / norms[use, None]).T
+        residual = lsq_linear(normals, -residual, bounds, tol=1e-14).fun
+    return float(np.linalg.norm(residual))
 
 
 class _Function(ca.Callback):
-    """The objective and the constraints as a function that CasADi calls."""
+    """Objective and constraints as a CasADi callback."""
 
     def __init__(self, problem: Problem, stopped: Callable[[], bool]) -> None:
         ca.Callback.__init__(self)
@@ -118,7 +149,7 @@ class _Function(ca.Callback):
         self.construct("gait", {})
 
     def at(self, z: Array) -> tuple[Array, Array]:
-        """Return values and derivatives; NaN after Ctrl-C, which ends the search."""
+        """Return values and derivatives; NaN after Ctrl-C, which stops IPOPT."""
         if self._last is None or not np.array_equal(self._last[0], z):
             values, slopes = self._problem.evaluate(z)
             self._last = z.copy(), (values, slopes)
@@ -137,19 +168,19 @@ class _Function(ca.Callback):
     def get_sparsity_out(self, _: int) -> Any:
         return ca.Sparsity.dense(1 + self._problem.constraints, 1)
 
-    def eval(self, given: Any) -> Any:
-        return [self.at(np.array(given[0]).ravel())[0]]
+    def eval(self, inputs: Any) -> Any:
+        return [self.at(np.array(inputs[0]).ravel())[0]]
 
     def has_jacobian(self) -> bool:
         return True
 
     def get_jacobian(self, name: str, *_: Any) -> Any:
-        self._jacobian = _Jacobian(name, self)  # CasADi keeps no reference
+        self._jacobian = _Jacobian(name, self)  # keep a reference, because CasADi keeps none
         return self._jacobian
 
 
 class _Jacobian(ca.Callback):
-    """The derivatives of the same."""
+    """The derivatives of objective and constraints as a CasADi callback."""
 
     def __init__(self, name: str, function: _Function) -> None:
         ca.Callback.__init__(self)
@@ -170,5 +201,5 @@ class _Jacobian(ca.Callback):
         f = self._function
         return ca.Sparsity.dense(f.get_sparsity_out(0).size1(), f.get_sparsity_in(0).size1())
 
-    def eval(self, given: Any) -> Any:
-        return [self._function.at(np.array(given[0]).ravel())[1]]
+    def eval(self, inputs: Any) -> Any:
+        return [self._function.at(np.array(inputs[0]).ravel())[1]]

@@ -1,4 +1,4 @@
-"""Limits of joints, of their speeds and of their torques, in the forms that options may have."""
+"""Limits of joints, speeds and torques, and their accepted input formats."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from ...common.arrays import Array, as_floats, freeze
 from ...common.errors import InputError, ShapeError
 from ...common.names import joint_index
 
-# One for all joints, or by joint: a number r for [−r, r], or a pair; of speeds and torques, r.
+# A number r for [−r, r], or a pair, for all joints or by joint; speeds and torques accept r alone.
 LimitsLike: TypeAlias = float | ArrayLike | Mapping[str, ArrayLike]
-WHOLE_TURN = 2.0 * np.pi  # rad; how far a joint without limits may go, either way
+WHOLE_TURN = 2.0 * np.pi  # default limit of rotational joints, either way [rad]
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What joints may do.
+    """Limits of the joints; infinite entries are no limits.
 
-    shape: (m, 2) least and greatest value [rad | m].  speed: (m,) [rad/s | m/s].  torque: (m,)
-    [N m | N].  Infinite where there is no limit.
+    Attributes:
+        shape: Lower and upper bound, (m, 2) [rad | m].
+        speed: Largest speed, (m,) [rad/s | m/s].
+        torque: Largest torque or force, (m,) [N·m | N].
     """
 
     shape: Array
@@ -36,12 +38,12 @@ class Limits:
 
     @property
     def middle(self) -> Array:
-        """Middle of what the joints may do, (m,)."""
+        """Centre of the joint ranges, (m,)."""
         return np.asarray(self.shape.mean(axis=1))
 
     @property
     def reach(self) -> Array:
-        """Half of what the joints may move through, (m,)."""
+        """Half width of the joint ranges, (m,)."""
         return np.asarray(0.5 * np.ptp(self.shape, axis=1))
 
 
@@ -51,14 +53,22 @@ def limits_of(
     speed: LimitsLike | None,
     torque: LimitsLike | None,
 ) -> Limits:
-    """Return limits as options give them.
+    """Convert options to limits.
 
-    shape: None for those in the robot's file, and where it has none a whole turn either way.
-    Raises InputError or ShapeError for limits that are none, or that leave nothing to move.
+    Args:
+        connection: The connection.
+        shape: Limits of the joints; None for the robot file, or a full turn either way.
+        speed: Limits of the speeds, or None.
+        torque: Limits of the torques, or None.
+    Returns:
+        The limits.
+    Raises:
+        InputError: A limit is invalid, or leaves no range.
+        ShapeError: The number of limits is wrong.
     """
     m = connection.m
-    own = _in_the_file(connection)
-    ranges = own if shape is None else _by_joint(connection, shape, "limits", own)
+    defaults = _file_limits(connection)
+    ranges = defaults if shape is None else _by_joint(connection, shape, "limits", defaults)
     for name, (low, high) in zip(connection.joints, ranges, strict=True):
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             raise InputError(
@@ -70,12 +80,12 @@ def limits_of(
     return Limits(ranges, speeds[:, 1].copy(), efforts[:, 1].copy())
 
 
-def _in_the_file(connection: Connection) -> Array:
-    """Return what the file says of each joint, (m, 2); a whole turn where it says nothing."""
-    out = np.full((connection.m, 2), np.nan)
+def _file_limits(connection: Connection) -> Array:
+    """Return the ranges in the robot file, (m, 2); a full turn for rotations without range."""
+    ranges = np.full((connection.m, 2), np.nan)
     for k, unit in enumerate(connection.form.units):
         if unit == "rad":
-            out[k] = -WHOLE_TURN, WHOLE_TURN
+            ranges[k] = -WHOLE_TURN, WHOLE_TURN
     system = connection.system
     if system is not None:
         for k, joint in enumerate(system.joints):
@@ -84,21 +94,21 @@ def _in_the_file(connection: Connection) -> Array:
                 low = float(system.model.lowerPositionLimit[at])
                 high = float(system.model.upperPositionLimit[at])
                 if np.isfinite([low, high]).all() and max(-low, high) < 1e6 and low < high:
-                    out[k] = low, high
-    return out
+                    ranges[k] = low, high
+    return ranges
 
 
-def _by_joint(connection: Connection, given: LimitsLike, what: str, own: Array) -> Array:
-    """Return pairs (m, 2) of limits; those not named are `own`."""
+def _by_joint(connection: Connection, limits: LimitsLike, what: str, defaults: Array) -> Array:
+    """Return pairs (m, 2) of limits; joints that are not named get `defaults`."""
     m = connection.m
-    if isinstance(given, Mapping):
-        out = own.copy()
-        for name, value in given.items():
-            out[joint_index(name, list(connection.joints), what)] = _pair(value, what)
-        return out
-    if isinstance(given, (list, tuple)) and len(given) == m:  # numbers and pairs, mixed, too
-        return np.stack([_pair(entry, what) for entry in given])
-    array = as_floats(given, what)
+    if isinstance(limits, Mapping):
+        ranges = defaults.copy()
+        for name, value in limits.items():
+            ranges[joint_index(name, list(connection.joints), what)] = _pair(value, what)
+        return ranges
+    if isinstance(limits, (list, tuple)) and len(limits) == m:  # may mix numbers and pairs
+        return np.stack([_pair(entry, what) for entry in limits])
+    array = as_floats(limits, what)
     if array.ndim == 0:
         return np.tile(_pair(array, what), (m, 1))
     if array.shape == (m,) or (what == "limits" and array.shape == (m, 2)):

@@ -1,4 +1,4 @@
-"""Margins: how far a gait stays from its limits, at its true extremes."""
+"""Margins of a gait to its limits, at its true extremes."""
 
 from __future__ import annotations
 
@@ -11,98 +11,124 @@ from ...analysis.phases.path_basis import fourier_rows
 from ...common.arrays import Array
 from ...common.errors import InputError
 from .costs import torque_order, torques
-from .extremes import greatest
+from .extremes import find_extremes
 from .limits import Limits
 
-_TIMES = 1024  # at which torques are looked at, and between which, at least
-_PER_HARMONIC = 64  # of these times
-_MORE = 1.1  # times what is overshot
+_TIMES = 1024  # smallest number of torque samples in a cycle
+_PER_HARMONIC = 64  # torque samples of each harmonic
+_OVERCORRECTION = 1.1  # factor on violations by which limits are tightened
 
 
-def worst_times(connection: Connection, gait: Gait, limits: Limits) -> Array:
-    """Return the s = t/T at which a Fourier gait goes furthest beyond limits; none if it does not.
+def violation_times(connection: Connection, gait: Gait, limits: Limits) -> Array:
+    """Find the s = t/T at which a Fourier gait exceeds limits most.
 
-    Those of every joint, and of its speed and torque.
+    Args:
+        connection: The connection.
+        gait: The gait.
+        limits: The limits.
+    Returns:
+        At most one s per joint and kind of limit; empty if no limit is exceeded.
     """
     (arc,) = gait.arcs
     s = arc.extremes()
     x = arc.at(s)[0]
-    found = _beyond(s, np.maximum(limits.shape[:, 0] - x, x - limits.shape[:, 1]))
+    times = _worst_violations(s, np.maximum(limits.shape[:, 0] - x, x - limits.shape[:, 1]))
     if np.isfinite(limits.speed).any():
-        arc = _rate(gait).arcs[0]
+        arc = _rate_gait(gait).arcs[0]
         s = arc.extremes()
-        found += _beyond(s, np.abs(arc.at(s)[0]) - limits.speed)
+        times += _worst_violations(s, np.abs(arc.at(s)[0]) - limits.speed)
     if np.isfinite(limits.torque).any():
-        at, most = strongest(connection, gait)
-        found += at[most > limits.torque].tolist()
-    return np.unique(np.array(found) % 1.0)
+        s, peaks = peak_torques(connection, gait)
+        times += s[peaks > limits.torque].tolist()
+    return np.unique(np.array(times) % 1.0)
 
 
-def _beyond(s: Array, beyond: Array) -> list[float]:
-    """Return for each joint the s (N,) at which it is furthest beyond its limit, (N, m)."""
+def _worst_violations(s: Array, beyond: Array) -> list[float]:
+    """Return for each joint the s of its largest violation among (N, m)."""
     worst = beyond.argmax(axis=0)
     return [float(s[k]) for k, joint in zip(worst, beyond.T, strict=True) if joint[k] > 0.0]
 
 
-def tightened(imposed: Limits, connection: Connection, gait: Gait, limits: Limits) -> Limits:
-    """Return the imposed limits, less what a gait goes beyond those that hold."""
+def tighten_limits(imposed: Limits, connection: Connection, gait: Gait, limits: Limits) -> Limits:
+    """Tighten imposed limits by the violations of a gait.
+
+    Args:
+        imposed: Limits imposed so far.
+        connection: The connection.
+        gait: The gait.
+        limits: Limits that the gait must satisfy.
+    Returns:
+        The new imposed limits.
+    """
     ranges = gait.limits
     low = np.maximum(0.0, limits.shape[:, 0] - ranges[:, 0])
     high = np.maximum(0.0, ranges[:, 1] - limits.shape[:, 1])
     speed, torque = imposed.speed, imposed.torque
     if np.isfinite(speed).any():
-        speed = speed - _MORE * np.maximum(0.0, speeds(gait) - limits.speed)
+        speed = speed - _OVERCORRECTION * np.maximum(0.0, peak_speeds(gait) - limits.speed)
     if np.isfinite(torque).any():
-        most = strongest(connection, gait)[1]
-        torque = torque - _MORE * np.maximum(0.0, most - limits.torque)
-    shape = imposed.shape + _MORE * np.stack([low, -high], axis=1)
+        peaks = peak_torques(connection, gait)[1]
+        torque = torque - _OVERCORRECTION * np.maximum(0.0, peaks - limits.torque)
+    shape = imposed.shape + _OVERCORRECTION * np.stack([low, -high], axis=1)
     return Limits(shape, speed, torque)
 
 
 def margins(connection: Connection, gait: Gait, limits: Limits) -> dict[str, float]:
-    """Return the least distance to the limits of a kind, negative beyond: shape, speed, torque.
+    """Compute the smallest distance to the limits of each kind.
 
-    In the units of the joints; kinds without limits are left out.
+    Args:
+        connection: The connection.
+        gait: The gait.
+        limits: The limits.
+    Returns:
+        Distances in joint units by kind ("limits", "speeds", "torques"), negative beyond a limit;
+        kinds without limits are omitted.
     """
     ranges = gait.limits
-    out = {
+    distances = {
         "limits": float(
             np.minimum(ranges[:, 0] - limits.shape[:, 0], limits.shape[:, 1] - ranges[:, 1]).min()
         )
     }
     if np.isfinite(limits.speed).any():
-        out["speeds"] = float((limits.speed - speeds(gait)).min())
+        distances["speeds"] = float((limits.speed - peak_speeds(gait)).min())
     if np.isfinite(limits.torque).any():
-        out["torques"] = float((limits.torque - strongest(connection, gait)[1]).min())
-    return out
+        distances["torques"] = float((limits.torque - peak_torques(connection, gait)[1]).min())
+    return distances
 
 
-def speeds(gait: Gait) -> Array:
-    """Return the greatest speed of each joint, (m,)."""
+def peak_speeds(gait: Gait) -> Array:
+    """Return the largest speed of each joint, (m,)."""
     if gait.is_smooth:
-        return np.asarray(np.abs(_rate(gait).limits).max(axis=1))
+        return np.asarray(np.abs(_rate_gait(gait).limits).max(axis=1))
     return np.asarray(np.abs(gait.samples(_TIMES)[1]).max(axis=0))
 
 
-def _rate(gait: Gait) -> Gait:
-    """Return ẋ of a Fourier gait, as a path of its own."""
+def _rate_gait(gait: Gait) -> Gait:
+    """Return ẋ of a Fourier gait as a path."""
     (arc,) = gait.arcs
     if not isinstance(arc, FourierArc):
-        raise InputError("only a gait that is one Fourier series has a rate that is one")
+        raise InputError("gait: expected one Fourier series; create it with Gait.fourier")
     k = np.arange(1, len(arc.cos) + 1)[:, None] * ((arc.end - arc.start) / gait.period)
     return Gait(
         (FourierArc(arc.time, 0.0 * arc.mean, k * arc.sin, -k * arc.cos, arc.start, arc.end),)
     )
 
 
-def strongest(connection: Connection, gait: Gait) -> tuple[Array, Array]:
-    """Return at which s = t/T each joint of a Fourier gait needs its greatest torque, and that.
+def peak_torques(connection: Connection, gait: Gait) -> tuple[Array, Array]:
+    """Compute the largest torque of each joint of a Fourier gait.
 
-    (m,) and (m,) [N m | N], at zero momentum or against drag.
+    Args:
+        connection: The connection: at zero momentum, or with drag.
+        gait: The gait.
+    Returns:
+        The positions s = t/T, (m,), and the torques, (m,) [N·m | N].
+    Raises:
+        InputError: The gait is not one Fourier series.
     """
     (arc,) = gait.arcs
     if not isinstance(arc, FourierArc):
-        raise InputError("torques are of a gait that is one Fourier series")
+        raise InputError("gait: expected one Fourier series; create it with Gait.fourier")
     turn, count = arc.end - arc.start, max(_TIMES, _PER_HARMONIC * len(arc.cos))
     coefficients = np.vstack([arc.mean[None], arc.cos, arc.sin])
 
@@ -110,5 +136,5 @@ def strongest(connection: Connection, gait: Gait) -> tuple[Array, Array]:
         rows = fourier_rows(len(arc.cos), s, start=arc.start, turn=turn)
         return torques(connection, *(row @ coefficients for row in rows))
 
-    at, most = greatest(tau, np.arange(count) / count)
-    return at % 1.0, most / gait.period ** torque_order(connection)
+    s, peaks = find_extremes(tau, np.arange(count) / count)
+    return s % 1.0, peaks / gait.period ** torque_order(connection)

@@ -1,4 +1,4 @@
-"""optimise_gait(): the loop that does most to the body for what it costs."""
+"""optimise_gait(): the loop with the largest effect on the body for its cost."""
 
 from __future__ import annotations
 
@@ -16,20 +16,19 @@ from ...common.arrays import positive, whole
 from ...common.errors import InputError, IntegrationError, NoOptimum, SingularInertiaError
 from ...common.plain_names import brief
 from ...common.progress import Progress, shown
-from .aims import AIMS, AimKind, Along, Reach, along, reach
-from .best_gait import BestGait
+from .aims import AIMS, AimKind, AxisAim, TargetAim, axis_aim, target_aim
+from .best_gait import BestGait, Optimum, group_optima
 from .costs import CostKind, check_cost, cost_of
+from .gait_search import Search, StartFailed, enforce_limits, fourier_path_of
 from .ipopt import Minimum, minimum
 from .limits import LimitsLike, limits_of
 from .margins import margins
-from .optimum import Optimum, gathered
 from .polar_polygon import polygon_gait, polygon_path
-from .search import Lost, Search, fourier_path_of, within
 from .transcription import Task, problem_of
 
-RESIDUAL = 1e-4  # of the KKT conditions; more is no optimum
-_CONTINUED = (1, 3, 5, 9)  # harmonics, one after another
-_APART = 1e-6  # rad | m; what samples may say otherwise than the transcription
+RESIDUAL = 1e-4  # largest KKT residual of an optimum
+_CONTINUED = (1, 3, 5, 9)  # numbers of harmonics of the continuation
+_PHASE_ERROR = 1e-6  # largest difference of sampled and transcribed phase [rad | m]
 
 
 def optimise_gait(
@@ -51,53 +50,65 @@ def optimise_gait(
     seed: int = 0,
     progress: Progress | bool | None = None,
 ) -> BestGait:
-    """Return the best loop in shape space at zero momentum, with all local optima found.
+    """Find the best loop in shape space at zero momentum, with all local optima.
 
-    objective: "rotation" about an axis, "displacement" along one (without a turn), or "target".
-    axis: 'x', 'y', 'z' or a vector in the frame where the base starts; of rotation in space.
-    target: with objective "target", a pose, or the rotation alone: an angle, or a rotation vector.
-    cost: "length" ∫√(ẋᵀMẋ) dt, "torque" ∫Σ τ² dt, "power" ∫Σ (τẋ)² dt, "acceleration"
-        ∫|∇ẋ|²_M dt, or "time" T.  What is made great is the objective per cost, to the power of the
-        cost that makes it independent of the size of small loops: length, √torque, ⁴√power,
-        √acceleration, time.  Of a target it is the least cost.  None: the objective per cycle,
-        which has a meaning with two joints and a winding number only.
-    most: bound on the cost, under which the objective per cycle is made great.
-    harmonics: of the Fourier series.  vertices: a polygon of so many corners on rays from a free
-        centre instead (two joints; cost "length" or None).
-    winding: 1: of two joints, the loop goes round once, held by continuation from one harmonic,
-        and the winding number is counted in the end.  None: it may go round as it likes.
-    limits: of joints [rad | m]: r for [−r, r], or one for each joint, pairs (m, 2), or {joint: r or
-        pair}.  If not given, those in the robot's file, else a whole turn either way.
-    speeds, torques: greatest of each joint [rad/s | m/s], [N m | N], in the same forms.
-    period: T [s], on which torques depend; with cost "time" it is found.
-    starts: random first loops.  seed: of their random numbers.
-    progress: True for a bar, or a function called with the part that is done.
+    The maximised merit is the objective per cost.  The cost enters with the power that makes the
+    merit independent of the size of small loops: length, √torque, ⁴√power, √acceleration or time.
+    For a target, the cost is minimised.  Without a cost, the objective per cycle is maximised;
+    this requires two joints and a winding number.
 
-    Raises InputError for what makes no sense, SymmetryError where gravity turns the base, NoOptimum
-    if no start led to one.
+    Args:
+        connection: The connection.
+        objective: "rotation" about an axis, "displacement" along one (without a rotation), or
+            "target".
+        axis: 'x', 'y', 'z' or a vector in the initial frame of the base; required for rotations
+            in space.
+        target: With objective "target": a pose, an angle [rad] or a rotation vector [rad].
+        cost: "length" ∫√(ẋᵀMẋ) dt, "torque" ∫Σ τ² dt, "power" ∫Σ (τẋ)² dt, "acceleration"
+            ∫|∇ẋ|²_M dt, "time" T, or None.
+        most: Bound on the cost, under which the objective per cycle is maximised.
+        harmonics: Number of harmonics of the Fourier series.
+        vertices: Optimise a polygon with this many corners on rays from a variable centre
+            instead (two joints; cost "length" or None).
+        winding: 1: the loop of two joints has winding number 1.  Continuation from one harmonic
+            keeps it, and a final check confirms it.  None: any winding number.
+        limits: Limits of joints [rad | m]: r for [−r, r], one value or pair (m, 2) for each joint,
+            or {joint: r or pair}.  By default those in the robot file, else a full turn.
+        speeds: Largest speeds [rad/s | m/s], in the same formats.
+        torques: Largest torques [N·m | N], in the same formats.
+        period: T [s], which affects torques; with cost "time" its initial value.
+        starts: Number of random initial loops.
+        seed: Seed of their random numbers.
+        progress: True for a bar, or a function called with the completed fraction.
+    Returns:
+        The best loop and the other local optima.
+    Raises:
+        InputError: The options are invalid or contradict each other.
+        SymmetryError: Gravity rotates the base.
+        NoOptimum: No start converged to an optimum.
     """
     task = _task(connection, objective, axis, target, cost, most, limits, speeds, torques, period)
     _check_loops(task, harmonics, vertices, winding, starts, seed)
-    found: list[Optimum] = []
-    lost: list[str] = []
-    with shown(progress, "gaits") as done:
+    optima: list[Optimum] = []
+    failures: list[str] = []
+    with shown(progress, "gaits") as report:
         for k in range(starts):
             rng = np.random.default_rng([seed, k])
             try:
                 if vertices is not None:
-                    found.append(_polygon(task, vertices, rng))
+                    optima.append(_optimise_polygon(task, vertices, rng))
                 else:
-                    found.append(_fourier(task, harmonics, winding, rng))
-            except (Lost, SingularInertiaError, IntegrationError) as error:
-                lost.append(str(error))
-            if done is not None:
-                done((k + 1) / starts)
-    if not found:
+                    optima.append(_optimise_fourier(task, harmonics, winding, rng))
+            except (StartFailed, SingularInertiaError, IntegrationError) as error:
+                failures.append(str(error))
+            if report is not None:
+                report((k + 1) / starts)
+    if not optima:
         raise NoOptimum(
-            f"none of {starts} starts led to an optimum: {'; '.join(sorted(set(lost)))}; "
-            "give more starts, other limits, or fewer harmonics"
+            f"none of {starts} starts converged to an optimum: {'; '.join(sorted(set(failures)))}; "
+            "try more starts, other limits, or fewer harmonics"
         )
-    return BestGait(task, gathered(found), starts, tuple(lost))
+    return BestGait(task, group_optima(optima), starts, tuple(failures))
 
 
 def _task(
@@ -112,42 +123,46 @@ def _task(
     torques: LimitsLike | None,
     period: float,
 ) -> Task:
-    """Return the task that options give.  Raises InputError."""
+    """Create the task of options.  Raises InputError."""
     if not isinstance(connection, Connection):
         raise InputError(
             f"optimise_gait takes a Connection, got {type(connection).__name__}; "
-            "Connection.mechanical(system) makes one"
+            "create one with Connection.mechanical(system)"
         )
     connection.refuse_gravity()
     if objective not in AIMS:
         raise InputError(f"objective must be one of {', '.join(AIMS)}, got {brief(objective)}")
     if connection.m < 2:
-        raise InputError("a loop needs two joints: with one, every way back is the way there")
+        raise InputError("a loop needs two joints: a single joint can only retrace its path")
     if (objective == "target") != (target is not None):
-        raise InputError("objective 'target' and target= go together")
+        raise InputError("objective 'target' and target= require each other")
     if cost is not None:
         check_cost(connection, cost)
     bounds = limits_of(connection, limits, speeds, torques)
     limited = np.isfinite(bounds.torque).any()
     if limited and not connection.has_metric:
-        raise InputError(f"{connection.form.what} do not say what torques a motion needs")
+        raise InputError(
+            f"torques: {connection.form.what} define no joint torques; leave torques out"
+        )
     if cost == "time" and not (limited or np.isfinite(bounds.speed).any()):
-        raise InputError("cost 'time' needs limits of speeds or torques: else no time is too short")
-    aim: Along | Reach
+        raise InputError(
+            "cost 'time' needs limits of speeds or torques, which bound the period from below"
+        )
+    aim: AxisAim | TargetAim
     if target is not None:
         if cost is None or most is not None:
-            raise InputError("a target is reached at the least cost; give a cost, and no bound")
+            raise InputError("objective 'target' minimises a cost: give cost=, and leave most out")
         if axis is not None:
-            raise InputError("axis says along what to go as far as possible; a target has none")
-        aim = reach(connection.group, target)
+            raise InputError("axis: a target has no axis; leave axis out")
+        aim = target_aim(connection.group, target)
     else:
-        aim = along(connection.group, objective, axis)
+        aim = axis_aim(connection.group, objective, axis)
     if most is not None and cost is None:
-        raise InputError("most is a bound on a cost; say which")
+        raise InputError("most is a bound on a cost: give cost=")
     if cost is None and connection.m > 2:
         raise InputError(
-            f"'more in a cycle' means nothing with {connection.m} joints: a cycle can go round as "
-            "often as it likes.  Give a cost, or with it a bound, most="
+            f"cost: expected a cost for {connection.m} joints, got None; without cost, a cycle "
+            "could wind arbitrarily often.  Give a cost, or a cost with a bound, most="
         )
     bound = None if most is None else positive(most, "most")
     return Task(connection, aim, cost, bound, bounds, positive(period, "period"))
@@ -161,58 +176,62 @@ def _check_loops(
     starts: int,
     seed: int,
 ) -> None:
-    """Raise InputError for loops that are none."""
+    """Raise InputError for invalid options of the loops."""
     whole(harmonics, "harmonics")
     whole(starts, "starts")
     whole(seed, "seed", 0)
     if winding not in (1, None):
         raise InputError(
-            f"winding is 1, or None for any, got {brief(winding)}: a loop that goes round n times "
-            "does n times as much for n times the cost"
+            f"winding is 1, or None for any, got {brief(winding)}: n turns have n times the effect "
+            "for n times the cost"
         )
     if winding is None and task.cost is None:
-        raise InputError("'more in a cycle' means nothing unless the winding number is held")
+        raise InputError(
+            "winding=None needs a cost: a cycle without cost could wind arbitrarily often"
+        )
     if vertices is not None:
         if task.connection.m != 2:
             raise InputError(f"a polygon is for two joints, not {task.connection.m}")
         whole(vertices, "vertices", 3)
         if task.cost not in (None, "length"):
             raise InputError(
-                f"at its corners a polygon costs no finite {task.cost}; leave vertices out"
+                f"the {task.cost} of a polygon is infinite at its corners; leave vertices out"
             )
         if np.isfinite(task.limits.speed).any() or np.isfinite(task.limits.torque).any():
             raise InputError("speeds and torques of a polygon jump; leave vertices out")
 
 
-def _fourier(task: Task, harmonics: int, winding: int | None, rng: np.random.Generator) -> Optimum:
-    """Return the optimum that a random ellipse leads to.  Raises Lost."""
+def _optimise_fourier(
+    task: Task, harmonics: int, winding: int | None, rng: np.random.Generator
+) -> Optimum:
+    """Return the optimum reached from a random ellipse.  Raises StartFailed."""
     m = task.connection.m
-    held = winding is not None or m > 2
-    ladder = sorted({h for h in _CONTINUED if h < harmonics and held} | {harmonics})
-    gait = _first(task, ladder[0], rng)
+    continued = winding is not None or m > 2
+    ladder = sorted({h for h in _CONTINUED if h < harmonics and continued} | {harmonics})
+    gait = _initial_loop(task, ladder[0], rng)
     for h in ladder:
         search = Search(task, fourier_path_of(task, h))
-        best = search.from_gait(gait)
+        best = search.optimise_from(gait)
         gait = search.gait(best.z)
-    search, best = within(search, best, harmonics)
+    search, best = enforce_limits(search, best, harmonics)
     gait = search.gait(best.z)
     turns = None
     if m == 2:
         turns = _winding(gait)
         if winding is not None and abs(turns) != winding:
-            raise Lost(f"the loop went over to winding number {turns:g}")
-    return _confirmed(search, best, gait, turns)
+            raise StartFailed(f"the loop changed to winding number {turns:g}")
+    return _verify(search, best, gait, turns)
 
 
-def _first(task: Task, harmonics: int, rng: np.random.Generator) -> Gait:
-    """Return a random ellipse, or a random loop of more harmonics, that does what is wanted."""
+def _initial_loop(task: Task, harmonics: int, rng: np.random.Generator) -> Gait:
+    """Return a random Fourier loop in the direction of the objective."""
     m, limits = task.connection.m, task.limits
     size = np.minimum(limits.reach, 1.5)
     mean = limits.middle + 0.3 * size * rng.uniform(-1.0, 1.0, m)
     k = np.arange(1.0, harmonics + 1.0)[:, None]
     cos, sin = 0.5 * size * rng.uniform(-1.0, 1.0, (2, harmonics, m)) / k**2
     gait = Gait.fourier(mean, cos, sin, period=task.period)
-    if isinstance(task.aim, Along):
+    if isinstance(task.aim, AxisAim):
         c = coefficients_of(gait, harmonics)
         path = fourier_path_of(task, harmonics)
         pose = path_lift(task.connection, path.basis, c).pose
@@ -224,38 +243,38 @@ def _first(task: Task, harmonics: int, rng: np.random.Generator) -> Gait:
 def _winding(gait: Gait) -> float:
     try:
         return gait.winding()
-    except InputError:  # the loop passes through its own middle, as a figure of eight does
+    except InputError:  # the loop passes through its centre, as a figure of eight does
         return 0.0
 
 
-def _confirmed(search: Search, best: Minimum, gait: Gait, turns: float | None) -> Optimum:
-    """Return the optimum with the phase by samples of its own.  Raises Lost if it is none."""
+def _verify(search: Search, best: Minimum, gait: Gait, turns: float | None) -> Optimum:
+    """Return the optimum with an independently sampled phase.  Raises StartFailed."""
     if not best.residual <= RESIDUAL:
-        raise Lost(f"no optimum was reached in {best.iterations} iterations ({best.status})")
+        raise StartFailed(f"no optimum was reached in {best.iterations} iterations ({best.status})")
     task, path = search.task, search.path
     connection, c = task.connection, search.coefficients(best.z)
     lift = path_lift(connection, path.basis, c)
     sampled = phase(connection, gait, tolerance=1e-11)
-    apart = connection.group.error(sampled.pose, lift.pose)
-    if not max(float(apart.rotation), float(apart.translation)) <= _APART:
-        raise Lost("the loop is too fine for the nodes of the transcription")
-    spent = np.nan
+    difference = connection.group.error(sampled.pose, lift.pose)
+    if not max(float(difference.rotation), float(difference.translation)) <= _PHASE_ERROR:
+        raise StartFailed("the loop is too fine for the nodes of the transcription")
+    cost = np.nan
     if task.cost is not None:
-        spent = cost_of(task.cost, connection, path.basis, c, lift, gait.period).value
-        if task.cost == "length":  # at any speed
-            spent = sampled.length
-    if isinstance(task.aim, Reach):
-        value = float(np.linalg.norm(task.aim.missed(sampled.pose)[0]))
+        cost = cost_of(task.cost, connection, path.basis, c, lift, gait.period).value
+        if task.cost == "length":  # independent of the speed
+            cost = sampled.length
+    if isinstance(task.aim, TargetAim):
+        value = float(np.linalg.norm(task.aim.error(sampled.pose)[0]))
     else:
         value = task.aim.value(sampled.pose)[0]
     return Optimum(
-        gait=gait, phase=sampled, value=value, cost=spent, merit=task.merit(value, spent),
+        gait=gait, phase=sampled, value=value, cost=cost, merit=task.merit(value, cost),
         residual=best.residual, margins=margins(connection, gait, task.limits), winding=turns,
     )  # fmt: skip
 
 
-def _polygon(task: Task, vertices: int, rng: np.random.Generator) -> Optimum:
-    """Return the optimum that a random polygon leads to.  Raises Lost."""
+def _optimise_polygon(task: Task, vertices: int, rng: np.random.Generator) -> Optimum:
+    """Return the optimum reached from a random polygon.  Raises StartFailed."""
     size = np.minimum(task.limits.reach, 1.5)
     y = np.concatenate(
         [
@@ -264,12 +283,12 @@ def _polygon(task: Task, vertices: int, rng: np.random.Generator) -> Optimum:
         ]
     )
     path = polygon_path(vertices, clockwise=False)
-    if isinstance(task.aim, Along):
+    if isinstance(task.aim, AxisAim):
         pose = path_lift(task.connection, path.basis, path.coefficients(y)).pose
         if task.aim.value(pose)[0] < 0.0:
             path = polygon_path(vertices, clockwise=True)
     problem = problem_of(task, path)
-    # Distances are not negative.
+    # Distances from the centre must not be negative.
     rows = np.vstack([problem.rows, np.eye(len(y))[2:]])
     problem = replace(
         problem, rows=rows,
@@ -278,4 +297,4 @@ def _polygon(task: Task, vertices: int, rng: np.random.Generator) -> Optimum:
     )  # fmt: skip
     best = minimum(problem, y)
     gait = polygon_gait(path, best.z, task.period)
-    return _confirmed(Search(task, path), best, gait, _winding(gait))
+    return _verify(Search(task, path), best, gait, _winding(gait))

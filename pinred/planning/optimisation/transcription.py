@@ -1,7 +1,7 @@
-"""The transcription: a loop as finitely many numbers, what is wanted of it, and its limits.
+"""The transcription of a gait optimisation: unknowns, objective and constraints.
 
-The coefficients of the path are affine in the unknowns, c = L y + c₀; the unknowns are y, and the
-period where that is free.
+The coefficients of a path are affine in unknowns, c = L y + c₀.  The period is an additional
+unknown if it is minimised.
 """
 
 from __future__ import annotations
@@ -21,19 +21,22 @@ from ...analysis.phases.path_basis import (
 )
 from ...common.arrays import Array
 from ...common.errors import NoConvergence, SingularInertiaError
-from .aims import Along, Reach
+from .aims import AxisAim, TargetAim
 from .costs import DEGREES, CostKind, cost_of, torque_order, torque_slopes, torques
 from .ipopt import Problem
 from .limits import Limits
 
-_INSIDE = 1e-6  # of what the joints may do; IPOPT's round-off, and the last ripple, stay within
+_INSIDE = 1e-6  # relative margin to limits for round-off and small overshoot
 
 
 @dataclass(frozen=True, eq=False)
 class Passage:
-    """How a loop is passed through from rest to rest: so many cycles, by a cycloid.
+    """The motion along a loop from rest to rest: several cycles with a cycloidal time law.
 
-    drift: what momentum adds on the way.  more: pieces for that, besides those of the cycles.
+    Attributes:
+        cycles: Number of cycles.
+        drift: Motion of the base caused by momentum.
+        more: Additional quadrature pieces for the drift.
     """
 
     cycles: int
@@ -43,14 +46,20 @@ class Passage:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is asked for.
+    """An optimisation task.
 
-    cost: None to leave it out of account.  most: bound on the cost, or None.  period: T [s], where
-    it is not what is to be small.  passage: from rest to rest, or None for a periodic loop.
+    Attributes:
+        connection: The connection.
+        aim: The objective.
+        cost: The cost, or None.
+        most: Bound on the cost, or None.
+        limits: Limits of the joints.
+        period: Period T [s], unless it is minimised.
+        passage: Motion from rest to rest, or None for a periodic loop.
     """
 
     connection: Connection
-    aim: Along | Reach
+    aim: AxisAim | TargetAim
     cost: CostKind | None
     most: float | None
     limits: Limits
@@ -59,7 +68,7 @@ class Task:
 
     @property
     def drift(self) -> Drift | None:
-        """What momentum adds, or None at zero momentum."""
+        """Motion of the base caused by momentum, or None at zero momentum."""
         return None if self.passage is None else self.passage.drift
 
     @property
@@ -69,12 +78,19 @@ class Task:
 
     @property
     def per_cost(self) -> bool:
-        """Whether the objective per cost is to be great."""
-        return isinstance(self.aim, Along) and self.cost is not None and self.most is None
+        """Whether the objective per cost is maximised."""
+        return isinstance(self.aim, AxisAim) and self.cost is not None and self.most is None
 
     def merit(self, value: float, cost: float) -> float:
-        """Return what is to be great: the value, per cost to the power that fits; or −cost."""
-        if isinstance(self.aim, Reach):
+        """Compute the maximised quantity.
+
+        Args:
+            value: Objective of one cycle.
+            cost: Cost of one cycle.
+        Returns:
+            The value, the value per power of the cost, or the negative cost.
+        """
+        if isinstance(self.aim, TargetAim):
             return -cost
         if self.cost is None or not self.per_cost:
             return value
@@ -83,10 +99,14 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Paths whose coefficients (K, m) are affine in unknowns y.
+    """Paths whose coefficients are affine in unknowns y: c = L y + c₀.
 
-    basis: the functions at Gauss nodes.  checked: values, slopes and bends (C, K) where limits are
-    imposed.  matrix: L (K m, n).  shift: c₀ (K, m).
+    Attributes:
+        basis: Basis functions at the Gauss nodes.
+        checked: Values, first and second derivatives of the basis functions, (C, K) each, at the
+            times at which limits are imposed.
+        matrix: L, (K m, n).
+        shift: c₀, (K, m).
     """
 
     basis: PathBasis
@@ -100,13 +120,13 @@ class Path:
         return int(self.matrix.shape[1])
 
     def coefficients(self, y: Array) -> Array:
-        """Return the coefficients (K, m)."""
+        """Return the coefficients, (K, m), at unknowns y."""
         return np.asarray(self.shift + (self.matrix @ y).reshape(self.shift.shape))
 
     def unknowns(self, coefficients: Array) -> Array:
-        """Return the unknowns (n,) of the path nearest to coefficients (K, m)."""
-        rest = (coefficients - self.shift).ravel()
-        return np.asarray(np.linalg.lstsq(self.matrix, rest, rcond=None)[0])
+        """Return the unknowns, (n,), of the path nearest to coefficients, (K, m)."""
+        deviation = (coefficients - self.shift).ravel()
+        return np.asarray(np.linalg.lstsq(self.matrix, deviation, rcond=None)[0])
 
 
 def fourier_path(
@@ -119,12 +139,19 @@ def fourier_path(
     start: Array | None = None,
     passage: Passage | None = None,
 ) -> Path:
-    """Return Fourier series whose unknowns are the coefficients, scaled: mean, cosines, sines.
+    """Return Fourier series with scaled coefficients as unknowns: mean, cosines, sines.
 
-    checks: (C,) s at which limits are imposed.  power: unknowns of harmonic k are k^power times
-    its coefficients, so that each counts alike in a cost of derivatives of that order.
-    start: (m,) a shape in which all of them begin, or None; then the mean is no unknown.
-    pieces: of a cycle.  passage: if not at even speed.
+    Args:
+        harmonics: Number of harmonics.
+        m: Number of joints.
+        pieces: Quadrature pieces of a cycle.
+        checks: Times s at which limits are imposed, (C,).
+        power: Unknowns of harmonic k are k^power times its coefficients, so that all harmonics
+            contribute equally to a cost of derivatives of this order.
+        start: Common initial shape, (m,), or None.  With it, the mean is not an unknown.
+        passage: Motion from rest to rest, or None for constant speed in s.
+    Returns:
+        The paths.
     """
     K, k = 1 + 2 * harmonics, np.arange(1.0, harmonics + 1.0)
     scale: Array = np.concatenate([[1.0], k ** float(-power), k ** float(-power)])
@@ -143,7 +170,14 @@ def fourier_path(
 
 
 def problem_of(task: Task, path: Path) -> Problem:
-    """Return the problem for IPOPT."""
+    """Create the optimisation problem of a task.
+
+    Args:
+        task: The task.
+        path: The paths.
+    Returns:
+        The problem for IPOPT.
+    """
     connection, aim, limits = task.connection, task.aim, task.limits
     m, n, free = connection.m, path.size, int(task.period_is_free)
     size = n + free
@@ -153,41 +187,41 @@ def problem_of(task: Task, path: Path) -> Problem:
 
     def evaluate(z: Array) -> tuple[Array, Array]:
         c, T = path.coefficients(z[:n]), float(z[n]) if free else task.period
-        out: list[Array] = []
-        rows: list[Array] = []
+        results: list[Array] = []
+        jacobian: list[Array] = []
 
         def add(value: Array, by_c: Array, by_T: Array | float = 0.0) -> None:
-            """Take values (k,) with slopes (k, K, m)."""
-            row = np.zeros((len(value), size))
-            row[:, :n] = by_c.reshape(len(value), -1) @ path.matrix
+            """Append values, (k,), with derivatives by c, (k, K, m), and by T."""
+            derivative = np.zeros((len(value), size))
+            derivative[:, :n] = by_c.reshape(len(value), -1) @ path.matrix
             if free:
-                row[:, n] = by_T
-            out.append(value)
-            rows.append(row)
+                derivative[:, n] = by_T
+            results.append(value)
+            jacobian.append(derivative)
 
         lift = path_lift(connection, path.basis, c, task.drift)
         cost = None
         if task.cost is not None:
             cost = cost_of(task.cost, connection, path.basis, c, lift, T)
-        spent = 1.0 if cost is None else max(cost.value, 1e-300)
+        size_of_cost = 1.0 if cost is None else max(cost.value, 1e-300)
         power = 1.0 / DEGREES[task.cost or "time"]
-        root = spent**power
-        if isinstance(aim, Reach) and cost is not None:
-            factor = power * root / spent
+        root = size_of_cost**power
+        if isinstance(aim, TargetAim) and cost is not None:
+            factor = power * root / size_of_cost
             add(np.array([root]), factor * cost.slope[None], factor * cost.by_log_period / T)
-            missed, by_twist = aim.missed(lift.pose)
-        elif isinstance(aim, Along):
-            value, by = aim.value(lift.pose)
-            slope = np.tensordot(by, lift.twist, 1)
+            residual, by_twist = aim.error(lift.pose)
+        elif isinstance(aim, AxisAim):
+            value, by_twist = aim.value(lift.pose)
+            slope = np.tensordot(by_twist, lift.twist, 1)
             if cost is None or not task.per_cost:
                 add(np.array([-value]), -slope[None])
             else:
-                factor = power * value / (root * spent)
+                factor = power * value / (root * size_of_cost)
                 by_c = factor * cost.slope - slope / root
                 add(np.array([-value / root]), by_c[None], factor * cost.by_log_period / T)
-            missed, by_twist = aim.held(lift.pose)
-        if len(missed):
-            add(missed, np.tensordot(by_twist, lift.twist, 1))
+            residual, by_twist = aim.constraint(lift.pose)
+        if len(residual):
+            add(residual, np.tensordot(by_twist, lift.twist, 1))
         if task.most is not None and cost is not None:
             add(
                 np.array([cost.value / task.most]), cost.slope[None] / task.most,
@@ -198,37 +232,45 @@ def problem_of(task: Task, path: Path) -> Problem:
             tau = torques(connection, x, x1, x2) / T**order
             for k in limited:
                 most = limits.torque[k] * (1.0 - _INSIDE)
-                along = np.zeros_like(x)
-                along[:, k] = 1.0 / (most * T**order)
-                S = torque_slopes(connection, x, x1, x2, along)
+                covector = np.zeros_like(x)
+                covector[:, k] = 1.0 / (most * T**order)
+                S = torque_slopes(connection, x, x1, x2, covector)
                 by_c = (
                     values[:, :, None] * S[:, None, :m]
                     + slopes[:, :, None] * S[:, None, m : 2 * m]
                     + bends[:, :, None] * S[:, None, 2 * m :]
                 )
                 add(tau[:, k] / most, by_c, -order * tau[:, k] / (most * T))
-        return np.concatenate(out), np.vstack(rows)
+        return np.concatenate(results), np.vstack(jacobian)
 
-    def safe(z: Array) -> tuple[Array, Array]:
-        """Return NaN where the path cannot be lifted, from which IPOPT turns back."""
+    def evaluate_or_nan(z: Array) -> tuple[Array, Array]:
+        """Return NaN where the lift fails, so that IPOPT shortens its step."""
         try:
             return evaluate(z)
         except (SingularInertiaError, NoConvergence, FloatingPointError):
             count = 1 + len(g_lower)
             return np.full(count, np.nan), np.full((count, size), np.nan)
 
-    g_lower, g_upper = _bounds(task, len(values), len(limited))
-    rows, lower, upper = _linear(task, path)
+    g_lower, g_upper = _nonlinear_bounds(task, len(values), len(limited))
+    rows, lower, upper = _linear_constraints(task, path)
     return Problem(
-        size, safe, rows, np.concatenate([g_lower, lower]), np.concatenate([g_upper, upper])
+        size,
+        evaluate_or_nan,
+        rows,
+        np.concatenate([g_lower, lower]),
+        np.concatenate([g_upper, upper]),
     )
 
 
-def _bounds(task: Task, checks: int, limited: int) -> tuple[Array, Array]:
-    """Return the bounds of the constraints that are not linear."""
+def _nonlinear_bounds(task: Task, checks: int, limited: int) -> tuple[Array, Array]:
+    """Return the bounds of the nonlinear constraints."""
     identity = task.connection.group.identity()
-    equal = task.aim.missed(identity) if isinstance(task.aim, Reach) else task.aim.held(identity)
-    lower, upper = [np.zeros(len(equal[0]))], [np.zeros(len(equal[0]))]
+    residual, _ = (
+        task.aim.error(identity)
+        if isinstance(task.aim, TargetAim)
+        else task.aim.constraint(identity)
+    )
+    lower, upper = [np.zeros(len(residual))], [np.zeros(len(residual))]
     if task.most is not None:
         lower.append(np.array([-np.inf]))
         upper.append(np.ones(1))
@@ -237,8 +279,8 @@ def _bounds(task: Task, checks: int, limited: int) -> tuple[Array, Array]:
     return np.concatenate(lower), np.concatenate(upper)
 
 
-def _linear(task: Task, path: Path) -> tuple[Array, Array, Array]:
-    """Return rows R and bounds of the linear constraints: shapes, speeds, a period above zero."""
+def _linear_constraints(task: Task, path: Path) -> tuple[Array, Array, Array]:
+    """Return matrix and bounds of the linear constraints on shapes, speeds and period."""
     limits, n, free = task.limits, path.size, int(task.period_is_free)
     values, slopes, _ = path.checked
     L = path.matrix.reshape(*path.shift.shape, n)

@@ -1,1 +1,1 @@
-"""Turning the base by loops of the joints: first loops, plans, what remains."""
+"""Reorientation of the base by loops of the joints."""

@@ -1,4 +1,4 @@
-"""reorient(): the motion of the joints that turns the base as asked, from rest to rest."""
+"""reorient(): a joint motion from rest to rest that rotates the base to a target."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from ...common.errors import (
 from ...lie.rotations import quaternion_log
 from ...scene import input_formats
 from ...system.system import System, checked_system
-from ..optimisation.aims import Reach, reach
+from ..optimisation.aims import TargetAim, target_aim
+from ..optimisation.gait_search import StartFailed
 from ..optimisation.limits import Limits, LimitsLike, limits_of
 from ..optimisation.margins import margins
-from ..optimisation.search import Lost
 from ..optimisation.transcription import Passage, Task
 from .time_law import Peaks, peaks_of
-from .tumble import joints_share, momentum_of, passage_of, twist_left
+from .tumble import final_twist, initial_momentum, joint_rotation, passage_of
 from .turn_plan import TurnPlan
 from .turning_loop import fine_path, turning_loop
 
-CYCLES = (1, 2, 3, 4, 6, 8, 12, 16)
-_LEFT = 1e-10  # rad a cycle; what may remain, at most
-_SECONDS = 2.0  # a cycle
+CYCLES = (1, 2, 3, 4, 6, 8, 12, 16)  # numbers of cycles that are tried
+_REMAINING = 1e-10  # largest remaining rotation of each cycle [rad]
+_SECONDS = 2.0  # default duration of a cycle [s]
 
 
 def reorient(
@@ -50,22 +50,31 @@ def reorient(
     cycles: int | None = None,
     duration: float | None = None,
 ) -> TurnPlan:
-    """Return the joint motion that turns the base to a target, from rest to rest of the joints.
+    """Find a joint motion that rotates the base to a target, from rest to rest of the joints.
 
-    target: rotation vector (3,) or angle [rad] in the frame where the base starts, or a pose,
-        whose attitude is taken: where the base is follows from its centre of mass.
-    limits, speeds, torques: of joints, in the forms that optimise_gait takes.
-    x0: shape in which the motion starts and ends; zero if not given, or the middle of the limits
-        where they leave that out.
-    momentum: 0, or the body momentum at the start, (r,).  Then the base tumbles on the way, passes
-        through the target in the end, and keeps the twist `TurnPlan.left`, which conservation
-        fixes: no joint motion that ends in x0 leaves less.  Whole turns of an angle do not count.
-    cycles: n, of equal loops; at zero momentum each turns the base by the n-th root of the target.
-        As few as will do if not given.
-    duration: of all of it [s]; 2 s a cycle if not given, or as long as speeds and torques need.
+    At zero momentum, each of n cycles rotates the base by the n-th root of the target.  With
+    momentum the base tumbles during the motion, passes through the target at the end, and keeps
+    the twist `TurnPlan.left`.  Conservation fixes this twist for the final shape.
 
-    Raises InputError for what makes no sense, SymmetryError for a base that gravity turns,
-    NoOptimum if no loop within the limits was found.
+    Args:
+        system: The system.
+        target: Rotation vector (3,) or angle [rad] in the initial frame of the base, or a pose,
+            of which the attitude is used.  The position follows from the centre of mass.  With
+            momentum, full turns of an angle do not count.
+        limits: Limits of joints, in the formats of optimise_gait.
+        speeds: Largest speeds, in the same formats.
+        torques: Largest torques, in the same formats.
+        x0: Initial and final shape; by default zero, or the middle of limits that exclude zero.
+        momentum: 0, or the initial body momentum, (r,).
+        cycles: Number of equal loops; by default as few as possible.
+        duration: Total duration [s]; by default 2 s per cycle, or as long as speeds and torques
+            require.
+    Returns:
+        The plan.
+    Raises:
+        InputError: The options are invalid or contradict each other.
+        SymmetryError: Gravity rotates the base.
+        NoOptimum: No loop within the limits was found.
     """
     system = checked_system(system, "reorient")
     connection, group = Connection.mechanical(system), system.group
@@ -73,37 +82,51 @@ def reorient(
         raise InputError(f"the group {group.name} has no rotation")
     connection.refuse_gravity()
     if system.m < 2:
-        raise InputError("a loop needs two joints: with one, every way back is the way there")
+        raise InputError("a loop needs two joints: a single joint can only retrace its path")
     bounds = limits_of(connection, limits, speeds, torques)
-    start = _start(system, bounds, x0)
-    turn = _turn(system, target)
-    mu = momentum_of(system, momentum)
+    start = _initial_shape(system, bounds, x0)
+    turn = _target_rotation(system, target)
+    mu = initial_momentum(system, momentum)
     if mu.any() and np.isfinite(bounds.torque).any():
         raise InputError(
             "torques= is for zero momentum, where they scale with the duration; with momentum see "
             "`plan.trajectory.driving_torques`"
         )
-    numbers = CYCLES if cycles is None else (whole(cycles, "cycles"),)
+    cycle_counts = CYCLES if cycles is None else (whole(cycles, "cycles"),)
     if not (np.linalg.norm(turn) > 0.0 or mu.any()):
-        raise InputError("the target is where the base is: nothing has to move")
-    asked = _Asked(system, connection, turn, start, bounds, mu, duration)
+        raise InputError("the target is the initial attitude: nothing has to move")
+    request = _Request(system, connection, turn, start, bounds, mu, duration)
     why = ""
-    # With momentum every number of cycles is another problem; those that steps solve come first.
+    # With momentum each number of cycles is a separate problem; try Newton steps first.
     for quick in (True, False) if mu.any() else (False,):
-        for n in numbers:
+        for n in cycle_counts:
             try:
-                return _tumbling(asked, n, quick=quick) if mu.any() else _still(asked, n)
-            except (Lost, SingularInertiaError, IntegrationError) as error:
+                return (
+                    _plan_with_momentum(request, n, quick=quick)
+                    if mu.any()
+                    else _plan_at_zero_momentum(request, n)
+                )
+            except (StartFailed, SingularInertiaError, IntegrationError) as error:
                 why = str(error)
     raise NoOptimum(
-        f"no loop from {start} turns '{system.name}' by the target in {numbers[-1]} cycles or "
-        f"less ({why}); give wider limits, another x0, or more cycles"
+        f"no loop from {start} rotates '{system.name}' to the target in {cycle_counts[-1]} cycles "
+        f"or less ({why}); give wider limits, another x0, or more cycles"
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
-    """What is asked for: the turn (turns,), the shape at both ends (m,), the body momentum (r,)."""
+class _Request:
+    """A reorientation request.
+
+    Attributes:
+        system: The system.
+        connection: Its mechanical connection.
+        turn: Rotation, (turns,) [rad].
+        start: Initial and final shape, (m,).
+        bounds: Limits of the joints.
+        momentum: Initial body momentum, (r,).
+        duration: Total duration [s], or None.
+    """
 
     system: System
     connection: Connection
@@ -113,31 +136,33 @@ class _Asked:
     momentum: Array
     duration: float | None
 
-    def task(self, aim: Reach, passage: Passage | None = None) -> Task:
-        """Return the task of the shortest loop with an aim."""
-        limits = _of_shape(self.bounds)
+    def task(self, aim: TargetAim, passage: Passage | None = None) -> Task:
+        """Return the task of the shortest loop with an objective."""
+        limits = _shape_limits(self.bounds)
         return Task(self.connection, aim, "length", None, limits, 1.0, passage)
 
 
-def _start(system: System, bounds: Limits, x0: ArrayLike | Mapping[str, ArrayLike] | None) -> Array:
-    """Return the shape at the start, (m,).  Raises InputError outside the limits."""
+def _initial_shape(
+    system: System, bounds: Limits, x0: ArrayLike | Mapping[str, ArrayLike] | None
+) -> Array:
+    """Return the initial shape, (m,).  Raises InputError outside the limits."""
     if x0 is None:
         zero = np.zeros(system.m)
         inside = (bounds.shape[:, 0] < 0.0) & (bounds.shape[:, 1] > 0.0)
         return np.where(inside, zero, bounds.middle)
-    given = input_formats.order_by_joint(x0, system, "x0")
-    start = vector(np.asarray(given), system.m, "x0", system.shape_names)
+    ordered = input_formats.order_by_joint(x0, system, "x0")
+    start = vector(np.asarray(ordered), system.m, "x0", system.shape_names)
     if ((start <= bounds.shape[:, 0]) | (start >= bounds.shape[:, 1])).any():
         raise InputError(f"x0 must lie within the limits {bounds.shape.tolist()}, got {start}")
     return start
 
 
-def _turn(system: System, target: ArrayLike) -> Array:
+def _target_rotation(system: System, target: ArrayLike) -> Array:
     """Return the target as a rotation vector or an angle, (turns,)."""
     group = system.group
     if group.turns == 1 and np.ndim(target) == 0:
         return vector(np.atleast_1d(as_floats(target, "target")), 1, "target")
-    aim = reach(group, target)
+    aim = target_aim(group, target)
     if np.shape(target) == (group.turns,):
         return vector(np.asarray(target, dtype=float), group.turns, "target")
     if group.turns == 1:
@@ -145,64 +170,66 @@ def _turn(system: System, target: ArrayLike) -> Array:
     return quaternion_log(aim.attitude)
 
 
-def _still(asked: _Asked, n: int) -> TurnPlan:
-    """Return the plan of n cycles at zero momentum, judged by samples of its own.  Raises Lost."""
-    group, connection, turn = asked.system.group, asked.connection, asked.turn
-    gait = turning_loop(asked.task(reach(group, turn / n)), asked.start, turn / n)
+def _plan_at_zero_momentum(request: _Request, n: int) -> TurnPlan:
+    """Return a plan of n cycles, checked by independent samples.  Raises StartFailed."""
+    group, connection, turn = request.system.group, request.connection, request.turn
+    gait = turning_loop(request.task(target_aim(group, turn / n)), request.start, turn / n)
     once = phase(connection, gait, tolerance=1e-13)
     end = once.cycles(n)
-    if group.turns == 1:  # whole turns count
+    if group.turns == 1:  # keep full turns
         end = np.append(end[:-1], n * once.pose[-1])
     peaks = peaks_of(connection, gait, n)
-    return _plan(asked, gait, n, reach(group, turn), end, _seconds(asked, peaks, n), peaks)
+    return _create_plan(
+        request, gait, n, target_aim(group, turn), end, _choose_duration(request, peaks, n), peaks
+    )
 
 
-def _tumbling(asked: _Asked, n: int, *, quick: bool) -> TurnPlan:
-    """Return the plan of n cycles with momentum, judged by twice as many pieces.  Raises Lost."""
-    system, start = asked.system, asked.start
-    seconds = _SECONDS * n if asked.duration is None else positive(asked.duration, "duration")
-    passage = passage_of(system, asked.momentum, start, n, seconds)
-    aim, share = joints_share(system, passage, start, reach(system.group, asked.turn))
-    gait = turning_loop(asked.task(aim, passage), start, share / n, quick=quick)
-    peaks = peaks_of(asked.connection, gait, n)
-    if seconds < (room := peaks.needed(asked.bounds)):
+def _plan_with_momentum(request: _Request, n: int, *, quick: bool) -> TurnPlan:
+    """Return a plan of n cycles, checked with doubled pieces.  Raises StartFailed."""
+    system, start = request.system, request.start
+    seconds = _SECONDS * n if request.duration is None else positive(request.duration, "duration")
+    passage = passage_of(system, request.momentum, start, n, seconds)
+    aim, share = joint_rotation(system, passage, start, target_aim(system.group, request.turn))
+    gait = turning_loop(request.task(aim, passage), start, share / n, quick=quick)
+    peaks = peaks_of(request.connection, gait, n)
+    if seconds < (shortest := peaks.needed(request.bounds)):
         raise InputError(
-            f"speeds need {room:.3g} s of {n} cycles, but they take {seconds:g} s; give another "
-            "duration, which decides how far the base drifts"
+            f"speeds need {shortest:.3g} s for {n} cycles, but the duration is {seconds:g} s; give "
+            "another duration, which also determines how far the base drifts"
         )
     path = fine_path(system.m, start, passage, finer=2)
-    end = path_lift(asked.connection, path.basis, coefficients_of(gait), passage.drift).pose
-    return _plan(asked, gait, n, aim, end, seconds, peaks)
+    end = path_lift(request.connection, path.basis, coefficients_of(gait), passage.drift).pose
+    return _create_plan(request, gait, n, aim, end, seconds, peaks)
 
 
-def _seconds(asked: _Asked, peaks: Peaks, n: int) -> float:
-    """Return the duration: as given, or as long as limits need."""
-    room = peaks.needed(asked.bounds)
-    if asked.duration is None:
-        return max(_SECONDS * n, room)
-    seconds = positive(asked.duration, "duration")
-    if seconds < room:
-        raise InputError(f"speeds and torques need {room:.3g} s, got duration {seconds:g}")
+def _choose_duration(request: _Request, peaks: Peaks, n: int) -> float:
+    """Return the given duration, or the shortest one within the limits."""
+    shortest = peaks.needed(request.bounds)
+    if request.duration is None:
+        return max(_SECONDS * n, shortest)
+    seconds = positive(request.duration, "duration")
+    if seconds < shortest:
+        raise InputError(f"speeds and torques need {shortest:.3g} s, got duration {seconds:g}")
     return seconds
 
 
-def _plan(
-    asked: _Asked, gait: Gait, n: int, aim: Reach, end: Array, seconds: float, peaks: Peaks
+def _create_plan(
+    request: _Request, gait: Gait, n: int, aim: TargetAim, end: Array, seconds: float, peaks: Peaks
 ) -> TurnPlan:
-    """Return the plan that ends at a pose.  Raises Lost if that is not the target."""
-    remaining = float(np.linalg.norm(aim.missed(end)[0]))
-    if not remaining <= n * _LEFT:
-        raise Lost(f"the loop leaves {remaining:.1e} rad of the target")
-    own = margins(asked.connection, gait, _of_shape(asked.bounds))
+    """Return the plan that ends at a pose.  Raises StartFailed unless this is the target."""
+    remaining = float(np.linalg.norm(aim.error(end)[0]))
+    if not remaining <= n * _REMAINING:
+        raise StartFailed(f"the loop leaves {remaining:.1e} rad of the target")
+    shape_margins = margins(request.connection, gait, _shape_limits(request.bounds))
     return TurnPlan(
-        system=asked.system, aim=aim, gait=gait.lasting(seconds / n), cycles=n, duration=seconds,
-        pose=end, remaining=remaining, momentum=asked.momentum,
-        left=twist_left(asked.system, asked.momentum, asked.start, end),
-        margins=own | peaks.margins(asked.bounds, seconds),
+        system=request.system, aim=aim, gait=gait.lasting(seconds / n), cycles=n, duration=seconds,
+        pose=end, remaining=remaining, momentum=request.momentum,
+        left=final_twist(request.system, request.momentum, request.start, end),
+        margins=shape_margins | peaks.margins(request.bounds, seconds),
     )  # fmt: skip
 
 
-def _of_shape(limits: Limits) -> Limits:
-    """Return the limits of joints alone: speeds and torques decide how long it takes."""
+def _shape_limits(limits: Limits) -> Limits:
+    """Return the joint limits alone, because speeds and torques only affect the duration."""
     free = np.full(len(limits.speed), np.inf)
     return Limits(limits.shape, free, free.copy())

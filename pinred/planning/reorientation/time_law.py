@@ -1,7 +1,7 @@
-"""The time law of a plan: n cycles by one cycloid, from rest to rest.
+"""The time law of a plan: n cycles from rest to rest with one cycloid.
 
-Of the loop, n (u − sin 2πu / 2π) is behind at u = t/D (`cycloid`).  At zero momentum speeds go with
-1/D, and torques with 1/D².
+At u = t/D, the fraction n (u − sin 2πu / 2π) of the cycles is completed (see `cycloid`).  At zero
+momentum, speeds scale with 1/D and torques with 1/D².
 """
 
 from __future__ import annotations
@@ -17,16 +17,21 @@ from ...analysis.phases.path_basis import cycloid, fourier_rows
 from ...common.arrays import Array, freeze
 from ...common.errors import InputError
 from ..optimisation.costs import torques
-from ..optimisation.extremes import greatest
+from ..optimisation.extremes import find_extremes
 from ..optimisation.limits import Limits
 
-_TIMES = 512  # a cycle
-_ROOM = 1.0 + 1e-6
+_TIMES = 512  # samples of a cycle
+_SAFETY = 1.0 + 1e-6  # factor on the shortest duration, for round-off
 
 
 @dataclass(frozen=True, eq=False)
 class Peaks:
-    """Greatest speed and torque of each joint, (m,), if all takes a second."""
+    """Largest speed and torque of each joint for a total duration of 1 s.
+
+    Attributes:
+        speed: Speeds, (m,).
+        torque: Torques, (m,).
+    """
 
     speed: Array
     torque: Array
@@ -35,25 +40,42 @@ class Peaks:
         freeze(self)
 
     def needed(self, limits: Limits) -> float:
-        """Return the least duration within limits [s]; zero without any."""
+        """Return the shortest duration within limits [s]; zero without limits."""
         by_speed = np.max(self.speed / limits.speed)
         by_torque = np.sqrt(np.max(self.torque / limits.torque))
-        return float(_ROOM * max(by_speed, by_torque))
+        return float(_SAFETY * max(by_speed, by_torque))
 
     def margins(self, limits: Limits, duration: float) -> dict[str, float]:
-        """Return the least distance to limits of speeds and torques, where there are any."""
-        out: dict[str, float] = {}
+        """Compute the smallest distance to the limits of speeds and torques.
+
+        Args:
+            limits: The limits.
+            duration: Total duration [s].
+        Returns:
+            Distances by kind; kinds without limits are omitted.
+        """
+        distances: dict[str, float] = {}
         if np.isfinite(limits.speed).any():
-            out["speeds"] = float((limits.speed - self.speed / duration).min())
+            distances["speeds"] = float((limits.speed - self.speed / duration).min())
         if np.isfinite(limits.torque).any():
-            out["torques"] = float((limits.torque - self.torque / duration**2).min())
-        return out
+            distances["torques"] = float((limits.torque - self.torque / duration**2).min())
+        return distances
 
 
 def peaks_of(connection: Connection, gait: Gait, cycles: int) -> Peaks:
-    """Return the peaks of a Fourier gait passed through so often, wherever they lie."""
+    """Compute the largest speeds and torques of a Fourier gait from rest to rest.
+
+    Args:
+        connection: The mechanical connection.
+        gait: The gait.
+        cycles: Number of cycles.
+    Returns:
+        The peaks for a total duration of 1 s.
+    Raises:
+        InputError: The connection has drag.
+    """
     if not connection.form.momentum:
-        raise InputError("plans are of robots that inertia moves, not drag")
+        raise InputError("reorient needs a mechanical connection, without drag")
     c = coefficients_of(gait)
 
     def motion(u: Array) -> tuple[Array, Array, Array]:
@@ -62,6 +84,6 @@ def peaks_of(connection: Connection, gait: Gait, cycles: int) -> Peaks:
         return x, rate[:, None] * x1, rate[:, None] ** 2 * x2 + bend[:, None] * x1
 
     u = np.linspace(0.0, 1.0, _TIMES * cycles + 1)
-    speed = greatest(lambda u: motion(u)[1], u)[1]
-    torque = greatest(lambda u: torques(connection, *motion(u)), u)[1]
+    speed = find_extremes(lambda u: motion(u)[1], u)[1]
+    torque = find_extremes(lambda u: torques(connection, *motion(u)), u)[1]
     return Peaks(speed, torque)

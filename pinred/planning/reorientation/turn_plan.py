@@ -1,4 +1,4 @@
-"""TurnPlan: joint motion from rest to rest that turns the base, and what remains."""
+"""TurnPlan: a joint motion from rest to rest that rotates the base, and its accuracy."""
 
 from __future__ import annotations
 
@@ -16,23 +16,30 @@ from ...judge.report import Report
 from ...simulation.simulate import simulate
 from ...simulation.trajectory import Trajectory
 from ...system.system import System
-from ..optimisation.aims import Reach
+from ..optimisation.aims import TargetAim
 
-TOLERANCES = (1e-12, 1e-14)  # of the simulation of a plan: relative, absolute
+TOLERANCES = (1e-12, 1e-14)  # relative and absolute tolerance of a plan's simulation
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TurnPlan:
-    """A loop that the joints go round several times, from rest to rest.
+    """A reorientation: a loop of the joints, repeated from rest to rest.
 
-    gait: the loop.  cycles: how often.  duration: of all cycles [s].  pose: (size,) of the base in
-    the end.  remaining: what is left to the target there [rad].  momentum: (r,) body momentum at
-    the start.  left: (r,) body twist of the base in the end, zero without momentum.  margins: least
-    distance to the limits of joints, speeds and torques.
+    Attributes:
+        system: The system.
+        aim: The target.
+        gait: The loop.
+        cycles: Number of cycles.
+        duration: Total duration [s].
+        pose: Final pose of the base, (size,).
+        remaining: Remaining rotation to the target [rad].
+        momentum: Initial body momentum, (r,).
+        left: Final body twist of the base, (r,); zero without momentum.
+        margins: Smallest distance to the limits of joints, speeds and torques.
     """
 
     system: System
-    aim: Reach = field(repr=False)
+    aim: TargetAim = field(repr=False)
     gait: Gait
     cycles: int
     duration: float
@@ -47,9 +54,9 @@ class TurnPlan:
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """The motion, simulated with the base free.
+        """The motion, simulated with a free base.
 
-        `driving_torques` are those that it needs.
+        Its `driving_torques` are the torques that the plan needs.
         """
         rtol, atol = TOLERANCES
         return simulate(
@@ -62,26 +69,26 @@ class TurnPlan:
 
     @cached_property
     def report(self) -> Report:
-        """The judgement of the trajectory by full ABA, under the torques that follow the plan."""
+        """Comparison of the trajectory with full ABA under the driving torques."""
         return compare(self.trajectory)
 
     @property
     def missed(self) -> float:
-        """What is left to the target in the end [rad], by the simulation."""
+        """Remaining rotation to the target [rad] in the simulation."""
         group = self.system.group
         pose = self.trajectory.pose
-        moved = group.compose(group.inverse(pose[0]), pose[-1])
-        return float(np.linalg.norm(self.aim.missed(moved)[0]))
+        motion = group.compose(group.inverse(pose[0]), pose[-1])
+        return float(np.linalg.norm(self.aim.error(motion)[0]))
 
     @property
     def turned(self) -> Array:
-        """The rotation vector (3,), or the angle (1,), of all cycles [rad]."""
+        """Rotation vector (3,) or angle (1,) of all cycles [rad]."""
         group = self.system.group
         return np.asarray(group.log(self.pose)[group.linear :])
 
     @property
     def tumble(self) -> float:
-        """Angular velocity that is left in the end [rad/s]; momentum allows no other."""
+        """Remaining angular velocity [rad/s], fixed by the momentum."""
         return float(np.linalg.norm(self.left[self.system.group.linear :]))
 
     def __repr__(self) -> str:
@@ -91,7 +98,7 @@ class TurnPlan:
         )
 
     def __str__(self) -> str:
-        degrees = ", ".join(f"{each:.6f}" for each in np.degrees(self.turned))
+        degrees = ", ".join(f"{angle:.6f}" for angle in np.degrees(self.turned))
         lines = [
             f"{self.system.name} turns by its joints: {self.cycles} cycles, {self.duration:g} s",
             f"  turned [°]              {degrees}",

@@ -1,4 +1,8 @@
-"""The loop that turns the base: from an ellipse by the optimiser to the last digit."""
+"""Loops that rotate the base to a target.
+
+An ellipse from the curvature is the initial loop, the optimiser finds the shortest loop, and
+Newton steps of least norm reduce the target error to round-off.
+"""
 
 from __future__ import annotations
 
@@ -6,77 +10,198 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...analysis.connections.connection import Connection
 from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
 from ...analysis.phases.path_basis import path_lift
 from ...common.arrays import Array
 from ...common.errors import InputError
-from ..optimisation.aims import Reach
+from ..optimisation.aims import TargetAim
+from ..optimisation.gait_search import Search, StartFailed, enforce_limits, fourier_path_of
 from ..optimisation.margins import margins
-from ..optimisation.search import Lost, Search, fourier_path_of, within
 from ..optimisation.transcription import Passage, Path, Task, fourier_path
-from .first_loops import first_loop
-from .newton_polish import approached, polished
 
-_HARMONICS = 3
-_ITERATIONS = 70  # more make loops hardly shorter
-_EDGE = 1e-3  # of what joints may do, left to the polish of a base that tumbles
-_REACHED = 1e-5  # rad; what the polish starts from, at most
-_FINE = 64  # pieces of order 16 of the polish
-_FINE_PASSAGE = 24  # the same of a cycle from rest to rest
+_ROOM_USED = 0.7  # largest fraction of the joint range used by the initial ellipse
+_OFFSET = 0.3  # fraction of the joint range between trial shapes of the curvature
+_FIT = 1e-6  # largest relative error of the rotation of the bivector
+_POLISH_STEPS = 4  # full Newton steps
+_ROUND_OFF = 1e-14  # rotation error at which the polish stops [rad]
+_DAMPED_STEPS = 40  # damped Newton steps
+_CONVERGENCE = 1e-3  # rotation error from which full Newton steps converge [rad]
+_LONGEST = 0.5  # largest rotation of a damped step [rad]
+_HARMONICS = 3  # harmonics of the loops
+_ITERATIONS = 70  # iterations of the optimiser; further ones hardly shorten loops
+_EDGE = 1e-3  # fraction of the joint ranges reserved for the polish with momentum
+_REACHED = 1e-5  # largest rotation error of the optimiser's loop [rad]
+_FINE = 64  # quadrature pieces of order 16 of the polish
+_FINE_PASSAGE = 24  # the same for a cycle from rest to rest
+
+
+def first_loop(connection: Connection, start: Array, turn: Array, limits: Array) -> Gait:
+    """Return the initial ellipse: the smallest bivector that rotates the base as requested.
+
+    To leading order, a small loop x₀ − c + c cos φ + s sin φ moves the base by
+    exp(−Σ_{a<b} B_ab S_ab), with the bivector S = π (c sᵀ − s cᵀ) of its area and the curvature B
+    at x₀.
+
+    Args:
+        connection: The connection.
+        start: Initial shape, (m,).
+        turn: Rotation vector or angle, (turns,) [rad].
+        limits: Joint limits, (m, 2); the ellipse is shrunk to fit.
+    Returns:
+        The ellipse.
+    Raises:
+        InputError: The curvature near this shape cannot produce the rotation.
+    """
+    m = connection.m
+    room = np.maximum(np.minimum(limits[:, 1] - start, start - limits[:, 0]), 1e-3)
+    S = np.zeros((m, m))
+    a, b = np.triu_indices(m, 1)
+    # At singular shapes, such as rods in a line, use the curvature at neighbouring shapes.
+    alternating = _OFFSET * room * np.where(np.arange(m) % 2, -1.0, 1.0)
+    for near in (start, start + _OFFSET * room, start + alternating):
+        B = connection.curvature(near)[connection.group.linear :, a, b]  # (turns, pairs)
+        least = np.linalg.lstsq(-B, turn, rcond=1e-9)[0]
+        if np.linalg.norm(B @ least + turn) <= _FIT * np.linalg.norm(turn):
+            break
+    else:
+        raise InputError(
+            "small loops from this shape cannot rotate the base as requested; give another x0"
+        )
+    S[a, b], S[b, a] = least, -least
+    # S = Σ σ (u vᵀ − v uᵀ); its leading plane has the singular vectors u and Sᵀu / σ.
+    u, sizes, _ = np.linalg.svd(S)
+    c = u[:, 0]
+    s = S.T @ c
+    s = s / max(float(np.linalg.norm(s)), 1e-300)
+    radius = np.sqrt(float(sizes[0]) / np.pi)
+    reach = np.max(2.0 * np.abs(c) / room + np.abs(s) / room)
+    radius = min(radius, _ROOM_USED / float(reach))
+    return Gait.fourier(start - radius * c, [radius * c], [radius * s])
+
+
+def polish_loop(task: Task, aim: TargetAim, path: Path, y: Array) -> Array:
+    """Refine unknowns by Newton steps of least norm, Δy = −J⁺ r.
+
+    Args:
+        task: The task.
+        aim: The target.
+        path: The paths.
+        y: Unknowns near a solution.
+    Returns:
+        The refined unknowns.
+    """
+    for _ in range(_POLISH_STEPS):
+        error, step = _newton_step(task, aim, path, y)
+        if error <= _ROUND_OFF:
+            break
+        y = y + step
+    return y
+
+
+def approach_target(task: Task, aim: TargetAim, path: Path, y: Array) -> Array:
+    """Move unknowns towards the target by damped Newton steps of least norm.
+
+    Args:
+        task: The task.
+        aim: The target.
+        path: The paths.
+        y: Initial unknowns.
+    Returns:
+        Unknowns from which `polish_loop` converges, or at which the steps stagnate.
+    """
+    error, step = _newton_step(task, aim, path, y)
+    damping = min(1.0, _LONGEST / max(error, 1e-300))
+    for _ in range(_DAMPED_STEPS):
+        if error <= _CONVERGENCE or damping < 1e-3:
+            break
+        trial = y + damping * step
+        trial_error, trial_step = _newton_step(task, aim, path, trial)
+        if trial_error < error:
+            y, error, step = trial, trial_error, trial_step
+            damping = min(1.0, 2.0 * damping, _LONGEST / max(error, 1e-300))
+        else:
+            damping *= 0.4
+    return y
+
+
+def _newton_step(task: Task, aim: TargetAim, path: Path, y: Array) -> tuple[float, Array]:
+    """Return the rotation error [rad] and the Newton step of least norm."""
+    lift = path_lift(task.connection, path.basis, path.coefficients(y), task.drift)
+    residual, by_twist = aim.error(lift.pose)
+    jacobian = np.tensordot(by_twist, lift.twist, 1).reshape(len(residual), -1) @ path.matrix
+    step = -np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0]
+    return float(np.linalg.norm(residual)), np.asarray(step, dtype=float)
 
 
 def turning_loop(task: Task, start: Array, turn: Array, *, quick: bool = False) -> Gait:
-    """Return a loop from a shape (m,) that does what a task says.
+    """Find a loop that reaches the target of a task.
 
-    turn: (turns,) rotation vector or angle [rad] by which the first loop is to turn the base, at
-    zero momentum.  quick: by steps of least norm alone, which limits do not hold back.
-    Raises Lost if there is none within the limits, InputError as `first_loop`.
+    Args:
+        task: The task, with a TargetAim.
+        start: Initial and final shape, (m,).
+        turn: Rotation of the initial loop at zero momentum, (turns,) [rad].
+        quick: Use Newton steps instead of the optimiser; these ignore limits.
+    Returns:
+        The loop.
+    Raises:
+        StartFailed: No loop within the limits was found.
+        InputError: The task has no target, or no initial loop exists.
     """
     m, aim = task.connection.m, task.aim
-    if not isinstance(aim, Reach):
-        raise InputError("a loop that turns the base has a target")
+    if not isinstance(aim, TargetAim):
+        raise InputError("task: expected a TargetAim")
     gait = first_loop(task.connection, start, turn, task.limits.shape)
     if quick:
         path = fourier_path_of(task, _HARMONICS, start=start)
-        y = approached(task, aim, path, path.unknowns(coefficients_of(gait, _HARMONICS)))
+        y = approach_target(task, aim, path, path.unknowns(coefficients_of(gait, _HARMONICS)))
         gait = Search(task, path).gait(y)
     else:
-        gait = _shortest(task, gait, start)
+        gait = _shortest_loop(task, gait, start)
     fine = fine_path(m, start, task.passage)
-    y = polished(task, aim, fine, fine.unknowns(coefficients_of(gait)))
-    found = Search(task, fine).gait(y)
-    if margins(task.connection, found, task.limits)["limits"] < 0.0:
-        raise Lost("the polished loop goes beyond the limits")
-    return found
+    y = polish_loop(task, aim, fine, fine.unknowns(coefficients_of(gait)))
+    loop = Search(task, fine).gait(y)
+    if margins(task.connection, loop, task.limits)["limits"] < 0.0:
+        raise StartFailed("the polished loop exceeds the limits")
+    return loop
 
 
-def _shortest(task: Task, gait: Gait, start: Array) -> Gait:
-    """Return the shortest loop within limits near a gait.  Raises Lost."""
-    if task.passage is not None:  # room for the polish
+def _shortest_loop(task: Task, gait: Gait, start: Array) -> Gait:
+    """Return the shortest loop within limits near a gait.  Raises StartFailed."""
+    if task.passage is not None:  # reserve range for the polish
         edge = _EDGE * task.limits.reach[:, None] * np.array([1.0, -1.0])
         task = replace(task, limits=replace(task.limits, shape=task.limits.shape + edge))
     search = Search(task, fourier_path_of(task, _HARMONICS, start=start))
-    best = search.from_gait(gait, most=_ITERATIONS)
-    if not _missed(search, best.z) <= _REACHED:
-        raise Lost(f"the optimiser stopped short of the target ({best.status})")
-    search, best = within(search, best, _HARMONICS, start)
+    best = search.optimise_from(gait, most=_ITERATIONS)
+    if not _target_error(search, best.z) <= _REACHED:
+        raise StartFailed(f"the optimiser did not reach the target ({best.status})")
+    search, best = enforce_limits(search, best, _HARMONICS, start)
     return search.gait(best.z)
 
 
 def fine_path(m: int, start: Array, passage: Passage | None, *, finer: int = 1) -> Path:
-    """Return Fourier paths from a shape (m,), fine enough for the last digit."""
+    """Return Fourier paths with a quadrature accurate to round-off.
+
+    Args:
+        m: Number of joints.
+        start: Common initial shape, (m,).
+        passage: Motion from rest to rest, or None.
+        finer: Factor on the number of quadrature pieces.
+    Returns:
+        The paths.
+    """
     pieces = finer * (_FINE if passage is None else _FINE_PASSAGE)
     return fourier_path(
         _HARMONICS, m, pieces=pieces, checks=np.zeros(1), power=1, start=start, passage=passage
     )
 
 
-def _missed(search: Search, z: Array) -> float:
+def _target_error(search: Search, z: Array) -> float:
     aim, path = search.task.aim, search.path
-    if not isinstance(aim, Reach):
+    if not isinstance(aim, TargetAim):
         return np.inf
     pose = path_lift(
         search.task.connection, path.basis, search.coefficients(z), search.task.drift
     ).pose
-    return float(np.linalg.norm(aim.missed(pose)[0]))
+    return float(np.linalg.norm(aim.error(pose)[0]))

@@ -16,21 +16,29 @@ LOAD = Table(
             Text(tuple(GROUPS)),
             f"symmetry group: {', '.join(GROUPS)}",
             default="motion of the root joint",
+            command="--group G",
         ),
         "gravity": Key(
-            ListOf(NUMBER, 3), "gravity in the world frame [m/s²]", default="the robot's own"
+            ListOf(NUMBER, 3),
+            "gravity in the world frame [m/s²]",
+            default="the robot's own",
+            command="--gravity V1,V2,…",
         ),
         "lock": Key(
             Either((ListOf(Text((), "the name of a joint")), ByName(NUMBER))),
             "joints to lock at zero, or at the values stated by name [rad | m]",
             default="none",
+            command="--lock J1,J2=VALUE,…",
         ),
         "root": Key(
             Text((), "the name of a body"),
             "root body of the robot, for MJCF files in which several bodies of the world move",
             default="the only one that moves",
+            command="--root BODY",
         ),
-        "strict": Key(Flag(), "reject a robot that causes a warning", default="false"),
+        "strict": Key(
+            Flag(), "reject a robot that causes a warning", default="false", command="--strict"
+        ),
         "meshes": Key(
             Either((Text((), "a folder"), ListOf(Text((), "a folder")))),
             "folders with the meshes of a URDF, relative to this file",
@@ -62,7 +70,7 @@ def scene_table(options: Mapping[str, Option]) -> Table:
         name: Table(
             keys_in(name),
             words,
-            apart=tuple(pair for pair in list_conflicts(options) if pair[1] in keys_in(name)),
+            apart=tuple(p for p in list_conflicts(options) if {*p} <= keys_in(name).keys()),
         )
         for name, words in _TABLES.items()
     }

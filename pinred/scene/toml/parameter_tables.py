@@ -23,6 +23,7 @@ class NamedNumbers(Node):
 
     types = (dict,)
     words = "a table {name = number or list of numbers}"
+    name = "parameters"
 
     def _read(self, value: Any, place: Place) -> dict[str, Any]:
         values: dict[str, Any] = {}
@@ -33,13 +34,12 @@ class NamedNumbers(Node):
             values[name] = node.read(entry, place / name)
         return values
 
-    def schema(self, defs: dict[str, Schema]) -> Schema:
-        """Return a reference to the schema, which refers to itself, and add that to `defs`."""
-        if "parameters" not in defs:
-            defs["parameters"] = {}
-            kinds = [NUMBER.schema(defs), NUMBERS.schema(defs), {"$ref": "#/$defs/parameters"}]
-            defs["parameters"] = {"type": "object", "additionalProperties": {"anyOf": kinds}}
-        return {"$ref": "#/$defs/parameters"}
+    def _schema(self, defs: dict[str, Schema]) -> Schema:
+        nodes = (NUMBER, NUMBERS, self)
+        return {
+            "type": "object",
+            "additionalProperties": {"anyOf": [node.schema(defs) for node in nodes]},
+        }
 
 
 @dataclass(frozen=True)

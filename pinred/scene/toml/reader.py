@@ -14,9 +14,9 @@ from ...common.errors import PinredError
 from ...common.parameter import Parameter
 from ...forces.columns import symbols_of
 from ...forces.force import Force, Limit
+from ...forces.force_model_cache import cached_force_model
 from ...forces.formula import NAMES, Formula
 from ...forces.link_loads import link_frame
-from ...forces.remembered import remembered_model
 from ...forces.signals.expressions import FUNCTIONS, parse
 from ...integrators.methods import METHODS
 from ..event import Event
@@ -233,7 +233,7 @@ class _Builder:
         else:
             for k, force in enumerate(options.get("forces", [])):
                 try:
-                    remembered_model(self.system, {}, [force], options.get("prescribed", {}))
+                    cached_force_model(self.system, {}, [force], options.get("prescribed", {}))
                 except PinredError:
                     place = place / "forces" / k
                     break

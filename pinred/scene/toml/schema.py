@@ -19,10 +19,12 @@ class Node(ABC):
     Attributes:
         types: Python types that the value may have.
         words: The value type in words, for messages.
+        name: Name of the type in the JSON Schema; "" for a type that is used once.
     """
 
     types: tuple[type, ...] = ()
     words: str
+    name: str = ""
 
     def describe(self) -> str:
         """Return the value type in words, for messages."""
@@ -53,9 +55,18 @@ class Node(ABC):
     def _read(self, value: Any, place: Place) -> Any:
         """Validate and convert a value that has an accepted type."""
 
-    @abstractmethod
     def schema(self, defs: dict[str, Schema]) -> Schema:
-        """Return the JSON Schema; schemas that have a name are added to `defs`."""
+        """Return the JSON Schema; a type with a name is added to `defs` and referenced."""
+        if not self.name:
+            return self._schema(defs)
+        if self.name not in defs:
+            defs[self.name] = {}  # A type may contain itself.
+            defs[self.name] = self._schema(defs)
+        return {"$ref": f"#/$defs/{self.name}"}
+
+    @abstractmethod
+    def _schema(self, defs: dict[str, Schema]) -> Schema:
+        """Return the JSON Schema itself."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +93,7 @@ class Number(Node):
             place.fail(f"must be finite and {self.describe()}, got {shown(value)}")
         return number
 
-    def schema(self, defs: dict[str, Schema]) -> Schema:  # noqa: ARG002
-        """Return the JSON Schema."""
+    def _schema(self, defs: dict[str, Schema]) -> Schema:  # noqa: ARG002
         return {"type": "number"} | ({"exclusiveMinimum": 0} if self.positive else {})
 
 
@@ -104,8 +114,7 @@ class Whole(Node):
             place.fail(f"must be {self.describe()} to {self.most}, got {shown(value)}")
         return int(value)
 
-    def schema(self, defs: dict[str, Schema]) -> Schema:  # noqa: ARG002
-        """Return the JSON Schema."""
+    def _schema(self, defs: dict[str, Schema]) -> Schema:  # noqa: ARG002
         return {"type": "integer", "minimum": self.least, "maximum": self.most}
 
 
@@ -119,8 +128,7 @@ class Flag(Node):
     def _read(self, value: Any, place: Place) -> bool:  # noqa: ARG002
         return bool(value)
 
-    def schema(self, defs: dict[str, Schema]) -> Schema:  # noqa: ARG002
-        """Return the JSON Schema."""
+    def _schema(self, defs: dict[str, Schema]) -> Schema:  # noqa: ARG002
         return {"type": "boolean"}
 
 
@@ -144,8 +152,7 @@ class Text(Node):
             place.fail(f"must be {self.words}, got no text")
         return str(value)
 
-    def schema(self, defs: dict[str, Schema]) -> Schema:  # noqa: ARG002
-        """Return the JSON Schema."""
+    def _schema(self, defs: dict[str, Schema]) -> Schema:  # noqa: ARG002
         return {"enum": list(self.among)} if self.among else {"type": "string", "minLength": 1}
 
 
@@ -172,8 +179,7 @@ class ListOf(Node):
             place.fail(f"must be {self.describe()}, got {shown(value)}")
         return [self.item.read(entry, place / k) for k, entry in enumerate(value)]
 
-    def schema(self, defs: dict[str, Schema]) -> Schema:
-        """Return the JSON Schema."""
+    def _schema(self, defs: dict[str, Schema]) -> Schema:
         size = {"minItems": self.count, "maxItems": self.count} if self.count else {}
         return {"type": "array", "items": self.item.schema(defs), **size}
 
@@ -192,8 +198,7 @@ class ByName(Node):
     def _read(self, value: Any, place: Place) -> dict[str, Any]:
         return {name: self.item.read(entry, place / name) for name, entry in value.items()}
 
-    def schema(self, defs: dict[str, Schema]) -> Schema:
-        """Return the JSON Schema."""
+    def _schema(self, defs: dict[str, Schema]) -> Schema:
         return {"type": "object", "additionalProperties": self.item.schema(defs)}
 
 
@@ -202,6 +207,7 @@ class Either(Node):
     """One of several value types; the type of the value decides which one."""
 
     nodes: tuple[Node, ...]
+    name: str = ""
 
     def describe(self) -> str:
         """Return the value type in words, for messages."""
@@ -214,8 +220,7 @@ class Either(Node):
     def _read(self, value: Any, place: Place) -> Any:
         return next(node for node in self.nodes if node.fits(value)).read(value, place)
 
-    def schema(self, defs: dict[str, Schema]) -> Schema:
-        """Return the JSON Schema."""
+    def _schema(self, defs: dict[str, Schema]) -> Schema:
         return {"anyOf": [node.schema(defs) for node in self.nodes]}
 
 
@@ -228,12 +233,14 @@ class Key:
         text: Meaning, with unit.
         required: Whether the key must be present.
         default: Value without the key, in words.
+        command: Name and value format on the command line, such as "--time T"; "" for none.
     """
 
     node: Node
     text: str
     required: bool = False
     default: str = ""
+    command: str = ""
 
     @property
     def description(self) -> str:
@@ -255,6 +262,7 @@ class Table(Node):
         apart: Pairs of keys that exclude each other.
         needs: {key: another key that it requires}.
         one_of: Keys of which exactly one must be present; no restriction if empty.
+        name: Name of the type in the JSON Schema.
     """
 
     keys: Mapping[str, Key]
@@ -262,6 +270,7 @@ class Table(Node):
     apart: tuple[tuple[str, str], ...] = ()
     needs: Mapping[str, str] = field(default_factory=dict)
     one_of: tuple[str, ...] = ()
+    name: str = ""
     types = (dict,)
 
     def _read(self, value: Any, place: Place) -> dict[str, Any]:
@@ -283,8 +292,7 @@ class Table(Node):
             name: self.keys[name].node.read(entry, place / name) for name, entry in value.items()
         }
 
-    def schema(self, defs: dict[str, Schema]) -> Schema:
-        """Return the JSON Schema."""
+    def _schema(self, defs: dict[str, Schema]) -> Schema:
         schema: Schema = {
             "type": "object",
             "properties": {name: key.schema(defs) for name, key in self.keys.items()},
@@ -338,34 +346,8 @@ class Tagged(Node):
         key = Key(Text((tag,)), self.tables[tag].words, required=True)
         return replace(self.tables[tag], keys={self.tag: key, **self.tables[tag].keys})
 
-    def schema(self, defs: dict[str, Schema]) -> Schema:
-        """Return the JSON Schema."""
+    def _schema(self, defs: dict[str, Schema]) -> Schema:
         return {"oneOf": [self._table(tag).schema(defs) for tag in self.tables]}
-
-
-@dataclass(frozen=True)
-class Named(Node):
-    """A value type whose schema is stored once, under `name`, and referenced elsewhere."""
-
-    name: str
-    node: Node
-
-    def describe(self) -> str:
-        """Return the value type in words, for messages."""
-        return self.node.describe()
-
-    def fits(self, value: Any) -> bool:
-        """Return whether a value fits the named type."""
-        return self.node.fits(value)
-
-    def _read(self, value: Any, place: Place) -> Any:
-        return self.node.read(value, place)
-
-    def schema(self, defs: dict[str, Schema]) -> Schema:
-        """Return a reference to the schema, and add the schema itself to `defs`."""
-        if self.name not in defs:
-            defs[self.name] = self.node.schema(defs)
-        return {"$ref": f"#/$defs/{self.name}"}
 
 
 def document_schema(table: Table, title: str) -> Schema:

@@ -11,12 +11,12 @@ from ...forces.signals import Constant, Expression, Fourier, Hold, Linear, Signa
 from ...forces.signals.tabulated import ENDS
 from .csv_columns import read_columns
 from .file_place import Place, naming
-from .schema import ByName, Either, Key, ListOf, Named, Number, Table, Text, Whole
+from .schema import ByName, Either, Key, ListOf, Number, Table, Text, Whole
 
 NUMBER, POSITIVE = Number(), Number(positive=True)
 NUMBERS = ListOf(NUMBER)
-PER_JOINT = Named("per_joint", Either((NUMBER, ByName(NUMBER))))
-SHAPE = Named("shape", Either((NUMBERS, ByName(NUMBER))))
+PER_JOINT = Either((NUMBER, ByName(NUMBER)), "per_joint")
+SHAPE = Either((NUMBERS, ByName(NUMBER)), "shape")
 _TABULATED: dict[str, Callable[..., Signal]] = {"spline": Spline, "linear": Linear, "hold": Hold}
 
 
@@ -58,10 +58,10 @@ _KINDS = {
     "hold": Key(_tabulated("steps"), "zero-order hold: each value is kept until the next time"),
     "fourier": Key(_FOURIER, "mean + Σ aₖ cos(2πk t/period) + bₖ sin(2πk t/period)"),
 }
-SIGNAL_TABLE = Named("signal_table", Table(_KINDS, "a signal table", one_of=tuple(_KINDS)))
-SIGNAL = Named("signal", Either((NUMBER, Text((), "a formula in t"), SIGNAL_TABLE)))
+SIGNAL_TABLE = Table(_KINDS, "a signal table", one_of=tuple(_KINDS), name="signal_table")
+SIGNAL = Either((NUMBER, Text((), "a formula in t"), SIGNAL_TABLE), "signal")
 _FORMULA = Text((), "a formula in t, x, xdot and mu")
-ACTION = Named("action", Either((NUMBER, _FORMULA, SIGNAL_TABLE)))
+ACTION = Either((NUMBER, _FORMULA, SIGNAL_TABLE), "action")
 
 
 class SignalReader:

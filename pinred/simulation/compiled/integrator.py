@@ -20,7 +20,7 @@ from ...integrators.integrate import Integration
 from ...integrators.methods import Method
 from ...integrators.solution import Solution
 from ...kernels.kernel import Kernel
-from ...reduction.lost_inertia import lost_inertia
+from ...reduction.inertia_split import lost_inertia
 from ...scene.scene import Scene
 from ...system.joints import joint_units
 from ..plan import Plan
@@ -87,9 +87,10 @@ def integrator(
             )
         except IntegrationError as stop:
             raise explained(stop, flow, scene, start, parameters) from None
-        wild = wild_steps(flow.kernel, plan, solution.states, solution.knots)
-        if wild:
-            raise IntegrationError(wild)
+        if not method.adaptive:
+            wild = wild_steps(flow.kernel, plan, solution.states, solution.knots)
+            if wild:
+                raise IntegrationError(wild)
         return segment(solution)
 
     if type(method) not in _compiled_methods:

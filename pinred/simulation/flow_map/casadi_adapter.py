@@ -12,10 +12,58 @@ from ...common.arrays import Array
 from .flow_columns import Columns
 
 _Evaluation = Callable[[Sequence[Array]], Sequence[Array]]
-_Shapes = Sequence[tuple[int, int]]
+_Arguments = Sequence[tuple[str, ca.Sparsity]]
 
 
-class FlowCallback(ca.Callback):
+class _ArrayCallback(ca.Callback):
+    """A CasADi Function that is computed by a function from arrays to arrays."""
+
+    def __init__(
+        self, name: str, inputs: _Arguments, outputs: _Arguments, evaluate: _Evaluation
+    ) -> None:
+        """Build the Function.
+
+        Args:
+            name: Name of the Function.
+            inputs: Name and sparsity of each input.
+            outputs: Name and sparsity of each output.
+            evaluate: Function from the inputs to the outputs.
+        """
+        ca.Callback.__init__(self)
+        self._inputs, self._outputs, self._evaluate = inputs, outputs, evaluate
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        """Return the number of inputs."""
+        return len(self._inputs)
+
+    def get_n_out(self) -> int:
+        """Return the number of outputs."""
+        return len(self._outputs)
+
+    def get_name_in(self, i: int) -> str:
+        """Return the name of input i."""
+        return self._inputs[i][0]
+
+    def get_name_out(self, i: int) -> str:
+        """Return the name of output i."""
+        return self._outputs[i][0]
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """Return the shape of input i."""
+        return self._inputs[i][1]
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        """Return the shape of output i."""
+        return self._outputs[i][1]
+
+    def eval(self, arguments: Any) -> list[Any]:
+        """Compute the outputs."""
+        arrays = [np.array(argument) for argument in arguments]
+        return [ca.DM(result) for result in self._evaluate(arrays)]
+
+
+class FlowCallback(_ArrayCallback):
     """A flow as a CasADi Function with derivatives of first order.
 
     Its inputs are those of the flow by name, as columns, and its output is the column `y`.  It has
@@ -33,38 +81,13 @@ class FlowCallback(ca.Callback):
             columns: The flow between vectors.
             name: Name of the Function.
         """
-        ca.Callback.__init__(self)
         self.columns = columns
         self._derivatives: list[Any] = []  # CasADi does not keep derivatives alive.
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        """Return the number of inputs."""
-        return len(self.columns.names)
-
-    def get_n_out(self) -> int:
-        """Return the number of outputs."""
-        return 1
-
-    def get_name_in(self, i: int) -> str:
-        """Return the name of input i, with underscores for the dots that CasADi rejects."""
-        return str(self.columns.names[i]).replace(".", "_")
-
-    def get_name_out(self, _i: int) -> str:
-        """Return the name of the output."""
-        return "y"
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """Return the shape of input i, a dense column."""
-        return ca.Sparsity.dense(self.columns.sizes[i], 1)
-
-    def get_sparsity_out(self, _i: int) -> ca.Sparsity:
-        """Return the shape of the output, a dense column."""
-        return ca.Sparsity.dense(self.columns.size, 1)
-
-    def eval(self, arguments: Any) -> list[Any]:
-        """Compute the output."""
-        return [ca.DM(self.columns.value(*map(np.array, arguments)))]
+        # CasADi rejects dots in names.
+        names = [name.replace(".", "_") for name in columns.names]
+        inputs = [_dense(name, size, 1) for name, size in zip(names, columns.sizes, strict=True)]
+        outputs = [_dense("y", columns.size, 1)]
+        super().__init__(name, inputs, outputs, lambda values: [columns.value(*values)])
 
     def has_jacobian(self) -> bool:
         """Return True: there is a Jacobian."""
@@ -81,13 +104,12 @@ class FlowCallback(ca.Callback):
             Function that does not read the output.
         """
         columns = self.columns
-        inputs = [(size, 1) for size in columns.sizes]
-        outputs = [(columns.size, size) for size in columns.sizes]
 
-        def evaluate(arguments: Sequence[Array]) -> Sequence[Array]:
-            return columns.jacobian(*arguments)
+        def evaluate(values: Sequence[Array], _: Sequence[Array]) -> Sequence[Array]:
+            return columns.jacobian(*values)
 
-        return self._derivative(name, inames, onames, [inputs, []], outputs, evaluate)
+        shapes = [(columns.size, size) for size in columns.sizes]
+        return self._derivative(name, inames, onames, [], shapes, evaluate)
 
     def has_forward(self, _count: int) -> bool:
         """Return True: there are forward derivatives."""
@@ -107,15 +129,13 @@ class FlowCallback(ca.Callback):
             Function of the inputs, the output and the directions.
         """
         columns = self.columns
-        inputs = [(size, 1) for size in columns.sizes]
+
+        def evaluate(values: Sequence[Array], directions: Sequence[Array]) -> Sequence[Array]:
+            return [columns.jvp(values, [direction.T for direction in directions]).T]
+
         directions = [(size, count) for size in columns.sizes]
-
-        def evaluate(arguments: Sequence[Array]) -> Sequence[Array]:
-            values, along = arguments[: len(inputs)], arguments[len(inputs) :]
-            return [columns.jvp(values, [direction.T for direction in along]).T]
-
-        shapes = [inputs, directions]
-        return self._derivative(name, inames, onames, shapes, [(columns.size, count)], evaluate)
+        shapes = [(columns.size, count)]
+        return self._derivative(name, inames, onames, directions, shapes, evaluate)
 
     def has_reverse(self, _count: int) -> bool:
         """Return True: there are reverse derivatives."""
@@ -135,83 +155,42 @@ class FlowCallback(ca.Callback):
             Function of the inputs, the output and the covectors.
         """
         columns = self.columns
-        inputs = [(size, 1) for size in columns.sizes]
-        outputs = [(size, count) for size in columns.sizes]
 
-        def evaluate(arguments: Sequence[Array]) -> Sequence[Array]:
-            values, covectors = arguments[: len(inputs)], arguments[len(inputs)]
-            return [derivative.T for derivative in columns.vjp(values, covectors.T)]
+        def evaluate(values: Sequence[Array], covectors: Sequence[Array]) -> Sequence[Array]:
+            return [derivative.T for derivative in columns.vjp(values, covectors[0].T)]
 
-        shapes = [inputs, [(columns.size, count)]]
-        return self._derivative(name, inames, onames, shapes, outputs, evaluate)
+        covectors = [(columns.size, count)]
+        shapes = [(size, count) for size in columns.sizes]
+        return self._derivative(name, inames, onames, covectors, shapes, evaluate)
 
     def _derivative(
         self,
         name: str,
-        inames: Any,
-        onames: Any,
-        inputs: Sequence[_Shapes],
-        outputs: _Shapes,
-        evaluate: _Evaluation,
+        inames: Sequence[str],
+        onames: Sequence[str],
+        seeds: Sequence[tuple[int, int]],
+        shapes: Sequence[tuple[int, int]],
+        evaluate: Callable[[Sequence[Array], Sequence[Array]], Sequence[Array]],
     ) -> ca.Function:
         """Build a derivative and keep it alive.
 
-        inputs: shapes of the arguments before and after the output.
+        seeds: shapes of the arguments after the inputs and the output.  shapes: of the results.
+        evaluate: function of the inputs and the seeds.
         """
+        count = len(self.columns.sizes)
         sparsities = [
-            *(ca.Sparsity.dense(*shape) for shape in inputs[0]),
+            *(ca.Sparsity.dense(size, 1) for size in self.columns.sizes),
             ca.Sparsity(self.columns.size, 1),  # The output, which no derivative reads.
-            *(ca.Sparsity.dense(*shape) for shape in inputs[1]),
+            *(ca.Sparsity.dense(*shape) for shape in seeds),
         ]
-        unread = len(inputs[0])
-
-        def call(arguments: Any) -> list[Any]:
-            arrays = [np.array(argument) for argument in arguments]
-            results = evaluate(arrays[:unread] + arrays[unread + 1 :])
-            return [ca.DM(result) for result in results]
-
-        derivative: ca.Function = _Derivative(
-            name, [*inames], [*onames], sparsities,
-            [ca.Sparsity.dense(*shape) for shape in outputs], call,
+        outputs = [_dense(name, *shape) for name, shape in zip(onames, shapes, strict=True)]
+        derivative: ca.Function = _ArrayCallback(
+            name, list(zip(inames, sparsities, strict=True)), outputs,
+            lambda arguments: evaluate(arguments[:count], arguments[count + 1 :]),
         )  # fmt: skip
         self._derivatives.append(derivative)
         return derivative
 
 
-class _Derivative(ca.Callback):
-    """A derivative of a FlowCallback, with the names that CasADi asks for."""
-
-    def __init__(
-        self,
-        name: str,
-        inames: list[str],
-        onames: list[str],
-        inputs: list[ca.Sparsity],
-        outputs: list[ca.Sparsity],
-        call: Callable[..., Any],
-    ) -> None:
-        ca.Callback.__init__(self)
-        self._inames, self._onames, self._inputs, self._outputs = inames, onames, inputs, outputs
-        self._call = call
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        return len(self._inputs)
-
-    def get_n_out(self) -> int:
-        return len(self._outputs)
-
-    def get_name_in(self, i: int) -> str:
-        return str(self._inames[i])
-
-    def get_name_out(self, i: int) -> str:
-        return str(self._onames[i])
-
-    def get_sparsity_in(self, i: int) -> Any:
-        return self._inputs[i]
-
-    def get_sparsity_out(self, i: int) -> Any:
-        return self._outputs[i]
-
-    def eval(self, arguments: Any) -> list[Any]:
-        return list(self._call(arguments))
+def _dense(name: str, rows: int, columns: int) -> tuple[str, ca.Sparsity]:
+    return name, ca.Sparsity.dense(rows, columns)

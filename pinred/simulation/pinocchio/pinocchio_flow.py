@@ -10,7 +10,7 @@ import numpy as np
 
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
-from ...forces.acting import BaseInSpace
+from ...forces.acting import BaseInSpace, ForceInputs
 from ...reduction.canonical_form import CanonicalForm
 from ...reduction.inertia_split import symmetric
 from ...reduction.potential import shape_gravity
@@ -64,7 +64,7 @@ class PinocchioFlow:
         if self._forces is not None:
             mu = self.base.momentum(b)
             base = self._in_space(t, b, x, v, com) if self._seen else None
-            acting = self._forces.acting(t, x, v[r:], v[:r], mu, numbers, base)
+            acting = self._forces.acting(ForceInputs(t, x, v[r:], v[:r], mu, numbers, base))
             pidot = pidot + acting.torque
             if self._forces.has_wrench:
                 push = acting.wrench[:k]

@@ -10,7 +10,7 @@ from scipy.integrate import DOP853, DenseOutput, OdeSolution
 from ...common.arrays import Array
 from ...common.errors import IntegrationError
 from ...integrators.methods import DOP853_LEAST
-from ...reduction.lost_inertia import lost_inertia
+from ...reduction.inertia_split import lost_inertia
 from ..plan import Plan
 from ..reduced_flow import Integrate, Segment
 from .pinocchio_flow import PinocchioFlow

@@ -1,4 +1,4 @@
-"""The search for a Fourier gait: from a first loop to an optimum that keeps its limits."""
+"""The search for a Fourier gait: from an initial loop to an optimum within its limits."""
 
 from __future__ import annotations
 
@@ -10,34 +10,46 @@ from ...analysis.gaits.coefficients import coefficients_of
 from ...analysis.gaits.gait import Gait
 from ...common.arrays import Array
 from .ipopt import Minimum, minimum
-from .margins import tightened, worst_times
+from .margins import tighten_limits, violation_times
 from .transcription import Path, Task, fourier_path, problem_of
 
-_PIECES = 2  # of order 16, a harmonic and three more
-_CHECKS = 4  # a harmonic and four more, at which limits are imposed
-_ROUNDS = 6  # of keeping limits between the nodes
-_EXCHANGED = 2  # of these by imposing them where they are overshot
+_PIECES = 2  # quadrature pieces of order 16, times (harmonics + 3)
+_CHECKS = 4  # times at which limits are imposed, times (harmonics + 1)
+_ROUNDS = 6  # repetitions that enforce limits between these times
+_EXCHANGED = 2  # first repetitions, which impose limits at additional times
 
 
-class Lost(Exception):  # noqa: N818
-    """A start that led to no optimum, and why."""
+class StartFailed(Exception):  # noqa: N818
+    """An initial loop did not converge to an optimum; the message states the reason."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """A task for paths of one kind."""
+    """A task for one family of paths.
+
+    Attributes:
+        task: The task.
+        path: The paths.
+    """
 
     task: Task
     path: Path
 
-    def from_gait(self, gait: Gait, *, most: int = 500) -> Minimum:
-        """Return the optimum near a Fourier gait of as many harmonics, or less."""
+    def optimise_from(self, gait: Gait, *, most: int = 500) -> Minimum:
+        """Find the optimum near a Fourier gait.
+
+        Args:
+            gait: A gait with at most as many harmonics as the paths.
+            most: Maximum number of iterations.
+        Returns:
+            The final point of IPOPT.
+        """
         y = self.path.unknowns(coefficients_of(gait, (len(self.path.shift) - 1) // 2))
         z = np.append(y, gait.period) if self.task.period_is_free else y
         return minimum(problem_of(self.task, self.path), z, most=most)
 
     def coefficients(self, z: Array) -> Array:
-        """Return the coefficients (K, m) at unknowns z."""
+        """Return the coefficients, (K, m), at unknowns z."""
         return self.path.coefficients(z[: self.path.size])
 
     def gait(self, z: Array) -> Gait:
@@ -51,9 +63,15 @@ class Search:
 def fourier_path_of(
     task: Task, harmonics: int, more: Array | None = None, start: Array | None = None
 ) -> Path:
-    """Return Fourier paths, whose limits are imposed at even times and at more, s (C,).
+    """Return Fourier paths for a task, with limits imposed at sample times.
 
-    start: (m,) a shape in which all of them begin, or None.
+    Args:
+        task: The task.
+        harmonics: Number of harmonics.
+        more: Additional s, (C,), at which limits are imposed.
+        start: Common initial shape of all paths, (m,), or None.
+    Returns:
+        The paths.
     """
     count = _CHECKS * (harmonics + 1)
     even = np.arange(count) / count
@@ -66,26 +84,35 @@ def fourier_path_of(
     )  # fmt: skip
 
 
-def within(
+def enforce_limits(
     search: Search, best: Minimum, harmonics: int, start: Array | None = None
 ) -> tuple[Search, Minimum]:
-    """Return the optimum within limits that hold between the nodes, too.
+    """Repeat an optimisation until its limits also hold between the sample times.
 
-    They are imposed where the loop goes beyond them; what then is left, they are made tighter by.
-    start: as of fourier_path_of.  Raises Lost.
+    The limits are imposed where the loop exceeds them.  Remaining violations tighten the limits.
+
+    Args:
+        search: The search of the first optimum.
+        best: The first optimum.
+        harmonics: Number of harmonics.
+        start: See `fourier_path_of`.
+    Returns:
+        The last search and its optimum.
+    Raises:
+        StartFailed: The loop still exceeds its limits.
     """
     task, more = search.task, np.zeros(0)
     for k in range(_ROUNDS):
         gait = search.gait(best.z)
-        worst = worst_times(task.connection, gait, task.limits)
+        worst = violation_times(task.connection, gait, task.limits)
         if not len(worst):
             return replace(search, task=task), best
         more = np.union1d(more, worst) if k < _EXCHANGED else more
         imposed = search.task.limits
         if k >= _EXCHANGED:
-            imposed = tightened(imposed, task.connection, gait, task.limits)
+            imposed = tighten_limits(imposed, task.connection, gait, task.limits)
         search = Search(
             replace(task, limits=imposed), fourier_path_of(task, harmonics, more, start)
         )
-        best = search.from_gait(gait)
-    raise Lost("between the nodes the loop stays beyond its limits")
+        best = search.optimise_from(gait)
+    raise StartFailed("the loop still exceeds its limits between the sample times")

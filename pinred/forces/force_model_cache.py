@@ -1,4 +1,4 @@
-"""Force models that are kept, for scenes that differ in numbers only."""
+"""A cache of force models, for scenes that differ in numbers only."""
 
 from __future__ import annotations
 
@@ -19,28 +19,37 @@ from .force_model import ForceModel
 from .kinds import Damper, Friction, Spring
 from .signals import Constant, Expression, Signal
 
-_REMEMBERED = 16  # models of one system
+_REMEMBERED = 16  # cached models per system
 
 
-def remembered_model(
+def cached_force_model(
     system: System,
     springs: Mapping[str, tuple[float, float]],
     forces: Sequence[Force],
     prescribed: Mapping[str, Signal],
     varied: ModelParameters | None = None,
 ) -> ForceModel:
-    """Return the model of springs {joint: (stiffness, rest)}, forces and prescribed joints.
+    """Return the model of springs, forces and prescribed joints, from the cache if possible.
 
-    varied: the numbers of the robot that may vary.
-    The last few models of a system as it was loaded are kept, for scenes that differ in their
-    start only, or in numbers of the robot that may vary.
-    Raises InputError for anything else, or for joints that are not there.
+    The last models of a system are cached, for scenes that differ only in their initial state or in
+    robot parameters that may vary.
+
+    Args:
+        system: The robot.
+        springs: Stiffness and rest position by joint, {joint: (stiffness, rest)}.
+        forces: Forces and controllers.
+        prescribed: Motions of joints by name.
+        varied: Robot parameters that may vary, or None.
+    Returns:
+        The model.
+    Raises:
+        InputError: A force, a signal or a joint name is invalid.
     """
-    own, freed, links = system, NOTHING, tuple[int, ...]()
+    owner, freed, links = system, NOTHING, tuple[int, ...]()
     if varied is not None:
-        own, links = nominal(system), varied.links
-        freed = freed_of(own, varied.free, varied.placed, varied.turned, generic=True)
-    # What is equal acts the same; what cannot be compared by value is kept, and so is itself.
+        owner, links = nominal(system), varied.links
+        freed = freed_of(owner, varied.free, varied.placed, varied.turned, generic=True)
+    # Cache by value; objects without value equality are keyed by identity and kept alive.
     sprung = [_spring(name, pair) for name, pair in springs.items()]
     key = (
         tuple(sprung),
@@ -48,21 +57,22 @@ def remembered_model(
             force if isinstance(force, (Spring, Damper, Friction)) else id(force)
             for force in forces
         ),
-        *((name, _same(signal)) for name, signal in prescribed.items()),
+        *((name, _key_of(signal)) for name, signal in prescribed.items()),
         freed,
         links,
     )
-    models: dict[Hashable, tuple[ForceModel, object]] = once(own, remembered_model, dict)
+    models: dict[Hashable, tuple[ForceModel, object]] = once(owner, cached_force_model, dict)
     if key not in models:
-        model = ForceModel(own, _every(sprung, forces, prescribed), prescribed, freed, links)
+        model = ForceModel(owner, _all_forces(sprung, forces, prescribed), prescribed, freed, links)
         while len(models) >= _REMEMBERED:
             models.pop(next(iter(models)), None)
         models[key] = (model, (tuple(forces), dict(prescribed)))
     model = models[key][0]
-    return model if system is own else model.on(system)
+    return model if system is owner else model.on(system)
 
 
-def _same(signal: Signal) -> Hashable:
+def _key_of(signal: Signal) -> Hashable:
+    """Return a key that is equal for signals that act the same."""
     simple = isinstance(signal, Expression) or (
         isinstance(signal, Constant) and not isinstance(vars(signal)["_given"], Parameter)
     )
@@ -70,7 +80,7 @@ def _same(signal: Signal) -> Hashable:
 
 
 def _spring(name: str, pair: Any) -> Spring:
-    """Return the spring of (stiffness, rest), either of which may be a Parameter."""
+    """Return the spring of (stiffness, rest); each may be a Parameter."""
     numbers = values_of(list(pair) if isinstance(pair, (list, tuple)) else pair)
     stiffness, rest = spring_pair(name, numbers).tolist()
     for k, parameter in parameters_in(pair):
@@ -78,16 +88,26 @@ def _spring(name: str, pair: Any) -> Spring:
     return Spring(name, stiffness, rest)
 
 
-def _every(
+def _all_forces(
     springs: Sequence[Force], forces: Sequence[Force], prescribed: Mapping[str, Signal]
 ) -> list[Force]:
-    """Return all forces.  Raises InputError for what is none, or no Signal."""
-    every = list(springs)
+    """Return springs and forces in one list.
+
+    Args:
+        springs: Springs.
+        forces: Further forces.
+        prescribed: Motions of joints by name.
+    Returns:
+        All forces.
+    Raises:
+        InputError: An entry is not a Force or not a Signal.
+    """
+    checked = list(springs)
     for force in forces:
         if not isinstance(force, Force):
             raise InputError(f"forces must be those of pinred.forces, got {brief(force)}")
-        every.append(force)
+        checked.append(force)
     for name, signal in prescribed.items():
         if not isinstance(signal, Signal):
             raise InputError(f"prescribed['{name}'] must be a Signal, got {signal!r}")
-    return every
+    return checked
