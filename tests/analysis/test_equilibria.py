@@ -423,7 +423,7 @@ def test_a_scene_begins_in_it() -> None:
     swing = (traj.x - least.x) / 1e-5
     expected = np.real(mode.shape * np.exp(1j * mode.frequency * traj.t)[:, None])
     assert np.abs(swing - expected).max() < 1e-3
-    with pytest.raises(pinred.InputError, match="3 modes, counted from 0; got mode 3"):
+    with pytest.raises(pinred.InputError, match="expected an index below 3, got 3"):
         least.scene(3)
 
 
