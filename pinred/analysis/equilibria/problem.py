@@ -154,7 +154,7 @@ def problem_of(
     acting = plan.acting
     if model is not None and (model.labels or model.has_wrench):
         raise InputError(
-            f"relative equilibria need conservative forces, but {', '.join(model.labels)} does work; "
+            f"forces: expected conservative forces, but {', '.join(model.labels)} does work; "
             "leave it out: `damped_growth` of an equilibrium gives the effect of dampers"
         )
     group = system.group
