@@ -60,13 +60,13 @@ def seen_of_base(system: System, everything: ca.SX, base: tuple[ca.SX, ...]) -> 
     Returns:
         Two flags.
     """
-    k, (pose, *others) = system.group.linear, base
+    k, (pose, *motion) = system.group.linear, base
     coordinates = ca.vertsplit(pose)
-    translation, attitude_symbols = [*coordinates[:k], *others], coordinates[k:]
+    translation, attitude_symbols = [*coordinates[:k], *motion], coordinates[k:]
     if not k:
-        translation, attitude_symbols = [], [*attitude_symbols, *others]
+        translation, attitude_symbols = [], [*attitude_symbols, *motion]
     attitude_column, place_column = (
-        ca.vertcat(ca.SX(0, 1), *each) for each in (attitude_symbols, translation)
+        ca.vertcat(ca.SX(0, 1), *symbols) for symbols in (attitude_symbols, translation)
     )
     return ca.depends_on(everything, attitude_column), ca.depends_on(everything, place_column)
 

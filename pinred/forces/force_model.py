@@ -135,8 +135,10 @@ class ForceModel:
 
     def with_values(self, values: Mapping[str, Any]) -> ForceModel:
         """Return this model with other values of parameters, {name: value}; the rest is shared."""
-        changes = np.array([values.get(each.name, each.value) for each in self.parameters])
-        changes -= [each.value for each in self.parameters]
+        changes = np.array(
+            [values.get(parameter.name, parameter.value) for parameter in self.parameters]
+        )
+        changes -= [parameter.value for parameter in self.parameters]
         if not changes.any():
             return self
         return self._changed(("_once",), numbers=read_only(self.numbers + self.slopes @ changes))

@@ -44,7 +44,9 @@ class ForceNumbers:
             return self.symbols[self._slot_of[value]]
         if isinstance(value, Affine):
             self._in_formulas.append(slot)
-            self._slopes += [(slot, each, weight) for each, weight in value.weights.items()]
+            self._slopes += [
+                (slot, parameter, weight) for parameter, weight in value.weights.items()
+            ]
             value = value.value
         self._values.append(value)
         self.symbols.append(ca.SX.sym(f"p{slot}"))

@@ -1,4 +1,4 @@
-"""Inverse dynamics on the reduced system, as expressions: torques for wanted accelerations."""
+"""Inverse dynamics on the reduced system, as expressions: torques for requested accelerations."""
 
 from __future__ import annotations
 
@@ -15,10 +15,18 @@ from .robot_symbols import RobotSymbols
 
 
 def required_torque(system: System, robot: RobotSymbols, s: Symbols, accelerations: ca.SX) -> ca.SX:
-    """Return the torques (m,) that give the joints these accelerations, with a free base.
+    """Return the torques that give the joints requested accelerations, with a free base.
 
-    With p = H v, the base follows from μ̇ = ad*_ξ μ, and then τ = d/dt π − ∂T/∂x + ∂V/∂x.
-    It has to be one that gravity does not turn.  accelerations: (m,).
+    With p = H v, the base acceleration follows from μ̇ = ad*_ξ μ, and then τ = d/dt π − ∂T/∂x +
+    ∂V/∂x. Gravity must have no moment on the base.
+
+    Args:
+        system: The robot.
+        robot: Symbols of its parameters.
+        s: Variables of the forces.
+        accelerations: Joint accelerations, (m,) [rad/s² | m/s²].
+    Returns:
+        Torques, (m,) [N·m | N].
     """
     r, gravity = system.r, robot.gravity
     momenta_of = partial(momenta, system, s.x, bodies=robot.bodies)
@@ -26,14 +34,14 @@ def required_torque(system: System, robot: RobotSymbols, s: Symbols, acceleratio
     p = momenta_of(v)
     transport = ca.jtimes(p, s.x, s.xdot)  # Ḣ v
     mu, eta = p[:r], ca.SX.sym("eta", r)
-    turned = ca.gradient(ca.dot(mu, bracket(system.group, s.xi, eta)), eta)  # ad*_ξ μ
-    pushed = momenta_of(ca.vertcat(ca.SX(r, 1), accelerations))
+    coadjoint = ca.gradient(ca.dot(mu, bracket(system.group, s.xi, eta)), eta)  # ad*_ξ μ
+    from_accelerations = momenta_of(ca.vertcat(ca.SX(r, 1), accelerations))
     I = ca.jacobian(mu, s.xi)
-    xidot = ca.solve(I, turned - transport[:r] - pushed[:r])
+    xidot = ca.solve(I, coadjoint - transport[:r] - from_accelerations[:r])
     pidot = momenta_of(ca.vertcat(xidot, accelerations))[r:] + transport[r:]
     torque = pidot - ca.gradient(0.5 * ca.dot(v, p), s.x)
-    if not system.group.is_pivot:  # that turns about its centre of mass
+    if not system.group.is_pivot:  # a pivot is at the centre of mass
         com = centre_of_mass(robot.bodies, joint_values(system, ca.vertsplit(s.x)))
-        fall = robot.mass * dot(gravity, com)
-        torque -= ca.gradient(ca.SX(fall), s.x)
+        work = robot.mass * dot(gravity, com)
+        torque -= ca.gradient(ca.SX(work), s.x)
     return torque

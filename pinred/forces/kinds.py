@@ -1,9 +1,8 @@
-"""The kinds of forces, on joints, on the base and on links.
+"""The types of forces on joints, on the base and on links.
 
-Each is written as CasADi expressions in t, x, ẋ and μ, or in the whole state, so that the same
-force goes into the compiled kernel, into the Pinocchio route and into the full simulation that
-judges both.  A force that has a potential gives it, and its torques −∂V/∂x follow; the others do
-work.
+Each force is a set of CasADi expressions in t, x, ẋ and μ, or in the whole state. The compiled
+kernel, the Pinocchio route and the full simulation that validates both use the same expressions. A
+force with a potential defines it, and its torques are −∂V/∂x. Other forces do work.
 """
 
 from __future__ import annotations
@@ -63,7 +62,9 @@ __all__ = [
 class PotentialEnergy(Named):
     """A potential V(x) [J].
 
-    function: from x, an SX of (m,) with joints by name too, to a scalar SX; called once.
+    Attributes:
+        function: x → V, called once with a CasADi column (m,) whose entries have joint names, too.
+        name: Name in messages and results.
     """
 
     function: Callable[[Any], Any]
@@ -73,7 +74,14 @@ class PotentialEnergy(Named):
         checked(self.name, "a function of x", self.function)
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:  # noqa: ARG002
-        """Return the potential."""
+        """Return the potential.
+
+        Args:
+            s: Variables of the forces.
+            number: Converts a number to a symbol.
+        Returns:
+            The terms.
+        """
         return Terms(potential=scalar(self.function(s.x), f"V(x) of {self.name}"))
 
 
@@ -81,11 +89,15 @@ class PotentialEnergy(Named):
 class Torque(Named):
     """Torques at the joints, τ(t, x, ẋ, μ) or τ(s) of the whole state [N·m | N].
 
-    function: (t, x, xdot, mu) → {joint: expression} or m expressions, called once with SX
-    symbols (of Symbols' meaning); or {joint: Signal, number or (t, x, xdot, mu) → expression}.
-    x["hinge"] and xdot["hinge"] are entries by joint, as x[0] is.
-    A function of one argument is given a SeenState instead of the four, with pose, twist and
-    momenta of the base (see arguments.py): momentum stays constant all the same.
+    Momentum stays constant, also if the torques depend on the base.
+
+    Attributes:
+        function: (t, x, xdot, mu) → {joint: expression} or m expressions, called once with symbols;
+            or one SeenState → the same, with pose, twist and momenta of the base (see
+            arguments.py); or {joint: Signal, number or (t, x, xdot, mu) → expression}. x["hinge"]
+            equals x[0] for the first joint "hinge".
+        limit: Bounds on the torques, or None.
+        name: Name in messages and results.
     """
 
     function: Action | Mapping[str, Action | Signal | float | Parameter]
@@ -93,30 +105,39 @@ class Torque(Named):
     name: str = "torque"
 
     def __post_init__(self) -> None:
-        wanted = "a function of (t, x, xdot, mu) or {joint: Signal or number}"
-        checked(self.name, wanted, self.function, Mapping)
+        expected = "a function of (t, x, xdot, mu) or {joint: Signal or number}"
+        checked(self.name, expected, self.function, Mapping)
 
     @property
     def signals(self) -> Iterable[Signal]:
-        """The functions of time in it."""
+        """Functions of time in the torques."""
         return signals_in(self.function.values()) if isinstance(self.function, Mapping) else ()
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the torques."""
+        """Return the torques.
+
+        Args:
+            s: Variables of the forces.
+            number: Converts a number to a symbol.
+        Returns:
+            The terms.
+        """
         if isinstance(self.function, Mapping):
             torque = {
                 s.joint(name, self.name): acting_value(value, s, number, f"{self.name}['{name}']")
                 for name, value in self.function.items()
             }
         else:
-            found = s.column(called(self.function, s, self.name), self.name)
-            torque = {k: scalar(v, f"{self.name} at '{s.every_name[k]}'") for k, v in found.items()}
+            values = s.column(called(self.function, s, self.name), self.name)
+            torque = {
+                k: scalar(v, f"{self.name} at '{s.every_name[k]}'") for k, v in values.items()
+            }
         return Terms(torque=limited(self.limit, s, torque, number, self.name))
 
 
 @dataclass(frozen=True)
 class _Tracking(Named):
-    """A controller that follows a reference: its fields, and the feedback of the error."""
+    """A controller that follows a reference, with feedback of the error."""
 
     reference: Reference
     kp: PerJoint
@@ -128,18 +149,18 @@ class _Tracking(Named):
 
     @property
     def signals(self) -> Iterable[Signal]:
-        """The functions of time in it."""
+        """Functions of time in the reference."""
         return signals_in(self.reference.values())
 
     def _feedback(
-        self, s: Symbols, number: Callable[[Any], Any], wanted: dict[int, tuple[Any, Any, Any]]
+        self, s: Symbols, number: Callable[[Any], Any], references: dict[int, tuple[Any, Any, Any]]
     ) -> dict[int, Any]:
-        """Return kp (x_d − x) + kd (ẋ_d − ẋ) of each joint whose motion is wanted."""
-        kp = per_joint(self.kp, wanted, s, f"kp of {self.name}")
-        kd = per_joint(self.kd, wanted, s, f"kd of {self.name}")
+        """Return kp (x_d − x) + kd (ẋ_d − ẋ) for each joint of the reference."""
+        kp = per_joint(self.kp, references, s, f"kp of {self.name}")
+        kd = per_joint(self.kd, references, s, f"kd of {self.name}")
         return {
             k: number(kp[k]) * (x - s.x[k]) + number(kd[k]) * (xdot - s.xdot[k])
-            for k, (x, xdot, _) in wanted.items()
+            for k, (x, xdot, _) in references.items()
         }
 
 
@@ -147,45 +168,73 @@ class _Tracking(Named):
 class PD(_Tracking):
     """PD control: τ = kp (x_d − x) + kd (ẋ_d − ẋ) at the joints of the reference.
 
-    reference: {joint: Signal or number}.  kp, kd: of all these joints, or by name.
+    Attributes:
+        reference: Signal or number by joint [rad | m].
+        kp: Stiffness [N·m/rad | N/m], for all these joints or by name.
+        kd: Damping [N·m·s/rad | N·s/m], for all these joints or by name.
+        limit: Bounds on the torques, or None.
+        name: Name in messages and results.
     """
 
     name: str = "pd"
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the torques."""
-        wanted = motions(self.reference, s, number, self.name)
-        torque = self._feedback(s, number, wanted)
+        """Return the torques.
+
+        Args:
+            s: Variables of the forces.
+            number: Converts a number to a symbol.
+        Returns:
+            The terms.
+        """
+        references = motions(self.reference, s, number, self.name)
+        torque = self._feedback(s, number, references)
         return Terms(torque=limited(self.limit, s, torque, number, self.name))
 
 
 @dataclass(frozen=True)
 class ComputedTorque(_Tracking):
-    """Torques that make every joint follow its reference exactly, whatever else acts on it.
+    """Torques that make every joint follow its reference, by inverse dynamics.
 
-    ẍ = ẍ_d + kd (ẋ_d − ẋ) + kp (x_d − x) by inverse dynamics on the reduced system; a wrench
-    on the base is not known to it.  reference: {joint: Signal or number} of every joint that
-    is not prescribed.  kp [1/s²], kd [1/s]: of all joints, or by name.
+    ẍ = ẍ_d + kd (ẋ_d − ẋ) + kp (x_d − x) on the reduced system, with all other torques compensated.
+    Wrenches on the base are not compensated.
+
+    Attributes:
+        reference: Signal or number by joint, for every joint that is not prescribed [rad | m].
+        kp: Stiffness [1/s²], for all joints or by name.
+        kd: Damping [1/s], for all joints or by name.
+        limit: Bounds on the torques, or None.
+        name: Name in messages and results.
+        last: Whether the force is evaluated after all others.
     """
 
     name: str = "computed torque"
     last: ClassVar[bool] = True
 
     def terms(self, s: Symbols, number: Callable[[Any], Any]) -> Terms:
-        """Return the torques.  Raises InputError if a joint that moves has no reference."""
-        wanted = motions(self.reference, s, number, self.name)
-        for k in wanted:
+        """Return the torques.
+
+        Args:
+            s: Variables of the forces.
+            number: Converts a number to a symbol.
+        Returns:
+            The terms.
+        Raises:
+            InputError: The reference lacks a moving joint or contains a prescribed one.
+        """
+        references = motions(self.reference, s, number, self.name)
+        for k in references:
             s.refuse_follower(k, f"{self.name} has a reference")
-        missing = [k for k in range(len(s.names)) if k not in {*wanted, *s.accelerations}]
+        missing = [k for k in range(len(s.names)) if k not in {*references, *s.accelerations}]
         if missing:
             raise InputError(f"{self.name} has no reference for joint '{s.names[missing[0]]}'")
-        if driven := [k for k in wanted if k in s.accelerations]:
+        if driven := [k for k in references if k in s.accelerations]:
             raise InputError(
                 f"{self.name} has a reference for '{s.names[driven[0]]}', which is prescribed"
             )
         accelerations = dict(s.accelerations)
-        for k, feedback in self._feedback(s, number, wanted).items():
-            accelerations[k] = wanted[k][2] + feedback
-        every = s.required_torque(accelerations) - s.others
-        torque = {k: every[k] for k in wanted}
+        for k, feedback in self._feedback(s, number, references).items():
+            accelerations[k] = references[k][2] + feedback
+        torques = s.required_torque(accelerations) - s.others
+        torque = {k: torques[k] for k in references}
         return Terms(torque=limited(self.limit, s, torque, number, self.name))

@@ -1,12 +1,12 @@
-"""Wrenches on links as what they are to the shape and the base, by the power they have.
+"""Wrenches on links, expressed as torques on the joints and a wrench on the base.
 
-A force F at a point p of a link and a moment N on it have the power F · v_p + N · ω, which is
-linear in the body twist ξ and the shape rate ẋ:
+A force F at a point p of a link and a moment N on it have the power F · v_p + N · ω. It is linear
+in the body twist ξ and the shape rate ẋ:
 
-    F · v_p + N · ω = f · ξ + τ · ẋ,
+    F · v_p + N · ω = f · ξ + τ · ẋ.
 
-so its derivatives are the wrench f on the base and the torques τ on the joints; on joints that
-others follow, as those move.
+Its derivatives are therefore the wrench f on the base and the torques τ on the joints. Follower
+joints contribute through the joints they follow.
 """
 
 from __future__ import annotations
@@ -30,23 +30,38 @@ from .robot_symbols import RobotSymbols
 
 @dataclass(frozen=True)
 class OnCoordinates:
-    """A load as it acts on the coordinates.  torque: (m,) on the shape.  wrench: (r,)."""
+    """A load on the coordinates.
+
+    Attributes:
+        torque: Torques on the shape, (m,).
+        wrench: Wrench on the base, (r,).
+    """
 
     torque: ca.SX
     wrench: ca.SX
 
 
 def link_frame(system: System, name: str, what: str) -> int:
-    """Return the index of a link's frame in the model.  Raises InputError listing the links."""
+    """Return the index of a link's frame in the model.
+
+    Args:
+        system: The robot.
+        name: Name of the link.
+        what: Name of the force in messages.
+    Returns:
+        The index.
+    Raises:
+        InputError: There is no such link, or several.
+    """
     model = system.model
     moving = [k for k, f in enumerate(model.frames) if f.parentJoint > 0]
     bodies = [k for k in moving if model.frames[k].type == pin.FrameType.BODY]
-    for known in (bodies, moving):
-        found = [k for k in known if model.frames[k].name == name]
-        if len(found) == 1:
-            return int(found[0])
-        if found:
-            raise InputError(f"{what}: '{system.name}' has {len(found)} links {quoted(name)}")
+    for candidates in (bodies, moving):
+        matches = [k for k in candidates if model.frames[k].name == name]
+        if len(matches) == 1:
+            return int(matches[0])
+        if matches:
+            raise InputError(f"{what}: '{system.name}' has {len(matches)} links {quoted(name)}")
     names = [str(model.frames[k].name) for k in bodies or moving]
     raise InputError(
         f"{what}: '{system.name}' has no link {quoted(str(name))}; {nearest(str(name), names)}"
@@ -57,16 +72,26 @@ def link_frame(system: System, name: str, what: str) -> int:
 def of_load(
     system: System, robot: RobotSymbols, s: Symbols, load: Load, what: str
 ) -> OnCoordinates:
-    """Return what a load is to the coordinates.  Raises InputError, naming `what`."""
+    """Express a load by torques and a wrench on the base.
+
+    Args:
+        system: The robot.
+        robot: Symbols of its parameters.
+        s: Variables of the forces.
+        load: The load.
+        what: Name of the force in messages.
+    Returns:
+        Torques and wrench.
+    """
     if load.link is None:
-        column = ca.vertcat(*_of_base(system, s, load.entries))
+        column = ca.vertcat(*_base_wrench(system, s, load.entries))
         return OnCoordinates(ca.SX(system.m, 1), ca.SX(column))
     index = link_frame(system, load.link, what)
     r, m = system.r, system.m
     xi, xdot = ca.SX.sym("xi", r), ca.SX.sym("xdot", m)
     force, moment = load.entries[:3], load.entries[3:]
     if load.frame == "world":
-        force, moment = (_into_root(system, s.seen.pose, part) for part in (force, moment))
+        force, moment = (_into_root(system, s.seen.pose, velocity) for velocity in (force, moment))
     bodies = robot.bodies
     joints = joint_values(system, ca.vertsplit(s.x) if m else [])
     rates = joint_rates(system, ca.vertsplit(xdot) if m else [])
@@ -78,43 +103,43 @@ def of_load(
     for i in reversed(chain):
         step = step_of(bodies[i], joints[i - 1])
         v, w = step.outward(v, w)
-        part = v if bodies[i].prismatic else w
-        part[2] = add(part[2], rates[i - 1])
+        velocity = v if bodies[i].prismatic else w
+        velocity[2] = add(velocity[2], rates[i - 1])
         if load.frame == "world":
-            force, moment = (_back(step.turns, vector) for vector in (force, moment))
+            force, moment = (_undo_turns(step.turns, vector) for vector in (force, moment))
     turn, origin = robot.place(index)
-    away = plus(origin, [dot(row, load.at) for row in turn])
-    v = plus(v, cross(w, away))
+    point = plus(origin, [dot(axis, load.at) for axis in turn])
+    v = plus(v, cross(w, point))
     if load.frame == "body":
-        force, moment = ([dot(row, vector) for row in turn] for vector in (force, moment))
+        force, moment = ([dot(axis, vector) for axis in turn] for vector in (force, moment))
     power = ca.SX(add(dot(force, v), dot(moment, w)))
     torque, wrench = (ca.SX(ca.gradient(power, v)) if v.numel() else v for v in (xdot, xi))
     return OnCoordinates(torque, wrench)
 
 
-def _of_base(system: System, s: Symbols, entries: list[Scalar]) -> list[Scalar]:
-    """Return a wrench (r,) on the base along its own axes, from one along the fixed axes."""
+def _base_wrench(system: System, s: Symbols, entries: list[Scalar]) -> list[Scalar]:
+    """Convert a wrench (r,) on the base along the fixed axes to one along the base's axes."""
     lin, ang = _on_axes(system, entries)
-    both = [*_turned_back(system, s.seen.pose, lin), *_turned_back(system, s.seen.pose, ang)]
-    return [both[axis] for axis in system.group.axes]
+    rotated = [*_rotate_back(system, s.seen.pose, lin), *_rotate_back(system, s.seen.pose, ang)]
+    return [rotated[axis] for axis in system.group.axes]
 
 
 def _on_axes(system: System, entries: list[Scalar]) -> tuple[Vec, Vec]:
-    """Return a twist or wrench of the group, (r,), as one of space in the root body's frame."""
-    both: Vec = [0.0] * 6
+    """Return a twist or wrench of the group, (r,), as a spatial vector in the root body's frame."""
+    spatial: Vec = [0.0] * 6
     for axis, entry in zip(system.group.axes, entries, strict=True):
-        both[axis] = entry
-    return both[:3], both[3:]
+        spatial[axis] = entry
+    return spatial[:3], spatial[3:]
 
 
 def _into_root(system: System, pose: ca.SX, v: Vec) -> Vec:
-    """Return a vector of the root joint's fixed frame in the root body's frame of the sweep."""
-    own = bodies_of(system)[0].frame.rotation.T.tolist()
-    return _turned_back(system, pose, [dot(row, v) for row in own])
+    """Convert a vector of the root joint's fixed frame to the sweep's frame of the root body."""
+    root_axes = bodies_of(system)[0].frame.rotation.T.tolist()
+    return _rotate_back(system, pose, [dot(axis, v) for axis in root_axes])
 
 
-def _turned_back(system: System, pose: ca.SX, v: Vec) -> Vec:
-    """Return Rᵀ v, by the attitude in a pose whose quaternion has length one."""
+def _rotate_back(system: System, pose: ca.SX, v: Vec) -> Vec:
+    """Return Rᵀ v, with the attitude of a pose whose quaternion has length one."""
     group = system.group
     if group.turns == 0:
         return list(v)
@@ -124,11 +149,11 @@ def _turned_back(system: System, pose: ca.SX, v: Vec) -> Vec:
     x, y, z, w = (pose[group.linear + k] for k in range(4))
     u = [-x, -y, -z]
     t = cross(u, v)
-    turned = cross(u, t)
-    return [add(v[i], mul(2.0, add(mul(w, t[i]), turned[i]))) for i in range(3)]
+    second_cross = cross(u, t)
+    return [add(v[i], mul(2.0, add(mul(w, t[i]), second_cross[i]))) for i in range(3)]
 
 
-def _back(turns: list[Turn], v: Vec) -> Vec:
+def _undo_turns(turns: list[Turn], v: Vec) -> Vec:
     for turn in turns:
         if not turn.is_none:
             v = turn.back(v)

@@ -1,6 +1,6 @@
-"""The robot as expressions of forces see it: numbers of it that may vary are symbols there.
+"""Symbols for the robot parameters that force expressions use.
 
-A wrench on a link needs the way to it, inverse dynamics all inertias, the weight besides.
+A wrench on a link depends on link frames, inverse dynamics on all inertias and on gravity.
 """
 
 from __future__ import annotations
@@ -30,16 +30,23 @@ from ..system.system import System
 
 
 class RobotSymbols:
-    """The robot with symbols for numbers that may vary, among them always gravity.
+    """The robot with symbols for gravity and for the parameters that may vary.
 
-    freed: what is a symbol, with the links that were asked for so far.  weighed: whether gravity
-    was.
+    Attributes:
+        freed: Parameters with symbols, including the frames of links used so far.
+        weighed: Whether an expression has used gravity.
     """
 
     def __init__(
         self, system: System, freed: Freed = NOTHING, movable: Collection[int] = ()
     ) -> None:
-        """Take the bodies that may vary.  movable: frames of links whose places on these may."""
+        """Create the symbols.
+
+        Args:
+            system: The robot.
+            freed: Parameters of bodies that may vary.
+            movable: Frames of links whose placements may vary.
+        """
         self._system, self.freed, self._movable = system, freed, movable
         self._symbols = [ca.SX.sym(f"Y{k}") for k in range(freed.size)]
         self._gravity = [ca.SX.sym(f"g{axis}") for axis in "xyz"]
@@ -47,27 +54,33 @@ class RobotSymbols:
 
     @cached_property
     def bodies(self) -> list[Body]:
-        """The bodies, in the frames of the sweep."""
+        """The bodies, in the frames of the articulated sweep."""
         return with_free(bodies_of(self._system), replace(self.freed, links=()), self._symbols)
 
     @property
     def gravity(self) -> Vec:
-        """Gravity that acts on the shape, (3,) in the root joint's fixed frame [m/s²]."""
+        """Gravity that acts on the shape, in the root joint's fixed frame, (3,) [m/s²]."""
         self.weighed = True
         return list(self._gravity)
 
     @property
     def mass(self) -> Scalar:
-        """The mass of all bodies [kg]."""
+        """Total mass of the bodies [kg]."""
         return total_mass(self.bodies) if self.freed.inertias else self._system.mass
 
     def place(self, frame: int) -> tuple[list[Vec], Vec]:
-        """Return the axes of a link in its body's frame, row by row, and its origin."""
-        found = self._system.model.frames[frame]
+        """Return the axes of a link in its body's frame, by rows, and its origin.
+
+        Args:
+            frame: Index of the link's frame.
+        Returns:
+            Three axes (3,), and the origin (3,) [m].
+        """
+        model_frame = self._system.model.frames[frame]
         numbers: list[Scalar]
         if frame not in self._movable:
-            body = self.bodies[found.parentJoint - 1]
-            numbers = link_numbers(body, found.placement).tolist()
+            body = self.bodies[model_frame.parentJoint - 1]
+            numbers = link_numbers(body, model_frame.placement).tolist()
         else:
             if frame not in self.freed.links:
                 self.freed = replace(self.freed, links=(*self.freed.links, frame))
@@ -82,9 +95,16 @@ class RobotSymbols:
 
 
 def numbers_of(system: System, freed: Freed, *, weighed: bool) -> Array:
-    """Return what a system has for the symbols; gravity is left out unless it counts.
+    """Return the values of a system for the symbols; gravity is zero unless it is used.
 
-    Raises SymmetryError if gravity counts and breaks the symmetry.
+    Args:
+        system: The robot.
+        freed: Parameters with symbols.
+        weighed: Whether gravity is used.
+    Returns:
+        Values, (freed.size + 3,).
+    Raises:
+        SymmetryError: Gravity is used and breaks the symmetry.
     """
     gravity = acting_gravity(system) if weighed else np.zeros(3)
     return read_only(np.concatenate([free_numbers(system, freed), gravity]))
@@ -93,15 +113,21 @@ def numbers_of(system: System, freed: Freed, *, weighed: bool) -> Array:
 def numbers_in(
     bodies: Sequence[Body], system: System, freed: Freed, links: Mapping[int, Sequence[Scalar]]
 ) -> list[Scalar]:
-    """Return what other bodies have for the symbols of `freed`, be it numbers or symbols.
+    """Return the values of other bodies for the symbols of `freed`, as numbers or symbols.
 
-    links: of links that vary; the others' places are the system's.
+    Args:
+        bodies: The bodies.
+        system: The robot.
+        freed: Parameters with symbols.
+        links: Frames of links that vary; other link frames are those of the system.
+    Returns:
+        Values, (freed.size,).
     """
-    out, frames = of_bodies(bodies, freed), system.model.frames
+    values, frames = of_bodies(bodies, freed), system.model.frames
     for frame in freed.links:
-        known = links.get(frame)
-        if known is None:
+        link_values = links.get(frame)
+        if link_values is None:
             body = bodies[frames[frame].parentJoint - 1]
-            known = link_numbers(body, frames[frame].placement).tolist()
-        out += known
-    return out
+            link_values = link_numbers(body, frames[frame].placement).tolist()
+        values += link_values
+    return values

@@ -1,8 +1,8 @@
-"""Events along a motion: looked for as it is integrated, and located on its dense output.
+"""Events of a motion: detected during the integration and located on the dense output.
 
-Every step is looked at at its ends and in three places within; where an expression changes sign,
-Brent's method finds the crossing on the dense output to the last bits of the time, so that what
-is left is the error of the motion itself.  Scenes without events pay nothing for it.
+The expressions are evaluated at the ends of each step and at three times inside it.  If one changes
+sign, Brent's method locates the crossing on the dense output to round-off.  The error of its time
+is then that of the motion.  Scenes without events have no cost.
 """
 
 from __future__ import annotations
@@ -21,18 +21,21 @@ from ..scene.scene import Scene
 from ..system.state_fields import ShapeState, State, map_arrays
 from .reduced_flow import Integrate, ReducedFlow, Segment
 
-_PARTS = 4  # of a step, at whose ends the expressions are looked at
-_SHOWN = 5  # times in a repr
-_ONE = 1e-12  # of the time: what round-off holds apart
+_PARTS = 4  # Parts of a step, at whose ends the expressions are evaluated.
+_SHOWN = 5  # Number of times in a repr.
+_ROUND_OFF = 1e-12  # Times are equal if they differ by less than this fraction.
 _EPS = 4.0 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
 class Crossings:
-    """The crossings of one event, in order; arrays are read-only.
+    """The zero crossings of one event, in order; arrays are read-only.
 
-    t: (K,) [s].  rising: (K,) whether the expression grows there.  states: those at these times,
-    as the scene asks for them.
+    Attributes:
+        name: Name of the event.
+        t: Times, (K,) [s].
+        rising: Whether the expression increases, (K,).
+        states: States at these times; a ShapeState if the scene leaves out the base.
     """
 
     name: str
@@ -53,8 +56,14 @@ class Crossings:
 
 
 @dataclass(frozen=True)
-class Found:
-    """A crossing.  event: which of the scene's."""
+class Crossing:
+    """One zero crossing.
+
+    Attributes:
+        event: Index of the event in the scene.
+        t: Time [s].
+        rising: Whether the expression increases.
+    """
 
     event: int
     t: float
@@ -62,84 +71,101 @@ class Found:
 
 
 class Watch:
-    """The events of one run.  found: crossings so far, in order of time within each piece."""
+    """The detection of events during one run.
+
+    Attributes:
+        crossings: The crossings that are located so far, in order of time.
+        end: The terminal crossing, None if there is none so far.
+    """
 
     def __init__(self, scene: Scene, flow: ReducedFlow, watched: Watched) -> None:
-        """Take what is watched along a flow."""
+        """Prepare the detection.
+
+        Args:
+            scene: The scene with the events.
+            flow: The flow that is integrated.
+            watched: The compiled expressions of the events.
+        """
         self._scene, self._flow, self._watched = scene, flow, watched
         self._events = scene.events_given
         self._signs = np.zeros(len(self._events))
         self._reached = -1.0
-        self.found: list[Found] = []
-        self.end: Found | None = None
+        self.crossings: list[Crossing] = []
+        self.end: Crossing | None = None
 
     @property
     def may_end(self) -> bool:
-        """Whether one of the events ends the motion."""
+        """Whether one of the events is terminal."""
         return any(event.terminal for event in self._events)
 
-    def look(self, piece: Segment) -> bool:
-        """Find the crossings in a piece, from where it was looked at last; return whether it ends.
+    def look(self, segment: Segment) -> bool:
+        """Locate the crossings in the new steps of a segment.
 
-        Raises IntegrationError where an expression is not finite.
+        Args:
+            segment: The segment, as far as it is integrated.
+        Returns:
+            Whether a terminal event ends the motion.
+        Raises:
+            IntegrationError: An expression is not finite.
         """
-        knots = piece.knots[piece.knots >= self._reached]
-        if not knots.size or self.end is not None:
+        new_ends = segment.knots[segment.knots >= self._reached]
+        if not new_ends.size or self.end is not None:
             return self.end is not None
-        before = piece.knots[piece.knots < self._reached][-1:]
-        whole = np.append(before, knots)
-        steps = np.arange(len(whole))
-        fine = np.interp(np.arange(_PARTS * (len(whole) - 1) + 1) / _PARTS, steps, whole)
-        fine = fine[fine >= self._reached]
-        values = self._values(piece, fine)
+        step_ends = np.append(segment.knots[segment.knots < self._reached][-1:], new_ends)
+        parts = np.arange(_PARTS * (len(step_ends) - 1) + 1) / _PARTS
+        times = np.interp(parts, np.arange(len(step_ends)), step_ends)
+        times = times[times >= self._reached]
+        values = self._values(segment, times)
         for k, event in enumerate(self._events):
-            self._cross(piece, k, event.direction, fine, values[k])
-        self._reached = float(piece.knots[-1])
-        self.found.sort(key=lambda found: found.t)
-        ends = [found for found in self.found if self._events[found.event].terminal]
-        if ends:
-            self.end = ends[0]
-            self.found = [found for found in self.found if found.t <= ends[0].t]
-        return bool(ends)
+            self._locate(segment, k, event.direction, times, values[k])
+        self._reached = float(segment.knots[-1])
+        self.crossings.sort(key=lambda crossing: crossing.t)
+        terminal = [c for c in self.crossings if self._events[c.event].terminal]
+        if terminal:
+            self.end = terminal[0]
+            self.crossings = [c for c in self.crossings if c.t <= terminal[0].t]
+        return bool(terminal)
 
-    def _cross(self, piece: Segment, k: int, direction: int, t: Array, g: Array) -> None:
-        """Find the crossings of one expression, whose values at times are g."""
+    def _locate(self, segment: Segment, k: int, direction: int, t: Array, values: Array) -> None:
+        """Locate the crossings of event k from the values of its expression at times t."""
         sign = self._signs[k]
         for j in range(len(t)):
-            new = float(np.sign(g[j]))
-            if new == 0.0:
-                continue  # a touch, or the crossing comes after it
-            if sign and new != sign and direction in (0, new):
-                first = max(j - 1, 0)
-                self.found.append(Found(k, self._root(piece, k, t[first], t[j]), rising=new > 0))
-            sign = new
+            new_sign = float(np.sign(values[j]))
+            if new_sign == 0.0:
+                continue  # The expression only touches zero, or crosses it later.
+            if sign and new_sign != sign and direction in (0, new_sign):
+                time = self._root(segment, k, t[max(j - 1, 0)], t[j])
+                self.crossings.append(Crossing(k, time, rising=new_sign > 0))
+            sign = new_sign
         self._signs[k] = sign
 
-    def _root(self, piece: Segment, k: int, a: float, b: float) -> float:
+    def _root(self, segment: Segment, k: int, a: float, b: float) -> float:
+        """Return the time between a and b at which the expression of event k is zero."""
+
         def value(t: float) -> float:
-            return float(self._values(piece, np.array([t]))[k, 0])
+            return float(self._values(segment, np.array([t]))[k, 0])
 
         first, last = value(a), value(b)
         if a == b or first == 0.0 or (first > 0.0) == (last > 0.0):
             return float(a)
         return float(brentq(value, a, b, xtol=_EPS * max(abs(b), 1e-300), rtol=_EPS))
 
-    def _values(self, piece: Segment, t: Array) -> Array:
-        """Return the expressions (E, T) at times (T,) within a piece."""
-        scene, flow, parameters = self._scene, self._flow, piece.parameters
+    def _values(self, segment: Segment, t: Array) -> Array:
+        """Return the expressions (E, T) at times (T,) within a segment."""
+        scene, flow, parameters = self._scene, self._flow, segment.parameters
         system = scene.system
-        y = piece.at(t)
+        y = segment.at(t)
         states = flow.states(t, y, parameters)
-        none, pose = np.zeros((system.r, len(t))), np.zeros((system.group.size, len(t)))
-        relative, base = [none, none], [pose, none, none, none]
+        unknown, pose = np.zeros((system.r, len(t))), np.zeros((system.group.size, len(t)))
+        relative, base = [unknown, unknown], [pose, unknown, unknown, unknown]
         if self._watched.sees_momentum:
             samples = [
-                flow.sample(time, row, parameters) for time, row in zip(t.tolist(), y, strict=True)
+                flow.sample(time, y_t, parameters) for time, y_t in zip(t.tolist(), y, strict=True)
             ]
             relative = [np.array([getattr(s, name) for s in samples]).T for name in ("xi", "mu")]
         if isinstance(states, State):
             space = (states.pose, states.xi, states.body_momentum, states.spatial_momentum)
-            base = [part.T for part in space]
+            base = [array.T for array in space]
         columns = [t[None], states.x.T, states.xdot.T, *relative, *base]
         values = self._watched(columns, scene.parameters)
         bad = ~np.isfinite(values)
@@ -152,38 +178,55 @@ class Watch:
         return values
 
 
-def ended(watch: Watch, piece: Segment, integrate: Integrate) -> list[Segment]:
-    """Return what there is of the piece in which a terminal event lies, up to there.
+def cut_at_event(watch: Watch, segment: Segment, integrate: Integrate) -> list[Segment]:
+    """Return the parts of a segment up to the terminal event.
 
-    The last step is made anew, to the event, so that the end is the end of a step.
+    The last step is integrated again, so that it ends at the event.
+
+    Args:
+        watch: The detection, which has a terminal crossing in the segment.
+        segment: The segment.
+        integrate: Integrator of segments.
+    Returns:
+        One or two segments, or none if the event is at the start of the segment.
     """
-    if watch.end is None or watch.end.t >= piece.knots[-1]:
-        return [piece]
+    if watch.end is None or watch.end.t >= segment.knots[-1]:
+        return [segment]
     end = watch.end.t
-    knots = piece.knots[piece.knots < end]
-    if not len(knots):
-        return []  # it lies where the piece begins
-    steps = min(piece.steps, len(knots) - 1)
-    if end - knots[-1] <= _ONE * end:
-        knots[-1] = end
-        return [replace(piece, knots=knots, steps=steps)] if steps else []
-    last = integrate(float(knots[-1]), end, piece.at(knots[-1:])[0], piece.parameters)
-    return [replace(piece, knots=knots, steps=steps), last] if steps else [last]
+    step_ends = segment.knots[segment.knots < end]
+    if not len(step_ends):
+        return []
+    steps = min(segment.steps, len(step_ends) - 1)
+    if end - step_ends[-1] <= _ROUND_OFF * end:
+        step_ends[-1] = end
+        return [replace(segment, knots=step_ends, steps=steps)] if steps else []
+    y = segment.at(step_ends[-1:])[0]
+    last = integrate(float(step_ends[-1]), end, y, segment.parameters)
+    return [replace(segment, knots=step_ends, steps=steps), last] if steps else [last]
 
 
-def crossings(
-    scene: Scene, found: list[Found], states: Callable[[Array], State | ShapeState]
+def crossings_by_event(
+    scene: Scene, crossings: list[Crossing], states: Callable[[Array], State | ShapeState]
 ) -> dict[str, Crossings]:
-    """Return the crossings by the names of the events.  states: of a motion, at times (T,)."""
-    out = {}
+    """Return the crossings of each event by its name.
+
+    Args:
+        scene: The scene with the events.
+        crossings: Crossings of all events, in order of time.
+        states: Function from times (T,) to the states of the motion.
+    Returns:
+        The crossings with the states there.
+    """
+    by_name = {}
     for k, event in enumerate(scene.events_given):
-        own = [each for each in found if each.event == k]
-        t = np.array([each.t for each in own])
-        rising = np.array([each.rising for each in own], dtype=bool)
-        out[event.name] = Crossings(event.name, t, rising, states(t) if own else _none(states))
-    return out
+        selected = [crossing for crossing in crossings if crossing.event == k]
+        t = np.array([crossing.t for crossing in selected])
+        rising = np.array([crossing.rising for crossing in selected], dtype=bool)
+        event_states = states(t) if selected else _no_states(states)
+        by_name[event.name] = Crossings(event.name, t, rising, event_states)
+    return by_name
 
 
-def _none(states: Callable[[Array], State | ShapeState]) -> State | ShapeState:
+def _no_states(states: Callable[[Array], State | ShapeState]) -> State | ShapeState:
     """Return states at no times."""
     return map_arrays(lambda values: values[:0], states(np.zeros(1)))

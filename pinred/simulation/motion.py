@@ -16,7 +16,7 @@ from ..common.arrays import Array, read_only
 from ..system.coordinates import Indices
 from ..system.state_fields import ShapeState, State, map_arrays
 from .control import Control, ControlAction, Replay
-from .events import Found, Watch, ended
+from .events import Crossing, Watch, cut_at_event
 from .plan import Plan
 from .reduced_flow import Integrate, ReducedFlow, Segment
 from .sample import Sample
@@ -44,7 +44,7 @@ class Motion:
         flow: The reduced flow.
         segments: Segments in order of time.
         actions: Calls of the controllers.
-        found: Crossings of the events.
+        crossings: Crossings of the events.
         ended_by: The crossing that ended the motion, None if none did.
     """
 
@@ -68,7 +68,7 @@ class Motion:
         """
         self.flow, self.segments, self._varies = flow, segments, varies
         self.actions = tuple(actions)
-        self.found: list[Found] = [] if watch is None else watch.found
+        self.crossings: list[Crossing] = [] if watch is None else watch.crossings
         self.ended_by = None if watch is None else watch.end
         self._ends = np.array([segment.end for segment in segments])
 
@@ -191,7 +191,7 @@ def follow(plan: Plan, flow: ReducedFlow, integrate: Integrate) -> Motion:
             until = control.begin(numbers, t, stop, partial(flow.sample, t, y, parameters))
             segment = integrate(t, until, y, read_only(parameters.copy()), stopping)
             if watch is not None and watch.look(segment):
-                segments += ended(watch, segment, integrate)
+                segments += cut_at_event(watch, segment, integrate)
                 break
             segments.append(segment)
             t = until

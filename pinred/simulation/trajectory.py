@@ -108,9 +108,9 @@ class Trajectory(OverTime):
     @cached_property
     def events(self) -> Mapping[str, Crossings]:
         """Crossings of the scene's events, by name."""
-        from .events import crossings
+        from .events import crossings_by_event
 
-        return crossings(self.scene, self.motion.found, self.motion.states)
+        return crossings_by_event(self.scene, self.motion.crossings, self.motion.states)
 
     @property
     def ended_by(self) -> str | None:

@@ -145,7 +145,7 @@ def test_a_wrong_measurement_is_found() -> None:
         (lambda: Controller(lambda s: Command([1.0], width=-1.0), 0.5), "gave a width of -1 s"),
         (lambda: Controller(lambda s: Command([1.0], width=np.nan), 0.5), "must give one width"),
         (lambda: Controller(lambda t, a, s: [1.0], 0.5, state0=0), r"must give \(action, state\)"),
-        (lambda: Controller(lambda s: [1.0], 0.5, ()), "has no joints and gives no wrench"),
+        (lambda: Controller(lambda s: [1.0], 0.5, ()), "has no joints and no wrench"),
         (lambda: Controller(lambda s: [1.0], 0.5, wrench=[1.0]), "wrench of controller must be"),  # type: ignore[arg-type]
         (lambda: Controller(lambda t, x: [1.0], 0.5), "must be a function of .* takes 2"),
     ],

@@ -274,7 +274,7 @@ DEEP = "nested more than 500 deep"
         ("*t", 1, "syntax"),
         ("f'{t}'", 1, "not arithmetic"),
         ("x[f'{t}']", 3, "an entry is"),
-        ("'hinge'", 1, "text stands only"),
+        ("'hinge'", 1, "text is allowed only"),
         ("b'1'", 1, "not a number"),
         ("1 if t else 2", 1, "not arithmetic"),
         ("t and t", 1, "not arithmetic"),
@@ -384,7 +384,7 @@ def test_refused(text: str, column: int, message: str) -> None:
 def test_fault_in_a_long_text_is_shown() -> None:
     """The line and the part of it that hold the fault are shown, and where it is."""
     text = "(t +\n" + "t + " * 50 + "'schräg'" + " + t" * 50 + ")"
-    with pytest.raises(InputError, match="line 2, column 201: text stands only") as caught:
+    with pytest.raises(InputError, match="line 2, column 201: text is allowed only") as caught:
         parse(text, GIVEN)
     shown, marks = str(caught.value).split("\n")[1:3]
     begin, end = marks.index("^"), len(marks)

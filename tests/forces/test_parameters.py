@@ -144,7 +144,7 @@ def test_wherever_a_number_stands() -> None:
     # Another Parameter of the same name and value is another one.
     np.testing.assert_array_equal(moved(Parameter("k", 1.0), s, parameters={"k": 2.5}),
                                   moved(2.5, 0.3))  # fmt: skip
-    with pytest.raises(InputError, match="times of a Linear say where it has breaks"):
+    with pytest.raises(InputError, match="times of a Linear define its breaks"):
         pinred.signals.Linear([0.0, k, 2.0], [0.0, 1.0, 0.0])  # type: ignore[arg-type]
     with pytest.raises(pinred.ShapeError, match="must be numbers, got '2'"):
         pinred.Scene(system=cat, seed=1, parameters={"back.mass": "2"})

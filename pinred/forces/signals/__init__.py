@@ -1,7 +1,7 @@
 """Signals: scalar functions of time, as CasADi expressions and as numbers.
 
-A prescribed joint, the reference of a controller or a torque from a table is one of these.
-Value, rate and acceleration are the function and its first two derivatives.
+A signal is a prescribed joint motion, the reference of a controller, or a torque. Its value, rate
+and acceleration are the function and its first two derivatives.
 """
 
 from .formulas import Constant, Expression, Fourier

@@ -1,8 +1,8 @@
-"""Arithmetic from text: "0.3*sin(2*t) - k*x['hinge']" as a CasADi expression.
+"""Arithmetic from text, such as "0.3*sin(2*t) - k*x['hinge']", as a CasADi expression.
 
-Python parses the text, and its tree is only looked at: nothing is ever executed.  Whatever is
-not listed here (attributes, other calls, comprehensions, strings except as a subscript, …) is
-refused, with its place in the text.
+Python parses the text; its syntax tree is read and never executed. Anything not listed here
+(attributes, other calls, comprehensions, strings except as a subscript, …) is rejected, with its
+position in the text.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 Names: TypeAlias = "Mapping[str, ca.SX | Mapping[str, ca.SX] | Sequence[ca.SX]]"
 
-LONGEST = 10_000  # characters
-DEEPEST = 500  # levels; a sum of n terms has n
+LONGEST = 10_000  # largest number of characters
+DEEPEST = 500  # largest number of nested levels; a sum of n terms has n
 
 CONSTANTS = {"pi": math.pi, "e": math.e}
-# Name: CasADi's name, and the least and the greatest number of arguments.
+# Each entry: name, CasADi's name, and the smallest and largest number of arguments.
 _MANY = 100
 FUNCTIONS = {
     **{
@@ -59,35 +59,38 @@ _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.NotEq: operator.ne,
 }
 _TOO_DEEP = f"nested more than {DEEPEST} deep; put brackets round parts of a long sum"
-_SHOWN = 72  # characters of a line in a message
-_LISTED = 12  # entries of a name in a message
+_SHOWN = 72  # largest number of characters of a line in a message
+_LISTED = 12  # largest number of entries of a name in a message
 
 
 def parse(text: str, names: Names, number: Callable[[float], Any] | None = None) -> ca.SX:
-    """Return the scalar expression that `text` stands for.
+    """Return the scalar expression of a text.
 
-    text: numbers, + - * / ** and brackets; comparisons, chained ones too, which are 1 or 0;
-    `where(c, a, b)`, also called if_else; sin cos tan asin acos atan atan2 sinh cosh tanh exp
-    log sqrt abs min max sign floor ceil hypot; pi and e.  names: other names it may use,
-    each a scalar (`t`), a sequence or a column of scalars (`x[0]`), or a mapping of them
-    (`x['hinge']`, or `x[0]` for its first).  A given name takes precedence over pi and e.
+    The text may contain: numbers, + - * / ** and parentheses; comparisons, also chained, with
+    values 1 or 0; where(c, a, b) or if_else(c, a, b); sin cos tan asin acos atan atan2 sinh cosh
+    tanh exp log sqrt abs min max sign floor ceil hypot; pi and e; and given names. Given names take
+    precedence over pi and e. Only the selected branch of `where` counts, even if the other is NaN.
 
-    number: turns the numbers in the text into symbols, if given; those in exponents stay.
-
-    Of `where`, only the chosen branch counts, even if the other one is NaN there.
-
-    Raises InputError, with the place of the fault and the names allowed, if the text is
-    anything else, is not finite (1e999, 1/0), or is longer than LONGEST characters.
+    Args:
+        text: The formula, at most LONGEST characters.
+        names: Further names: scalars (`t`), sequences or columns (`x[0]`), or mappings
+            (`x['hinge']`, or `x[0]` for its first entry).
+        number: Converts the numbers in the text, except exponents, to symbols; None to keep them.
+    Returns:
+        The expression.
+    Raises:
+        InputError: The text is not such a formula or not finite. The message has the position and
+            the valid names.
     """
     reader = _Reader(text, names, number)
     done: dict[ast.expr, ca.SX] = {}
     for node in reader.nodes():
-        done[node] = reader.value(node, [done[part] for part in reader.parts(node)])
-    return done[node]  # the last is the whole
+        done[node] = reader.value(node, [done[child] for child in reader.parts(node)])
+    return done[node]  # the last node is the root
 
 
 class _Reader:
-    """A text that is being read, and the names it may use."""
+    """Reader of a text, with the names it may use."""
 
     def __init__(self, text: str, names: Names, number: Callable[[float], Any] | None) -> None:
         if not isinstance(text, str):
@@ -101,10 +104,10 @@ class _Reader:
         self.lines = self.text.split("\n")
         self.names = names
         self._symbol = number
-        self._exponents: set[ast.expr] = set()  # and all their parts
+        self._exponents: set[ast.expr] = set()  # exponents and their sub-expressions
 
     def nodes(self) -> list[ast.expr]:
-        """Return all nodes of the text, each after its parts, from left to right."""
+        """Return all nodes of the syntax tree, each after its children, from left to right."""
         ordered = []
         waiting = [(self._tree(), 1)]
         while waiting:
@@ -116,11 +119,11 @@ class _Reader:
                 self._exponents.add(node.right)
             if node in self._exponents:
                 self._exponents |= set(self.parts(node))
-            waiting += [(part, depth + 1) for part in self.parts(node)]
+            waiting += [(child, depth + 1) for child in self.parts(node)]
         return ordered[::-1]
 
     def parts(self, node: ast.expr) -> list[ast.expr]:
-        """Return the parts of a node.  Refuses every node that is not arithmetic."""
+        """Return the children of a node; reject nodes that are not arithmetic."""
         match node:
             case ast.BinOp():
                 if type(node.op) not in _OPERATORS:
@@ -139,7 +142,7 @@ class _Reader:
         return self._fail("this is not arithmetic", node)
 
     def value(self, node: ast.expr, parts: list[ca.SX]) -> ca.SX:
-        """Return the expression of a node, from those of its parts."""
+        """Return the expression of a node, from those of its children."""
         import casadi as ca
 
         match node:
@@ -167,14 +170,14 @@ class _Reader:
                 function = getattr(ca, FUNCTIONS[name][0])
                 least = FUNCTIONS[name][1]
                 result = function(*parts[:least])
-                for part in parts[least:]:
-                    result = function(result, part)
+                for argument in parts[least:]:
+                    result = function(result, argument)
         if result.is_constant() and not math.isfinite(float(result)):
             self._fail(f"this is {float(result)}, which is not a finite number", node)
         return result
 
     def _tree(self) -> ast.expr:
-        """Return the tree that Python reads, or refuse what it cannot read."""
+        """Return Python's syntax tree, or reject text that Python cannot parse."""
         for row, line in enumerate(self.lines):
             for column, letter in enumerate(line):
                 if not letter.isprintable() and letter != "\t":
@@ -183,11 +186,11 @@ class _Reader:
             self._fault("there is no text", 0, 0)
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("error")  # what Python doubts is an error here
+                warnings.simplefilter("error")  # Python's syntax warnings are errors here
                 tree = ast.parse(self.text, mode="eval")
         except SyntaxError as error:
             row = min(max((error.lineno or 1) - 1, 0), len(self.lines) - 1)
-            end = len(self.lines[row])  # where Python gives no place, the text has ended too early
+            end = len(self.lines[row])  # without a position from Python, the text ended too early
             column = min(error.offset - 1, end) if error.offset else end
             self._fault(error.msg, row, column)
         except (RecursionError, MemoryError):
@@ -212,7 +215,9 @@ class _Reader:
     def _number(self, node: ast.Constant) -> float:
         if type(node.value) not in (int, float):
             text = isinstance(node.value, str)
-            self._fail("text stands only in x['name']" if text else "this is not a number", node)
+            self._fail(
+                "text is allowed only in x['name']" if text else "this is not a number", node
+            )
         try:
             number = float(node.value)  # type: ignore[arg-type]
         except OverflowError:
@@ -231,8 +236,8 @@ class _Reader:
                 self._fail(f"{node.id} has entries; say which", node)
             return ca.SX(value)
         if node.id not in CONSTANTS:
-            kind = "a function; give its arguments" if node.id in FUNCTIONS else "not a name"
-            self._fail(f"{_short(node.id)} is {kind}", node)
+            problem = "a function; give its arguments" if node.id in FUNCTIONS else "not a name"
+            self._fail(f"{_short(node.id)} is {problem}", node)
         return ca.SX(CONSTANTS[node.id])
 
     def _entry(self, node: ast.Subscript) -> ca.SX:
@@ -249,46 +254,47 @@ class _Reader:
             self._fail("an entry is a whole number from 0 or a name in quotes", which)
         key: Any = which.value
         if isinstance(key, str) and isinstance(value, Mapping):
-            found = key in value
+            exists = key in value
         else:
             value = list(value.values()) if isinstance(value, Mapping) else value
-            found = isinstance(key, int) and key < _length(value)
-        if not found:
+            exists = isinstance(key, int) and key < _length(value)
+        if not exists:
             self._fail(f"{name} has no entry {_short(repr(key))}", which)
         return ca.SX(value[key])
 
     def _check_spelling(self, node: ast.Name) -> None:
-        """Refuse letters that Python reads as others, like those of full width."""
+        """Reject letters that Python normalises to others, such as full-width ones."""
         line = self.lines[node.lineno - 1].encode()
         if line[node.col_offset : node.end_col_offset] != node.id.encode():
             self._fail(f"write {_short(node.id)} in plain letters", node)
 
     def _fail(self, problem: str, node: ast.expr | ast.keyword) -> NoReturn:
-        """Raise the error for a fault at a node."""
+        """Raise the error for a node."""
         row = node.lineno - 1
-        line = self.lines[row].encode()  # Python counts the bytes of UTF-8
+        line = self.lines[row].encode()  # Python's offsets count bytes of UTF-8
         column = len(line[: node.col_offset].decode())
         end = len(line[: node.end_col_offset].decode()) if node.end_lineno == node.lineno else None
         self._fault(problem, row, column, end)
 
     def _fault(self, problem: str, row: int, column: int, end: int | None = None) -> NoReturn:
+        """Raise the error for a position in the text."""
         line = self.lines[row]
         first = max(0, column - _SHOWN // 2)
         window = "".join(c if c.isprintable() else " " for c in line[first : first + _SHOWN])
         marks = "^" * max(1, min((end or column + 1) - column, first + _SHOWN - column))
-        begin, rest = "…" * (first > 0), "…" * (first + _SHOWN < len(line))
+        prefix, suffix = "…" * (first > 0), "…" * (first + _SHOWN < len(line))
         where = f"line {row + 1}, column {column + 1}" if row else f"column {column + 1}"
         raise InputError(
             f"the expression cannot be used, {where}: {problem}\n"
-            f"  {begin}{window}{rest}\n"
-            f"  {' ' * (len(begin) + column - first)}{marks}\n"
+            f"  {prefix}{window}{suffix}\n"
+            f"  {' ' * (len(prefix) + column - first)}{marks}\n"
             f"names: {', '.join(map(self._listed, self.names)) or 'none'}\n"
             f"constants: {', '.join(CONSTANTS)}\n"
             f"functions: {', '.join(FUNCTIONS)}"
         )
 
     def _listed(self, name: str) -> str:
-        """Return a name and its entries, as they are written."""
+        """Return a name with its entries, as users write them."""
         value: Any = self.names[name]
         if not _has_entries(value):
             return name
@@ -298,12 +304,12 @@ class _Reader:
 
 
 def _length(value: Any) -> int:
-    """Return the number of entries of a sequence or of a CasADi column."""
+    """Return the number of entries of a sequence or a CasADi column."""
     return int(value.numel()) if hasattr(value, "numel") else len(value)
 
 
 def _has_entries(value: Any) -> bool:
-    """Return whether a given name is more than one scalar."""
+    """Return whether a given value is more than one scalar."""
     return isinstance(value, (Mapping, Sequence)) or (
         hasattr(value, "is_scalar") and not value.is_scalar()
     )

@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Constant(Signal):
-    """A constant: the same number at all times."""
+    """A constant: the same value at all times.
+
+    Attributes:
+        level: The value.
+    """
 
     level: float | Parameter
 
@@ -31,11 +35,26 @@ class Constant(Signal):
         object.__setattr__(self, "level", number(self.level, "the value of a Constant"))
 
     def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:
-        """Return the number."""
+        """Return the value.
+
+        Args:
+            t: Time [s], unused.
+            within: Unused.
+        Returns:
+            The expression.
+        """
         return self.written(t, within, value_of)
 
     def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:  # noqa: ARG002
-        """Return the number as an input."""
+        """Return the value as an input.
+
+        Args:
+            t: Time [s], unused.
+            within: Unused.
+            number: Converts the value to a symbol.
+        Returns:
+            The expression.
+        """
         import casadi as ca
 
         return ca.SX(number(vars(self)["_given"]))
@@ -48,7 +67,11 @@ class Constant(Signal):
 class Fourier(Signal):
     """A Fourier series: mean + Σ aₖ cos(2πk t/period) + bₖ sin(2πk t/period), k from 1.
 
-    cosines, sines: (n,) the aₖ and the bₖ, as many as needed of each, up to 1000.  period [s].
+    Attributes:
+        mean: Mean value.
+        cosines: Coefficients aₖ, (n,), up to 1000.
+        sines: Coefficients bₖ, (n',), up to 1000.
+        period: Period [s].
     """
 
     mean: float | Parameter
@@ -57,8 +80,8 @@ class Fourier(Signal):
     period: float | Parameter
 
     def __post_init__(self) -> None:
-        given = {name: getattr(self, name) for name in ("mean", "cosines", "sines", "period")}
-        object.__setattr__(self, "_given", given)
+        arguments = {name: getattr(self, name) for name in ("mean", "cosines", "sines", "period")}
+        object.__setattr__(self, "_given", arguments)
         object.__setattr__(self, "mean", number(self.mean, "mean of a Fourier"))
         period = positive(value_of(self.period), "period of a Fourier")
         object.__setattr__(self, "period", period)
@@ -74,22 +97,37 @@ class Fourier(Signal):
             )
 
     def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:
-        """Return the series at `t`."""
+        """Return the series at `t`.
+
+        Args:
+            t: Time [s].
+            within: Unused.
+        Returns:
+            The expression.
+        """
         return self.written(t, within, value_of)
 
     def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:  # noqa: ARG002
-        """Return the series at `t`, its coefficients and its frequency as inputs."""
+        """Return the series at `t`, with its coefficients and frequency as inputs.
+
+        Args:
+            t: Time [s].
+            within: Unused.
+            number: Converts a coefficient to a symbol.
+        Returns:
+            The expression.
+        """
         import casadi as ca
 
-        given = vars(self)["_given"]
-        if isinstance(given["period"], Parameter):
-            angle = 2.0 * np.pi / number(given["period"]) * t
+        arguments = vars(self)["_given"]
+        if isinstance(arguments["period"], Parameter):
+            angle = 2.0 * np.pi / number(arguments["period"]) * t
         else:
             angle = number(2.0 * np.pi / value_of(self.period)) * t
-        result = ca.SX(number(given["mean"]))
+        result = ca.SX(number(arguments["mean"]))
         for name, wave in (("cosines", ca.cos), ("sines", ca.sin)):
             sizes: list[Any] = vars(self)[name].tolist()
-            for k, parameter in parameters_in(given[name]):
+            for k, parameter in parameters_in(arguments[name]):
                 sizes[k] = parameter
             for k, size in enumerate(sizes, start=1):
                 result += number(size) * wave(k * angle)
@@ -109,7 +147,7 @@ class Fourier(Signal):
         for array, shift in zip(self._coefficients, (order, order - 1), strict=True):
             frequencies = self._frequencies(array.size)
             angles = t[..., None] * frequencies
-            # The derivatives of cos are −sin, −cos, sin; sin is the one before cos.
+            # The derivatives of cos are −sin, −cos, sin. sin is one derivative behind.
             wave = (np.cos, np.sin)[shift % 2](angles) * (-1 if shift in (1, 2) else 1)
             result += wave @ (array * frequencies**order)
         return result
@@ -117,10 +155,13 @@ class Fourier(Signal):
 
 @dataclass(frozen=True)
 class Expression(Signal):
-    """A formula of the time `t`, such as "0.3*sin(2*t)"; `expressions.parse` says what it may hold.
+    """A formula of the time `t`, such as "0.3*sin(2*t)"; see `expressions.parse` for its syntax.
 
-    It has no breaks, as its jumps and kinks are not known; those of a table (Hold, Linear) are.
-    Raises InputError if the text is not such a formula.
+    It reports no breaks, because its jumps and kinks are unknown. Use Hold or Linear for a table
+    with known breaks.
+
+    Attributes:
+        text: The formula.
     """
 
     text: str
@@ -132,16 +173,33 @@ class Expression(Signal):
 
     @property
     def smoothness(self) -> float:
-        """Infinite if every function in it is smooth where defined; else −1, for unknown."""
-        kinds = {self._function.instruction_id(k) for k in range(self._function.n_instructions())}
-        return -1 if kinds & _rough() else math.inf
+        """Infinity if every function in it is smooth where defined, else −1 for unknown."""
+        operations = {
+            self._function.instruction_id(k) for k in range(self._function.n_instructions())
+        }
+        return -1 if operations & _nonsmooth_operations() else math.inf
 
     def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:  # noqa: ARG002
-        """Return the formula at `t`."""
+        """Return the formula at `t`.
+
+        Args:
+            t: Time [s].
+            within: Unused.
+        Returns:
+            The expression.
+        """
         return parse(self.text, {"t": t})
 
     def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:  # noqa: ARG002
-        """Return the formula at `t`, with its numbers (but for exponents) as inputs."""
+        """Return the formula at `t`, with its numbers, except exponents, as inputs.
+
+        Args:
+            t: Time [s].
+            within: Unused.
+            number: Converts a number to a symbol.
+        Returns:
+            The expression.
+        """
         return parse(self.text, {"t": t}, lambda value: number(Affine(value)))
 
     @cached_property
@@ -152,16 +210,16 @@ class Expression(Signal):
         t = ca.SX.sym("t")
         value = self.casadi(t)
         rate = ca.jacobian(value, t)
-        both = ca.vertcat(value, rate, ca.jacobian(rate, t))
-        return ca.Function("expression", [t], [ca.densify(both)])
+        values = ca.vertcat(value, rate, ca.jacobian(rate, t))
+        return ca.Function("expression", [t], [ca.densify(values)])
 
     def _numbers(self, t: Array, order: int) -> Array:
         row: Array = np.array(self._function(t.reshape(1, -1)))[order]
-        return row[: t.size].reshape(t.shape)  # of no times, CasADi makes one
+        return row[: t.size].reshape(t.shape)  # CasADi returns one value for an empty input
 
 
-def _rough() -> set[int]:
-    """Return CasADi's operations that jump or have a kink."""
+def _nonsmooth_operations() -> set[int]:
+    """Return CasADi's operations with a jump or a kink."""
     import casadi as ca
 
     names = "FABS SIGN FLOOR CEIL FMIN FMAX LT LE EQ NE IF_ELSE_ZERO"

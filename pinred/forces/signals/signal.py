@@ -1,4 +1,4 @@
-"""The base of all signals."""
+"""The base class of signals, and checks of their coefficients."""
 
 from __future__ import annotations
 
@@ -17,30 +17,40 @@ from ...common.parameter import value_of, values_of
 if TYPE_CHECKING:
     import casadi as ca
 
-MOST = 1000  # entries of a table, harmonics of a series
+MOST = 1000  # largest number of table entries or harmonics
 _ORDERS = ("value", "rate", "acceleration")
 
 
 class Signal(ABC):
-    """A scalar function of time [s], in the unit of what it drives."""
+    """A scalar function of time [s], in the unit of the quantity it sets."""
 
     @abstractmethod
     def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:
-        """Return the function at `t`, scalar; `ca.jacobian` differentiates it exactly.
+        """Return the function at `t` as a scalar expression.
 
-        within: a time whose piece of the table is taken, even where t lies beyond that piece.
-        An integrator that stops at the breaks gives a time between them, so that the end of a
-        step does not see the next piece.  Signals without breaks do not use it.
+        `ca.jacobian` differentiates it exactly. An integrator that stops at the breaks passes a
+        time between them, so that the end of a step does not use the next piece. Outside the span,
+        the first or last piece is extrapolated; a scene checks the span.
 
-        Outside the span, the first or last piece goes on; a scene checks the span when it is
-        built.
+        Args:
+            t: Time [s].
+            within: Time whose piece of a table is used, even if t is outside of that piece. Signals
+                without breaks ignore it.
+        Returns:
+            The expression.
         """
 
     def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:  # noqa: ARG002
         """Return the function at `t` as `casadi` does, with its coefficients as inputs.
 
-        number: turns a coefficient (a number, a Parameter, or what is Affine in some) into a
-        symbol.  A Signal that does not define it has its coefficients in the kernel.
+        Signals that do not override this compile their coefficients into the kernel.
+
+        Args:
+            t: Time [s].
+            within: Time whose piece of a table is used.
+            number: Converts a coefficient (number, Parameter or Affine) to a symbol.
+        Returns:
+            The expression.
         """
         return self.casadi(t, within)
 
@@ -50,32 +60,53 @@ class Signal(ABC):
 
     @property
     def span(self) -> tuple[float, float]:
-        """The first and the last time at which the function is known [s]."""
+        """First and last time at which the function is defined [s]."""
         return -math.inf, math.inf
 
     @property
     def breaks(self) -> Array:
-        """The times inside the span where the function is not smooth, increasing [s]."""
+        """Times inside the span at which the function is not smooth, increasing [s]."""
         return read_only(np.empty(0))
 
     @property
     def smoothness(self) -> float:
-        """The number of derivatives continuous at the breaks: 2 of a spline, −1 at jumps."""
+        """Number of continuous derivatives at the breaks: 2 for a spline, −1 for jumps."""
         return math.inf
 
     def value(self, t: ArrayLike) -> Array:
-        """Return the function at times of any shape.
+        """Evaluate the function.
 
-        Raises InputError if a time is outside of the span or the result is not finite.
+        Args:
+            t: Times of any shape [s].
+        Returns:
+            Values, of the same shape.
+        Raises:
+            InputError: A time is outside of the span, or a result is not finite.
         """
         return self._checked(t, 0)
 
     def rate(self, t: ArrayLike) -> Array:
-        """Return the first derivative [1/s]; at a break, that of the piece after it."""
+        """Evaluate the first derivative; at a break, that of the piece after it.
+
+        Args:
+            t: Times of any shape [s].
+        Returns:
+            Rates [1/s], of the same shape.
+        Raises:
+            InputError: A time is outside of the span, or a result is not finite.
+        """
         return self._checked(t, 1)
 
     def acceleration(self, t: ArrayLike) -> Array:
-        """Return the second derivative [1/s²]; at a break, that of the piece after it."""
+        """Evaluate the second derivative; at a break, that of the piece after it.
+
+        Args:
+            t: Times of any shape [s].
+        Returns:
+            Accelerations [1/s²], of the same shape.
+        Raises:
+            InputError: A time is outside of the span, or a result is not finite.
+        """
         return self._checked(t, 2)
 
     def _checked(self, t: ArrayLike, order: int) -> Array:
@@ -85,7 +116,7 @@ class Signal(ABC):
         if outside.any():
             raise InputError(
                 f"t must be finite and from {first} s to {last} s, where this "
-                f"{type(self).__name__} is known, got {float(times[outside][0])} s"
+                f"{type(self).__name__} is defined, got {float(times[outside][0])} s"
             )
         with np.errstate(all="ignore"):
             numbers = np.asarray(self._numbers(times, order))
@@ -99,7 +130,7 @@ class Signal(ABC):
 
 
 def number(value: Any, what: str) -> float:
-    """Return `value` as a finite float; of a Parameter, its value."""
+    """Return a value as a finite float; of a Parameter, its value."""
     array = as_floats(value_of(value), what)
     if array.ndim or not np.isfinite(array):
         raise InputError(f"{what} must be one finite number, got {value!r}")
@@ -107,13 +138,13 @@ def number(value: Any, what: str) -> float:
 
 
 def finite_list(value: ArrayLike, what: str) -> Array:
-    """Return a copy of `value`, finite and of at most MOST entries; of Parameters, the values."""
+    """Return a copy of a list of at most MOST finite numbers; of Parameters, their values."""
     array = as_floats(values_of(value), what)
     if array.ndim != 1:
         raise ShapeError(f"{what} must be a list of numbers, got shape {array.shape}")
     if array.size > MOST:
         raise InputError(
             f"{what} has {array.size} entries, more than the {MOST} that a scene can have "
-            "compiled: keep only as many as the motion needs, or simulate one part after another"
+            "compiled: keep only as many as the motion needs, or simulate in several segments"
         )
     return vector(array, array.size, what).copy()

@@ -25,36 +25,38 @@ ENDS = ("natural", "clamped", "not-a-knot", "periodic")
 
 @dataclass(frozen=True, eq=False)
 class _Table(Signal):
-    """A polynomial on each piece of time between the entries of a table.
+    """A polynomial on each interval between the entries of a table.
 
-    times: (n,) strictly increasing [s].  values: (n,).  Both become read-only copies.
-    Raises InputError, or ShapeError, naming the entry that cannot be used.
+    Times and values become read-only copies.
+
+    Attributes:
+        times: Strictly increasing times, (n,) [s].
+        values: Values, (n,); numbers or Parameters.
     """
 
     times: ArrayLike
     values: Numbers
 
-    _least: ClassVar[int] = 2  # entries
+    _least: ClassVar[int] = 2  # smallest number of entries
     _smoothness: ClassVar[int]
 
     def __post_init__(self) -> None:
-        kind = type(self).__name__
+        name = type(self).__name__
         if next(parameters_in(self.times), None):
             raise InputError(
-                f"times of a {kind} say where it has breaks, and cannot be Parameters; its values "
-                "can"
+                f"times of a {name} define its breaks and cannot be Parameters; its values can"
             )
-        times = finite_list(self.times, f"times of a {kind}")
+        times = finite_list(self.times, f"times of a {name}")
         if times.size < self._least:
-            raise ShapeError(f"a {kind} needs at least {self._least} entries, got {times.size}")
+            raise ShapeError(f"a {name} needs at least {self._least} entries, got {times.size}")
         object.__setattr__(self, "_given", dict(parameters_in(self.values)))
-        values = vector(values_of(self.values), times.size, f"values of a {kind}").copy()
+        values = vector(values_of(self.values), times.size, f"values of a {name}").copy()
         with np.errstate(over="ignore"):
             late = np.flatnonzero(np.diff(times) <= 0)
         if late.size:
             k = int(late[0]) + 1
             raise InputError(
-                f"times of a {kind} must increase strictly, but entry {k} ({float(times[k])} s) "
+                f"times of a {name} must increase strictly, but entry {k} ({float(times[k])} s) "
                 f"follows {float(times[k - 1])} s"
             )
         object.__setattr__(self, "times", read_only(times))
@@ -65,7 +67,7 @@ class _Table(Signal):
         if wrong.any():
             k = int(np.argmax(wrong))
             raise InputError(
-                f"a {kind} through these values overflows after entry {k} ({float(times[k])} s): "
+                f"a {name} through these values overflows after entry {k} ({float(times[k])} s): "
                 "times too close or values too large"
             )
         object.__setattr__(self, "_starts", times[: coefficients.shape[1]])
@@ -80,66 +82,82 @@ class _Table(Signal):
 
     @property
     def span(self) -> tuple[float, float]:
-        """The first and the last time of the table [s]."""
+        """First and last time of the table [s]."""
         times: Array = vars(self)["times"]
         return float(times[0]), float(times[-1])
 
     @property
     def breaks(self) -> Array:
-        """The times at which one piece follows another [s]."""
+        """Times at which one piece follows another [s]."""
         starts: Array = vars(self)["_starts"]
         return read_only(starts[1:])
 
     @property
     def smoothness(self) -> float:
-        """The number of derivatives that are continuous at the entries of the table."""
+        """Number of continuous derivatives at the entries of the table."""
         return self._smoothness
 
     def casadi(self, t: ca.SX, within: ca.SX | None = None) -> ca.SX:
-        """Return the polynomial of the piece that holds `within`, or else `t`, at `t`."""
+        """Return the polynomial of the piece that contains `within`, or else `t`, at `t`.
+
+        Args:
+            t: Time [s].
+            within: Time that selects the piece, or None.
+        Returns:
+            The expression.
+        """
         return self.written(t, within, value_of)
 
     def written(self, t: ca.SX, within: ca.SX | None, number: Callable[[Any], Any]) -> ca.SX:
-        """Return the polynomial of the piece that holds `within`, or else `t`, at `t`.
+        """Return the polynomial of the piece that contains `within`, or else `t`, at `t`.
 
-        Its coefficients are picked, each times 1 if its piece holds the time and times 0 if
-        not, which is exact; so is every derivative, as these factors are constant.
+        The coefficients are selected by factors 1 for this piece and 0 for others. This is exact,
+        as are all derivatives, because the factors are constant.
+
+        Args:
+            t: Time [s].
+            within: Time that selects the piece, or None.
+            number: Converts a coefficient to a symbol.
+        Returns:
+            The expression.
         """
         import casadi as ca
 
         starts, coefficients = vars(self)["_starts"], self._numbered_pieces()
-        # A kernel is tried with other numbers: close to these, so that pieces keep their order.
-        begins = [number(Affine(start)) for start in starts.tolist()]
+        # Kernels are tested with other numbers, close to these so that pieces keep their order.
+        start_symbols = [number(Affine(start)) for start in starts.tolist()]
         now = t if within is None else within
-        begun = ca.vertcat(ca.SX(0, 1), *(begin <= now for begin in begins[1:]))
-        here = ca.vertcat(1, begun) - ca.vertcat(begun, 0)
-        since = t - ca.dot(ca.SX(ca.vertcat(*begins)), here)
+        has_started = ca.vertcat(ca.SX(0, 1), *(begin <= now for begin in start_symbols[1:]))
+        is_selected = ca.vertcat(1, has_started) - ca.vertcat(has_started, 0)
+        since = t - ca.dot(ca.SX(ca.vertcat(*start_symbols)), is_selected)
         result = ca.SX(0)
-        for row in coefficients:
-            picked = ca.dot(ca.SX(ca.vertcat(*(number(each) for each in row))), here)
-            result = result * since + picked
+        for terms in coefficients:
+            coefficient = ca.dot(
+                ca.SX(ca.vertcat(*(number(value) for value in terms))), is_selected
+            )
+            result = result * since + coefficient
         return result
 
     def _numbered_pieces(self) -> list[list[float | Affine]]:
-        """Return the coefficients of the pieces; those that follow from Parameters, as such."""
-        rows: list[list[float | Affine]] = vars(self)["_coefficients"].tolist()
-        given: dict[int, Parameter] = vars(self)["_given"]
-        if not given:
-            return rows
+        """Return the coefficients of the pieces, as Affine functions of Parameters if any."""
+        coefficients: list[list[float | Affine]] = vars(self)["_coefficients"].tolist()
+        parameters: dict[int, Parameter] = vars(self)["_given"]
+        if not parameters:
+            return coefficients
         times, values = vars(self)["times"], vars(self)["values"]
-        base = np.where(np.isin(np.arange(values.size), list(given)), 0.0, values)
+        base = np.where(np.isin(np.arange(values.size), list(parameters)), 0.0, values)
         at_zero = self._pieces(times, base)
-        # Coefficients are linear in the values, of which each parameter may be several.
-        units = {each: np.zeros(values.size) for each in given.values()}
-        for k, each in given.items():
-            units[each][k] = 1.0
-        weights = {each: self._pieces(times, unit) for each, unit in units.items()}
+        # Coefficients are linear in the values; a parameter may be several of them.
+        units = {parameter: np.zeros(values.size) for parameter in parameters.values()}
+        for k, parameter in parameters.items():
+            units[parameter][k] = 1.0
+        weights = {parameter: self._pieces(times, unit) for parameter, unit in units.items()}
         return [
             [
                 Affine(float(at_zero[i, j]), {p: float(w[i, j]) for p, w in weights.items()})
-                for j in range(len(row))
+                for j in range(len(terms))
             ]
-            for i, row in enumerate(rows)
+            for i, terms in enumerate(coefficients)
         ]
 
     def _numbers(self, t: Array, order: int) -> Array:
@@ -148,7 +166,7 @@ class _Table(Signal):
 
     @cached_property
     def _curve(self) -> Any:
-        """The piecewise polynomial, as SciPy has it."""
+        """The piecewise polynomial as SciPy's PPoly."""
         from scipy.interpolate import PPoly
 
         starts, coefficients = vars(self)["_starts"], vars(self)["_coefficients"]
@@ -157,12 +175,15 @@ class _Table(Signal):
 
 @dataclass(frozen=True, eq=False)
 class Spline(_Table):
-    """The cubic spline through a table: continuous up to its acceleration.
+    """The cubic spline through a table, continuous up to its acceleration.
 
-    times: (n,) strictly increasing [s], 2 to 1000 of them.  values: (n,).  end: the condition at
-    both ends: "natural": no acceleration; "clamped": no rate; "not-a-knot": the first two
-    pieces are one cubic, and the last two; "periodic": value, rate and acceleration are the
-    same at both ends (the table is one period; it is not repeated).
+    Attributes:
+        times: Strictly increasing times, (n,), 2 to 1000 of them [s].
+        values: Values, (n,).
+        end: Condition at both ends. "natural": zero acceleration; "clamped": zero rate;
+            "not-a-knot": the first two pieces are one cubic, and the last two; "periodic": value,
+            rate and acceleration are equal at both ends (the table is one period and is not
+            repeated).
     """
 
     end: Literal["natural", "clamped", "not-a-knot", "periodic"] = field(
@@ -192,9 +213,11 @@ class Spline(_Table):
 
 @dataclass(frozen=True, eq=False)
 class Linear(_Table):
-    """Straight lines between the entries of a table; as rates jump, no joint can follow it.
+    """Straight lines between the entries of a table. Its rate jumps, so no joint can follow it.
 
-    times: (n,) strictly increasing [s], 2 to 1000 of them.  values: (n,).
+    Attributes:
+        times: Strictly increasing times, (n,), 2 to 1000 of them [s].
+        values: Values, (n,).
     """
 
     _smoothness: ClassVar[int] = 0
@@ -205,9 +228,11 @@ class Linear(_Table):
 
 @dataclass(frozen=True, eq=False)
 class Hold(_Table):
-    """Steps: each value of a table holds from its own time to the next; the last one, for ever.
+    """Steps (zero-order hold): each value applies from its time to the next, the last one forever.
 
-    times: (n,) strictly increasing [s], 1 to 1000 of them.  values: (n,).
+    Attributes:
+        times: Strictly increasing times, (n,), 1 to 1000 of them [s].
+        values: Values, (n,).
     """
 
     _least: ClassVar[int] = 1
@@ -215,7 +240,7 @@ class Hold(_Table):
 
     @property
     def span(self) -> tuple[float, float]:
-        """The first time of the table, and infinity [s]."""
+        """First time of the table, and infinity [s]."""
         return super().span[0], math.inf
 
     def _pieces(self, times: Array, values: Array) -> Array:  # noqa: ARG002

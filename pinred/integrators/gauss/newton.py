@@ -42,13 +42,13 @@ def pairs(stages: int) -> Array:
     """
     method = tables(stages)
     G = method.b[:stages, None] * method.mu[:stages, :stages]
-    values, right = np.linalg.eig(G)
-    left = np.linalg.inv(right)
+    values, right_vectors = np.linalg.eig(G)
+    left_vectors = np.linalg.inv(right_vectors)
     table = np.zeros(((stages + 1) // 2, _ENTRY))
     indices = [k for k in range(stages) if values[k].imag > -1e-12]
     for entry, k in zip(table, indices, strict=True):
         is_real = abs(values[k].imag) < 1e-12
-        v, w = right[:, k] * (0.5 if is_real else 1.0), left[k]
+        v, w = right_vectors[:, k] * (0.5 if is_real else 1.0), left_vectors[k]
         entry[:2] = values[k].real, 0.0 if is_real else values[k].imag
         for block, values_of_stages in enumerate((v.real, v.imag, w.real, w.imag)):
             entry[2 + block * MOST_STAGES : 2 + block * MOST_STAGES + stages] = values_of_stages

@@ -66,15 +66,15 @@ def options_of(kind: type[Method]) -> list[Option]:
     """Return the options of a method; a base class may define the description of a field."""
     metadata: dict[str, dict[str, Any]] = {}
     for base in reversed(kind.__mro__):
-        for entry in getattr(base, "__dataclass_fields__", {}).values():
-            metadata.setdefault(entry.name, {}).update(entry.metadata)
+        for option_field in getattr(base, "__dataclass_fields__", {}).values():
+            metadata.setdefault(option_field.name, {}).update(option_field.metadata)
     return [
         Option(
-            entry.name,
-            entry.type if isinstance(entry.type, str) else entry.type.__name__,
-            required=entry.default is MISSING,
-            default=None if entry.default is MISSING else entry.default,
-            **{"about": entry.name, **metadata[entry.name]},
+            option_field.name,
+            option_field.type if isinstance(option_field.type, str) else option_field.type.__name__,
+            required=option_field.default is MISSING,
+            default=None if option_field.default is MISSING else option_field.default,
+            **{"about": option_field.name, **metadata[option_field.name]},
         )
-        for entry in fields(kind)
+        for option_field in fields(kind)
     ]

@@ -24,8 +24,8 @@ from ..members.integrate_members import integrate_members
 from ..plan import Plan, Span
 from .initial_map import InitialMap
 from .inputs import Given, motion_of
-from .later import made_later
-from .outcomes_back import OutcomesBack
+from .lazy_state import lazy_state
+from .outcome_adjoint import OutcomeAdjoint
 
 
 @dataclass
@@ -78,7 +78,7 @@ class Propagator:
             adjoints=lambda count: rate.wide_adjoint(count).address,
         )
         self._n = max(layout.size, 1)
-        self._backs: dict[tuple[Row, ...], OutcomesBack] = {}
+        self._backs: dict[tuple[Row, ...], OutcomeAdjoint] = {}
         self._integrations = [
             Integration(
                 self.method, self.address, self._n, span.stop - span.start, span.times,
@@ -237,7 +237,7 @@ class Propagator:
         layout = self.kernel.layout
         back = self._backs.get(rows)
         if back is None:
-            back = self._backs[rows] = OutcomesBack(self.kernel, rows)
+            back = self._backs[rows] = OutcomeAdjoint(self.kernel, rows)
         p = layout.parameters
         by_rest = np.zeros(p + len(run.flow.path))
         covector = np.zeros(self._n)
@@ -325,7 +325,7 @@ class Propagator:
             call_value(kernel.outputs.address, row, np.concatenate([parameters, flow.path]), out)
             return out
 
-        return made_later(kernel.system, kernel.where, t, outputs, wanted=layout.base_requested)
+        return lazy_state(kernel.system, kernel.where, t, outputs, wanted=layout.base_requested)
 
     def _reported(self, run: Run) -> Iterator[tuple[Span, Solution]]:
         """Yield the spans that have report times, with their solutions."""

@@ -11,7 +11,7 @@ from ...kernels.flow_functions import Row, outcome_of
 from ...kernels.kernel import Kernel
 
 
-class OutcomesBack:
+class OutcomeAdjoint:
     """The adjoint of a kernel's outcome at all times of a segment, in one call."""
 
     def __init__(self, kernel: Kernel, rows: tuple[Row, ...]) -> None:
@@ -68,7 +68,7 @@ def _propagate_covectors(
     out: Array,
     slopes: Array,
 ) -> None:
-    """Compute the derivatives of OutcomesBack.
+    """Compute the derivatives of OutcomeAdjoint.
 
     outputs, adjoint: addresses of the kernel.  size: length of y.
     pose: index of the pose in the outputs, or −1 if no row needs it.

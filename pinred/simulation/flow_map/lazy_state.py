@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -29,21 +28,21 @@ class _ReadOnAccess:
         return value
 
 
-class LaterState(_ReadOnAccess, State):
+class LazyState(_ReadOnAccess, State):
     """A State whose fields are computed at first access."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         return State, tuple(arrays_of(self).values())
 
 
-class LaterShapeState(_ReadOnAccess, ShapeState):
+class LazyShapeState(_ReadOnAccess, ShapeState):
     """A ShapeState whose fields are computed at first access."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         return ShapeState, tuple(arrays_of(self).values())
 
 
-def made_later(
+def lazy_state(
     system: System, where: Outputs, t: float, outputs: Callable[[], Array], *, wanted: bool
 ) -> State | ShapeState:
     """Return the state at one time whose fields are computed at first access.
@@ -58,9 +57,13 @@ def made_later(
     Returns:
         A State with the base, a ShapeState without it.
     """
-    compute = cache(outputs)
+    computed: list[Array] = []
 
     def read(name: str) -> Array:
-        return np.array(t) if name == "t" else where.read_field(name, compute(), system)
+        if name == "t":
+            return np.array(t)
+        if not computed:
+            computed.append(outputs())
+        return where.read_field(name, computed[0], system)
 
-    return LaterState(read) if wanted else LaterShapeState(read)
+    return LazyState(read) if wanted else LazyShapeState(read)
