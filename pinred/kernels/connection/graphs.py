@@ -100,13 +100,13 @@ def _solved(form: ConnectionForm, P: ca.SX, right: ca.SX) -> ca.SX:
         # Cramer's rule needs no pivots.
         return ca.densify(ca.adj(P) @ right / ca.det(P)) if r <= 3 else ca.solve(P, right)
     L, _, inverse = factor_ldl(_rows(P))
-    columns = [solve_factored(L, inverse, column) for column in zip(*_rows(right), strict=True)]
+    columns = [solve_factored(L, inverse, column) for column in _rows(right.T)]
     solved: ca.SX = ca.vertcat(*(entry for column in columns for entry in column))
     return solved.reshape((r, k))
 
 
 def _rows(P: ca.SX) -> list[list[ca.SX | float]]:
-    """Return the entries of a matrix; constants are floats, so that products with 0 and 1 vanish."""
+    """Return the entries of a matrix, constants as floats: products with 0 and 1 vanish."""
     rows = [[P[i, j] for j in range(P.shape[1])] for i in range(P.shape[0])]
     return [[float(entry) if entry.is_constant() else entry for entry in row] for row in rows]
 
