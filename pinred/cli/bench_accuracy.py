@@ -125,7 +125,7 @@ def _write_equal_error(folder: Path, results: Sequence[WorkPrecision]) -> None:
     from ..laboratory.bench.work_precision import ERRORS
 
     columns = ["run", "problem", "error", "method", "wall", "times_pinred", "reference_error"]
-    rows: list[dict[str, object]] = [
+    records: list[dict[str, object]] = [
         {
             "run": result.run,
             "problem": result.problem,
@@ -139,7 +139,7 @@ def _write_equal_error(folder: Path, results: Sequence[WorkPrecision]) -> None:
         for error in ERRORS
         for method in result.about
     ]
-    write_table(folder / "equal_error.csv", columns, rows)
+    write_table(folder / "equal_error.csv", columns, records)
 
 
 def _split(text: str | None) -> list[str] | None:

@@ -13,8 +13,8 @@ from typing import Any, TypeAlias
 from ..common.errors import OutputError
 from . import bench_accuracy
 
-Rows: TypeAlias = Sequence[dict[str, object]]
-Result: TypeAlias = tuple[str, Mapping[str, Rows]]  # text to print, and {csv name: rows}
+Records: TypeAlias = Sequence[dict[str, object]]
+Result: TypeAlias = tuple[str, Mapping[str, Records]]  # text to print, and {csv name: records}
 Measurement: TypeAlias = Callable[[argparse.Namespace], Result]
 
 
@@ -61,8 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
         return bench_accuracy.run(arguments, folder)
     text, tables = arguments.measure(arguments)
     print(text)
-    for name, rows in tables.items():
-        _write(folder, name, rows)
+    for name, records in tables.items():
+        _write(folder, name, records)
     return 0
 
 
@@ -86,8 +86,8 @@ def _kernels(arguments: argparse.Namespace) -> Result:
     from ..laboratory.bench.kernel_timing import KernelTiming, bench_kernels
 
     timings = bench_kernels(arguments.robots, progress=True)
-    rows = [{**vars(timing), "ratio": timing.ratio} for timing in timings]
-    return _table(KernelTiming.header(), timings), {"kernels": rows}
+    records = [{**vars(timing), "ratio": timing.ratio} for timing in timings]
+    return _table(KernelTiming.header(), timings), {"kernels": records}
 
 
 def _forces(arguments: argparse.Namespace) -> Result:
@@ -95,29 +95,29 @@ def _forces(arguments: argparse.Namespace) -> Result:
 
     timings = bench_forces(arguments.robots, progress=True)
     names = ("robot", "free", "torque", "wrench", "full")
-    rows = [_columns(timing, names) for timing in timings]
-    return _table(ForcesTiming.header(), timings), {"forces": rows}
+    records = [_columns(timing, names) for timing in timings]
+    return _table(ForcesTiming.header(), timings), {"forces": records}
 
 
 def _evaluations(arguments: argparse.Namespace) -> Result:
     from ..laboratory.bench.evaluations import ERRORS, FEW_SCENES, bench_evaluations
 
     results = bench_evaluations(arguments.scenes or FEW_SCENES, progress=True)
-    rows: Rows = [
+    records: Records = [
         {"problem": result.problem, "method": name, "error": error, "evaluations": count}
         for result in results
         for name, counts in result.counts.items()
         for error, count in zip(ERRORS, counts, strict=True)
     ]
-    return _blocks(results), {"evaluations": rows}
+    return _blocks(results), {"evaluations": records}
 
 
 def _flow(arguments: argparse.Namespace) -> Result:
     from ..laboratory.bench.flow_timing import FlowTiming, bench_flow
 
     timings = bench_flow(arguments.robots, progress=True)
-    rows = [dict(vars(timing)) for timing in timings]
-    return _table(FlowTiming.header(), timings), {"flow": rows}
+    records = [dict(vars(timing)) for timing in timings]
+    return _table(FlowTiming.header(), timings), {"flow": records}
 
 
 def _scaling(_: argparse.Namespace) -> Result:
@@ -125,36 +125,36 @@ def _scaling(_: argparse.Namespace) -> Result:
 
     results = bench_scaling(progress=True)
     names = ("joints", "instructions", "build", "kernel")
-    rows = [
+    records = [
         {"family": result.family, **_entries(result, names, k)}
         for result in results
         for k in range(len(result.joints))
     ]
-    return _blocks(results), {"scaling": rows}
+    return _blocks(results), {"scaling": records}
 
 
 def _floquet(_: argparse.Namespace) -> Result:
     from ..laboratory.bench.floquet_timing import ROUTES, bench_floquet
 
     results = bench_floquet(progress=True)
-    rows: Rows = [
+    records: Records = [
         {"robot": result.robot, "route": name, "wall": wall, "error": error}
         for result in results
         for name, wall, error in zip(ROUTES, result.wall, result.error, strict=True)
     ]
-    return _blocks(results), {"floquet": rows}
+    return _blocks(results), {"floquet": records}
 
 
 def _many(arguments: argparse.Namespace) -> Result:
     from ..laboratory.bench.batch_timing import bench_many
 
     results = bench_many(arguments.scenes or None, members=arguments.members, progress=True)
-    rows: Rows = [
+    records: Records = [
         {"problem": result.problem, "members": result.members, **vars(rate)}
         for result in results
         for rate in result.rates
     ]
-    return _blocks(results), {"many": rows}
+    return _blocks(results), {"many": records}
 
 
 def _threads(arguments: argparse.Namespace) -> Result:
@@ -163,12 +163,12 @@ def _threads(arguments: argparse.Namespace) -> Result:
 
     system = load(arguments.robot, gravity=(0.0, 0.0, 0.0))
     result = bench_threads(system, members=arguments.members, progress=True)
-    times: Rows = [
+    times: Records = [
         {"robot": result.robot, "members": result.members, "threads": k + 1, "wall": wall}
         for k, wall in enumerate(result.wall)
     ]
     names = ("sizes", "results", "kept", "extra")
-    memory: Rows = [
+    memory: Records = [
         {"robot": result.robot, **_entries(result, names, k)} for k in range(len(result.sizes))
     ]
     return str(result), {"threads": times, "threads_memory": memory}
@@ -186,12 +186,12 @@ def _make_folder(path: str | None) -> Path | None:
     return folder
 
 
-def _write(folder: Path | None, name: str, rows: Rows) -> None:
-    """Write rows with equal keys to FOLDER/NAME.csv, if there is a folder."""
+def _write(folder: Path | None, name: str, records: Records) -> None:
+    """Write records with equal keys to FOLDER/NAME.csv, if there is a folder."""
     if folder is None:
         return
     from ..common.files import write_table
 
     path = folder / f"{name}.csv"
-    write_table(path, list(rows[0]), rows)
+    write_table(path, list(records[0]), records)
     print(f"written to {path}")

@@ -77,20 +77,20 @@ def summary(traj: Trajectory) -> str:
     from ..simulation.explain import integrated
 
     scene, run = traj.scene, traj.run
-    rows = [
+    lines = [
         ("integrated", integrated(traj.plan)),
         ("steps", f"{run.steps} of {run.method} ({run.engine}), {run.evaluations} evaluations"),
         ("wall time [s]", f"{run.wall:.5f}"),
     ]
-    rows += [(f"event {name}", text) for name, text in describe_events(traj)]
+    lines += [(f"event {name}", text) for name, text in describe_events(traj)]
     if scene.left_out:
-        rows.append(("left out", scene.left_out))
+        lines.append(("left out", scene.left_out))
     if scene.outputs == "all":
-        rows += _balances(traj)
+        lines += _balances(traj)
     else:
-        rows.append(("energy, momentum", "no balance: outputs = 'shape' leaves out the base"))
-    width = max(len(name) for name, _ in rows)
-    return "\n".join([_title(scene), *(f"  {name:<{width}}  {text}" for name, text in rows)])
+        lines.append(("energy, momentum", "no balance: outputs = 'shape' leaves out the base"))
+    width = max(len(name) for name, _ in lines)
+    return "\n".join([_title(scene), *(f"  {name:<{width}}  {text}" for name, text in lines)])
 
 
 def describe_events(traj: Trajectory) -> list[tuple[str, str]]:
@@ -117,11 +117,11 @@ def _balances(traj: Trajectory) -> list[tuple[str, str]]:
     energy, momentum = traj.energy_balance, traj.momentum_balance
     work = energy.work.sum(axis=1)
     audit = audit_states(FullState(traj.scene), traj.states, work, momentum.impulse)
-    rows = [("energy [J]", f"{energy.energy[0]:.6g} → {energy.energy[-1]:.6g}")]
-    rows += [
+    lines = [("energy [J]", f"{energy.energy[0]:.6g} → {energy.energy[-1]:.6g}")]
+    lines += [
         (f"work of {label} [J]", f"{work:.6g}")
         for label, work in zip(energy.labels, energy.work[-1], strict=True)
     ]
-    rows.append(("energy balance", f"{audit.energy:.1e} of the kinetic energy"))
-    rows.append(("momentum balance", f"{audit.momentum:.1e}, relative"))
-    return rows
+    lines.append(("energy balance", f"{audit.energy:.1e} of the kinetic energy"))
+    lines.append(("momentum balance", f"{audit.momentum:.1e}, relative"))
+    return lines

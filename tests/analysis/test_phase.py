@@ -182,7 +182,7 @@ def test_cycles() -> None:
     # The conserved spatial momentum says what the body momentum is at the end.
     J = group.spatial_momentum(moving.pose, moving.end_momentum)
     close(J, mu, 1e-14)
-    with pytest.raises(pinred.InputError, match="not negative"):
+    with pytest.raises(pinred.InputError, match="non-negative"):
         moving.cycles(-1)
 
 
@@ -240,7 +240,7 @@ def test_length_is_that_of_the_metric() -> None:
 def test_refusals() -> None:
     """What does not belong together, and tolerances out of reach."""
     A = mechanical("three_rods")
-    with pytest.raises(pinred.InputError, match=r"moves 1 joints, but .* has 2: alpha1, alpha2"):
+    with pytest.raises(pinred.InputError, match=r"expected 2 joints for .*, got 1\."):
         pinred.phase(A, Gait.fourier([0.0], [[1.0]], [[0.0]]))
     with pytest.raises(pinred.ShapeError, match="momentum"):
         pinred.phase(A, CIRCLE, [1.0])

@@ -86,7 +86,7 @@ def test_a_symmetric_top() -> None:
 
 @pytest.mark.parametrize(
     ("omega", "message"),
-    [([0.0, 1.0, 0.0], "no period"), ([0.0, 0.0, 0.0], "must not be zero"), ([1.0], "omega")],
+    [([0.0, 1.0, 0.0], "no period"), ([0.0, 0.0, 0.0], "non-zero vector"), ([1.0], "omega")],
 )
 def test_refusals(omega: list[float], message: str) -> None:
     """Where nothing comes back, or nothing goes."""
@@ -96,7 +96,7 @@ def test_refusals(omega: list[float], message: str) -> None:
 
 def test_other_systems_are_refused() -> None:
     """With joints, or in the plane."""
-    with pytest.raises(pinred.InputError, match="freeze them"):
+    with pytest.raises(pinred.InputError, match="Lock them"):
         pinred.rigid_body_phase(pinred.load("falling_cat"), [1.0, 0.0, 0.0])
     with pytest.raises(pinred.InputError, match="SO3 or SE3, got SE2"):
         pinred.rigid_body_phase(pinred.load("three_rods"), [1.0, 0.0, 0.0])

@@ -1,4 +1,4 @@
-"""The command line: exit codes, one-line errors, files, and a light start."""
+"""The command line: exit codes, one-line errors, files, and a fast start."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from pinred.scene.scene_options import ENGINES, OUTPUTS
 from pinred.system.catalogue import bundled_robots
 
 
-def test_compare_passes(capsys: pytest.CaptureFixture[str]) -> None:
-    """The main job prints the table and the verdict, and exits with 0."""
+def test_compare_prints_verdict_and_exits_with_zero(capsys: pytest.CaptureFixture[str]) -> None:
+    """The table of the comparison is printed."""
     code, out, err = run(capsys, "compare", "falling_cat", "--time", "1")
     assert (code, err) == (0, "")
     assert "SE3 ×" in out
@@ -28,8 +28,8 @@ def test_compare_passes(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.slow
-def test_compare_with_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
-    """Joints by name, a formula and a method with options, judged by ABA."""
+def test_compare_accepts_prescribed_joint_and_method(capsys: pytest.CaptureFixture[str]) -> None:
+    """Values by joint, a formula and a method with options pass the comparison."""
     code, out, err = run(
         capsys, "compare", "falling_cat", "--time", "0.5", "--x0", "bend=-0.5,twist=0.3",
         "--momentum", "0", "--prescribed", "sway=0.4*(1 - cos(pi*t))", "--method", "Radau",
@@ -39,8 +39,8 @@ def test_compare_with_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.slow
-def test_compare_that_cannot_tell_ends_with_three(capsys: pytest.CaptureFixture[str]) -> None:
-    """A scene that cannot be judged does not pass, nor does it fail."""
+def test_compare_that_cannot_tell_exits_with_three(capsys: pytest.CaptureFixture[str]) -> None:
+    """The verdict is neither PASSED nor FAILED."""
     code, out, _ = run(
         capsys, "compare", "double_spherical_pendulum", "--x0", "2,1,2.5", "--xdot0", "4,-5,6",
         "--xi0", "3", "--time", "15", "--rtol", "1e-6", "--atol", "1e-8",
@@ -49,8 +49,8 @@ def test_compare_that_cannot_tell_ends_with_three(capsys: pytest.CaptureFixture[
     assert "verdict: CANNOT TELL" in out
 
 
-def test_compare_fails_with_one(capsys: pytest.CaptureFixture[str]) -> None:
-    """Steps that are far too long for the tolerance."""
+def test_compare_with_long_steps_exits_with_one(capsys: pytest.CaptureFixture[str]) -> None:
+    """The steps are too long for the tolerance."""
     code, out, _ = run(
         capsys, "compare", "falling_cat", "--time", "2", "--method", "RKMK4(0.1)",
     )  # fmt: skip
@@ -58,15 +58,15 @@ def test_compare_fails_with_one(capsys: pytest.CaptureFixture[str]) -> None:
     assert "verdict: FAILED" in out
 
 
-def test_random_state_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    """A seed is printed, so that anyone can repeat the run."""
+def test_compare_prints_the_seed(capsys: pytest.CaptureFixture[str]) -> None:
+    """The seed of a random state allows repeating the run."""
     code, out, _ = run(capsys, "compare", "rigid_body", "--seed", "3", "--time", "1")
     assert code == 0
     assert "seed 3" in out
 
 
-def test_inspect(capsys: pytest.CaptureFixture[str]) -> None:
-    """Inspect shows group, joints, I, A, M, |B|, symmetries, what is skipped, at a shape."""
+def test_inspect_prints_reduced_quantities(capsys: pytest.CaptureFixture[str]) -> None:
+    """Group, joints, I, A, M, |B|, symmetries and skipped parts at a shape."""
     code, out, _ = run(capsys, "inspect", "reaction_wheel_satellite", "--at", "-0.5,1,2,3")
     assert code == 0
     system = pinred.load("reaction_wheel_satellite")
@@ -85,8 +85,10 @@ def test_inspect(capsys: pytest.CaptureFixture[str]) -> None:
     assert seen.reduced_size == 4 + 2 + 3
 
 
-def test_inspect_a_pivot_in_gravity(capsys: pytest.CaptureFixture[str]) -> None:
-    """Of SO(3), turning about the vertical is left, and the text says so."""
+def test_inspect_of_pivot_in_gravity_names_the_conserved_axis(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Gravity reduces SO(3) to rotations about the vertical."""
     arguments = ("inspect", "coupled_spatial", "--group", "SO3", "--gravity", "0,0,-9.81")
     code, out, _ = run(capsys, *arguments)
     assert code == 0
@@ -94,8 +96,10 @@ def test_inspect_a_pivot_in_gravity(capsys: pytest.CaptureFixture[str]) -> None:
     assert "integrated  16 → 13 numbers" in out
 
 
-def test_inspect_where_gravity_breaks_the_symmetry(capsys: pytest.CaptureFixture[str]) -> None:
-    """Inspect still shows the split and says what is broken."""
+def test_inspect_reports_gravity_that_breaks_the_symmetry(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The reduced quantities are printed all the same."""
     code, out, _ = run(capsys, "inspect", "double_spherical_pendulum", "--gravity", "1,0,0")
     assert code == 0
     assert "breaks the SO2 symmetry" in out
@@ -103,10 +107,10 @@ def test_inspect_where_gravity_breaks_the_symmetry(capsys: pytest.CaptureFixture
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".csv"])
-def test_simulate_writes_files(
+def test_simulate_writes_states_of_the_python_api(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, suffix: str
 ) -> None:
-    """Files hold the states of the Python API, and other tools open them."""
+    """Other tools can open the files."""
     path = tmp_path / f"traj{suffix}"
     code, out, _ = run(
         capsys, "simulate", "coupled_planar", "--time", "2", "--samples", "5", "--out", str(path)
@@ -133,8 +137,8 @@ def test_simulate_writes_files(
         assert float(row["energy"]) == traj.energy[k]
 
 
-def test_no_partial_file_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A write that fails half-way leaves the old file, and nothing else."""
+def test_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No partial file remains."""
     traj = pinred.simulate(pinred.load("coupled_planar"), duration=0.1)
     path = tmp_path / "traj.csv"
     path.write_text("old")
@@ -150,8 +154,8 @@ def test_no_partial_file_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert path.read_text() == "old"
 
 
-def test_robots(capsys: pytest.CaptureFixture[str]) -> None:
-    """Every bundled robot is listed with its group and description."""
+def test_robots_lists_bundled_robots(capsys: pytest.CaptureFixture[str]) -> None:
+    """The list has groups and descriptions."""
     code, out, _ = run(capsys, "robots")
     assert code == 0
     for name, robot in bundled_robots().items():
@@ -159,8 +163,8 @@ def test_robots(capsys: pytest.CaptureFixture[str]) -> None:
         assert robot.description in out
 
 
-def test_engines(capsys: pytest.CaptureFixture[str]) -> None:
-    """Both engines pass the comparison, and the table says which it was."""
+def test_both_engines_pass_the_comparison(capsys: pytest.CaptureFixture[str]) -> None:
+    """The table names the engine."""
     for engine in ("compiled", "pinocchio"):
         code, out, _ = run(capsys, "compare", "cartpole", "--time", "1", "--engine", engine)
         assert code == 0
@@ -170,10 +174,10 @@ def test_engines(capsys: pytest.CaptureFixture[str]) -> None:
     assert "the engines are compiled, pinocchio" in err
 
 
-def test_cache(
+def test_cache_lists_and_clears_kernels(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Kernels on disk are shown and cleared."""
+    """The cache is listed, cleared and empty."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path / "kernels"))
     assert run(capsys, "compare", "cartpole", "--time", "0.1")[0] == 0
     code, out, _ = run(capsys, "cache")
@@ -185,8 +189,8 @@ def test_cache(
 
 
 @pytest.mark.slow
-def test_bench_kernels(capsys: pytest.CaptureFixture[str]) -> None:
-    """The table has a row a robot, with a kernel far faster than ABA from Python."""
+def test_bench_kernels_prints_ratios_to_aba(capsys: pytest.CaptureFixture[str]) -> None:
+    """Kernels are much faster than ABA from Python."""
     ratios: dict[str, float] = {}
     for _ in range(3):  # whatever else the machine does at the time, once it is not in the way
         code, out, _ = run(capsys, "bench", "kernels", "coupled_planar", "falling_cat")
@@ -268,7 +272,7 @@ def test_bad_input_is_one_line_and_exit_two(
     arguments: tuple[str, ...],
     words: str,
 ) -> None:
-    """Whatever is wrong with the input: one line that says what, exit code 2, no output."""
+    """The message is one line on standard error."""
     monkeypatch.chdir(tmp_path)
     Path("good.urdf").write_text(URDF.format(mass=1, ixx=1))
     Path("negative.urdf").write_text(URDF.format(mass=-1, ixx=1))
@@ -279,8 +283,10 @@ def test_bad_input_is_one_line_and_exit_two(
     assert not list(tmp_path.glob("*.npz"))
 
 
-def test_a_doubtful_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A warning is one line on standard error; with --strict, and in a strict scene, a refusal."""
+def test_doubtful_robot_is_warned_about_or_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """--strict, and a strict scene, turn the warning into an error."""
     robot = write(tmp_path, FLOATING.replace('izz="2.5"', 'izz="4"'))
     code, out, err = run(capsys, "inspect", str(robot))
     assert code == 0
@@ -297,8 +303,8 @@ def test_a_doubtful_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "triangle inequality" in err
 
 
-def test_import_and_help_are_light() -> None:
-    """Neither `import pinred` nor `pinred --help` imports what is heavy."""
+def test_import_and_help_do_not_import_heavy_packages() -> None:
+    """This holds for `import pinred` and for `pinred --help`."""
     heavy = "{'pinocchio', 'numpy', 'scipy', 'meshcat', 'casadi', 'numba', 'matplotlib'}"
     assert python(f"import sys, pinred; print({heavy} & set(sys.modules))") == "set()\n"
     code = (
@@ -311,7 +317,7 @@ def test_import_and_help_are_light() -> None:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_has_help(capsys: pytest.CaptureFixture[str], command: str) -> None:
-    """A command is a file of its name, which is imported when the command is asked for."""
+    """The module of a command is imported when the command is used."""
     code, out, _ = run(capsys, command, "--help")
     assert code == 0
     assert f"pinred {command}" in out
@@ -319,7 +325,7 @@ def test_every_command_has_help(capsys: pytest.CaptureFixture[str], command: str
 
 
 def test_help_names_every_method(capsys: pytest.CaptureFixture[str]) -> None:
-    """The integrators that --method takes, and that it chooses by itself without."""
+    """Also groups, engines and outputs."""
     for command in ("simulate", "compare"):
         _, out, _ = run(capsys, command, "--help")
         assert "(default: auto)" in out

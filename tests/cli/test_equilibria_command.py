@@ -1,4 +1,4 @@
-"""`pinred equilibria`: tables, diagrams, playback of modes, and what it refuses."""
+"""`pinred equilibria`: tables, diagrams, playback of modes, and errors."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from pinred import plots
 from pinred.cli.main import main
 
 
-def test_a_table(capsys: pytest.CaptureFixture[str]) -> None:
-    """The same as Python prints."""
+def test_equilibria_prints_the_table_of_python(capsys: pytest.CaptureFixture[str]) -> None:
+    """The output is the text of the Python result."""
     assert main(["equilibria", "rigid_body", "--momentum", "1", "--starts", "20"]) == 0
     found = pinred.relative_equilibria(pinred.load("rigid_body"), momentum=1.0, starts=20)
     assert capsys.readouterr().out == f"{found}\n"
 
 
-def test_momenta_of_wheels_and_springs(capsys: pytest.CaptureFixture[str]) -> None:
-    """Each option is that of Python."""
+def test_equilibria_options_match_python(capsys: pytest.CaptureFixture[str]) -> None:
+    """Momenta of wheels and springs have the effect they have in Python."""
     arguments = ("--momentum", "0.5", "--starts", "30", "--cyclic", "wheel_x=0.3,wheel_y=-0.2")
     spring = ("--spring", "panel_hinge=0.5,0.2", "--seed", "3")
     assert main(["equilibria", "reaction_wheel_satellite", *arguments, *spring]) == 0
@@ -33,8 +33,10 @@ def test_momenta_of_wheels_and_springs(capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.by_hand
-def test_a_diagram_and_a_mode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Branches as a figure; the motion on a mode as a page."""
+def test_equilibria_writes_diagram_and_played_mode(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Branches give a figure, a mode gives an HTML page."""
     figure, page = tmp_path / "cart.png", tmp_path / "mode.html"
     ends = ("--momentum", "-1,1", "--starts", "8", "--out", str(figure))
     assert main(["equilibria", "cartpole", *ends]) == 0
@@ -56,21 +58,21 @@ def test_a_diagram_and_a_mode(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         (("--momentum", "1,2", "--play", "0"), "for one momentum"),
         (("--momentum", "1,2", "--joint", "bend"), "--joint is of the diagram"),
         (("--momentum", "1", "--cyclic", "0.3"), "JOINT=MOMENTUM"),
-        (("--momentum", "1", "--cyclic", "bend=0.3"), "no momentum of its own"),
+        (("--momentum", "1", "--cyclic", "bend=0.3"), "is not cyclic"),
         (("--momentum", "1", "--play", "0", "--out", "a.csv"), "must be .html"),
         (("--momentum", "1", "--starts", "2", "--play", "99"), "counted from 0; got 99"),
         ((), "--momentum"),
     ],
 )
-def test_bad_input_is_one_line(
+def test_equilibria_bad_input_is_one_line(
     capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str
 ) -> None:
-    """Whatever is wrong: one line that says what, exit code 2."""
+    """The exit code is 2."""
     assert words in commands.refused(capsys, "equilibria", "falling_cat", *arguments)
 
 
-def test_the_numbers_of_a_diagram() -> None:
-    """Each branch over its momenta, full where it is stable; a joint's coordinate in its place."""
+def test_diagram_draws_branches_over_momentum() -> None:
+    """Stable branches are solid lines; --joint sets the vertical axis."""
     found = pinred.branches(pinred.load("cartpole"), momentum=(-1.0, 1.0), starts=8, step=0.5)
     figure = plots.branches(found)
     (axes,) = figure.axes

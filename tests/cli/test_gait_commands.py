@@ -1,4 +1,4 @@
-"""`pinred gait` and `pinred reorient`: what they print, write and refuse."""
+"""`pinred gait` and `pinred reorient`: output, files and errors."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pinred
 from pinred.cli.main import main
 
 
-def test_gait(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The certificate; the loop that is written is the one found."""
+def test_gait_writes_the_printed_loop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The certificate is printed, and the file has the optimal loop."""
     for suffix in ("npz", "csv"):
         path = tmp_path / f"loop.{suffix}"
         words = "gait three_rods --limits 1.5 --harmonics 1 --starts 1 --out"
@@ -27,8 +27,10 @@ def test_gait(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert read.pose[2] == pytest.approx(best.phase.pose[2], rel=1e-6)
 
 
-def test_reorient(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The plan, and its motion as an archive."""
+def test_reorient_writes_the_planned_motion(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The plan is printed, and the file has its motion."""
     path = tmp_path / "turn.npz"
     words = "reorient three_rods --target -0.3 --limits alpha1=2.5,alpha2=2 --x0 0.4,0.5 --out"
     assert main([*words.split(), str(path)]) == 0
@@ -37,8 +39,10 @@ def test_reorient(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert file["pose"][-1, 2] == pytest.approx(-0.3, abs=1e-8)
 
 
-def test_files_hold_objectives(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Words go before what the file says; figures are drawn of what is found."""
+def test_arguments_replace_objectives_of_gait_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A figure shows the optimal loop."""
     path, figure = tmp_path / "rods.toml", tmp_path / "loop.png"
     path.write_text(
         "robot = 'three_rods'\nmomentum = [0.0, 0.0, 0.01]\n"
@@ -73,7 +77,9 @@ def test_files_hold_objectives(tmp_path: Path, capsys: pytest.CaptureFixture[str
         ("reorient elroys_beanie --target 1", "needs two joints"),
     ],
 )
-def test_refusals(words: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """One line, and code 2."""
+def test_gait_bad_input_is_one_line(
+    words: str, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The exit code is 2."""
     assert main(words.split()) == 2
     assert says in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Ctrl-C: every command ends soon after the first, with exit code 130 and one line."""
+"""Ctrl-C: every command ends soon after the first one, with exit code 130 and one line."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ def check(at: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(20))
-def test_compare_ends(part: int) -> None:
-    """At random times from its start on."""
+def test_interrupt_at_random_times_ends_compare(part: int) -> None:
+    """The interrupt arrives at random times after the start."""
     rng = np.random.default_rng(part)
     check(0.2 + 2.8 * (part + rng.random()) / 20)
 
 
 @pytest.mark.slow
-def test_compare_ends_in_the_full_simulation() -> None:
-    """Where SciPy's compiled loop swallows what is raised."""
+def test_interrupt_ends_compare_during_aba() -> None:
+    """SciPy's compiled loop swallows the exception there."""
     check(3.0)
 
 
@@ -47,8 +47,8 @@ def test_compare_ends_in_the_full_simulation() -> None:
     ],
     ids=["caught again and again", "in a callback of C, where Python prints it and goes on"],
 )
-def test_what_is_swallowed_ends_too(runs: str) -> None:
-    """The process ends in one line even where nobody lets KeyboardInterrupt out."""
+def test_swallowed_interrupt_ends_the_process(runs: str) -> None:
+    """Libraries that swallow KeyboardInterrupt do not keep the process running."""
     swallowing = (
         "import ctypes, sys, time\nfrom pinred.cli import main\nfrom pinred.cli import entry\n"
         f"def run():\n    print('ready', flush=True)\n{runs}"
@@ -65,8 +65,8 @@ def _after(seconds: float) -> threading.Timer:
 
 
 @pytest.mark.parametrize("method", ["dop853", "dopri5"])
-def test_python_gets_it_too(method: str) -> None:
-    """KeyboardInterrupt comes out of a run from Python, and the handler is as before."""
+def test_interrupt_raises_keyboard_interrupt_in_python(method: str) -> None:
+    """The signal handler is restored."""
     before = signal.getsignal(signal.SIGINT)
     fast = Hairer(
         lambda t, y: np.cos(1e6 * t) + 0.0 * y, method, np.ones(1), 0.0, 1e-12, 1e-14, 100.0
@@ -78,8 +78,8 @@ def test_python_gets_it_too(method: str) -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_errors_come_out() -> None:
-    """What a vector field raises is raised by the run, not swallowed by its compiled loop."""
+def test_error_in_vector_field_is_raised() -> None:
+    """SciPy's compiled loop does not swallow it."""
 
     def rate(t: float, y: Array) -> Array:
         if t > 0.5:
@@ -90,15 +90,15 @@ def test_errors_come_out() -> None:
         Hairer(rate, "dop853", np.ones(1), 0.0, 1e-10, 1e-12, 1.0).integrate(1.0)
 
 
-def test_hairer_without_interruption() -> None:
-    """The exponential, against its closed form."""
+def test_hairer_integrates_the_exponential() -> None:
+    """Without an interrupt, the result is the closed form."""
     y = Hairer(lambda _, y: -y, "dop853", np.ones(1), 0.0, 1e-13, 1e-15, 1.0).integrate(1.0)
     assert y is not None
     assert y[0] == pytest.approx(np.exp(-1.0), rel=1e-12)
 
 
-def test_held_in_a_thread_is_nothing() -> None:
-    """Signals come to the main thread only, and a thread may not ask for them."""
+def test_interrupt_handling_is_off_in_threads() -> None:
+    """Only the main thread may handle signals."""
     told: list[bool] = []
 
     def work() -> None:
@@ -112,8 +112,8 @@ def test_held_in_a_thread_is_nothing() -> None:
 
 
 @pytest.mark.slow
-def test_ignored_stays_ignored(tmp_path: Path) -> None:
-    """A command that `nohup` or a shell's & has told to ignore Ctrl-C goes on."""
+def test_ignored_interrupt_stays_ignored(tmp_path: Path) -> None:
+    """As with `nohup`, or with `&` in a shell."""
     code = (
         "import signal, sys\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
         f"sys.argv[1:] = ['simulate', 'falling_cat', '--out', {str(tmp_path / 'a.npz')!r}]\n"
@@ -124,8 +124,8 @@ def test_ignored_stays_ignored(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_interrupts_work_where_the_shell_ignores_them() -> None:
-    """The tests of this file also pass below `nohup … &`, where SIGINT is ignored at first."""
+def test_interrupt_tests_pass_below_nohup() -> None:
+    """SIGINT is ignored at first there."""
     test = f"{__file__}::test_python_gets_it_too"
     code = (
         "import signal, subprocess, sys\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"

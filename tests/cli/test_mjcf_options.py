@@ -1,4 +1,4 @@
-"""MJCF on the command line, in scene files and in files of motions."""
+"""MJCF on the command line, in scene files and in motion files."""
 
 from __future__ import annotations
 
@@ -34,8 +34,10 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
-def test_inspect(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What is left out is listed, and so are the keyframes."""
+def test_inspect_of_mjcf_lists_keyframes_and_left_out_parts(
+    path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The output names both."""
     code, out, _ = run(capsys, "inspect", str(path), *ROBOT)
     assert code == 0
     assert "left out    contact: geom 0, geom 1\n" in out
@@ -46,8 +48,8 @@ def test_inspect(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.slow
-def test_the_warning_is_one_line(path: Path) -> None:
-    """On standard error, like errors."""
+def test_mjcf_warning_is_one_line(path: Path) -> None:
+    """The warning is written to standard error."""
     command = [sys.executable, "-m", "pinred", "inspect", str(path), *ROBOT]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
@@ -56,17 +58,17 @@ def test_the_warning_is_one_line(path: Path) -> None:
     assert done.stderr.count("\n") == 1
 
 
-def test_no_root(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The bodies to choose from are listed."""
+def test_mjcf_without_root_lists_the_bodies(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The message lists the bodies to choose from."""
     code, _, err = run(capsys, "inspect", str(path))
     assert code == 2
     assert "robot, ball" in err
 
 
-def test_a_keyframe_and_a_file_of_the_motion(
+def test_keyframe_starts_the_motion_and_file_names_the_root(
     path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The motion begins at the keyframe; its file finds the robot again, of several."""
+    """The motion file identifies the robot among the bodies of the MJCF file."""
     out = tmp_path / "motion.npz"
     arguments = ("--keyframe", "home", "--time", "0.1", "--out", str(out))
     code, text, _ = run(capsys, "simulate", str(path), *ROBOT, *arguments)
@@ -86,8 +88,8 @@ def test_a_keyframe_and_a_file_of_the_motion(
     assert picture.is_file()
 
 
-def test_scene_file(path: Path) -> None:
-    """Root and keyframe are keys; a pose beside the keyframe moves its base."""
+def test_scene_file_accepts_root_and_keyframe(path: Path) -> None:
+    """pose0 moves the base of the keyframe."""
     scene = path.with_name("scene.toml")
     text = 'robot = "robot.xml"\nload = {root = "robot"}\n[start]\nkeyframe = "home"\n'
     scene.write_text(text)
@@ -108,8 +110,8 @@ def test_scene_file(path: Path) -> None:
             pinred.load_scene(scene)
 
 
-def test_a_keyframe_is_a_whole_state(path: Path) -> None:
-    """Nothing but a pose stands beside it, and a robot without keyframes has none."""
+def test_keyframe_excludes_other_state_options(path: Path) -> None:
+    """Only pose0 may be combined with it."""
     system = pinred.load(path, root="robot")
     for options in ({"x0": [0.0]}, {"xi0": np.zeros(6)}, {"momentum": 0}, {"seed": 1}):
         with pytest.raises(InputError, match=f"keyframe.*{next(iter(options))}"):

@@ -1,4 +1,4 @@
-"""Names in messages are cut at a length and stand in one line, wherever they come from."""
+"""Names in messages are shortened and stay on one line."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def cat(**options: Any) -> pinred.Scene:
         lambda: pinred.Scene(system=pinred.load(chain(LONG, LONG[::-1])), x0={"knee": 1.0}),
     ],
 )
-def test_names_are_cut_and_in_one_line(make: Callable[[], Any]) -> None:
-    """However long they are."""
+def test_long_names_are_shortened_to_one_line(make: Callable[[], Any]) -> None:
+    """Names of any length are cut."""
     with pytest.raises(pinred.PinredError) as caught:
         make()
     assert "\n" not in str(caught.value)
@@ -71,8 +71,10 @@ def test_names_are_cut_and_in_one_line(make: Callable[[], Any]) -> None:
         (LONG,),
     ],
 )
-def test_on_the_command_line(words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
-    """One line on standard error, which a terminal can show."""
+def test_long_names_give_one_line_on_the_terminal(
+    words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The line on standard error can be displayed by a terminal."""
     try:
         found: Any = run(capsys, *words)
     except SystemExit as end:  # the parser's

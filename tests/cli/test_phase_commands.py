@@ -1,4 +1,4 @@
-"""`pinred phase` and `pinred field`: numbers, files, and refusals in one line."""
+"""`pinred phase` and `pinred field`: numbers, files, and one-line errors."""
 
 from __future__ import annotations
 
@@ -27,8 +27,10 @@ def number(text: str, pattern: str) -> float:
     return float(found)
 
 
-def test_phase_of_a_gait_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """The published displacement, and three of them; poses on the way as a file."""
+def test_phase_of_gait_file_prints_published_displacement(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Also for three cycles; the poses are written to a file."""
     out = tmp_path / "way.npz"
     code, text, _ = run(capsys, "phase", EXAMPLE, "--cycles", "3", "--out", str(out))
     assert code == 0
@@ -40,8 +42,10 @@ def test_phase_of_a_gait_file(capsys: pytest.CaptureFixture[str], tmp_path: Path
         assert file["pose"].shape == (len(file["t"]), 3)
 
 
-def test_phase_of_a_robot(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """A circle of two joints, with momentum: the same as in Python; also as csv and figure."""
+def test_phase_of_robot_with_momentum_matches_python(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Also as csv and figure."""
     table, picture = tmp_path / "way.csv", tmp_path / "cycles.png"
     words = ("phase", "falling_cat", "--circle", "bend,sway,0.8", "--momentum", "0,0,0,0.1,0,0")
     code, text, _ = run(capsys, *words, "--out", str(table))
@@ -61,8 +65,8 @@ def test_phase_of_a_robot(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
     assert picture.stat().st_size > 1000
 
 
-def test_phase_of_recorded_data(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """A csv with the joints over one cycle."""
+def test_phase_of_recorded_csv(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The csv file has the joints over one cycle."""
     t = np.linspace(0.0, 2.0, 201)
     x = np.stack([np.cos(np.pi * t), np.sin(np.pi * t)], axis=1)
     path = tmp_path / "loop.csv"
@@ -74,8 +78,10 @@ def test_phase_of_recorded_data(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert abs(number(text, "θ N")) < 1e-9
 
 
-def test_field_as_numbers(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """A and B on a grid, those of the reduction."""
+def test_field_writes_connection_and_curvature(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A and B on a grid equal those of the reduction."""
     out = tmp_path / "field.npz"
     words = ("field", "falling_cat", "--joints", "sway,twist", "--limits", "-1,0.5")
     code, _, _ = run(capsys, *words, "--at", "0.2,0.0,0.0", "--samples", "5", "--out", str(out))
@@ -90,8 +96,10 @@ def test_field_as_numbers(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("part", ["curvature", "connection"])
-def test_field_as_a_figure(part: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """Of a gait file, with its gait; of a robot, without."""
+def test_field_draws_a_figure_with_the_gait(
+    part: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A gait file adds its gait to the figure; a robot has none."""
     out = tmp_path / "field.svg"
     words = ("field", EXAMPLE, "--component", "v1", "--part", part, "--out", str(out))
     assert run(capsys, *words)[0] == 0
@@ -113,7 +121,7 @@ def test_field_as_a_figure(part: str, capsys: pytest.CaptureFixture[str], tmp_pa
         (("field", "three_rods", "--part", "nope", "--out", "f.png"), "part must be one of"),
     ],
 )
-def test_refusals(
+def test_phase_bad_input_is_one_line(
     words: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str],
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
@@ -130,10 +138,10 @@ def test_refusals(
 @pytest.mark.parametrize(
     ("kind", "command"), [("field", "pinred field"), ("cycles", "pinred phase")]
 )
-def test_plot_names_the_command(
+def test_plot_refers_to_field_and_phase_commands(
     kind: str, command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """What is no figure of a motion is drawn by a command of its own."""
+    """Figures that are not of a motion have separate commands."""
     words = ("plot", "three_rods", "--kind", kind, "--out", str(tmp_path / "out.png"))
     code, _, err = run(capsys, *words)
     assert code == 2

@@ -1,4 +1,4 @@
-"""`pinred plot`: files of every kind, from every source, whole or not at all."""
+"""`pinred plot`: files of every kind from every source."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
 @pytest.mark.parametrize(
     ("suffix", "begins"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")]
 )
-def test_every_kind_of_file(
+def test_plot_writes_identical_files_of_every_suffix(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, suffix: str, begins: bytes
 ) -> None:
-    """The suffix says which; the same command writes the same bytes."""
+    """The same command writes the same bytes."""
     path = tmp_path / f"cat.{suffix}"
     arguments = ("falling_cat", "--time", "0.5", "--kind", "shape", "--out", str(path))
     code, out, err = run(capsys, *arguments)
@@ -53,8 +53,8 @@ def test_every_kind_of_file(
 
 
 @pytest.mark.slow
-def test_several_kinds_at_once(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """One file each, named after its kind; options go where they belong."""
+def test_plot_writes_one_file_per_kind(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Each option applies to the kinds that accept it."""
     code, _, err = run(
         capsys, "falling_cat", "--time", "3", "--kind", "shape,phase,curvature,sphere,poincare",
         "--joints", "bend,twist", "--component", "w2", "--direction", "0",
@@ -68,8 +68,10 @@ def test_several_kinds_at_once(capsys: pytest.CaptureFixture[str], tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_the_same_figure_as_in_python(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """A recording, and the scene that made it, give the picture of the Python API."""
+def test_plot_matches_the_figure_of_python(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """For a recording and for its scene."""
     scene = tmp_path / "scene.toml"
     scene.write_text(SCENE, encoding="utf-8")
     traj = pinred.simulate(pinred.load_scene(scene))
@@ -85,8 +87,10 @@ def test_the_same_figure_as_in_python(capsys: pytest.CaptureFixture[str], tmp_pa
     np.testing.assert_array_equal(imread(out), imread(tmp_path / "python.png"))
 
 
-def test_robot_of_a_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """--robot names the robot of a file that does not; the wrong one is refused."""
+def test_plot_robot_option_names_robot_of_file(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A wrong robot is refused."""
     path, out = str(tmp_path / "traj.npz"), str(tmp_path / "a.png")
     pinred.simulate(pinred.load(pinred.load("falling_cat").model), seed=0, duration=0.5).save(path)
     arguments = (path, "--kind", "curvature", "--out", out)
@@ -97,16 +101,16 @@ def test_robot_of_a_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> 
     assert imread(out).std() > 0.01
 
 
-def test_random_state_is_said(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """A seed is printed, so that anyone can repeat the figure."""
+def test_plot_prints_the_seed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The seed of a random state allows repeating the figure."""
     out = str(tmp_path / "a.png")
     arguments = ("rigid_body", "--seed", "4", "--time", "1", "--kind", "sphere", "--out", out)
     assert "seed 4" in run(capsys, *arguments)[1]
 
 
 @pytest.mark.slow
-def test_measurements_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """The record of a benchmark gives the figure that its results give."""
+def test_plot_draws_benchmark_record(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The file of a benchmark gives the figure of its results."""
     path, out = tmp_path / "accuracy.csv", tmp_path / "wp.png"
     write_record(path, "quick", measured())
     assert run(capsys, str(path), "--kind", "work_precision", "--out", str(out))[0] == 0
@@ -139,14 +143,14 @@ def test_measurements_are_drawn(capsys: pytest.CaptureFixture[str], tmp_path: Pa
         (("falling_cat", "--out", "a.png"), "--kind"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_two(
+def test_plot_bad_input_is_one_line_and_exit_two(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     arguments: tuple[str, ...],
     words: str,
 ) -> None:
-    """Whatever is wrong: one line that says what, exit code 2, no file."""
+    """No file is written."""
     monkeypatch.chdir(tmp_path)
     assert words in commands.refused(capsys, "plot", *arguments)
     assert os.listdir(tmp_path) == []
@@ -158,13 +162,13 @@ COMMANDS = re.findall(r"^\$ pinred plot (?!measured)(.*)$", DOCUMENT, re.MULTILI
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
-def test_commands_of_the_document(
+def test_commands_of_plots_page_run(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     command: str,
 ) -> None:
-    """Every command of docs/plots.md runs as it stands and writes a file a kind."""
+    """Every command of docs/plots.md writes one file per kind."""
     if command.startswith("talos"):
         pytest.importorskip("example_robot_data")
     monkeypatch.chdir(tmp_path)
@@ -175,8 +179,10 @@ def test_commands_of_the_document(
 
 
 @pytest.mark.slow
-def test_document_names_kinds_and_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The table of docs/plots.md has all kinds with all their options; its example runs."""
+def test_plots_page_lists_kinds_and_options(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The table of docs/plots.md is complete, and its example runs."""
     rows = re.findall(r"^\| `(\w+)` \|.*\| (.*) ?\|$", DOCUMENT, re.MULTILINE)
     assert {kind: tuple(re.findall(r"`(\w+)`", options)) for kind, options in rows} == {
         kind: plots.options_of(kind) for kind in plots.KINDS
@@ -187,10 +193,10 @@ def test_document_names_kinds_and_options(tmp_path: Path, monkeypatch: pytest.Mo
     assert sorted(os.listdir(tmp_path)) == ["curvature.svg", "phase.pdf", "shape.png"]
 
 
-def test_what_was_there_stays(
+def test_failed_plot_keeps_the_old_file(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A write that fails half-way leaves the old file, and nothing else."""
+    """No partial file remains."""
     path = tmp_path / "a.png"
     path.write_text("old")
 

@@ -1,4 +1,4 @@
-"""Terminals of ASCII, and file names that are no text: nothing traces back."""
+"""ASCII terminals, and file names that are not text: no traceback."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def run(
         pytest.param(("stress", "--only", "units"), marks=pytest.mark.by_hand),
     ],
 )
-def test_commands_on_an_ascii_terminal(words: tuple[str, ...]) -> None:
-    """They print ASCII, and end as they do elsewhere."""
+def test_commands_print_ascii_on_ascii_terminal(words: tuple[str, ...]) -> None:
+    """The exit code does not change."""
     done = run(*words)
     assert done.returncode == 0, done.stderr.decode()
     assert done.stdout.decode("ascii")
@@ -51,8 +51,8 @@ OTHERS = [pytest.param(name, marks=pytest.mark.by_hand) for name in COMMANDS if 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["", "gait", *OTHERS])
-def test_help_on_an_ascii_terminal(command: str) -> None:
-    """Each page is the one of a terminal that can do more, but for single letters."""
+def test_help_is_ascii_on_ascii_terminal(command: str) -> None:
+    """Except for single letters, each page is the same as on other terminals."""
     words = [command, "--help"] if command else ["--help"]
     done = run(*words)
     assert done.returncode == 0, done.stderr.decode()
@@ -62,8 +62,8 @@ def test_help_on_an_ascii_terminal(command: str) -> None:
 
 
 @pytest.mark.slow
-def test_errors_on_an_ascii_terminal() -> None:
-    """In one line."""
+def test_errors_are_one_ascii_line() -> None:
+    """The message is printed without a traceback."""
     done = run("inspect", "kätzchen×²")
     assert done.returncode == 2
     assert b"unknown robot 'katzchenx^2'" in done.stderr
@@ -71,8 +71,8 @@ def test_errors_on_an_ascii_terminal() -> None:
 
 
 @pytest.mark.slow
-def test_units_in_ascii() -> None:
-    """What the terminal can is printed as it is; the rest as near as ASCII comes."""
+def test_nearest_ascii_keeps_encodable_characters() -> None:
+    """Other characters become the nearest ASCII text."""
     assert "m/s^2" in run("inspect", "falling_cat").stdout.decode()
     assert "m/s²" in run("inspect", "falling_cat", encoding="latin-1").stdout.decode("latin-1")
     assert "m/s²" in run("inspect", "falling_cat", encoding="utf-8").stdout.decode()
@@ -81,8 +81,8 @@ def test_units_in_ascii() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("encoding", [pytest.param("utf-8", marks=pytest.mark.by_hand), "ascii"])
-def test_file_names_that_are_no_text(tmp_path: Path, encoding: str) -> None:
-    """Motions and scenes may have them; a robot's file is refused in words."""
+def test_undecodable_file_names_are_accepted_or_refused(tmp_path: Path, encoding: str) -> None:
+    """Motions and scenes accept them; robot files do not."""
     folder = Path(os.fsdecode(bytes(tmp_path) + b"/f\xff"))
     folder.mkdir()
     scene, out = bytes(folder) + b"/s\xfe.toml", bytes(folder) + b"/m\xfd.npz"

@@ -1,4 +1,4 @@
-"""Scene files of robots whose joints follow others."""
+"""Scene files of robots with mimic joints."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ function = "0.3*x['right']**2"
 """
 
 
-def test_forces(tmp_path: Path) -> None:
-    """What acts on a follower acts through it, and formulas know where it is."""
+def test_mimic_joint_force_from_file_matches_python(tmp_path: Path) -> None:
+    """Forces on mimic joints, and formulas with their positions, match the scene in Python."""
     traj = pinred.simulate(scene(tmp_path, FORCES))
     k, b = -2.0, 0.1
 
@@ -65,16 +65,16 @@ def test_forces(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "where"), [('[prescribed]\nright = "t"\n', "prescribed"), ("[oops]\n", "oops")]
 )
-def test_what_is_refused(tmp_path: Path, text: str, where: str) -> None:
-    """With the place in the file."""
+def test_mimic_joint_error_names_the_key(tmp_path: Path, text: str, where: str) -> None:
+    """The error message names file, line and key."""
     with pytest.raises(InputError, match=where) as caught:
         scene(tmp_path, text)
     if where == "prescribed":
         assert "'right' follows 'left' (right = -2·left + 0.1)" in str(caught.value)
 
 
-def test_start_by_name(tmp_path: Path) -> None:
-    """A follower has no start of its own."""
+def test_mimic_joint_initial_value_is_refused(tmp_path: Path) -> None:
+    """A mimic joint has no initial value."""
     write(tmp_path, HAND)
     path = tmp_path / "scene.toml"
     path.write_text('robot = "arm.urdf"\n[start]\nx0 = { right = 0.2 }\n')

@@ -1,4 +1,4 @@
-"""The forms in which a scene may be given: all mean the same, in Python, on the command line, in files."""
+"""Input formats of a scene: Python, the command line and files accept the same ones."""
 
 # ruff: noqa: E501 (a case a line)
 
@@ -66,7 +66,7 @@ def told(scene: pinred.Scene) -> tuple[Any, ...]:
 
 
 @pytest.mark.parametrize("name", SAME)
-def test_python_command_line_and_file_say_the_same(name: str, tmp_path: Path) -> None:
+def test_python_command_line_and_file_give_the_same_scene(name: str, tmp_path: Path) -> None:
     """One scene in three notations."""
     options, arguments, text = SAME[name]
     path = tmp_path / "scene.toml"
@@ -86,8 +86,8 @@ def configured(values: dict[str, float]) -> Array:
     return np.asarray(q)
 
 
-def test_joints_by_name_go_where_pinocchio_has_them() -> None:
-    """Shape and rate by name, and zero for those that are not named."""
+def test_values_by_joint_name_follow_pinocchio_order() -> None:
+    """Shapes and rates by name; joints that are not named have zero."""
     traj = pinred.simulate(
         CAT, x0={"twist": 0.2, "bend": -0.5}, xdot0={"sway": 0.7}, times=[0.0, 0.1]
     )
@@ -104,8 +104,8 @@ def test_joints_by_name_go_where_pinocchio_has_them() -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 @settings(max_examples=15)
 @given(case=cases(1, 5))
-def test_q0_and_v0_are_pinocchios(engine: Engine, case: Case) -> None:
-    """A motion from (q0, v0) begins there and goes where Pinocchio's ABA goes, on any group."""
+def test_q0_and_v0_motion_agrees_with_aba(engine: Engine, case: Case) -> None:
+    """A motion from (q0, v0) agrees with Pinocchio's ABA for every group."""
     model = case.system.model
     traj = pinred.simulate(case.system, q0=case.q, v0=case.v, times=[0.0, 0.05], engine=engine)
     assert aba.apart(model, traj.q[:1], case.q[None]) < 1e-12
@@ -116,8 +116,8 @@ def test_q0_and_v0_are_pinocchios(engine: Engine, case: Case) -> None:
 
 
 @given(case=cases(1, 5), turns=st.integers(-3, 3))
-def test_angles_of_q0_are_within_half_a_turn(case: Case, turns: int) -> None:
-    """Cosine and sine say nothing of whole turns; joints without them keep what they are given."""
+def test_q0_angles_are_wrapped_for_continuous_joints_only(case: Case, turns: int) -> None:
+    """Cosine and sine do not contain whole turns; other joints keep their angle."""
     x = case.x + 2 * np.pi * turns
     q = case.system.q(case.pose, x)
     found = pinred.Scene(system=case.system, q0=q).given.x[0]
@@ -129,8 +129,8 @@ def test_angles_of_q0_are_within_half_a_turn(case: Case, turns: int) -> None:
             assert found[k] == x[k]
 
 
-def test_half_a_turn_is_plus_pi() -> None:
-    """The half-open interval is closed at π, whatever the sign of the zero in the sine."""
+def test_q0_half_a_turn_gives_plus_pi() -> None:
+    """The angle is +π, whatever the sign of the zero in the sine."""
     chain = pinred.load("coupled_planar")
     assert chain.model.nq == 4 + 1 or chain.model.nq == 4 + 2
     for zero in (0.0, -0.0):
@@ -142,8 +142,8 @@ def test_half_a_turn_is_plus_pi() -> None:
         assert pinred.Scene(system=chain, q0=q).given.pose[0, 2] == np.pi
 
 
-def test_members_by_name_and_by_q0() -> None:
-    """Of many, {joint: (N,) values} beside numbers that are common; q0 and v0 one a row."""
+def test_members_accept_values_by_joint_and_q0() -> None:
+    """Batches accept {joint: (N,) values} and single numbers; q0 and v0 have a row per member."""
     bends, count = np.linspace(-0.5, 0.5, 4), 4
     named = pinred.simulate_many(
         CAT, x0={"bend": bends, "sway": 0.1}, xdot0={"twist": 1.0}, times=[0.3]
@@ -181,8 +181,8 @@ MANY_WRONG: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("options", "words"), MANY_WRONG)
-def test_members_that_are_wrong(options: dict[str, Any], words: str) -> None:
-    """Every member's state is checked, not only the first one's."""
+def test_invalid_state_of_any_member_is_refused(options: dict[str, Any], words: str) -> None:
+    """The state of every member is validated."""
     with pytest.raises(pinred.InputError, match=words):
         pinred.simulate_many(CAT, **options)
 
@@ -234,15 +234,15 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("options", "words"), WRONG)
-def test_forms_that_are_wrong(options: dict[str, Any], words: str) -> None:
-    """What is none of the forms is refused with what was given and what could be."""
+def test_invalid_format_is_refused_with_valid_formats(options: dict[str, Any], words: str) -> None:
+    """The message shows the value and the accepted formats."""
     with pytest.raises(pinred.InputError) as caught:
         pinred.Scene(system=CAT, **options)
     assert words in str(caught.value)
 
 
-def test_a_cosine_and_sine_that_are_none() -> None:
-    """Of a continuous joint, named, as of a base in the plane."""
+def test_q0_cosine_and_sine_need_norm_one() -> None:
+    """The message names the continuous joint."""
     wheel = pinred.load("reaction_wheel_satellite")
     q = pin.neutral(wheel.model)
     names = [
@@ -271,8 +271,8 @@ METHOD_VALUES = st.sampled_from(
 
 
 @given(METHOD_VALUES)
-def test_text_of_a_method_is_what_python_shows(method: Method) -> None:
-    """What repr gives can be given back."""
+def test_repr_of_method_parses_to_the_method(method: Method) -> None:
+    """The repr of a method is accepted as text."""
     assert input_formats.parse_method(repr(method)) == method
 
 
@@ -282,8 +282,8 @@ def test_text_of_a_method_is_what_python_shows(method: Method) -> None:
         lambda name: st.text(max_size=12).map(lambda rest: f"{name}({rest})")
     )
 )
-def test_any_text_is_a_method_or_refused(text: str) -> None:
-    """Nothing but an error of pinred comes of a text."""
+def test_random_method_text_is_parsed_or_refused(text: str) -> None:
+    """No other error than a pinred error occurs."""
     try:
         found = input_formats.parse_method(text)
     except pinred.InputError:
@@ -292,8 +292,8 @@ def test_any_text_is_a_method_or_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_every_method_goes_by_its_name(name: str) -> None:
-    """By its name alone where it has step control, else with a step; as text as in Python."""
+def test_method_name_alone_suffices_for_step_control(name: str) -> None:
+    """Methods with equal steps also need a step."""
     kind: Any = METHODS[name]
     if kind.adaptive:
         assert input_formats.parse_method(name) == kind()
@@ -303,8 +303,8 @@ def test_every_method_goes_by_its_name(name: str) -> None:
 
 
 @pytest.mark.parametrize("kind", [DOP853, AdaptiveGauss, Radau, Tsit5])
-def test_tolerances_are_the_scenes_or_the_methods(kind: Any) -> None:
-    """Without its own it has the scene's, even if those are the defaults; with its own it keeps them."""
+def test_method_tolerances_replace_scene_tolerances(kind: Any) -> None:
+    """A method without tolerances uses the scene's; a method with tolerances keeps them."""
 
     def integrator(**options: Any) -> Any:
         return pinred.Scene(system=CAT, **options).integrator
@@ -333,8 +333,8 @@ def test_tolerances_are_the_scenes_or_the_methods(kind: Any) -> None:
         pinred.simulate(scene, method=own, rtol=1e-10)
 
 
-def test_a_scenes_tolerance_is_what_the_method_keeps() -> None:
-    """The error against ABA follows rtol for a method by name, over five decades."""
+def test_error_follows_rtol_of_the_scene() -> None:
+    """The error against ABA follows rtol over five decades, for a method by name."""
     q0, v0 = configured({"bend": 0.5}), np.array(V.split(","), dtype=float)
     q, _ = aba.integrate(CAT.model, q0, v0, np.array([1.0]))
     for rtol in (1e-5, 1e-7, 1e-9):
@@ -344,8 +344,8 @@ def test_a_scenes_tolerance_is_what_the_method_keeps() -> None:
         assert 1e-4 * rtol < aba.apart(CAT.model, traj.q, q) < 10 * rtol
 
 
-def test_the_tightest_tolerance_is_one_that_methods_can_keep() -> None:
-    """Round-off bounds those of Runge–Kutta's kind; 'auto' takes the same."""
+def test_tightest_tolerance_is_accepted_by_all_methods() -> None:
+    """Round-off limits Runge–Kutta methods; 'auto' accepts the same tolerance."""
     for name, least in (
         ("DOP853", 2.3e-14),
         ("Radau", 2.3e-14),
@@ -356,8 +356,8 @@ def test_the_tightest_tolerance_is_one_that_methods_can_keep() -> None:
         assert found.rtol == pytest.approx(least, rel=1e-12, abs=0.0)
 
 
-def test_equal_steps_are_judged_by_rtol() -> None:
-    """Beside equal steps, rtol changes nothing but what passes the comparison."""
+def test_rtol_sets_only_the_comparison_for_equal_steps() -> None:
+    """With equal steps, rtol changes only the comparison."""
     coarse: dict[str, Any] = {"duration": 1.0, "method": "RKMK4(0.02)"}
     strict = pinred.simulate(CAT, **coarse)
     loose = pinred.simulate(CAT, **coarse, rtol=1e-5)
@@ -367,8 +367,8 @@ def test_equal_steps_are_judged_by_rtol() -> None:
 
 
 @pytest.mark.slow
-def test_plans_as_numbers_and_formulas() -> None:
-    """The joint is where the formula says, by NumPy; the scene keeps Signals."""
+def test_prescribed_numbers_and_formulas_become_signals() -> None:
+    """The joint follows the formula, evaluated by NumPy."""
     traj = pinred.simulate(CAT, duration=0.7, prescribed={"sway": PLAN, "bend": np.float64(0.25)})
     np.testing.assert_allclose(traj.x[:, 1], 0.4 * (1 - np.cos(np.pi * traj.t)), atol=1e-13)
     np.testing.assert_allclose(traj.xdot[:, 1], 0.4 * np.pi * np.sin(np.pi * traj.t), atol=1e-12)

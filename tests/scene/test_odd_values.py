@@ -1,4 +1,4 @@
-"""Values of odd kinds and sizes: a pinred error that names the option and what to do."""
+"""Values of unusual types and sizes: a pinred error names the option and the fix."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def cat() -> pinred.System:
 
 @pytest.mark.parametrize("odd", [np.arange(4.0), np.array(["a", "b"]), ["all"], HUGE, b"x"])
 @pytest.mark.parametrize("name", ["outputs", "method", "engine", "forces", "keyframe"])
-def test_where_a_word_is_expected(name: str, odd: Any, cat: pinred.System) -> None:
+def test_value_in_place_of_text_is_refused(name: str, odd: Any, cat: pinred.System) -> None:
     """Arrays, lists and numbers are refused in a line that names the option."""
     with pytest.raises(pinred.InputError, match=name) as caught:
         pinred.simulate(cat, duration=0.1, **{name: odd})
@@ -41,8 +41,8 @@ def test_where_a_word_is_expected(name: str, odd: Any, cat: pinred.System) -> No
 @pytest.mark.parametrize(
     "name", ["x0", "xdot0", "xi0", "momentum", "pose0", "q0", "v0", "times", "rtol", "duration"]
 )
-def test_numbers_that_are_no_floats(name: str, cat: pinred.System) -> None:
-    """10**400 is refused by its name."""
+def test_number_beyond_float_range_is_refused(name: str, cat: pinred.System) -> None:
+    """10**400 is refused, and the message names the option."""
     for value in (HUGE, [HUGE], -HUGE):
         with pytest.raises(pinred.InputError):
             pinred.Scene(system=cat, **_any(name, value))
@@ -50,8 +50,8 @@ def test_numbers_that_are_no_floats(name: str, cat: pinred.System) -> None:
 
 @pytest.mark.parametrize("odd", [True, np.array(True), np.timedelta64(3, "s")])
 @pytest.mark.parametrize("name", ["momentum", "xdot0", "x0", "rtol", "duration", "parameters"])
-def test_truths_and_durations_are_no_numbers(name: str, odd: Any, cat: pinred.System) -> None:
-    """True is no mass of 1 kg, and three seconds are none either."""
+def test_bool_and_timedelta_are_refused_as_numbers(name: str, odd: Any, cat: pinred.System) -> None:
+    """True is not a mass of 1 kg, and a timedelta is not a duration."""
     given = {"parameters": {"front.mass": odd}, "x0": [odd] * cat.m, "xdot0": [odd] * cat.m}
     with pytest.raises(pinred.InputError, match=r"must be (numbers|a number)"):
         pinred.Scene(system=cat, **_any(name, given.get(name, odd)))
@@ -60,21 +60,21 @@ def test_truths_and_durations_are_no_numbers(name: str, odd: Any, cat: pinred.Sy
 @pytest.mark.parametrize(
     "seeds", [3, [1.5], ["a"], [[1]], [-1], "12", {1: 2}, [[1, 2], [3]], [True]]
 )
-def test_odd_seeds(seeds: Any, cat: pinred.System) -> None:
-    """They have to be whole numbers in a list."""
+def test_seeds_must_be_a_list_of_whole_numbers(seeds: Any, cat: pinred.System) -> None:
+    """Other seeds are refused."""
     with pytest.raises(pinred.InputError, match=r"seeds? must be a"):
         pinred.simulate_many(cat, seeds=seeds, duration=0.1)
 
 
 @pytest.mark.parametrize("lock", [np.array(3), 3, {"bend": HUGE}, {"bend": [1, 2]}, [1]])
-def test_odd_locks(lock: Any) -> None:
-    """Locks are names, or values by name."""
+def test_locks_must_be_names_or_values_by_name(lock: Any) -> None:
+    """Other locks are refused."""
     with pytest.raises(pinred.InputError, match="lock"):
         pinred.load("falling_cat", lock=lock)
 
 
-def test_odd_roots_and_meshes() -> None:
-    """Found by inputs at random."""
+def test_invalid_roots_and_meshes_are_refused() -> None:
+    """Random inputs detected these cases."""
     given: Any = ({"root": 3}, {"root": [1]}, {"meshes": np.array(1.0)}, {"meshes": "x" * 3000})
     for options in given:
         with pytest.raises(pinred.InputError, match=next(iter(options))):
@@ -92,8 +92,10 @@ def test_odd_roots_and_meshes() -> None:
         (lambda _t, x, *_: {"bend": x[7]}, "out of bounds"),
     ],
 )
-def test_python_where_casadi_is_needed(function: Any, message: str, cat: pinred.System) -> None:
-    """The error says what to write instead; nothing else is printed."""
+def test_python_branch_in_force_names_casadi_replacement(
+    function: Any, message: str, cat: pinred.System
+) -> None:
+    """The error names the CasADi function; nothing else is printed."""
     with pytest.raises(pinred.InputError, match=message) as caught:
         pinred.Scene(system=cat, forces=Torque(function))
     assert "casadi.if_else" in str(caught.value)
@@ -101,16 +103,16 @@ def test_python_where_casadi_is_needed(function: Any, message: str, cat: pinred.
     assert str(caught.value).count("\n") == 0
 
 
-def test_a_potential_by_math_and_a_joint_that_is_not_there(cat: pinred.System) -> None:
-    """The same of potentials; names have their own error."""
+def test_potential_with_math_or_unknown_joint_is_refused(cat: pinred.System) -> None:
+    """Unknown joints have a separate error message."""
     with pytest.raises(pinred.InputError, match=r"casadi\.sin"):
         pinred.Scene(system=cat, forces=PotentialEnergy(lambda x: math.cos(x[0])))
     with pytest.raises(pinred.InputError, match="no shape joint 'bendd'; did you mean 'bend'"):
         pinred.Scene(system=cat, forces=Torque(lambda _t, x, *_: {"bend": x["bendd"]}))
 
 
-def test_angles_that_are_known_to_no_digit(cat: pinred.System) -> None:
-    """1e15 rad is known to 0.1 rad; a million turns are known well enough."""
+def test_huge_angle_is_refused(cat: pinred.System) -> None:
+    """1e15 rad has a resolution of 0.1 rad; a million turns are accepted."""
     with pytest.raises(pinred.InputError, match=r"'bend', 1e\+15 rad, is known to 0\.1 rad only"):
         pinred.Scene(system=cat, x0=[1e15, 0, 0])
     with pytest.raises(pinred.InputError, match="known to"):
@@ -118,8 +120,10 @@ def test_angles_that_are_known_to_no_digit(cat: pinred.System) -> None:
     assert pinred.Scene(system=cat, x0=[1e6, 0, 0]).start.x[0] == 1e6
 
 
-def test_angles_above_a_turn(cat: pinred.System, capsys: pytest.CaptureFixture[str]) -> None:
-    """They are noted on the command line and in what is explained, with the degrees they may be."""
+def test_angle_above_a_turn_prints_a_note(
+    cat: pinred.System, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command line and explain show the value in degrees."""
     note = "note: joint 'bend' begins at 90 rad, 14.3 turns; in degrees that would be 1.571 rad"
     assert f"note: {large_angles(np.array([90.0, 0, 0]), cat)}" == note
     code, out, _ = run(
@@ -142,8 +146,8 @@ def test_angles_above_a_turn(cat: pinred.System, capsys: pytest.CaptureFixture[s
     assert "note:" not in capsys.readouterr().out
 
 
-def test_equal_steps_that_are_far_too_long(cat: pinred.System) -> None:
-    """An energy of 1e27 J at the end of three long steps is no result."""
+def test_far_too_long_equal_steps_raise_an_error(cat: pinred.System) -> None:
+    """Three long steps would give an energy of 1e27 J."""
     with pytest.raises(pinred.IntegrationError, match=r"turns by .* rad within one step of 1 s"):
         pinred.simulate(cat, method="RKMK4(1.0)", duration=3.0)
     assert pinred.simulate(cat, method="RKMK4(0.01)", duration=0.1).run.steps == 10
@@ -162,8 +166,8 @@ def test_equal_steps_that_are_far_too_long(cat: pinred.System) -> None:
 
 
 @pytest.mark.parametrize("mass", [1e-30, 1e-40])
-def test_extreme_units(mass: float, tmp_path: Path) -> None:
-    """What disagrees because of them is told as ill-scaled, with the cure."""
+def test_extreme_units_are_reported_as_ill_scaled(mass: float, tmp_path: Path) -> None:
+    """The message names the cure."""
     text = FLOATING.replace('mass value="2.0"', f'mass value="{2 * mass}"').replace(
         'ixx="1" iyy="2" izz="2.5"', f'ixx="{mass}" iyy="{2 * mass}" izz="{2.5 * mass}"'
     )

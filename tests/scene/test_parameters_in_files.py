@@ -1,4 +1,4 @@
-"""Numbers of the robot in files and on the command line, by the names that Python has for them."""
+"""Robot parameters in files and on the command line, under their names in Python."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def changed_cat() -> pinred.System:
 
 
 @pytest.mark.slow
-def test_a_file_says_what_python_says(tmp_path: Path) -> None:
-    """Names in quotes and tables are one; the motion is that of the robot as Pinocchio has it."""
+def test_file_parameters_match_python_and_pinocchio(tmp_path: Path) -> None:
+    """Names in quotes and tables mean the same; Pinocchio with the same changes agrees."""
     scene = pinred.load_scene(scene_file(tmp_path))
     assert scene.parameters.keys() == VALUES.keys()
     for name, value in VALUES.items():
@@ -96,16 +96,18 @@ def test_a_file_says_what_python_says(tmp_path: Path) -> None:
         ("gravity.strength = 2", r"not TOML"),
     ],
 )
-def test_refused_lines(tmp_path: Path, line: str, match: str) -> None:
-    """File, line and key of what is no number of the robot, or of no real one."""
+def test_invalid_parameter_error_names_file_line_and_key(
+    tmp_path: Path, line: str, match: str
+) -> None:
+    """Unknown names and unphysical values are refused."""
     if "log_cholesky" in line:
         line += "\nback.mass = 1"
     with pytest.raises(pinred.PinredError, match=match):
         pinred.load_scene(scene_file(tmp_path, line))
 
 
-def test_no_real_file_of_gaits_is_left_out(tmp_path: Path) -> None:
-    """A gait file has the same numbers; formulas it has none."""
+def test_gait_file_accepts_robot_parameters_only(tmp_path: Path) -> None:
+    """A gait file has no formulas."""
     path = tmp_path / "gait.toml"
     text = 'robot = "falling_cat"\n[parameters]\nfront.mass = 4.0\n'
     path.write_text(text, encoding="utf-8")
@@ -118,8 +120,10 @@ def test_no_real_file_of_gaits_is_left_out(tmp_path: Path) -> None:
         pinred.load_gait(path)
 
 
-def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """--parameter says the same of a robot, and wins over what a file says."""
+def test_parameter_option_replaces_the_value_in_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """--parameter also works for a robot."""
     path, out = scene_file(tmp_path), tmp_path / "traj.npz"
     words = ["--parameter", "front.payload.mass=0.7", "--parameter", "gain=3"]
     assert main(["run", str(path), "--out", str(out), *words]) == 0

@@ -1,4 +1,4 @@
-"""The options `passive` and `friction`: the same in Python, scene files and on the command line."""
+"""The options `passive` and `friction` in Python, scene files and on the command line."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ FORMS = [
 
 
 @pytest.mark.parametrize(("options", "text", "words"), FORMS)
-def test_forms_are_equal(
+def test_passive_options_equal_explicit_forces(
     robot: Path, options: dict[str, Any], text: str, words: list[str], tmp_path: Path
 ) -> None:
-    """The same motion, bit for bit; and that of the same forces written down."""
+    """Python, file and command line give the same bits as explicit forces."""
     system = pinred.load(robot)
     start: dict[str, Any] = {"x0": [0.1], "xdot0": [1.0]}
     times = np.linspace(0.0, 0.5, 6)
@@ -75,14 +75,14 @@ def test_forms_are_equal(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("options", "text", "words"), FORMS)
-def test_one_line_says_what_is_left_out(
+def test_left_out_passive_forces_are_reported_in_one_line(
     robot: Path,
     options: dict[str, Any],
     text: str,  # noqa: ARG001
     words: list[str],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """In explain, in the report of compare and in a simulation's summary; else none does."""
+    """In explain, in the report of compare and in the summary of a run."""
     scene = pinred.Scene(system=pinred.load(robot), xdot0=[1.0], duration=0.2, **options)
     left = scene.left_out
     assert bool(left) == (len(options) < 2)
@@ -98,8 +98,8 @@ def test_one_line_says_what_is_left_out(
     assert ("of the file" in scene._repr_html_()) == bool(options)
 
 
-def test_the_sentence() -> None:
-    """With what there is, and how it would act."""
+def test_passive_left_out_describes_forces_and_options() -> None:
+    """The sentence names the forces and the options that make them act."""
     cat = pinred.load("falling_cat")
     assert passive_left_out(cat) == ""
 
@@ -132,14 +132,14 @@ def test_the_sentence() -> None:
         ({"friction": np.nan}, "friction must be"),
     ],
 )
-def test_refused_options(options: dict[str, Any], said: str) -> None:
-    """By name."""
+def test_invalid_passive_option_is_refused_by_name(options: dict[str, Any], said: str) -> None:
+    """The message names the option."""
     with pytest.raises(pinred.InputError, match=re.escape(said)):
         pinred.Scene(system=pinred.load("falling_cat"), **options)
 
 
-def test_many_simulate_with_passive_forces(robot: Path) -> None:
-    """As one at a time does."""
+def test_batch_with_passive_forces_matches_single_runs(robot: Path) -> None:
+    """A batch gives the states of single runs."""
     system = pinred.load(robot)
     options: dict[str, Any] = {"passive": True, "friction": 0.1, "times": [0.5]}
     many = pinred.simulate_many(system, xdot0=np.array([[1.0], [2.0]]), **options)

@@ -1,4 +1,4 @@
-"""Scene files that are wrong: one line that names file, line, key, what was given and expected."""
+"""Invalid scene files: one line names file, line, key, the value and the expected one."""
 
 # ruff: noqa: E501 (a case a line)
 
@@ -188,8 +188,10 @@ def message_of(folder: Path, text: str, kind: type[PinredError] = PinredError) -
 
 
 @pytest.mark.parametrize(("text", "words"), STRUCTURE)
-def test_structure(text: str, words: str, tmp_path: Path) -> None:
-    """What the description does not allow is refused by the reader, and by the schema too."""
+def test_invalid_structure_is_refused_by_reader_and_schema(
+    text: str, words: str, tmp_path: Path
+) -> None:
+    """The reader and the JSON Schema refuse the same documents."""
     text = f'robot = "falling_cat"\n{text}\n'
     assert words in message_of(tmp_path, text, InputError)
     document = as_json(text)
@@ -197,8 +199,10 @@ def test_structure(text: str, words: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("text", "kind", "words"), MEANING)
-def test_meaning(text: str, kind: type[PinredError], words: str, tmp_path: Path) -> None:
-    """What cannot be simulated is refused as in Python, with file and key in front."""
+def test_invalid_scene_error_names_file_and_key(
+    text: str, kind: type[PinredError], words: str, tmp_path: Path
+) -> None:
+    """A scene that cannot be simulated is refused as in Python."""
     assert words in message_of(tmp_path, f'robot = "falling_cat"\n{text}\n', kind)
 
 
@@ -235,23 +239,25 @@ def test_meaning(text: str, kind: type[PinredError], words: str, tmp_path: Path)
         ('"a b\\n" = 1\nrobot = "cartpole"', InputError, '"a b\\\\n": unknown key "a b\\\\n"'),
     ],
 )
-def test_robot_and_file(text: str, kind: type[PinredError], words: str, tmp_path: Path) -> None:
-    """A robot that cannot be loaded, and what is no TOML, are named with the file."""
+def test_invalid_robot_or_toml_error_names_the_file(
+    text: str, kind: type[PinredError], words: str, tmp_path: Path
+) -> None:
+    """Robots that cannot be loaded, and files that are not TOML, are refused."""
     assert words.replace("\\\\", "\\") in message_of(tmp_path, text, kind)
 
 
-def test_gravity_that_breaks_the_symmetry(
+def test_check_reports_gravity_that_breaks_the_symmetry(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What only the reduction finds out, --check finds out too."""
+    """--check includes errors that only the reduction detects."""
     path = tmp_path / "scene.toml"
     path.write_text("robot = 'double_spherical_pendulum'\nload = { gravity = [1, 0, 0] }")
     assert main(["run", str(path), "--check"]) == 2
     assert "breaks the SO2 symmetry" in capsys.readouterr().err
 
 
-def test_files_that_cannot_be_read(tmp_path: Path) -> None:
-    """Folders, pipes, what is missing, binary or huge: LoadError; other types: InputError."""
+def test_unreadable_file_raises_load_error(tmp_path: Path) -> None:
+    """Folders, pipes, missing, binary and huge files raise LoadError; other types InputError."""
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "binary").write_bytes(b"robot = '\xff'")
     (tmp_path / "huge").write_bytes(b"#" * (LARGEST + 1))
@@ -294,8 +300,10 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         (None, "", "no such csv file"),
     ],
 )
-def test_tables(table: str | None, columns: str, words: str, tmp_path: Path) -> None:
-    """A csv file with bad content is refused with its name, line and column."""
+def test_invalid_csv_error_names_file_line_and_column(
+    table: str | None, columns: str, words: str, tmp_path: Path
+) -> None:
+    """A csv file with invalid content is refused."""
     if table is not None:
         (tmp_path / "t.csv").write_text(table, encoding="utf-8")
     chosen = f", columns = {columns}" if columns else ""
@@ -308,16 +316,16 @@ def test_tables(table: str | None, columns: str, words: str, tmp_path: Path) -> 
     assert words in message
 
 
-def test_tables_of_other_kinds(tmp_path: Path) -> None:
-    """A table that is no text, or another name than it says, is refused."""
+def test_binary_or_missing_csv_is_refused(tmp_path: Path) -> None:
+    """The message says why the csv file cannot be read."""
     text = "robot = 'falling_cat'\n[prescribed]\nbend.spline.file = '{}'\n"
     (tmp_path / "binary.csv").write_bytes(b"0,\xff\n")
     assert "not UTF-8" in message_of(tmp_path, text.format("binary.csv"))
     assert "no such csv file" in message_of(tmp_path, text.format("../none.csv"))
 
 
-def test_run_without_a_scene(capsys: pytest.CaptureFixture[str]) -> None:
-    """The command says what it needs, and prints the schema without one."""
+def test_run_without_scene_prints_error_or_schema(capsys: pytest.CaptureFixture[str]) -> None:
+    """Without a scene, only --schema works."""
     assert main(["run"]) == 2
     assert "the name of a TOML file" in capsys.readouterr().err
     assert main(["run", "--schema"]) == 0
@@ -329,8 +337,8 @@ def as_json(text: str) -> Any:
     return tomllib.loads(text)
 
 
-def test_schema_is_valid() -> None:
-    """The schema is one of draft 2020-12, and every key in it says what it means."""
+def test_schema_is_valid_and_describes_every_key() -> None:
+    """The schema follows draft 2020-12, and each key has a description."""
     jsonschema.Draft202012Validator.check_schema(scene_schema())
 
     def walk(schema: Any) -> None:
@@ -347,8 +355,8 @@ def test_schema_is_valid() -> None:
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_examples_match_the_schema(path: Path) -> None:
-    """Every example validates."""
+def test_examples_validate_against_the_schema(path: Path) -> None:
+    """Every example is valid."""
     VALIDATOR.validate(as_json(path.read_text(encoding="utf-8")))
 
 
@@ -395,8 +403,10 @@ def mutated(draw: st.DrawFn) -> str:
 @pytest.mark.slow
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=mutated())
-def test_nothing_but_errors_of_pinred(text: str, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Whatever stands in a file, reading it raises an error of pinred, in one line, or none."""
+def test_mutated_file_raises_only_pinred_errors(
+    text: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """The message is one line."""
     folder = tmp_path_factory.getbasetemp()
     for name in ("heavy_top.urdf", "tabulated_torque.csv"):
         (folder / name).write_bytes((ROOT / "examples" / name).read_bytes())
@@ -436,8 +446,8 @@ VALUES = st.recursive(
 @pytest.mark.slow
 @settings(max_examples=200)
 @given(st.sampled_from(EXAMPLES), st.data())
-def test_reader_and_schema_agree(path: Path, data: st.DataObject) -> None:
-    """A document with one value changed is refused by both or by neither."""
+def test_reader_and_schema_agree_on_changed_documents(path: Path, data: st.DataObject) -> None:
+    """Both accept or both refuse a document with one changed value."""
     document = as_json(path.read_text(encoding="utf-8"))
     at = document
     while True:

@@ -1,4 +1,4 @@
-"""Scenes from files: the same motion as the Scene written in Python; `pinred run`."""
+"""Scene files: the same motion as the Scene written in Python, and `pinred run`."""
 
 from __future__ import annotations
 
@@ -178,8 +178,8 @@ FORCE_CASES: dict[str, tuple[str, Callable[[], Force]]] = {
 
 
 @pytest.mark.parametrize("kind", FORCE_CASES)
-def test_forces(kind: str, tmp_path: Path) -> None:
-    """A force from a file does what the same force in Python does."""
+def test_force_from_file_matches_python(kind: str, tmp_path: Path) -> None:
+    """A force from a file gives the motion of the same force in Python."""
     text, force = FORCE_CASES[kind]
     written(tmp_path, CSV, "t.csv")
     scene = pinred.load_scene(written(tmp_path, f"{HEAD}[[forces]]\n{text}\n"))
@@ -188,8 +188,8 @@ def test_forces(kind: str, tmp_path: Path) -> None:
     assert np.abs(pinred.simulate(scene).x - plain).max() > 1e-4
 
 
-def test_every_kind_of_force_is_tested() -> None:
-    """The cases above hold each kind of force."""
+def test_cases_cover_every_kind_of_force() -> None:
+    """Each kind of force has a case above."""
     kinds = {text.split("\n")[0].split("=")[1].strip(" '\"") for text, _ in FORCE_CASES.values()}
     assert kinds == set(FORCES)
 
@@ -211,8 +211,8 @@ SIGNAL_CASES = {
 
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
 @pytest.mark.parametrize("kind", SIGNAL_CASES)
-def test_prescribed(kind: str, engine: str, tmp_path: Path) -> None:
-    """A joint that follows a signal of a file moves as one that follows it in Python."""
+def test_prescribed_signal_from_file_matches_python(kind: str, engine: str, tmp_path: Path) -> None:
+    """The prescribed joint moves as with the signal in Python."""
     text, signal = SIGNAL_CASES[kind]
     written(tmp_path, CSV, "t.csv")
     scene = pinred.load_scene(written(tmp_path, f"{HEAD}[prescribed]\nsway = {text}\n"))
@@ -221,8 +221,8 @@ def test_prescribed(kind: str, engine: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(pinred.simulate(scene).x[:, 1], signal.value(t), atol=1e-12)
 
 
-def test_springs_and_joints_by_name(tmp_path: Path) -> None:
-    """Springs in short, and shapes by name, are those of Python."""
+def test_springs_and_joints_by_name_match_python(tmp_path: Path) -> None:
+    """The short form of springs, and shapes by name, match Python."""
     text = (
         "robot = 'falling_cat'\nsprings = { bend = [2, 0.1], twist = [1.0, 0] }\n"
         "[start]\nx0 = { twist = 0.4 }\nxdot0 = { bend = 1 }\nmomentum = 0\n"
@@ -251,8 +251,8 @@ def test_springs_and_joints_by_name(tmp_path: Path) -> None:
         ("{ name = 'Tsit5', rtol = 1e-7 }", Tsit5(rtol=1e-7)),
     ],
 )
-def test_methods(text: str, method: Any, tmp_path: Path) -> None:
-    """An integrator from a file is the one of Python."""
+def test_method_from_file_matches_python(text: str, method: Any, tmp_path: Path) -> None:
+    """The integrator of the file is the one of Python."""
     scene = pinred.load_scene(
         written(tmp_path, f"robot='cartpole'\nrun={{duration=0.5, method={text}}}")
     )
@@ -263,8 +263,8 @@ def test_methods(text: str, method: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_load_and_seed(tmp_path: Path) -> None:
-    """Group, gravity, locked joints and the seed go where they go in Python."""
+def test_load_options_and_seed_match_python(tmp_path: Path) -> None:
+    """Group, gravity, locked joints and seed match Python."""
     text = (
         "robot = 'satellite_two_arms'\nstart = { seed = 3 }\nrun = { duration = 0.3 }\n"
         "[load]\ngroup = 'SE3'\ngravity = [0, 0, -2]\n"
@@ -281,8 +281,10 @@ def test_load_and_seed(tmp_path: Path) -> None:
     assert pinred.load_scene(written(tmp_path, listed)).system.m == 4
 
 
-def test_files_count_from_the_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A robot's file and a table are found beside the scene, from wherever it is run."""
+def test_paths_are_relative_to_the_scene_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The current folder does not matter."""
     (tmp_path / "models").mkdir()
     robot = (EXAMPLES / "heavy_top.urdf").read_text(encoding="utf-8")
     written(tmp_path, robot, "models/top.urdf")
@@ -300,15 +302,15 @@ def test_files_count_from_the_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert read_scene_file(tmp_path / "scene.toml").engine == "compiled"
 
 
-def test_momentum_of_one_number(tmp_path: Path) -> None:
-    """On a group of one dimension the momentum is a number."""
+def test_momentum_of_one_dimensional_group_is_a_number(tmp_path: Path) -> None:
+    """A list is not needed."""
     text = "robot = 'cartpole'\nstart = { x0 = [0.2], momentum = 0.7 }\n"
     scene = pinred.load_scene(written(tmp_path, text))
     assert scene.start.mu == pytest.approx([0.7])
 
 
-def test_keys_are_those_of_python() -> None:
-    """Every option of the Python API has its key, by the same name, and no other is there."""
+def test_keys_are_the_options_of_python() -> None:
+    """Every option has a key of the same name, and there are no other keys."""
     scene = {entry.name for entry in fields(pinred.Scene)} - {"system"}
     tables = [SCENE.keys[name].node for name in ("start", "run")]
     keys = {key for table in tables for key in table.keys}  # type: ignore[attr-defined]
@@ -340,10 +342,10 @@ PATHS = sorted(EXAMPLES.glob("*.toml"))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
-def test_examples(
+def test_example_passes_comparison_with_aba(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Every example passes the comparison with ABA, from any folder, cut to a second."""
+    """From any folder, cut to one second."""
     if "solo12" in path.stem and not has_example_robots():
         pytest.skip("needs example-robot-data")
     monkeypatch.chdir(tmp_path)
@@ -362,8 +364,8 @@ def test_examples(
     np.testing.assert_allclose(readable.q, traj.q, rtol=0, atol=2 * worst * scale)
 
 
-def test_the_cat_turns_over() -> None:
-    """The example turns the cat by half a turn, about its long axis, without momentum."""
+def test_cat_example_turns_by_half_a_turn() -> None:
+    """About its long axis and without momentum."""
     traj = pinred.simulate(pinred.load_scene(EXAMPLES / "cat_turns_over.toml"))
     group = traj.system.group
     turn = group.log(group.compose(group.inverse(traj.pose[0]), traj.pose[-1]))[3:]
@@ -376,8 +378,8 @@ def test_the_cat_turns_over() -> None:
         np.testing.assert_allclose(momentum.angular, 0.0, atol=1e-12)
 
 
-def test_the_top_precesses_steadily() -> None:
-    """The example precesses by 2 rad/s at a tilt of 60° (Lagrange)."""
+def test_top_example_precesses_at_two_radians_per_second() -> None:
+    """At a tilt of 60° (Lagrange)."""
     traj = pinred.simulate(pinred.load_scene(EXAMPLES / "heavy_top.toml"))
     axis = traj.system.group.matrix(traj.pose)[:, :3, 2]
     np.testing.assert_allclose(axis[:, 2], 0.5, atol=1e-8)
@@ -386,8 +388,10 @@ def test_the_top_precesses_steadily() -> None:
 
 
 @pytest.mark.slow
-def test_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The command prints the table, writes the file, judges and returns 0."""
+def test_run_prints_summary_and_writes_motion(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command compares the motion and exits with 0."""
     path, out = str(EXAMPLES / "thruster.toml"), tmp_path / "traj.npz"
     assert main(["run", path, "--out", str(out), "--compare", "--explain"]) == 0
     printed = capsys.readouterr().out
@@ -403,15 +407,19 @@ def test_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         np.testing.assert_array_equal(file["q"], traj.q)
 
 
-def test_run_fails_with_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A motion that is followed too coarsely does not pass, and the exit code is 1."""
+def test_run_with_coarse_steps_exits_with_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The comparison fails."""
     text = "robot = 'falling_cat'\nrun = { duration = 1, method = { name = 'RKMK4', step = 0.2 } }"
     assert main(["run", str(written(tmp_path, text)), "--compare"]) == 1
     assert "verdict: FAILED" in capsys.readouterr().out
 
 
-def test_run_engine_and_shape(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The engine of the file runs unless the command line says another; no base, no balance."""
+def test_run_engine_option_replaces_engine_of_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without the base, no balances are printed."""
     path = written(
         tmp_path,
         "robot = 'cartpole'\nrun = { duration = 0.2, engine = 'pinocchio', outputs = 'shape' }",
@@ -425,8 +433,8 @@ def test_run_engine_and_shape(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.slow
-def test_same_scene_same_bits(tmp_path: Path) -> None:
-    """Two processes write the same bytes."""
+def test_two_processes_write_the_same_bytes(tmp_path: Path) -> None:
+    """The same scene gives the same file."""
     files = [tmp_path / "a.csv", tmp_path / "b.csv"]
     for seed, file in enumerate(files):
         subprocess.run(
@@ -437,8 +445,10 @@ def test_same_scene_same_bits(tmp_path: Path) -> None:
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
-def test_methods_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """--method, --step and --outputs of simulate and compare are the options of Scene."""
+def test_method_options_of_command_line_match_scene(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """--method, --step and --outputs of simulate and compare."""
     out = tmp_path / "traj.npz"
     arguments = ["simulate", "falling_cat", "--time", "0.5", "--out", str(out), "--samples", "5"]
     extra = ["--method", "RKMK4", "--step", "0.01", "--outputs", "shape"]

@@ -1,4 +1,4 @@
-"""Scene files and the command line that see the base, act on links and look for events."""
+"""Scene files and commands with forces that observe the base, act on links, and with events."""
 
 from __future__ import annotations
 
@@ -71,8 +71,8 @@ def in_python() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def test_a_file_says_the_same(tmp_path: Path) -> None:
-    """Torques and wrenches that see the base, wrenches on a link, and events with names."""
+def test_file_with_base_forces_and_events_matches_python(tmp_path: Path) -> None:
+    """Torques, wrenches, wrenches on a link, and named events."""
     path = tmp_path / "scene.toml"
     path.write_text(TEXT)
     scene = pinred.load_scene(path)
@@ -100,8 +100,10 @@ def test_a_file_says_the_same(tmp_path: Path) -> None:
         ('link = "panel"\n', "", "at.*no meaning without 'link'"),
     ],
 )  # fmt: skip
-def test_faults_have_their_place(tmp_path: Path, old: str, new: str, message: str) -> None:
-    """The key that is at fault, and what may stand there."""
+def test_invalid_base_force_error_names_the_key(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    """The message also states the accepted values."""
     path = tmp_path / "scene.toml"
     assert old in TEXT
     path.write_text(TEXT.replace(old, new, 1))
@@ -109,8 +111,8 @@ def test_faults_have_their_place(tmp_path: Path, old: str, new: str, message: st
         pinred.load_scene(path)
 
 
-def test_the_command_line_tells_events(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`run` by name; `simulate` with --event and --until."""
+def test_commands_print_event_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`run` prints events by name; `simulate` accepts --event and --until."""
     path = tmp_path / "scene.toml"
     path.write_text(TEXT)
     assert main(["run", str(path), "--explain"]) == 0

@@ -1,1 +1,1 @@
-"""Frames in which a connection disturbs least, surface integrals of curvature, and flatness."""
+"""Frames on the body: minimum-perturbation coordinates, surface integrals, flatness."""

@@ -1,7 +1,7 @@
-"""Surface integrals of the curvature, and how far they are from the true phase.
+"""Surface integrals of the curvature, compared with the true phase.
 
-By Stokes' theorem a commutative group would be moved by exp(−∬B).  Others are not, and by how much
-they are not depends on the frame: in a minimum-perturbation frame the integral is nearest.
+If the group were commutative, Stokes' theorem would give the phase exp(−∬B). For other groups, the
+error depends on the frame, and is smallest in a minimum-perturbation frame.
 """
 
 from __future__ import annotations
@@ -17,16 +17,19 @@ from ..phases.phase import phase
 from .optimal_frame import OptimalFrame
 from .patches import Disc
 
-_TRUSTED = 0.05  # relative
+_TRUSTED = 0.05  # relative error below which the integral is trusted
 
 
 @dataclass(frozen=True)
 class CorrectedIntegral:
-    """The corrected body-velocity integral of a gait, −∬B in some frame, beside the true phase.
+    """The corrected body-velocity integral −∬B of a gait, and the true phase.
 
-    integral: (r,), a twist.  phase: (size,) of the gait in that frame.  log: (r,) its logarithm.
-    error: |integral − log| over |log|, of the part that moves: translations if there are any, else
-    rotations.  trusted: whether that is below five per cent.
+    Attributes:
+        integral: −∬B, a twist, (r,).
+        phase: Phase of the gait in the same frame, (size,).
+        log: Logarithm of the phase, (r,).
+        error: |integral − log| / |log|, of the translations, or of the rotations if there are none.
+        trusted: Whether the error is below five per cent.
     """
 
     integral: Array
@@ -42,27 +45,32 @@ class CorrectedIntegral:
 def corrected_integral(
     connection: Connection, gait: Gait, frame: OptimalFrame | None = None
 ) -> CorrectedIntegral:
-    """Return −∬B over the disc that a Fourier gait spans, beside the true phase.
+    """Compute −∬B over the disc spanned by a Fourier gait, and the true phase.
 
-    frame: in which the curvature is taken, B′ = Ad_{h⁻¹}B; that of the base if not given.
+    Args:
+        connection: Connection that lifts the gait.
+        gait: Gait that is one Fourier series.
+        frame: Frame of the curvature, B′ = Ad_{h⁻¹}B; by default that of the base.
+    Returns:
+        Integral, phase and relative error.
     """
     group, disc = connection.group, Disc(gait)
     u = disc.nodes
     x = disc.shapes(u)
     slopes = disc.slopes(u)
-    # B of the two parameters: only pairs of joints that the disc moves along enter.
+    # Pull the curvature back to the two parameters of the disc.
     B = connection.grid(x).curvature
-    two = np.einsum("niab,na,nb->ni", B, slopes[..., 0], slopes[..., 1])
+    density = np.einsum("niab,na,nb->ni", B, slopes[..., 0], slopes[..., 1])
     pose = phase(connection, gait).pose
     if frame is not None:
-        own = isinstance(frame.patch, Disc)
-        place = frame.pose_at(u) if own else frame.pose(x)
-        two = (group.Ad(group.inverse(place)) @ two[..., None])[..., 0]
-        h = frame.pose_at(np.array([[1.0, 0.0]]))[0] if own else frame.pose(gait.at(0.0)[0])
+        is_disc = isinstance(frame.patch, Disc)
+        frame_poses = frame.pose_at(u) if is_disc else frame.pose(x)
+        density = (group.Ad(group.inverse(frame_poses)) @ density[..., None])[..., 0]
+        h = frame.pose_at(np.array([[1.0, 0.0]]))[0] if is_disc else frame.pose(gait.at(0.0)[0])
         pose = group.compose(group.compose(group.inverse(h), pose), h)
-    integral = -(disc.weights @ two)
+    integral = -(disc.weights @ density)
     log = group.log(pose)
-    part = slice(0, group.linear) if group.linear else slice(0, None)
-    size = float(np.linalg.norm(log[part]))
-    error = float(np.linalg.norm((integral - log)[part])) / size if size > 0.0 else np.inf
+    components = slice(0, group.linear) if group.linear else slice(0, None)
+    size = float(np.linalg.norm(log[components]))
+    error = float(np.linalg.norm((integral - log)[components])) / size if size > 0.0 else np.inf
     return CorrectedIntegral(integral, pose, log, error, bool(error < _TRUSTED))

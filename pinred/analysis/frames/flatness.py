@@ -1,8 +1,8 @@
-"""Whether a connection is flat: then shapes alone decide where a frame is, and no loop moves it.
+"""Flatness of a connection: whether the base pose is a function of the shape.
 
-A frame on the body whose twist is a given velocity, the average angular velocity say, exists
-where the curvature of the connection vanishes, and only there: horizontal motions are then those of
-coordinates (the distribution is integrable, by Frobenius).
+A frame on the body whose twist is a given velocity, such as the average angular velocity, exists
+exactly where the curvature of the connection vanishes. The horizontal distribution is then
+integrable (Frobenius).
 """
 
 from __future__ import annotations
@@ -16,21 +16,26 @@ from ...common.arrays import Array, as_floats, freeze, vector
 from ...common.errors import InputError
 from ..connections.connection import Connection
 from ..gaits.arcs import line
-from ..phases.lift import STAGES, Pieces, in_space, lift, nodes
+from ..phases.lift import STAGES, PathSegments, in_space, lift, nodes
 
-_FLAT = 1e-10  # of the terms of which the curvature is a sum
-_SAMPLES = {1: 101, 2: 31, 3: 13}
-_RANDOM = 2000  # shapes, of more joints
-_PIECES = 32
+_FLAT = 1e-10  # largest curvature of a flat connection, relative to its terms
+_SAMPLES = {1: 101, 2: 31, 3: 13}  # grid points per joint, by number of joints
+_RANDOM = 2000  # random shapes, for more joints
+_SEGMENTS = 32  # segments of a lift
 
 
 @dataclass(frozen=True)
 class Flatness:
-    """The verdict on a box of shapes, with its numbers.
+    """Flatness of a connection over a box of shapes.
 
-    curvature: largest |B_αβ| of rotations [rad/…] and of all rows.  relative: the same over the
-    terms that it is a sum of.  attitude_is_flat: whether the average angular velocity is that of a
-    frame.  is_flat: whether all of A is.  worst: (m,) the shape where |B| is largest.
+    Attributes:
+        curvature: Largest |B_αβ| of the rotations [rad/…], and of all components.
+        relative: The same, relative to the terms of the curvature.
+        attitude_is_flat: Whether the attitude of some frame is a function of the shape.
+        is_flat: Whether the pose of some frame is a function of the shape.
+        worst: Shape with the largest |B|, (m,).
+        connection: The connection.
+        reference: Middle of the box, (m,).
     """
 
     curvature: tuple[float, float]
@@ -60,9 +65,16 @@ class Flatness:
         )
 
     def coordinates(self, x: ArrayLike) -> Array:
-        """h(x), the pose (size,) of the frame that no change of shape moves, h = 1 at the middle.
+        """Return the pose h(x) of the frame that does not move, h = 1 in the middle of the box.
 
-        Where only the attitude is flat, so is that of h.  Raises InputError where neither is.
+        If only the attitude is flat, only the attitude of h is meaningful.
+
+        Args:
+            x: Shape, (m,).
+        Returns:
+            (size,).
+        Raises:
+            InputError: Neither attitude nor pose is flat.
         """
         if not (self.is_flat or self.attitude_is_flat):
             raise InputError(
@@ -71,25 +83,31 @@ class Flatness:
         connection = self.connection
         to = vector(x, connection.m, "x", connection.joints)
         path = line(self.reference, to, 1.0)
-        s = ((np.arange(_PIECES)[:, None] + nodes()) / _PIECES).ravel()
+        s = ((np.arange(_SEGMENTS)[:, None] + nodes()) / _SEGMENTS).ravel()
         xi, _ = connection.horizontal(*path.at(s))
-        pieces = Pieces(
-            h=np.full(_PIECES, 1.0 / _PIECES),
-            a=in_space(connection.group, xi).reshape(_PIECES, STAGES, 6),
+        segments = PathSegments(
+            h=np.full(_SEGMENTS, 1.0 / _SEGMENTS),
+            a=in_space(connection.group, xi).reshape(_SEGMENTS, STAGES, 6),
             L=np.zeros((0, STAGES, 6, 6)),
         )
-        g = lift(connection.group, pieces, np.zeros(connection.r))[-1]
+        g = lift(connection.group, segments, np.zeros(connection.r))[-1]
         return connection.group.inverse(g)
 
 
 def flatness(
     connection: Connection, limits: ArrayLike | None = None, *, samples: int | None = None
 ) -> Flatness:
-    """Return whether a connection is flat over a box of shapes.
+    """Decide whether a connection is flat over a box of shapes.
 
-    limits: (low, high) of each joint, (m, 2); ±1 if not given.  samples: along each joint, of up to
-    three; at random shapes of more.
-    Raises SingularInertiaError where A is not defined.
+    Args:
+        connection: The connection.
+        limits: (low, high) of each joint, (m, 2); ±1 by default.
+        samples: Grid points per joint for up to three joints, else number of random shapes.
+    Returns:
+        The verdict with its numbers.
+    Raises:
+        InputError: The limits are invalid.
+        SingularInertiaError: A is undefined at a sampled shape.
     """
     m, n = connection.m, connection.group.linear
     bounds = np.tile([-1.0, 1.0], (m, 1)) if limits is None else as_floats(limits, "limits")
@@ -102,24 +120,24 @@ def flatness(
     else:
         rng = np.random.default_rng(0)
         x = rng.uniform(bounds[:, 0], bounds[:, 1], (samples or _RANDOM, m))
-    found = connection.grid(x)
-    B, exterior, bracket = found.curvature, found.exterior, found.bracket
+    field = connection.grid(x)
+    B, exterior, bracket = field.curvature, field.exterior, field.bracket
     terms = np.abs(exterior) + np.abs(bracket)
-    if m:  # what ∂_αA_β and its counterpart are, which may cancel, too
-        terms = terms + np.abs(found.local).max(axis=(1, 2), keepdims=True)[..., None] ** 2
+    if m:  # ∂_αA_β and ∂_βA_α may cancel, so add the size of their terms
+        terms = terms + np.abs(field.local).max(axis=(1, 2), keepdims=True)[..., None] ** 2
 
     def largest(rows: slice) -> tuple[float, float]:
         size = float(np.abs(B[:, rows]).max(initial=0.0))
-        whole = float(terms[:, rows].max(initial=0.0))
-        return size, size / whole if whole > 0.0 else 0.0
+        scale = float(terms[:, rows].max(initial=0.0))
+        return size, size / scale if scale > 0.0 else 0.0
 
-    turning, every = largest(slice(n, None)), largest(slice(None))
+    attitude, pose = largest(slice(n, None)), largest(slice(None))
     sizes = np.abs(B).max(axis=(1, 2, 3)) if B.size else np.zeros(len(x))
     return Flatness(
-        curvature=(turning[0], every[0]),
-        relative=(turning[1], every[1]),
-        attitude_is_flat=turning[1] <= _FLAT,
-        is_flat=every[1] <= _FLAT,
+        curvature=(attitude[0], pose[0]),
+        relative=(attitude[1], pose[1]),
+        attitude_is_flat=attitude[1] <= _FLAT,
+        is_flat=pose[1] <= _FLAT,
         worst=x[int(np.argmax(sizes))].copy(),
         connection=connection,
         reference=bounds.mean(axis=1),

@@ -1,14 +1,15 @@
-"""Minimum-perturbation coordinates: the frame on the body in which gaits disturb it least.
+"""Minimum-perturbation coordinates: the frame on the body that gaits disturb least.
 
-In a frame h(x) the connection is A′ = Ad_{h⁻¹}A − h⁻¹∂h.  With h = (R, p),
+In a frame h(x) the connection is A′ = Ad_{h⁻¹}A − h⁻¹∂h. With h = (R, p),
 
     A′_ω = Rᵀ (A_ω − (∂R Rᵀ)^∨),   A′_v = Rᵀ (A_v + A_ω × p − ∂p),
 
-so that the best R does not depend on p, and the best p not on R.  Both make ∫|A′|² over a patch
-least among polynomials of its parameters: R by Poisson's equation (once for a plane, again and
-again with R ← R exp φ in space), p by linear least squares.  Source: R. Hatton, H. Choset,
-"Geometric motion planning: the local connection, Stokes' theorem, and the importance of coordinate
-choice", Int. J. Robotics Research 30 (2011); in space, Faraji et al., for SO(3), as a gauge.
+so the best R does not depend on p, and the best p not on R. Both minimise ∫|A′|² over a patch among
+polynomials of its parameters. R solves Poisson's equation (once in the plane; in space repeatedly,
+with R ← R exp φ), and p is a linear least-squares solution. Source: R. Hatton, H. Choset,
+"Geometric motion
+planning: the local connection, Stokes' theorem, and the importance of coordinate choice", Int. J.
+Robotics Research 30 (2011); for SO(3), Faraji et al.
 """
 
 from __future__ import annotations
@@ -28,19 +29,25 @@ from ..gaits.gait import Gait
 from ..phases.lift import in_space
 from .patches import Basis, Disc, Patch, box_of
 
-_DEGREES = {1: 20, 2: 14, 3: 6}
-_MORE_NODES = 6  # than the degree of the polynomials, along each parameter
-_ITERATIONS = 60
-_STILL = 1e-10  # relative change of ∫|A′_ω|² by an iteration
+_DEGREES = {1: 20, 2: 14, 3: 6}  # polynomial degree by number of joints
+_MORE_NODES = 6  # quadrature nodes per parameter beyond the polynomial degree
+_ITERATIONS = 60  # of the attitude
+_STILL = 1e-10  # relative change of ∫|A′_ω|² at which the iteration stops
 
 
 @dataclass(frozen=True, eq=False)
 class OptimalFrame:
-    """A frame h(x) on the body, over a patch of shape space, that makes ∫|A′|² least.
+    """The frame h(x) on the body that minimises ∫|A′|² over a patch of shape space.
 
-    angular, linear: root mean squares of A′ over the patch, of its rotations [rad per parameter]
-    and translations [m], parameters running over ±1.  angular_before, linear_before: of A.
-    iterations: of the attitude.
+    Attributes:
+        connection: Connection in the base frame.
+        patch: Patch of shape space.
+        angular: Root mean square of the rotations of A′ over the patch [rad per parameter]; the
+            parameters range over ±1.
+        linear: Root mean square of the translations of A′ [m per parameter].
+        angular_before: The same for the rotations of A.
+        linear_before: The same for the translations of A.
+        iterations: Iterations of the attitude.
     """
 
     connection: Connection
@@ -55,37 +62,61 @@ class OptimalFrame:
     _shift: Array = field(repr=False)
 
     def pose(self, shapes: ArrayLike) -> Array:
-        """h(x), the pose (..., size) of the frame as the base sees it, at shapes (..., m)."""
+        """Return the pose h(x) of the frame relative to the base.
+
+        Args:
+            shapes: Shapes on the patch, (..., m).
+        Returns:
+            (..., size).
+        """
         connection = self.connection
         x = vectors(shapes, connection.m, "shapes", connection.joints)
         u = self.patch.parameters(x.reshape(-1, connection.m))
         return read_only(self.pose_at(u).reshape(*x.shape[:-1], connection.group.size))
 
     def pose_at(self, u: Array) -> Array:
-        """h, (N, size), at parameters (N, k) of the patch."""
+        """Return the pose of the frame at parameters of the patch.
+
+        Args:
+            u: Parameters, (N, k).
+        Returns:
+            (N, size).
+        """
         group = self.connection.group
         values = self._basis.values(u)
         linear = with_one(values) @ self._shift
         return np.concatenate([linear, _attitude(group, self._turns, values)], axis=1)
 
     def local(self, shapes: ArrayLike) -> Array:
-        """A′ of the patch's parameters, (..., r, k), at shapes (..., m)."""
+        """Return A′ with respect to the parameters of the patch.
+
+        Args:
+            shapes: Shapes on the patch, (..., m).
+        Returns:
+            (..., r, k).
+        """
         connection = self.connection
         x = vectors(shapes, connection.m, "shapes", connection.joints)
         u = self.patch.parameters(x.reshape(-1, connection.m))
         return read_only(self.local_at(u).reshape(*x.shape[:-1], connection.r, self.patch.k))
 
     def local_at(self, u: Array) -> Array:
-        """A′ of the patch's parameters, (N, r, k), at parameters (N, k)."""
+        """Return A′ with respect to the parameters of the patch, at parameters.
+
+        Args:
+            u: Parameters, (N, k).
+        Returns:
+            (N, r, k).
+        """
         group = self.connection.group
         A = pulled_back(self.connection, self.patch, u)
         values, slopes = self._basis.values(u), self._basis.slopes(u)
         p, dp = with_one(values) @ self._shift, _slope_of(slopes, self._shift)
         n = group.linear
-        turned = _turned(group, A[:, n:], self._turns, values, slopes)
-        moved = A[:, :n] + _across(group, A[:, n:], p) - dp
+        angular = _turned(group, A[:, n:], self._turns, values, slopes)
+        linear = A[:, :n] + _across(group, A[:, n:], p) - dp
         R = _rotation(group, self._turns, values)
-        return np.concatenate([np.swapaxes(R, 1, 2) @ moved if n else moved, turned], axis=1)
+        return np.concatenate([np.swapaxes(R, 1, 2) @ linear if n else linear, angular], axis=1)
 
 
 def optimal_frame(
@@ -97,13 +128,22 @@ def optimal_frame(
     degree: int | None = None,
     nodes: int | None = None,
 ) -> OptimalFrame:
-    """Return the minimum-perturbation frame over a box of one to three joints, or a gait's disc.
+    """Compute the minimum-perturbation frame over a box of joints or the disc of a gait.
 
-    limits: (low, high) of each joint, (k, 2); or a Fourier gait, for any number of joints.
-    joints: indices of those that vary, the first if not given.  at: (m,) where the others stand.
-    degree: of the polynomials.  nodes: along each parameter, of the grid of a box.
-    Raises SingularInertiaError where A is not defined on the patch, NoConvergence if the attitude
-    does not settle.
+    Args:
+        connection: Connection in the base frame.
+        limits: (low, high) of one to three joints, (k, 2); or a Fourier gait, for any number of
+            joints.
+        joints: Indices of the joints that vary; by default the first ones.
+        at: Values of the other joints, (m,).
+        degree: Degree of the polynomials.
+        nodes: Quadrature nodes per parameter of a box.
+    Returns:
+        The frame, with the remaining perturbation.
+    Raises:
+        InputError: Limits, joints or gait are invalid.
+        SingularInertiaError: A is undefined on the patch.
+        NoConvergence: The iteration of the attitude does not converge.
     """
     group = connection.group
     patch: Patch
@@ -121,7 +161,9 @@ def optimal_frame(
     values, slopes = basis.values(u), basis.slopes(u)
     turns, angular, steps = _best_turns(group, A[:, n:], values, slopes, w)
     shift = _best_shift(group, A, values, slopes, w)
-    moved = A[:, :n] + _across(group, A[:, n:], with_one(values) @ shift) - _slope_of(slopes, shift)
+    linear = (
+        A[:, :n] + _across(group, A[:, n:], with_one(values) @ shift) - _slope_of(slopes, shift)
+    )
 
     def size(field_: Array) -> float:
         return float(np.linalg.norm(w[:, None, None] * field_))
@@ -130,7 +172,7 @@ def optimal_frame(
         connection=connection,
         patch=patch,
         angular=size(angular),
-        linear=size(moved),
+        linear=size(linear),
         angular_before=size(A[:, n:]),
         linear_before=size(A[:, :n]),
         iterations=steps,
@@ -141,12 +183,12 @@ def optimal_frame(
 
 
 def with_one(values: Array) -> Array:
-    """Return the basis with the constant at its end, (N, K + 1)."""
+    """Append the constant to a basis: (N, K + 1)."""
     return np.hstack([values, np.ones((len(values), 1))])
 
 
 def _slope_of(slopes: Array, shift: Array) -> Array:
-    """Return ∂p, (N, linear, k), of coefficients (K + 1, linear)."""
+    """Return ∂p, (N, linear, k), for coefficients (K + 1, linear)."""
     return np.swapaxes(slopes @ shift[:-1], 1, 2)
 
 
@@ -159,53 +201,79 @@ def pulled_back(connection: Connection, patch: Patch, u: Array) -> Array:
 def _best_turns(
     group: Group, A: Array, values: Array, slopes: Array, w: Array
 ) -> tuple[tuple[Array, ...], Array, int]:
-    """Return coefficients of φ with R = Π exp φ, then A′_ω, and the number of iterations."""
+    """Compute the rotation R = Π exp φ that minimises ∫|A′_ω|².
+
+    Args:
+        group: Symmetry group.
+        A: Rotational rows of the connection at the nodes, (N, turns, k).
+        values: Basis at the nodes, (N, K).
+        slopes: Its derivatives, (N, k, K).
+        w: Square roots of the normalised weights, (N,).
+    Returns:
+        The coefficients of each φ, A′_ω at the nodes, and the number of iterations.
+    Raises:
+        NoConvergence: The iteration does not converge.
+    """
     if not group.turns:
         return (), A, 0
-    # One factorisation of ∂φ = A′ in the mean square serves all entries and iterations.
+    # One factorisation of the least-squares problem ∂φ = A′ serves all iterations.
     count, k = slopes.shape[:2]
-    rows = (w[:, None, None] * slopes).reshape(count * k, -1)
-    Q, upper = np.linalg.qr(rows)
+    weighted_slopes = (w[:, None, None] * slopes).reshape(count * k, -1)
+    Q, upper = np.linalg.qr(weighted_slopes)
     turns: list[Array] = []
-    now, before = A, np.inf
+    current, before = A, np.inf
     for step in range(_ITERATIONS):
-        size = float(np.linalg.norm(w[:, None, None] * now))
+        size = float(np.linalg.norm(w[:, None, None] * current))
         if before - size <= _STILL * size or size < 1e-14:
-            return tuple(turns), now, step
-        right = (w[:, None, None] * np.swapaxes(now, 1, 2)).reshape(count * k, -1)
+            return tuple(turns), current, step
+        right = (w[:, None, None] * np.swapaxes(current, 1, 2)).reshape(count * k, -1)
         turns.append(np.asarray(np.linalg.solve(upper, Q.T @ right)))
-        before, now = size, _turned(group, A, tuple(turns), values, slopes)
+        before, current = size, _turned(group, A, tuple(turns), values, slopes)
     raise NoConvergence(
-        "the attitude of the frame did not settle; make the patch smaller", float(_ITERATIONS), now
+        "the attitude of the frame did not converge; make the patch smaller",
+        float(_ITERATIONS),
+        current,
     )
 
 
 def _best_shift(group: Group, A: Array, values: Array, slopes: Array, w: Array) -> Array:
-    """Return coefficients (K + 1, linear) of p, the constant last, by linear least squares."""
+    """Compute the translation p that minimises ∫|A′_v|², by linear least squares.
+
+    Args:
+        group: Symmetry group.
+        A: Connection at the nodes, (N, r, k).
+        values: Basis at the nodes, (N, K).
+        slopes: Its derivatives, (N, k, K).
+        w: Square roots of the normalised weights, (N,).
+    Returns:
+        Coefficients of p, (K + 1, linear), the constant last.
+    """
     n, (count, k, K) = group.linear, slopes.shape
     if not n:
         return np.zeros((K + 1, 0))
     from scipy.linalg import lstsq
 
-    # ∂p_i − (A_ω × p)_i = (A_v)_i, for every node and parameter; p is a sum over the basis,
-    # and a constant, which only matters where something turns.
-    whole, by = with_one(values), np.concatenate([slopes, np.zeros((count, k, 1))], axis=2)
+    # Solve ∂p_i − (A_ω × p)_i = (A_v)_i at every node and parameter. The constant of p matters
+    # only if A_ω is not zero.
+    basis, by = with_one(values), np.concatenate([slopes, np.zeros((count, k, 1))], axis=2)
     system = np.zeros((count, k, n, K + 1, n))
     units = np.eye(n)
     for j in range(n):
         system[:, :, j, :, j] += by
-        turned = _across(group, A[:, n:], np.tile(units[j], (count, 1)))  # (N, n, k)
-        system[..., j] -= np.einsum("nia,nK->naiK", turned, whole)
+        crossed = _across(group, A[:, n:], np.tile(units[j], (count, 1)))  # (N, n, k)
+        system[..., j] -= np.einsum("nia,nK->naiK", crossed, basis)
     system *= w[:, None, None, None, None]
     right = w[:, None, None] * np.swapaxes(A[:, :n], 1, 2)
-    rows = system.reshape(count * k * n, (K + 1) * n)
-    # By QR with pivots: where nothing turns, the constant has no say.
-    found = lstsq(rows, right.ravel(), cond=1e-13, lapack_driver="gelsy", check_finite=False)[0]
-    return np.asarray(found.reshape(K + 1, n))
+    matrix = system.reshape(count * k * n, (K + 1) * n)
+    # Use QR with pivoting, because the constant is free where A_ω vanishes.
+    solution = lstsq(matrix, right.ravel(), cond=1e-13, lapack_driver="gelsy", check_finite=False)[
+        0
+    ]
+    return np.asarray(solution.reshape(K + 1, n))
 
 
 def _across(group: Group, turning: Array, p: Array) -> Array:
-    """Return A_ω × p, (N, linear, k), of A_ω (N, turns, k) and p (N, linear)."""
+    """Return A_ω × p, (N, linear, k), for A_ω (N, turns, k) and p (N, linear)."""
     n, k = group.linear, turning.shape[2]
     if not n or not group.turns:
         return np.zeros((len(p), n, k))
@@ -217,7 +285,7 @@ def _across(group: Group, turning: Array, p: Array) -> Array:
 
 
 def _attitude(group: Group, turns: Sequence[Array], values: Array) -> Array:
-    """Return the attitude (N, 1) or (N, 4) that the turns make, of (N, K)."""
+    """Return the attitude (N, 1) or (N, 4) of the product of rotations, for a basis (N, K)."""
     if not group.turns:
         return np.zeros((len(values), 0))
     if group.turns == 1:
@@ -229,7 +297,7 @@ def _attitude(group: Group, turns: Sequence[Array], values: Array) -> Array:
 
 
 def _rotation(group: Group, turns: Sequence[Array], values: Array) -> Array:
-    """Return Rotations of translations, (N, linear, linear)."""
+    """Return the rotation matrices, (N, linear, linear)."""
     attitude, n = _attitude(group, turns, values), group.linear
     units = np.eye(n)
     columns = [group.turned(attitude, np.tile(units[j], (len(values), 1))) for j in range(n)]
@@ -237,7 +305,7 @@ def _rotation(group: Group, turns: Sequence[Array], values: Array) -> Array:
 
 
 def _turned(group: Group, A: Array, turns: Sequence[Array], values: Array, slopes: Array) -> Array:
-    """Return A′_ω = Rᵀ (A_ω − (∂R Rᵀ)^∨) for R = Π exp φ, each turn in its order."""
+    """Return A′_ω = Rᵀ (A_ω − (∂R Rᵀ)^∨) for R = Π exp φ, one factor after another."""
     for c in turns:
         d = np.swapaxes(slopes @ c, 1, 2)
         if group.turns == 1:
@@ -250,7 +318,7 @@ def _turned(group: Group, A: Array, turns: Sequence[Array], values: Array, slope
 
 
 def _right_slope(phi: Array) -> Array:
-    """Return J with exp(−φ) ∂exp(φ) = J ∂φ on SO(3), (N, 3, 3)."""
+    """Return J, (N, 3, 3), with exp(−φ) ∂exp(φ) = J ∂φ on SO(3)."""
     angle = np.linalg.norm(phi, axis=1)[:, None, None]
     square = angle**2
     small = angle < 0.1

@@ -1,7 +1,7 @@
-"""Patches of shape space: boxes of joint values, and the disc that a gait spans.
+"""Patches of shape space: boxes of joint values, and the disc spanned by a gait.
 
-A patch is a smooth map from k parameters to shapes, with nodes and weights of a quadrature over
-the parameters.  On it, polynomials of the parameters stand for frames.
+A patch is a smooth map from k parameters to shapes, with quadrature nodes and weights. Frames on it
+are polynomials of the parameters.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from ...common.errors import InputError
 from ..gaits.arcs import FourierArc
 from ..gaits.gait import Gait
 
-_RINGS, _SPOKES = 24, 64  # nodes of a disc
+_RINGS, _SPOKES = 24, 64  # radial and angular nodes of a disc
 
 
 class Patch(ABC):
-    """A map from parameters u (N, k), within ±1, to shapes (N, m)."""
+    """A map from parameters u in [−1, 1]^k, (N, k), to shapes (N, m)."""
 
     nodes: Array
     weights: Array
 
     @abstractmethod
     def shapes(self, u: Array) -> Array:
-        """Return shapes (N, m)."""
+        """Return the shapes (N, m) at parameters u (N, k)."""
 
     @abstractmethod
     def slopes(self, u: Array) -> Array:
-        """Return ∂x/∂u, (N, m, k)."""
+        """Return ∂x/∂u, (N, m, k), at parameters u (N, k)."""
 
     @abstractmethod
     def parameters(self, x: Array) -> Array:
-        """Return the parameters of shapes (N, m) on the patch, (N, k)."""
+        """Return the parameters (N, k) of shapes x (N, m) on the patch."""
 
     @property
     def k(self) -> int:
@@ -50,10 +50,15 @@ class Patch(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Box(Patch):
-    """All values of some joints within limits; the others stand still.
+    """All values of some joints within limits, with the other joints fixed.
 
-    joints: (k,) indices.  limits: (k, 2).  at: (m,) where the others stand.  count: of Gauss nodes
-    along each parameter.
+    Attributes:
+        joints: Indices of the joints that vary, (k,).
+        limits: (low, high) of each, (k, 2).
+        at: Shape that gives the values of the other joints, (m,).
+        count: Gauss nodes per parameter.
+        nodes: Quadrature nodes, (N, k).
+        weights: Quadrature weights, (N,).
     """
 
     joints: tuple[int, ...]
@@ -79,27 +84,32 @@ class Box(Patch):
         return np.asarray(0.5 * (self.limits[:, 1] - self.limits[:, 0]))
 
     def shapes(self, u: Array) -> Array:
-        """Return shapes, as every patch."""
+        """Return shapes (see Patch.shapes)."""
         x = np.tile(self.at, (len(u), 1))
         x[:, list(self.joints)] = self.limits.mean(axis=1) + self._half * u
         return x
 
     def slopes(self, u: Array) -> Array:
-        """Return slopes, as every patch."""
-        out = np.zeros((len(self.at), len(self.joints)))
-        out[list(self.joints), np.arange(len(self.joints))] = self._half
-        return np.broadcast_to(out, (len(u), *out.shape))
+        """Return ∂x/∂u (see Patch.slopes)."""
+        slopes = np.zeros((len(self.at), len(self.joints)))
+        slopes[list(self.joints), np.arange(len(self.joints))] = self._half
+        return np.broadcast_to(slopes, (len(u), *slopes.shape))
 
     def parameters(self, x: Array) -> Array:
-        """Return parameters, as every patch."""
+        """Return parameters (see Patch.parameters)."""
         return np.asarray((x[:, list(self.joints)] - self.limits.mean(axis=1)) / self._half)
 
 
 @dataclass(frozen=True, eq=False)
 class Disc(Patch):
-    """The harmonic disc that a Fourier gait spans: x = mean + Σ ρ^k (cos_k cos kφ + sin_k sin kφ).
+    """The harmonic disc spanned by a Fourier gait: x = mean + Σ ρ^k (cos_k cos kφ + sin_k sin kφ).
 
-    In any number of joints; u = (ρ cos φ, ρ sin φ).
+    The parameters are u = (ρ cos φ, ρ sin φ), for any number of joints.
+
+    Attributes:
+        gait: Gait that is one Fourier series.
+        nodes: Quadrature nodes, (N, 2).
+        weights: Quadrature weights, (N,).
     """
 
     gait: Gait
@@ -108,12 +118,12 @@ class Disc(Patch):
 
     def __post_init__(self) -> None:
         if not self.gait.is_smooth:
-            raise InputError("the disc of a gait needs one that is one Fourier series")
+            raise InputError("gait: expected one Fourier series (Gait.fourier), which spans a disc")
         s, w = np.polynomial.legendre.leggauss(_RINGS)
-        rho, turn = 0.5 * (s + 1.0), 2.0 * np.pi * np.arange(_SPOKES) / _SPOKES
-        ring, spoke = (each.ravel() for each in np.meshgrid(rho, turn, indexing="ij"))
-        nodes = np.stack([ring * np.cos(spoke), ring * np.sin(spoke)], axis=1)
-        object.__setattr__(self, "nodes", nodes)
+        rho, angles = 0.5 * (s + 1.0), 2.0 * np.pi * np.arange(_SPOKES) / _SPOKES
+        ring, spoke = (grid.ravel() for grid in np.meshgrid(rho, angles, indexing="ij"))
+        points = np.stack([ring * np.cos(spoke), ring * np.sin(spoke)], axis=1)
+        object.__setattr__(self, "nodes", points)
         weights = np.repeat(0.5 * w * rho, _SPOKES) * (2.0 * np.pi / _SPOKES)
         object.__setattr__(self, "weights", weights)
         freeze(self)
@@ -125,7 +135,7 @@ class Disc(Patch):
         assert isinstance(arc, FourierArc)
         k = np.arange(1, len(arc.cos) + 1)[:, None]
         sense = 1.0 if arc.end > arc.start else -1.0
-        # z = e^{iψ} where φ = start + sense ψ.
+        # With φ = start + sense ψ, z = e^{iψ}.
         return np.asarray((arc.cos - 1j * sense * arc.sin) * np.exp(1j * sense * k * arc.start))
 
     def _powers(self, u: Array) -> Array:
@@ -133,23 +143,25 @@ class Disc(Patch):
         return np.power.outer(z, np.arange(len(self._series) + 1))
 
     def shapes(self, u: Array) -> Array:
-        """Return shapes, as every patch."""
+        """Return shapes (see Patch.shapes)."""
         arc = self.gait.arcs[0]
         assert isinstance(arc, FourierArc)
         return np.asarray(arc.mean + (self._powers(u)[:, 1:] @ self._series).real)
 
     def slopes(self, u: Array) -> Array:
-        """Return slopes, as every patch."""
+        """Return ∂x/∂u (see Patch.slopes)."""
         k = np.arange(1, len(self._series) + 1)[:, None]
         by_z = self._powers(u)[:, :-1] @ (k * self._series)
         return np.stack([by_z.real, -by_z.imag], axis=2)
 
     def parameters(self, x: Array) -> Array:
-        """Return parameters, as every patch; of a gait with one harmonic only."""
+        """Return parameters (see Patch.parameters), for a gait with one harmonic."""
         arc = self.gait.arcs[0]
         assert isinstance(arc, FourierArc)
         if len(self._series) > 1 and self._series[1:].any():
-            raise InputError("a shape has no place on the disc of a gait with several harmonics")
+            raise InputError(
+                "shapes: they determine parameters only on the disc of a gait with one harmonic"
+            )
         plane = np.stack([self._series[0].real, -self._series[0].imag], axis=1)
         return np.asarray(np.linalg.lstsq(plane, (x - arc.mean).T, rcond=None)[0].T)
 
@@ -157,7 +169,19 @@ class Disc(Patch):
 def box_of(
     m: int, limits: ArrayLike, joints: Sequence[int] | None, at: ArrayLike | None, count: int
 ) -> Box:
-    """Return a box of one to three joints.  Raises InputError for other numbers or limits."""
+    """Build a box of one to three joints.
+
+    Args:
+        m: Number of joints.
+        limits: (low, high) of each joint that varies, (k, 2).
+        joints: Indices of these joints; by default the first ones.
+        at: Values of the other joints, (m,); zero by default.
+        count: Gauss nodes per parameter.
+    Returns:
+        The box.
+    Raises:
+        InputError: Limits or joints are invalid.
+    """
     bounds = as_floats(limits, "limits")
     if bounds.ndim != 2 or bounds.shape[1:] != (2,) or not 1 <= len(bounds) <= 3:
         raise InputError(f"limits must be (low, high) of one to three joints, got {limits!r}")
@@ -166,39 +190,40 @@ def box_of(
     chosen = tuple(range(len(bounds)) if joints is None else joints)
     if len(chosen) != len(bounds) or not set(chosen) <= set(range(m)):
         raise InputError(f"joints must be {len(bounds)} indices below {m}, got {chosen}")
-    rest = np.zeros(m) if at is None else vector(at, m, "at")
-    return Box(chosen, bounds.copy(), rest.copy(), count)
+    fixed = np.zeros(m) if at is None else vector(at, m, "at")
+    return Box(chosen, bounds.copy(), fixed.copy(), count)
 
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Products of Chebyshev polynomials of total degree at most `degree`, without the constant.
+    """Products of Chebyshev polynomials of bounded total degree, without the constant.
 
-    values: (N, K).  slopes: (N, k, K).
+    Attributes:
+        powers: Degree per parameter of each product, K tuples.
     """
 
     powers: tuple[tuple[int, ...], ...]
 
     @classmethod
     def of(cls, k: int, degree: int) -> Basis:
-        """Return the basis in k parameters."""
-        every = product(range(degree + 1), repeat=k)
-        return cls(tuple(powers for powers in every if 0 < sum(powers) <= degree))
+        """Return the basis in k parameters of total degree at most `degree`."""
+        exponents = product(range(degree + 1), repeat=k)
+        return cls(tuple(powers for powers in exponents if 0 < sum(powers) <= degree))
 
     def values(self, u: Array) -> Array:
-        """Return the polynomials at parameters (N, k), (N, K)."""
+        """Return the polynomials at parameters u (N, k), (N, K)."""
         tables, _ = self._tables(u)
         return self._products(tables)
 
     def slopes(self, u: Array) -> Array:
-        """Return their derivatives, (N, k, K)."""
+        """Return their derivatives at parameters u (N, k), (N, k, K)."""
         tables, slopes = self._tables(u)
-        out = []
+        derivatives = []
         for axis in range(u.shape[1]):
-            mixed = [*tables]
-            mixed[axis] = slopes[axis]
-            out.append(self._products(mixed))
-        return np.stack(out, axis=1)
+            factors = [*tables]
+            factors[axis] = slopes[axis]
+            derivatives.append(self._products(factors))
+        return np.stack(derivatives, axis=1)
 
     def _tables(self, u: Array) -> tuple[list[Array], list[Array]]:
         degree = max(max(powers) for powers in self.powers)
@@ -210,7 +235,7 @@ class Basis:
         return values, [table @ step for table in values]
 
     def _products(self, tables: Sequence[Array]) -> Array:
-        out = np.ones((len(tables[0]), len(self.powers)))
+        products = np.ones((len(tables[0]), len(self.powers)))
         for axis, table in enumerate(tables):
-            out *= table[:, [powers[axis] for powers in self.powers]]
-        return out
+            products *= table[:, [powers[axis] for powers in self.powers]]
+        return products

@@ -1,6 +1,6 @@
-"""Arcs: the smooth pieces that a gait is made of, Fourier series or polynomials.
+"""Arcs: the smooth segments of a gait, as Fourier series or polynomials.
 
-An arc is a map of s in [0, 1] to shapes, and takes some time at constant ds/dt.
+An arc maps s in [0, 1] to shapes and is traversed at constant ds/dt.
 """
 
 from __future__ import annotations
@@ -18,36 +18,72 @@ TAU = 2.0 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class Arc(ABC):
-    """A smooth path through shapes that takes `time` seconds."""
+    """A smooth path in shape space.
+
+    Attributes:
+        time: Duration [s].
+    """
 
     time: float
 
     @abstractmethod
     def at(self, s: Array) -> tuple[Array, Array]:
-        """Return shapes and their derivatives by s, (N, m) each, at s (N,) in [0, 1]."""
+        """Evaluate the arc and its derivative.
+
+        Args:
+            s: Path parameters in [0, 1], (N,).
+        Returns:
+            Shapes and their derivatives in s, (N, m) each.
+        """
 
     @abstractmethod
     def part(self, start: float, end: float) -> Arc:
-        """Return the arc between two values of s, traversed from start to end, either way."""
+        """Return the arc between two parameters, traversed from start to end, in either direction.
+
+        Args:
+            start: First path parameter, in [0, 1].
+            end: Last path parameter, in [0, 1].
+        Returns:
+            The partial arc.
+        """
 
     @abstractmethod
     def mapped(self, factor: Array, shift: Array) -> Arc:
-        """Return the arc of factor x + shift, joint by joint."""
+        """Return the arc of factor x + shift.
+
+        Args:
+            factor: Factor of each joint, (m,).
+            shift: Shift of each joint, (m,) [rad | m].
+        Returns:
+            The mapped arc.
+        """
 
     @abstractmethod
     def lasting(self, time: float) -> Arc:
-        """Return the same path in another time."""
+        """Return the same path with another duration.
+
+        Args:
+            time: Duration [s].
+        Returns:
+            The arc.
+        """
 
     @abstractmethod
     def extremes(self) -> Array:
-        """Return values s (K,) among which each joint is least and greatest."""
+        """Return parameters s (K,) that contain the extremes of every joint."""
 
 
 @dataclass(frozen=True, eq=False)
 class FourierArc(Arc):
-    """x = mean + Σ_k cos_k cos kφ + sin_k sin kφ, k = 1 …, φ from `start` to `end` [rad].
+    """x = mean + Σ_k cos_k cos kφ + sin_k sin kφ, k = 1 …, with φ from `start` to `end`.
 
-    mean: (m,).  cos, sin: (harmonics, m).
+    Attributes:
+        time: Duration [s].
+        mean: Constant term, (m,).
+        cos: Cosine coefficients, (harmonics, m).
+        sin: Sine coefficients, (harmonics, m).
+        start: Initial phase angle [rad].
+        end: Final phase angle [rad].
     """
 
     mean: Array
@@ -61,57 +97,64 @@ class FourierArc(Arc):
 
     @property
     def is_whole(self) -> bool:
-        """Whether it goes round once, so that it is a smooth closed path."""
+        """Whether the arc covers one full period, so that it is a smooth closed path."""
         return bool(abs(abs(self.end - self.start) - TAU) < 1e-12)
 
     def at(self, s: Array) -> tuple[Array, Array]:
-        """Return shapes and slopes at s, as every arc."""
+        """Evaluate the arc and its derivative (see Arc.at)."""
         k = np.arange(1, len(self.cos) + 1)
         angle = np.multiply.outer(self.start + (self.end - self.start) * s, k)
-        c, s_ = np.cos(angle), np.sin(angle)
+        cosines, sines = np.cos(angle), np.sin(angle)
         slope = (self.end - self.start) * (
-            c @ (k[:, None] * self.sin) - s_ @ (k[:, None] * self.cos)
+            cosines @ (k[:, None] * self.sin) - sines @ (k[:, None] * self.cos)
         )
-        return self.mean + c @ self.cos + s_ @ self.sin, slope
+        return self.mean + cosines @ self.cos + sines @ self.sin, slope
 
     def part(self, start: float, end: float) -> FourierArc:
-        """Return a part, as every arc."""
+        """Return a partial arc (see Arc.part)."""
         a, b = self.start, self.end - self.start
         return FourierArc(
             abs(end - start) * self.time, self.mean, self.cos, self.sin, a + b * start, a + b * end
         )
 
     def mapped(self, factor: Array, shift: Array) -> FourierArc:
-        """Return factor x + shift, as every arc."""
+        """Return factor x + shift (see Arc.mapped)."""
         return FourierArc(
             self.time, factor * self.mean + shift, factor * self.cos, factor * self.sin,
             self.start, self.end,
         )  # fmt: skip
 
     def lasting(self, time: float) -> FourierArc:
-        """Return the same path in another time."""
+        """Return the same path with another duration (see Arc.lasting)."""
         return FourierArc(time, self.mean, self.cos, self.sin, self.start, self.end)
 
     def extremes(self) -> Array:
-        """Return the roots of each joint's slope, as those of a polynomial in e^{iφ}."""
-        found = [0.0, 1.0]
+        """Return the zeros of each joint's derivative, as roots of a polynomial in e^{iφ}."""
+        parameters = [0.0, 1.0]
         k = np.arange(1, len(self.cos) + 1)
         for c, s in zip(self.cos.T, self.sin.T, strict=True):
-            half = 0.5 * k * (s + 1j * c)  # of e^{ikφ} in the slope; its conjugate of e^{−ikφ}
+            half = (
+                0.5 * k * (s + 1j * c)
+            )  # coefficient of e^{ikφ} in the derivative; that of e^{−ikφ} is its conjugate
             roots = np.roots(np.concatenate([half[::-1], [0.0], half.conj()]))
-            near = roots[np.abs(np.abs(roots) - 1.0) < 1e-6]
-            turn = (np.angle(near) - self.start) / (self.end - self.start)
+            on_circle = roots[np.abs(np.abs(roots) - 1.0) < 1e-6]
+            candidates = (np.angle(on_circle) - self.start) / (self.end - self.start)
             period = TAU / abs(self.end - self.start)
-            turn = turn % period
-            while (turn <= 1.0).any():
-                found += [float(each) for each in turn[turn <= 1.0]]
-                turn = turn + period
-        return np.array(found)
+            candidates = candidates % period
+            while (candidates <= 1.0).any():
+                parameters += candidates[candidates <= 1.0].tolist()
+                candidates = candidates + period
+        return np.array(parameters)
 
 
 @dataclass(frozen=True, eq=False)
 class PolynomialArc(Arc):
-    """x = Σ_k coefficients_k s^k.  coefficients: (degree + 1, m)."""
+    """x = Σ_k coefficients_k s^k.
+
+    Attributes:
+        time: Duration [s].
+        coefficients: (degree + 1, m).
+    """
 
     coefficients: Array
 
@@ -119,39 +162,39 @@ class PolynomialArc(Arc):
         freeze(self)
 
     def at(self, s: Array) -> tuple[Array, Array]:
-        """Return shapes and slopes at s, as every arc."""
+        """Evaluate the arc and its derivative (see Arc.at)."""
         c = self.coefficients
         powers = np.power.outer(s, np.arange(len(c)))
         k = np.arange(1, len(c))
         return powers @ c, powers[:, :-1] @ (k[:, None] * c[1:])
 
     def part(self, start: float, end: float) -> PolynomialArc:
-        """Return a part, as every arc."""
-        c, out = self.coefficients, np.zeros_like(self.coefficients)
+        """Return a partial arc (see Arc.part)."""
+        c, coefficients = self.coefficients, np.zeros_like(self.coefficients)
         step = end - start
         for k in range(len(c)):
             for j in range(k + 1):
-                out[j] += comb(k, j) * start ** (k - j) * step**j * c[k]
-        return PolynomialArc(abs(step) * self.time, out)
+                coefficients[j] += comb(k, j) * start ** (k - j) * step**j * c[k]
+        return PolynomialArc(abs(step) * self.time, coefficients)
 
     def mapped(self, factor: Array, shift: Array) -> PolynomialArc:
-        """Return factor x + shift, as every arc."""
+        """Return factor x + shift (see Arc.mapped)."""
         c = factor * self.coefficients
         c[0] += shift
         return PolynomialArc(self.time, c)
 
     def lasting(self, time: float) -> PolynomialArc:
-        """Return the same path in another time."""
+        """Return the same path with another duration (see Arc.lasting)."""
         return PolynomialArc(time, self.coefficients)
 
     def extremes(self) -> Array:
-        """Return the ends and the roots of each joint's slope."""
-        found = [0.0, 1.0]
+        """Return the ends and the zeros of each joint's derivative."""
+        parameters = [0.0, 1.0]
         for c in self.coefficients.T:
             roots = np.roots((np.arange(len(c)) * c)[:0:-1])
             real = np.asarray(roots[np.abs(roots.imag) < 1e-9].real, dtype=float)
-            found += [s for s in real.tolist() if 0.0 < s < 1.0]
-        return np.array(found)
+            parameters += [s for s in real.tolist() if 0.0 < s < 1.0]
+        return np.array(parameters)
 
 
 def line(start: Array, end: Array, time: float) -> PolynomialArc:

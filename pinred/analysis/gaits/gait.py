@@ -1,4 +1,4 @@
-"""Gait: a closed path through shapes, as a value."""
+"""Gait: a closed path in shape space, as a value."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ from ...common.names import joint_index
 from ...forces.signals import Fourier
 from .arcs import TAU, Arc, FourierArc, PolynomialArc, line
 
-_CLOSED = 1e-9  # rad | m, relative to the size of the path
-_TURNS = 0.05  # of a turn that two samples may be apart, seen from the centre
+_CLOSED = 1e-9  # largest gap between arcs, relative to the size of the path
+_TURNS = 0.05  # largest angle between two samples seen from the centre, in turns
 
 
 @dataclass(frozen=True, eq=False)
 class Gait:
-    """A closed path in shape space, passed through once in a period.
+    """A closed path in shape space, traversed once per period.
 
-    arcs: its smooth pieces in order; where one ends the next begins, and the last ends where the
-    first begins.  Shapes are (m,) [rad | m], times [s].
+    Attributes:
+        arcs: Smooth segments in order. Each starts where the previous one ends, and the last ends
+            where the first starts.
     """
 
     arcs: tuple[Arc, ...]
 
     def __post_init__(self) -> None:
         if not self.arcs:
-            raise InputError("a gait needs at least one arc")
+            raise InputError("arcs: expected at least one arc")
         ends = [arc.at(np.array([0.0, 1.0]))[0] for arc in self.arcs]
         if not all(np.isfinite(end).all() for end in ends):
             raise InputError("a gait must be finite")
@@ -50,30 +51,44 @@ class Gait:
     def fourier(
         cls, mean: ArrayLike, cos: ArrayLike, sin: ArrayLike, *, period: float = 1.0
     ) -> Gait:
-        """Return the Fourier series x(t) = mean + Σ_k cos_k cos(2πkt/T) + sin_k sin(2πkt/T).
+        """Return the gait x(t) = mean + Σ_k cos_k cos(2πkt/T) + sin_k sin(2πkt/T).
 
-        mean: (m,).  cos, sin: (harmonics, m), of k = 1, 2, ….  period: T [s].
+        Args:
+            mean: Constant term, (m,) [rad | m].
+            cos: Cosine coefficients, (harmonics, m), for k = 1, 2, ….
+            sin: Sine coefficients, (harmonics, m).
+            period: T [s].
+        Returns:
+            The gait.
+        Raises:
+            InputError: The shapes of the arguments do not match.
         """
         centre = as_floats(mean, "mean")
         m = len(vector(centre, centre.size, "mean"))
-        c, s = vectors(cos, m, "cos"), vectors(sin, m, "sin")
-        if c.ndim != 2 or c.shape != s.shape or not len(c):
+        cosines, sines = vectors(cos, m, "cos"), vectors(sin, m, "sin")
+        if cosines.ndim != 2 or cosines.shape != sines.shape or not len(cosines):
             raise InputError(
-                f"cos and sin must both be (harmonics, {m}), got {c.shape} and {s.shape}"
+                f"cos and sin must both be (harmonics, {m}), got {cosines.shape} and {sines.shape}"
             )
         time = positive(period, "period")
-        return cls((FourierArc(time, centre.copy(), c.copy(), s.copy()),))
+        return cls((FourierArc(time, centre.copy(), cosines.copy(), sines.copy()),))
 
     @classmethod
     def waypoints(cls, points: ArrayLike, *, period: float = 1.0) -> Gait:
-        """Return the polygon through points (K, m), from the last back to the first.
+        """Return the closed polygon through some points, traversed at constant speed |ẋ|.
 
-        Straight from point to point at one speed, the norm of ẋ, all the way.
+        Args:
+            points: Corners, (K, m) [rad | m].
+            period: Duration of one cycle [s].
+        Returns:
+            The gait.
+        Raises:
+            InputError: There are fewer than two different points.
         """
         corners = _points(points, 2)
         steps = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
         if not steps.sum() > 0.0:
-            raise InputError("the waypoints of a gait must not all be the same")
+            raise InputError("points: expected at least two different points")
         share = positive(period, "period") * steps / steps.sum()
         count = len(corners)
         return cls(
@@ -88,10 +103,17 @@ class Gait:
     def spline(
         cls, points: ArrayLike, *, times: ArrayLike | None = None, period: float = 1.0
     ) -> Gait:
-        """Return the periodic cubic spline through points (K, m), twice differentiable.
+        """Return the periodic cubic spline through some points, twice differentiable.
 
-        times: (K,) increasing, at which it is at them, the first at 0 and all before the period;
-        equally spaced if not given.
+        Args:
+            points: Points, (K, m) [rad | m].
+            times: Times of the points, (K,) [s], increasing from 0 and below the period; by default
+                equally spaced.
+            period: Duration of one cycle [s].
+        Returns:
+            The gait.
+        Raises:
+            InputError: There are fewer than three points, or the times are invalid.
         """
         from scipy.interpolate import CubicSpline
 
@@ -102,14 +124,14 @@ class Gait:
         else:
             t = vector(times, count, "times")
             if t[0] != 0.0 or not (np.diff(t) > 0.0).all() or t[-1] >= T:
-                raise InputError("times must begin with 0, increase, and end before the period")
+                raise InputError("times: expected increasing values from 0 to below the period")
         t = np.append(t, T)
-        found = CubicSpline(t, np.vstack([knots, knots[:1]]), bc_type="periodic").c[::-1]
+        coefficients = CubicSpline(t, np.vstack([knots, knots[:1]]), bc_type="periodic").c[::-1]
         steps = np.diff(t)
         scale = steps[None] ** np.arange(4)[:, None]
         return cls(
             tuple(
-                PolynomialArc(float(steps[k]), scale[:, k, None] * found[:, k])
+                PolynomialArc(float(steps[k]), scale[:, k, None] * coefficients[:, k])
                 for k in range(count)
             )
         )
@@ -123,28 +145,43 @@ class Gait:
         *,
         period: float = 1.0,
     ) -> Gait:
-        """Return straight strokes one after another, each with the same time.
+        """Return straight strokes, one after another, of equal duration.
 
-        start: (m,).  moves: of each stroke, {joint: change [rad | m]}; together they must close.
-        joints: names of all joints, in order, as `connection.joints`.
+        Args:
+            start: Initial shape, (m,) [rad | m].
+            moves: Changes of each stroke, {joint: change [rad | m]}. Together they must close the
+                path.
+            joints: Names of all joints, in order, such as `connection.joints`.
+            period: Duration of one cycle [s].
+        Returns:
+            The gait.
+        Raises:
+            InputError: A joint is unknown, or the path does not close.
         """
         names = list(joints)
-        at = vector(start, len(names), "start", names)
+        shape = vector(start, len(names), "start", names)
         time = positive(period, "period") / max(1, len(moves))
         arcs: list[Arc] = []
         for move in moves:
-            to = at.copy()
+            end = shape.copy()
             for name, change in move.items():
-                to[joint_index(name, names, "a stroke")] += float(change)
-            arcs.append(line(at, to, time))
-            at = to
+                end[joint_index(name, names, "a stroke")] += float(change)
+            arcs.append(line(shape, end, time))
+            shape = end
         return cls(tuple(arcs))
 
     @classmethod
     def read(cls, path: str | Path, *, period: float | None = None) -> Gait:
-        """Return the periodic spline through recorded joint data, a .csv or .npz file.
+        """Return the periodic spline through recorded joint data.
 
-        See `recorded.py` for what the files hold.  period: of the data's own times if not given.
+        Args:
+            path: A .csv or .npz file (see `recorded.py` for its content).
+            period: Duration of one cycle [s]; by default that of the data.
+        Returns:
+            The gait.
+        Raises:
+            LoadError: The file cannot be read.
+            InputError: The data is not one closed cycle.
         """
         from .recorded import points_in
 
@@ -166,17 +203,23 @@ class Gait:
 
     @property
     def is_smooth(self) -> bool:
-        """Whether it is one Fourier series, so that everything along it is smooth and periodic."""
-        (arc, *others) = self.arcs
-        return not others and isinstance(arc, FourierArc) and arc.is_whole
+        """Whether the gait is one Fourier series, hence smooth and periodic."""
+        (arc, *further_arcs) = self.arcs
+        return not further_arcs and isinstance(arc, FourierArc) and arc.is_whole
 
     @cached_property
     def breaks(self) -> Array:
-        """Times at which arcs begin, and the period at the end, (arcs + 1,) [s]."""
+        """Start times of the arcs, and the period, (arcs + 1,) [s]."""
         return read_only(np.concatenate([[0.0], np.cumsum([arc.time for arc in self.arcs])]))
 
     def at(self, t: ArrayLike) -> tuple[Array, Array]:
-        """Return shapes and rates, (..., m) each, at times t (...,) of any cycle."""
+        """Return shapes and rates at times of any cycle.
+
+        Args:
+            t: Times, (...,) [s].
+        Returns:
+            Shapes and rates, (..., m) each.
+        """
         times = as_floats(t, "t")
         if self.is_smooth:
             x, slope = self.arcs[0].at(times.ravel() / self.period)
@@ -193,65 +236,94 @@ class Gait:
         return x.reshape(*times.shape, self.m), xdot.reshape(*times.shape, self.m)
 
     def signals(self, joints: Sequence[str]) -> dict[str, Fourier]:
-        """Return the plan of each joint, for `prescribed` of a Scene: the gait again and again.
+        """Return the gait as prescribed joint motions, for `prescribed` of a Scene.
 
-        joints: names of all joints, in order.  Raises InputError for a gait that is not one
-        Fourier series: what is simulated has no corners.
+        Args:
+            joints: Names of all joints, in order.
+        Returns:
+            A periodic signal per joint.
+        Raises:
+            InputError: The gait is not one Fourier series (a simulation needs smooth signals), or
+                the number of names is wrong.
         """
         arc = self.arcs[0]
         if not self.is_smooth or not isinstance(arc, FourierArc):
-            raise InputError("only a gait that is one Fourier series can be simulated as a plan")
+            raise InputError(
+                "gait: expected one Fourier series (Gait.fourier); simulations need smooth signals"
+            )
         names = list(joints)
         if len(names) != self.m:
-            raise InputError(f"the gait moves {self.m} joints, got {len(names)} names")
+            raise InputError(f"joints: expected {self.m} names, got {len(names)}")
         k = np.arange(1, len(arc.cos) + 1)[:, None]
         sense = 1.0 if arc.end > arc.start else -1.0
-        c, s = np.cos(k * arc.start), np.sin(k * arc.start)
+        cosine, sine = np.cos(k * arc.start), np.sin(k * arc.start)
         # φ = start ± 2πt/T.
-        cos = arc.cos * c + arc.sin * s
-        sin = sense * (arc.sin * c - arc.cos * s)
+        cos = arc.cos * cosine + arc.sin * sine
+        sin = sense * (arc.sin * cosine - arc.cos * sine)
         return {
             name: Fourier(float(arc.mean[j]), cos[:, j].tolist(), sin[:, j].tolist(), self.period)
             for j, name in enumerate(names)
         }
 
     def samples(self, count: int) -> tuple[Array, Array]:
-        """Return shapes and rates at `count` equidistant times from 0, (count, m) each."""
+        """Return shapes and rates at equidistant times from 0.
+
+        Args:
+            count: Number of times.
+        Returns:
+            Shapes and rates, (count, m) each.
+        """
         return self.at(np.arange(count) * (self.period / count))
 
     @cached_property
     def limits(self) -> Array:
-        """Least and greatest value of each joint on the way, exactly, (m, 2)."""
+        """Exact minimum and maximum of each joint, (m, 2)."""
         x = np.concatenate([arc.at(arc.extremes())[0] for arc in self.arcs])
         return read_only(np.stack([x.min(axis=0), x.max(axis=0)], axis=1))
 
     @property
     def amplitude(self) -> Array:
-        """Half of what each joint moves from end to end, (m,)."""
+        """Half the range of each joint, (m,)."""
         return np.asarray(0.5 * (self.limits[:, 1] - self.limits[:, 0]))
 
     @property
     def centre(self) -> Array:
-        """Middle of what each joint moves through, (m,)."""
+        """Middle of the range of each joint, (m,)."""
         return np.asarray(self.limits.mean(axis=1))
 
     def lasting(self, period: float) -> Gait:
-        """Return the same path in another period [s]."""
+        """Return the same path with another period.
+
+        Args:
+            period: Duration of one cycle [s].
+        Returns:
+            The gait.
+        """
         factor = positive(period, "period") / self.period
         return Gait(tuple(arc.lasting(factor * arc.time) for arc in self.arcs))
 
     def scaled(self, factor: ArrayLike, *, about: ArrayLike | None = None) -> Gait:
-        """Return the path with its amplitude changed by a factor, one for all or each joint.
+        """Return the path with another amplitude.
 
-        about: (m,) the shape that stays, the centre if not given.
+        Args:
+            factor: Factor of the amplitude, one number or (m,).
+            about: Fixed shape, (m,); by default the centre.
+        Returns:
+            The gait.
         """
-        given = as_floats(factor, "factor")
-        f = vector(np.full(self.m, given) if given.ndim == 0 else given, self.m, "factor")
+        factors = as_floats(factor, "factor")
+        f = vector(np.full(self.m, factors) if factors.ndim == 0 else factors, self.m, "factor")
         fixed = self.centre if about is None else vector(about, self.m, "about")
         return Gait(tuple(arc.mapped(f, (1.0 - f) * fixed) for arc in self.arcs))
 
     def shifted(self, phase: float) -> Gait:
-        """Return the same path begun later by `phase` of a period."""
+        """Return the same path with a later start.
+
+        Args:
+            phase: Delay of the start, in periods.
+        Returns:
+            The gait.
+        """
         at = float(vector(np.atleast_1d(as_floats(phase, "phase")), 1, "phase")[0]) % 1.0
         at *= self.period
         k = int(np.clip(np.searchsorted(self.breaks, at, side="right") - 1, 0, len(self.arcs) - 1))
@@ -259,31 +331,42 @@ class Gait:
         s = (at - self.breaks[k]) / arc.time
         if self.is_smooth and isinstance(arc, FourierArc):
             turn = s * (arc.end - arc.start)
-            moved = FourierArc(
+            shifted_arc = FourierArc(
                 arc.time, arc.mean, arc.cos, arc.sin, arc.start + turn, arc.end + turn
             )
-            return Gait((moved,))
-        pieces = [arc.part(s, 1.0)] if s < 1.0 else []
-        pieces += [*self.arcs[k + 1 :], *self.arcs[:k]]
+            return Gait((shifted_arc,))
+        arcs = [arc.part(s, 1.0)] if s < 1.0 else []
+        arcs += [*self.arcs[k + 1 :], *self.arcs[:k]]
         if s > 0.0:
-            pieces.append(arc.part(0.0, s))
-        return Gait(tuple(pieces))
+            arcs.append(arc.part(0.0, s))
+        return Gait(tuple(arcs))
 
     def reversed(self) -> Gait:
-        """Return the same path backwards, from the same start."""
+        """Return the same path in reverse, from the same start."""
         return Gait(tuple(arc.part(1.0, 0.0) for arc in reversed(self.arcs)))
 
     def then(self, other: Gait) -> Gait:
-        """Return this gait followed by another, which starts at the same shape."""
+        """Return this gait followed by another.
+
+        Args:
+            other: Gait that starts at the same shape.
+        Returns:
+            The gait through both paths.
+        """
         return Gait((*self.arcs, *other.arcs))
 
     def winding(
         self, *, joints: tuple[int, int] = (0, 1), centre: ArrayLike | None = None
     ) -> float:
-        """Return how often the path goes round a centre in the plane of two joints.
+        """Count the windings around a centre in the plane of two joints.
 
-        centre: (2,), the middle of the path if not given.  Positive from the first joint's axis
-        towards the second's.  Raises InputError if the path passes through the centre.
+        Args:
+            joints: Indices of the two joints.
+            centre: Centre, (2,); by default that of the path.
+        Returns:
+            The winding number, positive from the axis of the first joint to that of the second.
+        Raises:
+            InputError: The path passes through the centre, or too close to it.
         """
         pair = list(joints)
         c = self.centre[pair] if centre is None else vector(centre, 2, "centre")
@@ -299,11 +382,11 @@ class Gait:
             if np.abs(steps).max() < _TURNS * TAU:
                 return float(round(steps.sum() / TAU))
             count *= 4
-        raise InputError(f"the gait passes too near to the centre {c} to count its windings")
+        raise InputError(f"the gait passes too close to the centre {c} to count its windings")
 
 
 def _points(points: ArrayLike, least: int) -> Array:
-    """Return points (K, m), at least so many.  Raises ShapeError or InputError."""
+    """Validate points (K, m) with at least `least` rows."""
     array = as_floats(points, "points")
     if array.ndim != 2 or len(array) < least or not array.shape[1]:
         raise InputError(f"points must be (K, m) with K at least {least}, got {array.shape}")

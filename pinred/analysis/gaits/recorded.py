@@ -1,8 +1,8 @@
-"""Recorded joint data that is one cycle of a gait.
+"""Recorded joint data as one cycle of a gait.
 
-A .csv file has a line of names and then a line for each time: `t`, then the joints.  A .npz file
-has the arrays `t` (T,) and `x` (T, m), as a saved Trajectory does.  The last line repeats the
-first, one period later.
+A .csv file has a header line with `t` and the joint names, then one line per time. A .npz file has
+the arrays `t` (T,) and `x` (T, m), as a saved Trajectory does. The last line repeats the first, one
+period later.
 """
 
 from __future__ import annotations
@@ -16,13 +16,19 @@ from ...common.arrays import Array, as_floats
 from ...common.errors import InputError, LoadError
 from ...common.plain_names import quoted_path
 
-_CLOSED = 1e-6  # of what a joint moves; what recorded data may miss, and is then closed
+_CLOSED = 1e-6  # largest gap at the end of the data, relative to the range of the joints
 
 
 def points_in(path: Path) -> tuple[Array, Array]:
-    """Return times (T,) and shapes (T, m), the last of which is the first.
+    """Read the times and shapes of one cycle.
 
-    Raises LoadError for a file that cannot be read, InputError for data that is no closed path.
+    Args:
+        path: A .csv or .npz file.
+    Returns:
+        Times (T,) and shapes (T, m); the last shape equals the first.
+    Raises:
+        LoadError: The file cannot be read.
+        InputError: The data is not one closed cycle.
     """
     name = quoted_path(path)
     if path.suffix not in (".csv", ".npz"):
@@ -39,7 +45,7 @@ def points_in(path: Path) -> tuple[Array, Array]:
     extent = np.ptp(x, axis=0)
     if (gap > _CLOSED * max(float(extent.max()), 1e-300)).any():
         raise InputError(
-            f"the data in {name} is no closed path: it begins at {x[0]} and ends at {x[-1]}"
+            f"the data in {name} is not a closed path: it starts at {x[0]} and ends at {x[-1]}"
         )
     return t, x
 

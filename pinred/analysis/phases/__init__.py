@@ -1,1 +1,1 @@
-"""Phases: what a gait, or a free motion, does to the body."""
+"""Phases: the motion of the base over one cycle of a gait, or of a free rigid body."""

@@ -1,12 +1,12 @@
 """The lift of a path in shape space to the group, by Gauss's method of order 16.
 
-Body velocities are given at the eight Gauss nodes of every piece of the path, as twists of space
-(v, ω): every group here is a part of SE(3).  The unit quaternion q and the position p obey
+Body twists are given at the eight Gauss nodes of every segment, as spatial twists (v, ω), because
+every group is a subgroup of SE(3). The unit quaternion q and the position p obey
 
     q̇ = ½ q ω,   ṗ = R(q) v,   (v, ω) = a + L μ,   μ = Ad_gᵀ J,
 
-with a = −A ẋ, and L = P_b⁻¹ where there is a spatial momentum J.  The collocation equations of a
-piece are solved by fixed-point iteration; q is made a unit at the end of each piece.
+with a = −A ẋ, and L = P_b⁻¹ if there is a spatial momentum J. Fixed-point iteration solves the
+collocation equations of a segment, and q is normalised at its end.
 """
 
 from __future__ import annotations
@@ -23,16 +23,18 @@ from ...integrators.stepping.compiling import compiled
 from ...lie.group import Group
 
 STAGES = 8
-_MOST = 80  # iterations of one piece
+_MAX_ITERATIONS = 80  # per segment
 _ROUND_OFF = 4e-16
 
 
 @dataclass(frozen=True)
-class Pieces:
-    """A path in pieces with its body velocities at their Gauss nodes.
+class PathSegments:
+    """A path as segments, with its body twists at their Gauss nodes.
 
-    h: (P,) length of each piece [s].  a: (P, 8, 6) twists of space.  L: (P, 8, 6, 6) twists by
-    momenta, or (0, 8, 6, 6) where there is none.
+    Attributes:
+        h: Duration of each segment, (P,) [s].
+        a: Twists −A ẋ, (P, 8, 6).
+        L: Twist per momentum P_b⁻¹, (P, 8, 6, 6), or (0, 8, 6, 6) at zero momentum.
     """
 
     h: Array
@@ -41,84 +43,104 @@ class Pieces:
 
 
 def nodes() -> Array:
-    """Gauss nodes in [0, 1], (8,)."""
+    """Return the Gauss nodes in [0, 1], (8,)."""
     return tables(STAGES).c
 
 
 def in_space(group: Group, twists: Array) -> Array:
-    """Return twists (..., r) of a group as twists of space, (..., 6)."""
-    out = np.zeros((*twists.shape[:-1], 6))
-    out[..., list(group.axes)] = twists
-    return out
+    """Embed twists (..., r) of a group as spatial twists, (..., 6)."""
+    spatial = np.zeros((*twists.shape[:-1], 6))
+    spatial[..., list(group.axes)] = twists
+    return spatial
 
 
 def in_space_by_momenta(group: Group, inverse: Array) -> Array:
-    """Return P_b⁻¹ (..., r, r) as twists of space by momenta of space, (..., 6, 6)."""
+    """Embed P_b⁻¹ (..., r, r) as a map from spatial momenta to spatial twists, (..., 6, 6)."""
     axes = list(group.axes)
-    out = np.zeros((*inverse.shape[:-2], 6, 6))
-    out[..., np.array(axes)[:, None], axes] = inverse
-    return out
+    spatial = np.zeros((*inverse.shape[:-2], 6, 6))
+    spatial[..., np.array(axes)[:, None], axes] = inverse
+    return spatial
 
 
 class Lifted(NamedTuple):
-    """Poses on the way, from the identity.
+    """Poses along a path that starts at the identity.
 
-    path: (P + 1, size) at the ends of the pieces.  inner: (P, 8, 7) positions and quaternions, of
-    no particular length, at their Gauss nodes.
+    Attributes:
+        path: Poses at the segment ends, (P + 1, size).
+        inner: Positions and unnormalised quaternions at the Gauss nodes, (P, 8, 7).
     """
 
     path: Array
     inner: Array
 
 
-def lift(group: Group, pieces: Pieces, J: Array) -> Array:
-    """Return the path of `lifted` alone."""
-    return lifted(group, pieces, J).path
+def lift(group: Group, segments: PathSegments, J: Array) -> Array:
+    """Compute the poses at the segment ends (see `lifted`).
 
-
-def lifted(group: Group, pieces: Pieces, J: Array) -> Lifted:
-    """Return the poses at the ends of pieces and at their nodes, from the identity.
-
-    J: (r,) spatial momentum.
-
-    Raises NoConvergence if a piece is too long: the body turns too far in it.
+    Args:
+        group: Symmetry group.
+        segments: Body twists along the path.
+        J: Spatial momentum, (r,).
+    Returns:
+        (P + 1, size).
     """
-    table, count = tables(STAGES), len(pieces.h)
-    out, angle = np.zeros((count + 1, 7)), np.zeros(count + 1)
-    out[0, 6] = 1.0
+    return lifted(group, segments, J).path
+
+
+def lifted(group: Group, segments: PathSegments, J: Array) -> Lifted:
+    """Compute the poses at the segment ends and at the Gauss nodes, starting at the identity.
+
+    Args:
+        group: Symmetry group.
+        segments: Body twists along the path.
+        J: Spatial momentum, (r,).
+    Returns:
+        The poses along the path.
+    Raises:
+        NoConvergence: The base rotates too far within a segment.
+    """
+    table, count = tables(STAGES), len(segments.h)
+    poses, angle = np.zeros((count + 1, 7)), np.zeros(count + 1)
+    poses[0, 6] = 1.0
     inner, work = np.empty((count, STAGES, 7)), np.empty((2, STAGES, 7))
     coefficients = np.ascontiguousarray(table.mu * table.b)
     stopped = _lift(
-        pieces.h,
-        pieces.a,
-        pieces.L,
+        segments.h,
+        segments.a,
+        segments.L,
         in_space(group, J),
         coefficients,
         table.b,
-        out,
+        poses,
         angle,
         inner,
         work,
     )
     if stopped >= 0:
         raise NoConvergence(
-            f"the lift of piece {stopped} of {count} did not converge: the body turns far in it",
-            float(pieces.h[:stopped].sum()), out[max(stopped - 1, 0)].copy(),
+            f"the lift of segment {stopped} of {count} did not converge: the base turns too far",
+            float(segments.h[:stopped].sum()), poses[max(stopped - 1, 0)].copy(),
         )  # fmt: skip
-    return Lifted(_poses(group, out, angle), inner)
+    return Lifted(_poses(group, poses, angle), inner)
 
 
-def travelled(pieces: Pieces) -> tuple[float, float]:
-    """Return ∫|ω| dt [rad] and ∫|v| dt [m] at zero momentum: how far the body goes, all in all."""
-    weights = pieces.h[:, None] * tables(STAGES).b
-    turned, moved = (
-        np.linalg.norm(part, axis=-1) for part in (pieces.a[..., 3:], pieces.a[..., :3])
+def travelled(segments: PathSegments) -> tuple[float, float]:
+    """Compute the path lengths ∫|ω| dt [rad] and ∫|v| dt [m] at zero momentum.
+
+    Args:
+        segments: Body twists along the path.
+    Returns:
+        Rotation and translation along the path.
+    """
+    weights = segments.h[:, None] * tables(STAGES).b
+    rotation, translation = (
+        np.linalg.norm(twists, axis=-1) for twists in (segments.a[..., 3:], segments.a[..., :3])
     )
-    return float((weights * turned).sum()), float((weights * moved).sum())
+    return float((weights * rotation).sum()), float((weights * translation).sum())
 
 
 def _poses(group: Group, out: Array, angle: Array) -> Array:
-    """Return poses (..., size) of positions and quaternions (..., 7), and unwrapped angles."""
+    """Convert positions and quaternions (..., 7), and unwrapped angles, to poses (..., size)."""
     linear = out[:, list(group.axes[: group.linear])]
     if group.turns == 3:
         return np.concatenate([linear, out[:, 3:]], axis=1)
@@ -130,21 +152,21 @@ def _lift(
     h: Array, a: Array, L: Array, J: Array, A: Array, b: Array, out: Array, angle: Array,
     inner: Array, work: Array,
 ) -> int:  # fmt: skip
-    """Fill poses and angles; return −1, or the piece that did not converge."""
+    """Fill poses and angles. Return −1, or the index of the segment that did not converge."""
     stages = len(b)
-    F, W = work[0], work[1]  # slopes of (p, q); twists
+    F, W = work[0], work[1]  # rates of (p, q); twists
     moving = len(L) > 0
-    for piece in range(len(h)):
-        Y = inner[piece]
+    for segment in range(len(h)):
+        Y = inner[segment]
         for i in range(stages):
             for k in range(7):
-                Y[i, k] = out[piece, k]
+                Y[i, k] = out[segment, k]
         done = False
-        for _ in range(_MOST):
+        for _ in range(_MAX_ITERATIONS):
             for i in range(stages):
                 x, y, z, w = Y[i, 3], Y[i, 4], Y[i, 5], Y[i, 6]
                 for k in range(6):
-                    W[i, k] = a[piece, i, k]
+                    W[i, k] = a[segment, i, k]
                 n = 1.0 / (x * x + y * y + z * z + w * w)
                 r00, r11 = 1.0 - 2.0 * n * (y * y + z * z), 1.0 - 2.0 * n * (x * x + z * z)
                 r22 = 1.0 - 2.0 * n * (x * x + y * y)
@@ -163,7 +185,7 @@ def _lift(
                     m4 = r01 * n0 + r11 * n1 + r21 * n2
                     m5 = r02 * n0 + r12 * n1 + r22 * n2
                     for k in range(6):
-                        row = L[piece, i, k]
+                        row = L[segment, i, k]
                         W[i, k] += (
                             row[0] * m0 + row[1] * m1 + row[2] * m2
                             + row[3] * m3 + row[4] * m4 + row[5] * m5
@@ -183,31 +205,31 @@ def _lift(
                     new = 0.0
                     for j in range(stages):
                         new += A[i, j] * F[j, k]
-                    new = out[piece, k] + h[piece] * new
+                    new = out[segment, k] + h[segment] * new
                     change = max(change, abs(new - Y[i, k]))
                     size = max(size, abs(new))
                     Y[i, k] = new
             if not change < 1e300:
-                return piece
-            # The slopes lag behind the values by one iteration, which contracts once more.
+                return segment
+            # The rates lag behind the values by one iteration, which contracts once more.
             if change <= _ROUND_OFF * size:
                 done = True
                 break
         if not done and not change <= 64.0 * _ROUND_OFF * size:
-            return piece
-        turned = 0.0
+            return segment
+        rotation = 0.0
         for k in range(7):
             new = 0.0
             for j in range(stages):
                 new += b[j] * F[j, k]
-            out[piece + 1, k] = out[piece, k] + h[piece] * new
+            out[segment + 1, k] = out[segment, k] + h[segment] * new
         for j in range(stages):
-            turned += b[j] * W[j, 5]
-        angle[piece + 1] = angle[piece] + h[piece] * turned
+            rotation += b[j] * W[j, 5]
+        angle[segment + 1] = angle[segment] + h[segment] * rotation
         norm = 0.0
         for k in range(3, 7):
-            norm += out[piece + 1, k] * out[piece + 1, k]
+            norm += out[segment + 1, k] * out[segment + 1, k]
         norm = 1.0 / np.sqrt(norm)
         for k in range(3, 7):
-            out[piece + 1, k] *= norm
+            out[segment + 1, k] *= norm
     return -1

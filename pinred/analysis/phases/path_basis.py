@@ -1,7 +1,7 @@
-"""Paths that are linear in coefficients, and the derivatives of their lift by these.
+"""Paths that are linear in coefficients, and the derivatives of their lift.
 
-x(s) = Σ_k Φ_k(s) c_k for s in [0, 1].  If a motion ġ = g ξ is varied, then
-g⁻¹δg = Ad_{g⁻¹} ∫ Ad_{g(s)} δξ ds at its end; δξ = (∂ξ/∂x) δx + (∂ξ/∂x′) δx′ by machine code.
+x(s) = Σ_k Φ_k(s) c_k for s in [0, 1]. A variation of ġ = g ξ gives, at the end,
+g⁻¹δg = Ad_{g⁻¹} ∫ Ad_{g(s)} δξ ds. Compiled code computes δξ = (∂ξ/∂x) δx + (∂ξ/∂x′) δx′.
 """
 
 from __future__ import annotations
@@ -16,14 +16,18 @@ from ...integrators.gauss.tables import tables
 from ...lie.group import Group
 from ..connections.connection import Connection
 from .drift import Drift
-from .lift import STAGES, Pieces, in_space, in_space_by_momenta, lifted, nodes
+from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, lifted, nodes
 
 
 @dataclass(frozen=True, eq=False)
 class PathBasis:
-    """The functions Φ at the N = 8 P Gauss nodes of P pieces.
+    """Basis functions Φ at the N = 8 P Gauss nodes of P segments.
 
-    h: (P,) lengths of the pieces, of s.  values, slopes, bends: (N, K), Φ, Φ′ and Φ″.
+    Attributes:
+        h: Lengths of the segments in s, (P,).
+        values: Φ, (N, K).
+        slopes: Φ′, (N, K).
+        bends: Φ″, (N, K).
     """
 
     h: Array
@@ -36,22 +40,38 @@ class PathBasis:
 
     @property
     def weights(self) -> Array:
-        """Weights of the nodes in an integral over s, (N,)."""
+        """Quadrature weights of the nodes for integrals over s, (N,)."""
         return np.asarray((self.h[:, None] * tables(STAGES).b).ravel())
 
 
 def fourier_basis(
     harmonics: int, pieces: int, *, start: float = 0.0, turn: float = 2.0 * np.pi
 ) -> PathBasis:
-    """Return 1, cos kφ, sin kφ, k = 1 … harmonics, with φ = start + turn s: K = 1 + 2 harmonics."""
+    """Evaluate 1, cos kφ, sin kφ for k = 1 … harmonics, with φ = start + turn s.
+
+    Args:
+        harmonics: Number of harmonics; K = 1 + 2 harmonics.
+        pieces: Number of segments.
+        start: Initial phase angle [rad].
+        turn: Change of the phase angle [rad].
+    Returns:
+        The basis at the Gauss nodes.
+    """
     values, slopes, bends = fourier_rows(harmonics, piece_nodes(pieces), start=start, turn=turn)
     return PathBasis(np.full(pieces, 1.0 / pieces), values, slopes, bends)
 
 
 def cycloid_basis(harmonics: int, pieces: int, cycles: int) -> PathBasis:
-    """Return the same functions of s in [0, 1], passed through `cycles` times from rest to rest.
+    """Evaluate the Fourier basis along a cycloid, φ = cycles (a − sin a) with a = 2πs.
 
-    φ = cycles (a − sin a), a = 2πs.
+    The path is traversed from rest to rest.
+
+    Args:
+        harmonics: Number of harmonics.
+        pieces: Number of segments.
+        cycles: Number of cycles for s in [0, 1].
+    Returns:
+        The basis at the Gauss nodes.
     """
     s = piece_nodes(pieces)
     angle, rate, bend = cycloid(s, cycles)
@@ -63,7 +83,7 @@ def cycloid_basis(harmonics: int, pieces: int, cycles: int) -> PathBasis:
 
 
 def cycloid(s: Array, cycles: int) -> tuple[Array, Array, Array]:
-    """Return φ = cycles (a − sin a), a = 2πs, and its first and second derivatives by s, (N,)."""
+    """Return φ = cycles (a − sin a) with a = 2πs, and its first two derivatives in s, (N,) each."""
     a = 2.0 * np.pi * s
     return (
         cycles * (a - np.sin(a)),
@@ -75,43 +95,61 @@ def cycloid(s: Array, cycles: int) -> tuple[Array, Array, Array]:
 def fourier_rows(
     harmonics: int, s: Array, *, start: float = 0.0, turn: float = 2.0 * np.pi
 ) -> tuple[Array, Array, Array]:
-    """Return 1, cos kφ, sin kφ at s (N,), and their first and second derivatives, (N, K) each."""
+    """Evaluate 1, cos kφ, sin kφ and their first two derivatives in s, φ = start + turn s.
+
+    Args:
+        harmonics: Number of harmonics; K = 1 + 2 harmonics.
+        s: Path parameters, (N,).
+        start: Initial phase angle [rad].
+        turn: Change of the phase angle [rad].
+    Returns:
+        Values, first and second derivatives, (N, K) each.
+    """
     k = np.arange(1, harmonics + 1)
     angle, rate = np.multiply.outer(start + turn * s, k), turn * k
-    c, s_, none = np.cos(angle), np.sin(angle), np.zeros((len(s), 1))
+    cosines, sines, zero = np.cos(angle), np.sin(angle), np.zeros((len(s), 1))
     return (
-        np.hstack([none + 1.0, c, s_]),
-        np.hstack([none, -rate * s_, rate * c]),
-        np.hstack([none, -(rate**2) * c, -(rate**2) * s_]),
+        np.hstack([zero + 1.0, cosines, sines]),
+        np.hstack([zero, -rate * sines, rate * cosines]),
+        np.hstack([zero, -(rate**2) * cosines, -(rate**2) * sines]),
     )
 
 
-def polygon_basis(corners: int, each: int) -> PathBasis:
-    """Return the straight edges from corner to corner and back to the first, K = corners.
+def polygon_basis(corners: int, per_edge: int) -> PathBasis:
+    """Evaluate the basis of a closed polygon, in which every edge takes the same part of s.
 
-    each: pieces of an edge.  Every edge takes the same part of s.
+    Args:
+        corners: Number of corners, K.
+        per_edge: Number of segments per edge.
+    Returns:
+        The basis at the Gauss nodes.
     """
-    along = piece_nodes(each)  # of one edge
-    count = len(along)
+    edge_nodes = piece_nodes(per_edge)
+    count = len(edge_nodes)
     values, slopes = np.zeros((2, corners * count, corners))
     for k in range(corners):
-        rows = slice(k * count, (k + 1) * count)
-        values[rows, k], values[rows, (k + 1) % corners] = 1.0 - along, along
-        slopes[rows, k], slopes[rows, (k + 1) % corners] = -corners, corners
-    h = np.full(corners * each, 1.0 / (corners * each))
+        edge = slice(k * count, (k + 1) * count)
+        values[edge, k], values[edge, (k + 1) % corners] = 1.0 - edge_nodes, edge_nodes
+        slopes[edge, k], slopes[edge, (k + 1) % corners] = -corners, corners
+    h = np.full(corners * per_edge, 1.0 / (corners * per_edge))
     return PathBasis(h, values, slopes, np.zeros_like(values))
 
 
 def piece_nodes(pieces: int) -> Array:
-    """Return the Gauss nodes of equal pieces of [0, 1], (8 pieces,)."""
+    """Return the Gauss nodes of equal segments of [0, 1], (8 pieces,)."""
     return np.asarray((np.arange(pieces)[:, None] + nodes()).ravel() / pieces)
 
 
 class PathLift(NamedTuple):
-    """The lift of a path, and what it was made of.
+    """The lift of a path and its derivatives.
 
-    x, slope: (N, m) shapes and x′.  pose: (size,).  twist: (r, K, m), g⁻¹∂g by coefficients.
-    square: (N,) x′ᵀMx′.  square_slopes: (N, 2m) by (x, x′); NaN and (N, 0) without a metric.
+    Attributes:
+        x: Shapes, (N, m).
+        slope: Derivatives x′, (N, m).
+        pose: Final pose, (size,).
+        twist: g⁻¹∂g with respect to the coefficients, (r, K, m).
+        square: x′ᵀ M x′, (N,).
+        square_slopes: Derivatives of the square with respect to (x, x′), (N, 2m).
     """
 
     x: Array
@@ -125,10 +163,18 @@ class PathLift(NamedTuple):
 def path_lift(
     connection: Connection, basis: PathBasis, coefficients: Array, drift: Drift | None = None
 ) -> PathLift:
-    """Return the lift of the path with coefficients (K, m), and its derivatives.
+    """Compute the lift of a path and its derivatives with respect to the coefficients.
 
-    drift: of a momentum other than zero.
-    Raises SingularInertiaError on singular shapes, NoConvergence if a piece is too long.
+    Args:
+        connection: Connection that lifts the path.
+        basis: Basis functions at the Gauss nodes.
+        coefficients: Coefficients of the path, (K, m).
+        drift: Drift of a non-zero momentum.
+    Returns:
+        The lift with its derivatives.
+    Raises:
+        SingularInertiaError: The path meets a singular shape.
+        NoConvergence: The base rotates too far within a segment.
     """
     group, r = connection.group, connection.r
     x, slope = basis.values @ coefficients, basis.slopes @ coefficients
@@ -136,36 +182,43 @@ def path_lift(
     S = connection.horizontal_slopes(x, slope)
     count, m = len(basis.h), connection.m
     inverse = np.zeros((0, r, r)) if drift is None else drift.inverse(x)
-    on_way = Pieces(
+    segments = PathSegments(
         h=np.array(basis.h),
         a=in_space(group, xi).reshape(count, STAGES, 6),
         L=in_space_by_momenta(group, inverse).reshape(-1, STAGES, 6, 6),
     )
-    found = lifted(group, on_way, np.zeros(r) if drift is None else drift.momentum)
-    pose = found.path[-1].copy()
-    adjoints, by_x = _adjoints(group, found.inner.reshape(-1, 7)), S[:, :r, :m]
-    carried = basis.weights[:, None, None] * adjoints
+    lift_poses = lifted(group, segments, np.zeros(r) if drift is None else drift.momentum)
+    pose = lift_poses.path[-1].copy()
+    adjoints, by_x = _adjoints(group, lift_poses.inner.reshape(-1, 7)), S[:, :r, :m]
+    propagated = basis.weights[:, None, None] * adjoints
     if drift is not None:
         mu = np.swapaxes(adjoints, 1, 2) @ drift.momentum
         by_x = by_x + drift.slopes(x, inverse, mu)
-        carried = drift.carriers(group, basis.h, adjoints, inverse) @ carried
-    twists = by_coefficients(basis, carried @ by_x, carried @ S[:, :r, m:])
+        propagated = drift.carriers(group, basis.h, adjoints, inverse) @ propagated
+    twists = by_coefficients(basis, propagated @ by_x, propagated @ S[:, :r, m:])
     twist = np.tensordot(group.Ad(group.inverse(pose)), twists, 1)
     return PathLift(x, slope, pose, twist, square, S[:, r] if S.shape[1] > r else S[:, 0, :0])
 
 
 def by_coefficients(basis: PathBasis, *rows: Array) -> Array:
-    """Return the sums over the nodes of rows (N, k, m), as (k, K, m).
+    """Sum derivatives over the nodes, to derivatives with respect to the coefficients.
 
-    rows: weighted derivatives by x, by x′, and, if given, by x″.
+    Args:
+        basis: Basis functions at the N nodes.
+        rows: Weighted derivatives (N, k, m) with respect to x, x′ and, optionally, x″.
+    Returns:
+        (k, K, m).
     """
-    kinds = (basis.values, basis.slopes, basis.bends)
-    total = sum(np.tensordot(kind.T, each, 1) for kind, each in zip(kinds, rows, strict=False))
+    bases = (basis.values, basis.slopes, basis.bends)
+    total = sum(
+        np.tensordot(functions.T, derivatives, 1)
+        for functions, derivatives in zip(bases, rows, strict=False)
+    )
     return np.asarray(np.swapaxes(total, 0, 1))
 
 
 def _adjoints(group: Group, inner: Array) -> Array:
-    """Return Ad_g (N, r, r) of positions and quaternions (N, 7)."""
+    """Compute Ad_g, (N, r, r), from positions and quaternions (N, 7)."""
     linear = inner[:, list(group.axes[: group.linear])]
     q = inner[:, 3:] / np.linalg.norm(inner[:, 3:], axis=1, keepdims=True)
     if group.turns == 3:

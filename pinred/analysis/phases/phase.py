@@ -1,4 +1,4 @@
-"""Phase: the element of the group by which one cycle of a gait moves the body."""
+"""The phase of a gait: the group element by which one cycle moves the base."""
 
 from __future__ import annotations
 
@@ -13,24 +13,29 @@ from ...common.errors import InputError, IntegrationError, NoConvergence
 from ...lie.group import Group, PoseError
 from ..connections.connection import Connection
 from ..gaits.gait import Gait
-from .lift import Pieces, lift, travelled
+from .lift import PathSegments, lift, travelled
 from .sampling import refined
 from .screw import Screw, screw_of
 
-_FLOOR = 64.0 * np.finfo(float).eps  # of how far the body travels: round-off
-_LEAST = 1e-14
+_FLOOR = 64.0 * np.finfo(float).eps  # round-off, relative to the path length of the base
+_LEAST = 1e-14  # smallest tolerance
 
 
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """What one cycle of a gait does to the body, from the identity.
+    """The motion of the base over one cycle of a gait.
 
-    pose: (size,) the group element g of the cycle.  error: a bound of its error, the difference
-    to half as many samples: rotation [rad], translation [m].  geometric: (size,) the horizontal
-    lift, what is left of g without momentum.  dynamic: (size,) with g = dynamic · geometric; the
-    identity without momentum.  momentum: (r,) body momentum at the start of the cycle.  times,
-    path: (P + 1,) [s] and (P + 1, size), poses on the way.  length: ∫√(ẋᵀMẋ) dt of the gait, NaN
-    where the connection has no metric.  samples: at how many shapes the connection was evaluated.
+    Attributes:
+        group: Symmetry group.
+        pose: Group element g of the cycle, (size,); the base starts at the identity.
+        error: Error estimate, the difference to half as many samples: rotation [rad] and
+            translation [m].
+        geometric: Horizontal lift, (size,), which is g at zero momentum.
+        momentum: Body momentum at the start of the cycle, (r,).
+        times: Times of the path, (P + 1,) [s].
+        path: Poses during the cycle, (P + 1, size).
+        length: ∫√(ẋᵀMẋ) dt of the gait; NaN if the connection has no metric.
+        samples: Number of shapes at which the connection was evaluated.
     """
 
     group: Group
@@ -42,47 +47,57 @@ class Phase:
     path: Array
     length: float
     samples: int
-    _pieces: Pieces = field(repr=False)
+    _segments: PathSegments = field(repr=False)
 
     def __post_init__(self) -> None:
         freeze(self)
 
     @cached_property
     def dynamic(self) -> Array:
-        """Part of the pose that momentum makes: g = dynamic · geometric."""
+        """Dynamic factor of the pose, (size,), with g = dynamic · geometric.
+
+        The identity at zero momentum.
+        """
         return self.group.compose(self.pose, self.group.inverse(self.geometric))
 
     @property
     def end_momentum(self) -> Array:
-        """Body momentum at the end of the cycle, (r,): Ad_gᵀ of that at the start."""
+        """Body momentum at the end of the cycle, (r,): Ad_gᵀ applied to the initial one."""
         return np.asarray(self.group.Ad(self.pose).T @ self.momentum)
 
     @property
     def log(self) -> Array:
-        """Logarithm of the pose, (r,): the steady twist that makes it in unit time."""
+        """Logarithm of the pose, (r,): the constant body twist that reaches it in unit time."""
         return self.group.log(self.pose)
 
     @property
     def screw(self) -> Screw:
-        """Steady drift or orbit of the body, cycle after cycle, as a screw."""
+        """Steady drift or orbit of the base over many cycles, as a screw."""
         return screw_of(self.group, self.pose)
 
     def cycles(self, n: int) -> Array:
-        """Return the pose after n cycles, (size,); n may be negative without momentum.
+        """Return the pose after n cycles.
 
-        Without momentum a power of the pose; with it, cycle by cycle, as μ turns with the body.
+        With momentum, cycles are computed one after another, because μ rotates with the body.
+
+        Args:
+            n: Number of cycles. It may be negative at zero momentum.
+        Returns:
+            (size,).
+        Raises:
+            InputError: n is negative and there is momentum.
         """
         n, group = whole(n, "cycles", -(2**31)), self.group
         if not self.momentum.any():
             step = self.pose if n >= 0 else group.inverse(self.pose)
             return _power(group, step, abs(n))
         if n < 0:
-            raise InputError(f"with momentum, cycles takes a number that is not negative, got {n}")
-        out = group.identity()
+            raise InputError(f"cycles: with momentum, expected a non-negative number, got {n}")
+        pose = group.identity()
         for _ in range(n):
-            mu = group.Ad(out).T @ self.momentum
-            out = group.normalize(group.compose(out, lift(group, self._pieces, mu)[-1]))
-        return out
+            mu = group.Ad(pose).T @ self.momentum
+            pose = group.normalize(group.compose(pose, lift(group, self._segments, mu)[-1]))
+        return pose
 
 
 def phase(
@@ -92,15 +107,23 @@ def phase(
     *,
     tolerance: float = 1e-10,
 ) -> Phase:
-    """Return what one cycle of a gait does to the body: g with g⁻¹ġ = −A ẋ + P_b⁻¹ μ.
+    """Compute the phase of a gait: the pose g after one cycle of g⁻¹ġ = −A ẋ + P_b⁻¹ μ.
 
-    momentum: 0, or the body momentum μ at the start, (r,), of which Ad*_{g⁻¹} μ is conserved.
-    tolerance: on the error of the pose, rotation [rad] and translation [m] alike; the samples
-    are doubled until the difference that makes is below it.  Exact derivatives are not needed:
-    where the gait is a Fourier series, convergence is spectral.
-    Raises SymmetryError where gravity turns the base, so that momenta are not conserved,
-    SingularInertiaError where the gait meets a singular shape, IntegrationError if the
-    tolerance is out of reach, InputError if gait and connection do not belong together.
+    The number of samples is doubled until the pose changes by less than the tolerance. On a
+    Fourier series, convergence is spectral.
+
+    Args:
+        connection: Connection that lifts the gait.
+        gait: Closed path in shape space.
+        momentum: 0, or the body momentum μ at the start, (r,). Ad*_{g⁻¹} μ is conserved.
+        tolerance: Tolerance of the pose, in rotation [rad] and translation [m].
+    Returns:
+        The phase with its error estimate.
+    Raises:
+        SymmetryError: Gravity rotates the base, so momentum is not conserved.
+        SingularInertiaError: The gait meets a singular shape.
+        IntegrationError: The tolerance is out of reach.
+        InputError: An argument is of the wrong kind, or gait and connection do not match.
     """
     if not isinstance(connection, Connection) or not isinstance(gait, Gait):
         raise InputError(
@@ -108,47 +131,47 @@ def phase(
             f"{type(gait).__name__}"
         )
     connection.refuse_gravity()
-    wanted = max(positive(tolerance, "tolerance"), _LEAST)
+    goal = max(positive(tolerance, "tolerance"), _LEAST)
     mu = _momentum(connection, momentum)
-    group, moving = connection.group, bool(mu.any())
-    last: Array | None = None
+    group, has_momentum = connection.group, bool(mu.any())
+    previous: Array | None = None
     error = np.inf
-    for sampled in refined(connection, gait, momentum=moving):
+    for sampled in refined(connection, gait, momentum=has_momentum):
         try:
-            path = lift(group, sampled.pieces, mu)
+            path = lift(group, sampled.segments, mu)
         except NoConvergence:
-            last = None
+            previous = None
             continue
         pose = path[-1].copy()
-        if last is not None:
-            apart = group.error(last, pose)
-            error = float(np.maximum(apart.rotation, apart.translation))
-            if error <= wanted:
+        if previous is not None:
+            difference = group.error(previous, pose)
+            error = float(np.maximum(difference.rotation, difference.translation))
+            if error <= goal:
                 return Phase(
                     group=group,
                     pose=pose,
-                    error=_bound(apart, sampled.pieces, pose),
-                    geometric=_horizontal(group, sampled.pieces, pose, moving=moving),
+                    error=_bound(difference, sampled.segments, pose),
+                    geometric=_horizontal(group, sampled.segments, pose, has_momentum=has_momentum),
                     momentum=mu,
-                    times=np.concatenate([[0.0], np.cumsum(sampled.pieces.h)]),
+                    times=np.concatenate([[0.0], np.cumsum(sampled.segments.h)]),
                     path=path,
                     length=sampled.length,
                     samples=sampled.samples,
-                    _pieces=sampled.pieces,
+                    _segments=sampled.segments,
                 )
-        last = pose
+        previous = pose
     raise IntegrationError(
-        f"the phase did not reach the tolerance {wanted:g}: the last doubling changed it by "
+        f"the phase did not reach the tolerance {goal:g}: the last doubling changed it by "
         f"{error:.2g}; the gait passes near a singular shape, or the tolerance is below round-off"
     )
 
 
-def _bound(apart: PoseError, pieces: Pieces, pose: Array) -> PoseError:
-    """Return the difference that the last doubling made, and round-off."""
-    turned, moved = travelled(pieces)
+def _bound(difference: PoseError, segments: PathSegments, pose: Array) -> PoseError:
+    """Return the change by the last doubling, plus round-off."""
+    rotation, translation = travelled(segments)
     return PoseError(
-        rotation=apart.rotation + _FLOOR * (1.0 + turned),
-        translation=apart.translation + _FLOOR * (moved + turned * np.abs(pose).max()),
+        rotation=difference.rotation + _FLOOR * (1.0 + rotation),
+        translation=difference.translation + _FLOOR * (translation + rotation * np.abs(pose).max()),
     )
 
 
@@ -161,17 +184,17 @@ def _momentum(connection: Connection, momentum: ArrayLike | float) -> Array:
     return mu
 
 
-def _horizontal(group: Group, pieces: Pieces, pose: Array, *, moving: bool) -> Array:
-    if not moving:
+def _horizontal(group: Group, segments: PathSegments, pose: Array, *, has_momentum: bool) -> Array:
+    if not has_momentum:
         return pose.copy()
-    without = replace(pieces, L=np.zeros((0, *pieces.L.shape[1:])))
-    return np.asarray(lift(group, without, np.zeros(group.dim))[-1])
+    horizontal = replace(segments, L=np.zeros((0, *segments.L.shape[1:])))
+    return np.asarray(lift(group, horizontal, np.zeros(group.dim))[-1])
 
 
 def _power(group: Group, g: Array, n: int) -> Array:
-    out = group.identity()
+    power = group.identity()
     while n:
         if n & 1:
-            out = group.normalize(group.compose(out, g))
+            power = group.normalize(group.compose(power, g))
         g, n = group.normalize(group.compose(g, g)), n >> 1
-    return out
+    return power

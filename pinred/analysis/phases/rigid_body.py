@@ -1,11 +1,11 @@
-"""The phase of a free rigid body: how far it has turned when its body momentum comes back.
+"""The phase of a free rigid body: its rotation over one period of the body momentum.
 
-In the body's axes the angular momentum runs round a closed curve on a sphere, in the period T of
-Jacobi's elliptic functions; then the body has turned about the fixed J by
+In body axes, the angular momentum traces a closed curve on a sphere, with the period T of Jacobi's
+elliptic functions. Over one period the body rotates about the fixed J by
 
-    Δθ = 2 E T / |J| − Λ   (modulo whole turns),
+    Δθ = 2 E T / |J| − Λ   (modulo complete rotations),
 
-Λ the oriented solid angle of the curve.  Sources: R. Montgomery, "How much does the rigid body
+with the oriented solid angle Λ of the curve. Sources: R. Montgomery, "How much does the rigid body
 rotate?", Am. J. Phys. 59 (1991); L. Landau, E. Lifshitz, "Mechanics", §37.
 """
 
@@ -22,19 +22,22 @@ from ...lie.rotations import TAU
 from ...reduction.at_a_shape import PointwiseReduction
 from ...system.system import System, checked_system
 
-_EDGE = 1e-12  # relative; how near to the separatrix, or to a sphere, is there
-_NODES = 4096
+_EDGE = 1e-12  # relative distance below which a motion counts as on the separatrix
+_NODES = 4096  # samples of the momentum curve
 
 
 @dataclass(frozen=True)
 class RigidBodyPhase:
-    """What one period of a free rigid body does.
+    """The motion of a free rigid body over one period of its body momentum.
 
-    period: of the body momentum [s].  angle: by which the body has then turned about J, in
-    [0, 2π) [rad].  solid_angle: oriented, of the curve of the body momentum on its sphere, less
-    than a whole one [sr].  dynamic: 2 E T / |J|, so that angle = dynamic − solid_angle modulo 2π.
-    axis: (3,) direction of J in the body's frame at the start.  energy: E of the rotation [J].
-    momentum: |J| [kg m²/s].
+    Attributes:
+        period: Period T [s].
+        angle: Rotation about J after one period, in [0, 2π) [rad].
+        solid_angle: Oriented solid angle of the momentum curve, below 4π [sr].
+        dynamic: 2 E T / |J| [rad]; angle = dynamic − solid_angle modulo 2π.
+        axis: Direction of J in the initial body frame, (3,).
+        energy: Rotational energy E [J].
+        momentum: |J| [kg m²/s].
     """
 
     period: float
@@ -50,39 +53,43 @@ class RigidBodyPhase:
 
 
 def rigid_body_phase(system: System, omega: ArrayLike) -> RigidBodyPhase:
-    """Return the phase of a system without joints, free to turn in space.
+    """Compute the phase of a free rigid body.
 
-    omega: (3,) angular velocity at the start, in the body's frame [rad/s].
-    Raises InputError for a system with joints or that cannot turn freely in space, for no
-    rotation at all, and where there is no period: on the separatrix through the middle axis, and
-    of a body that is a sphere to rotations.
+    Args:
+        system: System of group SO3 or SE3 without joints.
+        omega: Initial angular velocity in the body frame, (3,) [rad/s].
+    Returns:
+        Period, rotation angle and solid angle.
+    Raises:
+        InputError: The system has joints or another group, omega is zero, or there is no period:
+            on the separatrix of the middle axis, or for a body with equal moments.
     """
     system = checked_system(system, "rigid_body_phase")
     group = system.group
     if group.turns != 3 or group.linear not in (0, 3):
-        raise InputError(f"rigid_body_phase takes a body of SO3 or SE3, got {group.name}")
+        raise InputError(f"system: expected a body of SO3 or SE3, got {group.name}")
     if system.m:
-        raise InputError(f"'{system.name}' has {system.m} joints; freeze them: load(…, lock={{…}})")
+        raise InputError(f"'{system.name}' has {system.m} joints. Lock them: load(…, lock={{…}})")
     w = vector(omega, 3, "omega")
     I = PointwiseReduction(system).locked_inertia(np.zeros(0))
-    turning = I[-3:, -3:]
+    inertia_about_com = I[-3:, -3:]
     if group.linear:  # about the centre of mass
-        turning = turning - I[3:, :3] @ np.linalg.solve(I[:3, :3], I[:3, 3:])
-    moments, axes = np.linalg.eigh(turning)
+        inertia_about_com = inertia_about_com - I[3:, :3] @ np.linalg.solve(I[:3, :3], I[:3, 3:])
+    moments, axes = np.linalg.eigh(inertia_about_com)
     if np.linalg.det(axes) < 0.0:
         axes[:, 1] *= -1.0
     rates = axes.T @ w
     mu = moments * rates
     J, energy = float(np.linalg.norm(mu)), 0.5 * float(mu @ rates)
     if not J > 0.0:
-        raise InputError("omega must not be zero: a body at rest has no period")
+        raise InputError("omega: expected a non-zero vector; a body at rest has no period")
     period, curve = _curve(moments, J, energy)
-    solid = _solid_angle(curve)
+    solid_angle = _solid_angle(curve)
     dynamic = 2.0 * energy * period / J
     return RigidBodyPhase(
         period=period,
-        angle=float((dynamic - solid) % TAU),
-        solid_angle=solid,
+        angle=float((dynamic - solid_angle) % TAU),
+        solid_angle=solid_angle,
         dynamic=dynamic,
         axis=np.asarray(axes @ mu / J),
         energy=energy,
@@ -91,34 +98,35 @@ def rigid_body_phase(system: System, omega: ArrayLike) -> RigidBodyPhase:
 
 
 def _outer(moments: Array, J: float, energy: float) -> tuple[int, int, int]:
-    """Return the axes (i, j, k): the momentum goes round k, and j is the middle one."""
+    """Return axes (i, j, k): the momentum circles axis k, and j is the middle axis."""
     return (0, 1, 2) if 2.0 * energy * moments[1] <= J**2 else (2, 1, 0)
 
 
 def _curve(moments: Array, J: float, energy: float) -> tuple[float, Array]:
-    """Return the period, and the curve of μ/|J| over it, (N, 3), round +z in the sense of time.
+    """Compute the period, and the curve of μ/|J| over one period, (N, 3).
 
-    Its axes are (i, j, k) of `_outer`, made right-handed.
+    The axes are (i, j, k) of `_outer`, made right-handed. The curve circles +z in the direction of
+    time.
     """
     from scipy.special import ellipj, ellipk
 
     i, j, k = _outer(moments, J, energy)
     a, b, c = moments[[i, j, k]]
     square, twice = J**2, 2.0 * energy
-    apart = (c - b) * (square - twice * a)
-    rate = np.sqrt(max(apart / (a * b * c), 0.0))
+    denominator = (c - b) * (square - twice * a)
+    rate = np.sqrt(max(denominator / (a * b * c), 0.0))
     scale = twice / b
     if not rate > _EDGE * scale**0.5:
         raise InputError(
-            "there is no period: the body turns about its middle axis, or is as a sphere or a "
-            "symmetric top whose momentum stays where it is"
+            "there is no period: the body rotates about its middle axis, or its momentum is "
+            "constant in the body (equal moments of inertia)"
         )
-    modulus = max((b - a) * (twice * c - square) / apart, 0.0)
+    modulus = max((b - a) * (twice * c - square) / denominator, 0.0)
     if not modulus < 1.0 - _EDGE:
         raise InputError("there is no period: the motion is on the separatrix of the middle axis")
     period = 4.0 * float(ellipk(modulus)) / float(rate)
     sn, cn, dn, _ = ellipj(rate * period * np.arange(_NODES) / _NODES, modulus)
-    # Landau and Lifshitz (37.10): Ω₁ ∝ cn, Ω₂ ∝ sn, Ω₃ ∝ dn, which goes round as time does.
+    # Landau and Lifshitz (37.10): Ω₁ ∝ cn, Ω₂ ∝ sn, Ω₃ ∝ dn, in the direction of time.
     along_i = np.sqrt(max(a * (twice * c - square) / (c - a), 0.0)) * cn / J
     along_j = np.sqrt(max(b * (twice * c - square) / (c - b), 0.0)) * sn / J
     along_k = np.sqrt(max(c * (square - twice * a) / (c - a), 0.0)) * dn / J
@@ -127,19 +135,19 @@ def _curve(moments: Array, J: float, energy: float) -> tuple[float, Array]:
 
 
 def _solid_angle(curve: Array) -> float:
-    """Return the oriented solid angle of a closed curve round +z.
+    """Compute the oriented solid angle of a closed curve around +z.
 
-    One round −z is that curve turned by half a turn about x, which changes nothing.
+    A curve around −z is rotated by π about x, which does not change the angle.
     """
     x, y, z = curve.T
     angle = np.unwrap(np.arctan2(y, x))
-    turned = float(np.round((angle[-1] - angle[0]) / TAU))
-    slope = _derivative(angle - turned * TAU * np.arange(len(angle)) / len(angle)) + turned
+    windings = float(np.round((angle[-1] - angle[0]) / TAU))
+    slope = _derivative(angle - windings * TAU * np.arange(len(angle)) / len(angle)) + windings
     return float(TAU * np.mean((1.0 - z) * slope))
 
 
 def _derivative(values: Array) -> Array:
-    """Return the derivative of periodic values by the angle round the period, over 1."""
+    """Differentiate periodic values with respect to the angle of the period."""
     modes = np.fft.rfft(values)
     modes *= 1j * np.arange(len(modes))
     modes[-1] = 0.0

@@ -1,8 +1,8 @@
-"""Body velocities along a gait at Gauss nodes: sampled there, or interpolated between few samples.
+"""Body twists along a gait at Gauss nodes, evaluated or interpolated.
 
-On a gait that is one Fourier series everything is smooth and periodic, and the trigonometric
-interpolant of N samples converges faster than any power of N; it is then evaluated at the Gauss
-nodes of N/2 pieces.  On any other gait the nodes of the pieces of its arcs are sampled.
+On a gait that is one Fourier series, everything is smooth and periodic. The trigonometric
+interpolant of N samples then converges spectrally, and is evaluated at the Gauss nodes of N/2
+segments. On any other gait, the connection is evaluated at the Gauss nodes of its arcs.
 """
 
 from __future__ import annotations
@@ -19,27 +19,36 @@ from ...common.errors import InputError
 from ...integrators.gauss.tables import tables
 from ..connections.connection import Connection
 from ..gaits.gait import Gait
-from .lift import STAGES, Pieces, in_space, in_space_by_momenta, nodes
+from .lift import STAGES, PathSegments, in_space, in_space_by_momenta, nodes
 
-_LEAST = 16  # samples of a smooth gait
-_PER_HARMONIC = 16
-MOST = 2**15  # samples
+_LEAST = 16  # smallest number of samples of a smooth gait
+_PER_HARMONIC = 16  # initial samples per harmonic
+MOST = 2**15  # largest number of samples
 
 
 @dataclass(frozen=True)
 class Sampled:
-    """A gait sampled: its pieces, at how many shapes, and ∫√(ẋᵀMẋ) dt (NaN without a metric)."""
+    """A sampled gait.
 
-    pieces: Pieces
+    Attributes:
+        segments: Body twists at the Gauss nodes.
+        samples: Number of shapes at which the connection was evaluated.
+        length: ∫√(ẋᵀMẋ) dt; NaN if the connection has no metric.
+    """
+
+    segments: PathSegments
     samples: int
     length: float
 
 
 class Samples(NamedTuple):
-    """What is sampled at N shapes and rates.
+    """Values of a connection at N shapes and rates.
 
-    xi: (N, r).  inverse: (N, r²) rows of P_b⁻¹, or (N, 0) where it is not wanted.  speed: (N,)
-    √(ẋᵀMẋ).  health: (N,) of P_b.
+    Attributes:
+        xi: Body twists −A ẋ, (N, r).
+        inverse: P_b⁻¹ by rows, (N, r²), or (N, 0) if not requested.
+        speed: √(ẋᵀMẋ), (N,).
+        health: Condition measure of P_b, (N,), which changes sign across a singular shape.
     """
 
     xi: Array
@@ -49,110 +58,119 @@ class Samples(NamedTuple):
 
 
 def refined(connection: Connection, gait: Gait, *, momentum: bool) -> Iterator[Sampled]:
-    """Yield the gait sampled again and again, each time twice as finely, up to MOST samples.
+    """Sample a gait repeatedly, each time twice as finely, up to MOST samples.
 
-    momentum: whether P_b⁻¹ is wanted, too.
+    Args:
+        connection: Connection to evaluate.
+        gait: Closed path in shape space.
+        momentum: Whether P_b⁻¹ is needed as well.
+    Yields:
+        The sampled gait.
+    Raises:
+        InputError: Gait and connection have different numbers of joints.
     """
     if connection.m != gait.m:
         raise InputError(
-            f"the gait moves {gait.m} joints, but {connection} has {connection.m}: "
+            f"gait: expected {connection.m} joints for {connection}, got {gait.m}. The joints are "
             f"{', '.join(connection.joints)}"
         )
-    yield from (_smooth if gait.is_smooth else _by_pieces)(connection, gait, momentum)
+    yield from (_smooth if gait.is_smooth else _by_arcs)(connection, gait, momentum)
 
 
 def _smooth(connection: Connection, gait: Gait, momentum: bool) -> Iterator[Sampled]:
     (arc,) = gait.arcs
     harmonics = len(getattr(arc, "cos", ()))
     count = max(_LEAST, _PER_HARMONIC * harmonics)
-    known: Samples | None = None
+    coarse: Samples | None = None
     while count <= MOST:
-        # Every other one of twice as many samples is known.
+        # Every other sample is known from the previous round.
         step = gait.period / count
-        t = np.arange(count) * step if known is None else np.arange(1, count, 2) * step
-        found = _at(connection, *gait.at(t), momentum)
-        if known is not None:
-            found = Samples(*(_woven(a, b) for a, b in zip(known, found, strict=True)))
-        known = found
-        connection.refuse_crossing(found.health)
-        pieces = Pieces(
+        t = np.arange(count) * step if coarse is None else np.arange(1, count, 2) * step
+        samples = _at(connection, *gait.at(t), momentum)
+        if coarse is not None:
+            samples = Samples(*(_interleave(a, b) for a, b in zip(coarse, samples, strict=True)))
+        coarse = samples
+        connection.refuse_crossing(samples.health)
+        segments = PathSegments(
             h=np.full(count // 2, gait.period / (count // 2)),
-            a=in_space(connection.group, _interpolated(found.xi)),
-            L=_inverse_in_space(connection, _interpolated(found.inverse)) if momentum else _NOTHING,
-        )
-        yield Sampled(pieces, count, float(found.speed.mean() * gait.period))
-        count *= 2
-
-
-def _by_pieces(connection: Connection, gait: Gait, momentum: bool) -> Iterator[Sampled]:
-    each = 1
-    while STAGES * each * len(gait.arcs) <= MOST:
-        starts = np.arange(each) / each
-        s = (starts[:, None] + nodes() / each).ravel()
-        parts = [arc.at(s) for arc in gait.arcs]
-        x = np.concatenate([part[0] for part in parts])
-        xdot = np.concatenate(
-            [part[1] / arc.time for part, arc in zip(parts, gait.arcs, strict=True)]
-        )
-        found = _at(connection, x, xdot, momentum)
-        connection.refuse_crossing(found.health)
-        h = np.repeat([arc.time / each for arc in gait.arcs], each)
-        shape = (len(h), STAGES)
-        pieces = Pieces(
-            h=h,
-            a=in_space(connection.group, found.xi).reshape(*shape, 6),
-            L=_inverse_in_space(connection, found.inverse.reshape(*shape, -1))
+            a=in_space(connection.group, _interpolated(samples.xi)),
+            L=_inverse_in_space(connection, _interpolated(samples.inverse))
             if momentum
             else _NOTHING,
         )
-        length = float((h[:, None] * tables(STAGES).b * found.speed.reshape(shape)).sum())
-        yield Sampled(pieces, len(x), length)
-        each *= 2
+        yield Sampled(segments, count, float(samples.speed.mean() * gait.period))
+        count *= 2
+
+
+def _by_arcs(connection: Connection, gait: Gait, momentum: bool) -> Iterator[Sampled]:
+    per_arc = 1
+    while STAGES * per_arc * len(gait.arcs) <= MOST:
+        starts = np.arange(per_arc) / per_arc
+        s = (starts[:, None] + nodes() / per_arc).ravel()
+        arc_points = [arc.at(s) for arc in gait.arcs]
+        x = np.concatenate([points[0] for points in arc_points])
+        xdot = np.concatenate(
+            [points[1] / arc.time for points, arc in zip(arc_points, gait.arcs, strict=True)]
+        )
+        samples = _at(connection, x, xdot, momentum)
+        connection.refuse_crossing(samples.health)
+        h = np.repeat([arc.time / per_arc for arc in gait.arcs], per_arc)
+        shape = (len(h), STAGES)
+        segments = PathSegments(
+            h=h,
+            a=in_space(connection.group, samples.xi).reshape(*shape, 6),
+            L=_inverse_in_space(connection, samples.inverse.reshape(*shape, -1))
+            if momentum
+            else _NOTHING,
+        )
+        length = float((h[:, None] * tables(STAGES).b * samples.speed.reshape(shape)).sum())
+        yield Sampled(segments, len(x), length)
+        per_arc *= 2
 
 
 _NOTHING = np.zeros((0, STAGES, 6, 6))
 
 
 def _at(connection: Connection, x: Array, xdot: Array, momentum: bool) -> Samples:
-    """Return the samples at shapes and rates (N, m)."""
-    found = connection.code.velocities(x, xdot)
-    connection.refuse_singular(x, found.health)
+    """Evaluate the connection at shapes and rates (N, m)."""
+    velocities = connection.code.velocities(x, xdot)
+    connection.refuse_singular(x, velocities.health)
     inverse: Array = np.zeros((len(x), 0))
     if momentum:
         inverse = np.asarray(np.linalg.inv(connection.locals_at(x)[2]).reshape(len(x), -1))
-    speed = np.sqrt(np.maximum(found.square, 0.0))
-    return Samples(found.xi, inverse, speed, found.health)
+    speed = np.sqrt(np.maximum(velocities.square, 0.0))
+    return Samples(velocities.xi, inverse, speed, velocities.health)
 
 
-def _woven(known: Array, new: Array) -> Array:
-    out = np.empty((2 * len(known), *known.shape[1:]))
-    out[::2], out[1::2] = known, new
-    return out
+def _interleave(coarse: Array, midpoints: Array) -> Array:
+    interleaved = np.empty((2 * len(coarse), *coarse.shape[1:]))
+    interleaved[::2], interleaved[1::2] = coarse, midpoints
+    return interleaved
 
 
 def _inverse_in_space(connection: Connection, rows: Array) -> Array:
-    """Return P_b⁻¹ of rows (..., r²) as (..., 6, 6)."""
+    """Embed rows (..., r²) of P_b⁻¹ as spatial maps, (..., 6, 6)."""
     r = connection.r
     return in_space_by_momenta(connection.group, rows.reshape(*rows.shape[:-1], r, r))
 
 
 def _interpolated(values: Array) -> Array:
-    """Return the trigonometric interpolant of (N, k) at the Gauss nodes of N/2 pieces."""
+    """Interpolate values (N, k) trigonometrically at the Gauss nodes of N/2 segments."""
     count = len(values)
     shifts = _shifts(count)
     modes = np.fft.rfft(values, axis=0) / count  # wave numbers 0 … N/2
     half = count // 2
-    # N/2 equidistant places cannot tell wave number k from k − N/2: the two are folded.  The
-    # real part of twice the positive ones is all of them.
+    # On N/2 equidistant nodes, wave numbers k and k − N/2 are equal, so fold them. Twice the real
+    # part of the positive wave numbers gives all of them.
     modes[1:half] *= 2.0
-    turned = shifts[..., None] * modes  # (8, N/2 + 1, k)
-    folded = turned[:, :half].copy()
-    folded[:, 0] += turned[:, half]
+    shifted = shifts[..., None] * modes  # (8, N/2 + 1, k)
+    folded = shifted[:, :half].copy()
+    folded[:, 0] += shifted[:, half]
     return np.ascontiguousarray(np.moveaxis(np.fft.ifft(folded, axis=1).real * half, 0, 1))
 
 
 @lru_cache(maxsize=32)
 def _shifts(count: int) -> Array:
-    """Return e^{ikδ}, (8, N/2 + 1), of the Gauss nodes δ in the first of N/2 pieces."""
+    """Return e^{ikδ}, (8, N/2 + 1), for the Gauss nodes δ of the first of N/2 segments."""
     k = np.arange(count // 2 + 1)
     return np.exp(1j * np.multiply.outer(nodes() * (4.0 * np.pi / count), k))

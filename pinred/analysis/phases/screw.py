@@ -1,4 +1,4 @@
-"""The screw of a pose: the steady drift or orbit that makes it (Chasles)."""
+"""The screw of a pose (Chasles): the steady drift or orbit that produces it."""
 
 from __future__ import annotations
 
@@ -10,15 +10,18 @@ from ...common.arrays import Array, freeze
 from ...lie.group import Group
 from .lift import in_space
 
-_STRAIGHT = 1e-12  # rad; a turn below it is none
+_STRAIGHT = 1e-12  # rad; a smaller rotation counts as a translation
 
 
 @dataclass(frozen=True)
 class Screw:
-    """A turn about an axis with a slide along it; in the frame in which the cycle began.
+    """A rotation about an axis with a translation along it, in the initial frame of the base.
 
-    axis: (3,) direction, of the slide where nothing turns.  point: (3,) of the axis nearest to the
-    origin [m]; NaN where nothing turns.  angle: of the turn [rad].  slide: along the axis [m].
+    Attributes:
+        axis: Direction of the axis, (3,); of the translation if there is no rotation.
+        point: Point of the axis nearest to the origin, (3,) [m]; NaN without rotation.
+        angle: Rotation [rad].
+        slide: Translation along the axis [m].
     """
 
     axis: Array
@@ -31,23 +34,23 @@ class Screw:
 
     @property
     def radius(self) -> float:
-        """Radius of the circle or helix of the body's origin [m]; ∞ of a straight line."""
+        """Radius of the circle or helix of the base origin [m]; ∞ for a straight line."""
         return float(np.linalg.norm(self.point)) if np.isfinite(self.point).all() else np.inf
 
 
 def screw_of(group: Group, pose: Array) -> Screw:
-    """Return the screw of a pose; a planar angle counts with its whole turns."""
+    """Compute the screw of a pose. A planar angle keeps its complete rotations."""
     log = group.log(pose)
-    turned = log.copy()
+    angles = log.copy()
     xi = in_space(group, log)
     v, w = xi[:3], xi[3:]
     angle = float(np.linalg.norm(w))
-    if group.turns == 1:  # whole turns are in the pose, not in its logarithm
-        turned = np.array(pose[-1:])
+    if group.turns == 1:  # the pose keeps complete rotations, its logarithm does not
+        angles = np.array(pose[-1:])
     if angle < _STRAIGHT:
         slide = float(np.linalg.norm(v))
         axis = v / slide if slide > 0.0 else np.array([0.0, 0.0, 1.0])
         return Screw(axis, np.full(3, np.nan), 0.0, slide)
     axis = w / angle
-    total = float(turned[0] * axis[2]) if group.turns == 1 else angle
+    total = float(angles[0] * axis[2]) if group.turns == 1 else angle
     return Screw(axis, np.cross(w, v) / angle**2, total, float(v @ axis))

@@ -301,12 +301,13 @@ def make_stepper(name: str, order: int, tableau: Tableau) -> Stepper:
     bindings = bind_formulas(prefix, order, tableau, SCALAR)
     bindings.add(non_finite_entry)
     bindings.add(fill_dense_rows)
+    rows = steps_of(tableau).rows
     hooks = (
         begin_run, next_end_time, attempt_step, accept_step, load_step, write_state, store_end,
     )  # fmt: skip
     return Stepper(
         loops(prefix, Hooks(*map(bindings.add, hooks))),
-        lambda n, tangent: padded_rows(steps_of(tableau).rows, n),  # noqa: ARG005
+        lambda n, tangent: padded_rows(rows, n),  # noqa: ARG005
         stages=tableau.stages,
     )
 

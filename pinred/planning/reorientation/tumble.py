@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...analysis.phases.drift import Drift
-from ...analysis.phases.lift import STAGES, Pieces, in_space_by_momenta, lift
+from ...analysis.phases.lift import STAGES, PathSegments, in_space_by_momenta, lift
 from ...common.arrays import Array, vector
 from ...common.errors import InputError
 from ...system.system import System
@@ -72,7 +72,7 @@ def joint_rotation(
     group, drift = system.group, passage.drift
     count = passage.more + STAGES
     inverse = in_space_by_momenta(group, drift.inverse(start[None]))
-    still = Pieces(
+    still = PathSegments(
         h=np.full(count, 1.0 / count),
         a=np.zeros((count, STAGES, 6)),
         L=np.ascontiguousarray(np.broadcast_to(inverse, (count, STAGES, 6, 6))),

@@ -221,7 +221,7 @@ def _set_up(
     plan: Plan, given: GivenStates, start: InitialConditions, own: MemberParameters, *, zero: bool
 ) -> CompiledFlow:
     """Return the flow of N members, all with or all without angular momentum."""
-    x, system = given.x, plan.system
+    x, N, system = given.x, len(given.x), plan.system
     kernel = kernel_of(plan, zero_momentum=zero, generic=own.robot is not None)
     layout, base = kernel.layout, kernel.layout.base
     if plan.method.steady_momentum and base.momentum:
@@ -234,23 +234,33 @@ def _set_up(
     state = [x[:, active], start.pi[:, active], x[:, cyclic], attitude[:, : base.attitude]]
     if base.down:
         state.append(_down(plan, attitude, own))
-    state += [start.about[:, : base.momentum], np.zeros((len(x), base.push + layout.clock))]
+    state += [start.about[:, : base.momentum], np.zeros((N, base.push + layout.clock))]
     gravity, fall = own.gravity, own.fall
     if gravity is None or fall is None:
         gravity, fall = plan.acting.gravity, root_of(system).g
     bodies = free_numbers(system, layout.freed) if own.robot is None else own.robot
     numbers = plan.numbers if own.numbers is None else own.numbers
-    path = _rows(len(x), [start.c0, start.v0, fall])
-    pieces = [start.fixed[:, : base.spin], start.pi[:, cyclic], gravity[..., list(layout.gravity)]]
-    parameters = _rows(len(x), [*pieces, bodies, path[:, : layout.com_path], numbers])
+    path = _fill(np.empty((N, 3 * system.group.linear)), [start.c0, start.v0, fall])
+    parameters = _fill(
+        np.empty((N, layout.parameters)),
+        [
+            start.fixed[:, : base.spin], start.pi[:, cyclic], gravity[..., list(layout.gravity)],
+            bodies, path[:, : layout.com_path], numbers,
+        ],
+    )  # fmt: skip
     y0 = np.concatenate(state, axis=1)
     finite_start(y0, parameters, path)
     return CompiledFlow(kernel, y0, parameters, path)
 
 
-def _rows(count: int, pieces: list[Array]) -> Array:
-    """Return pieces (N, …), or (…) if all members share one, beside each other."""
-    return np.concatenate([np.broadcast_to(a, (count, a.shape[-1])) for a in pieces], axis=1)
+def _fill(rows: Array, columns: list[Array]) -> Array:
+    """Fill rows (N, …) with columns (N, …), or (…) if all members share them, and return them."""
+    first = 0
+    for column in columns:
+        if width := column.shape[-1]:
+            rows[:, first : first + width] = column
+            first += width
+    return rows
 
 
 def _down(plan: Plan, attitude: Array, own: MemberParameters) -> Array:

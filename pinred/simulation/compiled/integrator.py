@@ -87,9 +87,10 @@ def integrator(
             )
         except IntegrationError as stop:
             raise explained(stop, flow, scene, start, parameters) from None
-        wild = wild_steps(flow.kernel, plan, solution.states, solution.knots)
-        if wild:
-            raise IntegrationError(wild)
+        if not method.adaptive:
+            wild = wild_steps(flow.kernel, plan, solution.states, solution.knots)
+            if wild:
+                raise IntegrationError(wild)
         return segment(solution)
 
     if type(method) not in _compiled_methods:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -58,9 +57,13 @@ def lazy_state(
     Returns:
         A State with the base, a ShapeState without it.
     """
-    compute = cache(outputs)
+    computed: list[Array] = []
 
     def read(name: str) -> Array:
-        return np.array(t) if name == "t" else where.read_field(name, compute(), system)
+        if name == "t":
+            return np.array(t)
+        if not computed:
+            computed.append(outputs())
+        return where.read_field(name, computed[0], system)
 
     return LazyState(read) if wanted else LazyShapeState(read)
