@@ -31,13 +31,13 @@ def as_floats(value: ArrayLike, what: str) -> Array:
     """
     try:
         array = np.asarray(value)
-        if array.dtype.kind in "bcmMSU":  # NumPy would convert text, booleans and durations
-            raise TypeError
-        return np.asarray(array, dtype=float)
+        if array.dtype.kind not in "bcmMSU":  # NumPy would convert text, booleans and durations
+            return np.asarray(array, dtype=float)
     except OverflowError:
         raise ShapeError(f"{what} must be numbers of at most {_LARGEST:.1e}") from None
     except (TypeError, ValueError):
-        raise ShapeError(f"{what} must be numbers, got {brief(value)}") from None
+        pass
+    raise ShapeError(f"{what} must be numbers, got {brief(value)}")
 
 
 def entries_of(value: Any) -> list[Any] | None:
@@ -122,14 +122,16 @@ def positive(value: float, what: str) -> float:
     Raises:
         InputError: The value is not a finite, positive number.
     """
+    number = None
     try:
-        if np.asarray(value).dtype.kind == "b":
-            raise TypeError
-        number = float(value)
+        if np.asarray(value).dtype.kind != "b":
+            number = float(value)
     except OverflowError:
         raise InputError(f"{what} must be at most {_LARGEST:.1e}") from None
     except (TypeError, ValueError):
-        raise InputError(f"{what} must be a number, got {brief(value)}") from None
+        pass
+    if number is None:
+        raise InputError(f"{what} must be a number, got {brief(value)}")
     if not (isfinite(number) and number > 0):
         raise InputError(f"{what} must be finite and above zero, got {number:g}")
     return number

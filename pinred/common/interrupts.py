@@ -13,9 +13,12 @@ from types import FrameType
 def held_interrupt() -> Iterator[Callable[[], bool]]:
     """Delay Ctrl-C until the end of the context.
 
-    Yields a function that reports whether Ctrl-C was pressed.  At the end of the context, the
-    previous handler runs; usually it raises KeyboardInterrupt.  Python receives signals in the main
-    thread alone.  In other threads, or without a Python handler, Ctrl-C is not delayed.
+    At the end, the previous handler runs; usually it raises KeyboardInterrupt.  Python receives
+    signals in the main thread alone.  In other threads, or without a Python handler, Ctrl-C is not
+    delayed.
+
+    Yields:
+        A function that returns whether Ctrl-C was pressed.
     """
     previous = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(previous):

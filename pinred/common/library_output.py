@@ -27,11 +27,11 @@ os.register_at_fork(
 def library_output(own: re.Pattern[bytes]) -> Iterator[list[str]]:
     """Collect the output of a C++ library on standard error.
 
-    Yields a list that contains the texts of the library when the context ends.
-
     Args:
         own: Pattern that matches the library's texts.  All other output is printed at the end
             of the context.
+    Yields:
+        A list that contains the texts of the library when the context ends.
     """
     texts: list[str] = []
     with _LOCK:

@@ -47,6 +47,11 @@ def once_for_all(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Cache a function's results, with one call per argument list across all threads.
 
     With functools.cache, two concurrent threads may both call the function.
+
+    Args:
+        function: The function.
+    Returns:
+        The cached function.
     """
     cached, lock = cache(function), RLock()
 

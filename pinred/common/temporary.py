@@ -44,6 +44,8 @@ def temporary(folder: int, mode: int = 0o666) -> Iterator[Temporary]:
     Args:
         folder: Descriptor of the folder.
         mode: Permissions of the file, before the process's umask applies.
+    Yields:
+        The file.
     Raises:
         OSError: The file cannot be created.
     """

@@ -242,11 +242,9 @@ class ReducedGraph:
         return [full.pose, full.xi, full.body_momentum, full.spatial_momentum]
 
     def _add_shape_loads(self, pidot: list[Scalar], wrench: list[Scalar]) -> list[Scalar]:
-        """Add the generalised forces −∂(F·c)/∂x of gravity and base wrench, in the body frame.
-
-        Gravity acts at the centre of mass.  A force on the base accelerates the frame of the
-        centre of mass, which exerts the opposite force on the shape.
-        """
+        """Add the generalised forces −∂(F·c)/∂x of gravity and base wrench, in the body frame."""
+        # Gravity acts at the centre of mass.  A force on the base accelerates the frame of the
+        # centre of mass, which exerts the opposite force on the shape.
         m = self.system.m
         angles = joint_values(self.system, ca.vertsplit(self._angles) if m else [])
         com = centre_of_mass(self._bodies, angles)

@@ -6,10 +6,13 @@ needs n/8 evaluations and is exact to round-off.
 
 from __future__ import annotations
 
+from functools import partial
+
 import casadi as ca
 import numpy as np
 
 from ..common.arrays import Array
+from ..common.differences import central_differences
 from ..common.errors import InputError
 from ..integrators.stepping.kernel_call import SEEDS
 from ..integrators.stepping.linear_systems import jacobian
@@ -90,8 +93,9 @@ def _validate(kernel: Kernel, native: NativeCode) -> None:
         y = reach * rng.normal(size=size)
         parameters = kernel.random_parameters(rng)
         values = _jacobian(native, y, parameters)
-        rough, expected = (_differences(kernel, y, parameters, h) for h in (2.0 * _STEP, _STEP))
-        rate = kernel.evaluate_rate(y, parameters)
+        rate_at = partial(kernel.evaluate_rate, parameters=parameters)
+        rough, expected = (central_differences(rate_at, y, h) for h in (2.0 * _STEP, _STEP))
+        rate = rate_at(y)
         # Differences are inaccurate where a force has a kink or is undefined.
         with np.errstate(invalid="ignore"):
             noise = max(_NOISE * np.abs(rate).max(initial=0.0), _round_off(kernel, y, parameters))
@@ -118,16 +122,3 @@ def _round_off(kernel: Kernel, y: Array, parameters: Array) -> float:
     neighbours = y * (1.0 + np.finfo(float).eps * np.arange(-4.0, 5.0)[:, None])
     rates = evaluate(kernel.rate.address, parameters, neighbours, len(y))
     return _SAFETY * float(np.ptp(rates, axis=0).max(initial=0.0))
-
-
-def _differences(kernel: Kernel, y: Array, parameters: Array, h: float) -> Array:
-    """Compute ∂ẏ/∂y by central differences of order 6 with step h."""
-    derivative = np.zeros((len(y), len(y)))
-    steps = h * np.arange(1, 4)
-    for j in range(len(y)):
-        states = np.tile(y, (6, 1))
-        states[:3, j] += steps
-        states[3:, j] -= steps
-        rates = evaluate(kernel.rate.address, parameters, states, len(y))
-        derivative[:, j] = np.array([45.0, -9.0, 1.0]) / (60.0 * h) @ (rates[:3] - rates[3:])
-    return derivative

@@ -300,6 +300,7 @@ def explain_ill_scaling(system: System) -> Iterator[None]:
         system: The system.
     Raises:
         ModelError: The kernel disagrees with Pinocchio, and the system is ill-scaled.
+        KernelMismatch: The kernel disagrees with Pinocchio for another reason.
     """
     try:
         yield

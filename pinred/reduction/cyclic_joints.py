@@ -1,6 +1,7 @@
-"""Cyclic joints: those on whose angle neither the inertia nor the potential depends.
+"""Cyclic joints: neither the inertia nor the potential depends on their angle.
 
-Their momentum is constant and their angle a quadrature (Routh): reaction wheels, rotors.
+Their momentum is constant and their angle is a quadrature (Routh).  Examples are reaction wheels
+and rotors.
 """
 
 from __future__ import annotations
@@ -18,21 +19,26 @@ from ..system.system import System
 from .at_a_shape import PointwiseReduction
 from .potential import pivot_weight
 
-_SAMPLES = 3  # random shapes at which a dependence would show
-_NO_DEPENDENCE = 1e-12  # of a joint's own kinetic energy at usual rates
-_ROUND_OFF = 2e-14  # of what its subtree would have at the end of the robot
+_SAMPLES = 3  # random shapes at which dependence is checked
+_NO_DEPENDENCE = 1e-12  # tolerance, relative to the joint's kinetic energy at usual rates
+_ROUND_OFF = 2e-14  # tolerance, relative to the subtree's inertia about the root
 
 
 def cyclic_joints(
     red: PointwiseReduction, touched: Collection[int] = (), *, pushed: bool = False
 ) -> tuple[int, ...]:
-    """Return the indices of the joints that leave mass matrix and potential unchanged.
+    """Find the joints whose angle changes neither the mass matrix nor the potential.
 
-    touched: joints that something else acts on, or whose position something depends on.  Where
-    gravity turns a pivoted base, its centre of mass must not move with the joint; where gravity
-    breaks the symmetry otherwise, there is no potential on the shape, and no joint is cyclic.
-    pushed: whether a force acts on the base: momenta are those in the frame of the centre of
-    mass, in which it changes that of what moves this along the group.
+    If gravity rotates a pivoted base, the centre of mass must not move with the joint.  If gravity
+    breaks the symmetry otherwise, there is no potential on shape space, and no joint is cyclic.
+
+    Args:
+        red: Reduction of the system.
+        touched: Joints on which forces act, or on whose position something depends.
+        pushed: Whether a force acts on the base.  Momenta are then those in the frame of the
+            centre of mass, so the momentum of a joint that moves this along the group changes.
+    Returns:
+        Indices of the cyclic joints.
     """
     system = red.system
     r, m, k = system.r, system.m, system.group.linear
@@ -44,44 +50,44 @@ def cyclic_joints(
     for _ in range(_SAMPLES if m else 0):
         at = red.at(rng.uniform(-3.0, 3.0, m))
         q = system.model_q(system.group.identity(), at.x)
-        slope = system.on_shape(pin.jacobianCenterOfMass(system.model, data, q))[:, r:]
-        unit, none = _nothing(system, data, at.mass_matrix)
+        com_derivative = system.on_shape(pin.jacobianCenterOfMass(system.model, data, q))[:, r:]
+        unit, limit = _usual_rates(system, data, at.mass_matrix)
         b, s = unit[:r, None], unit[r:, None]
         dIA = np.einsum("ij,jbc->ibc", at.locked_inertia, at.dA)
         for derivative, rates in ((at.dI, b * b.T), (dIA, b * s.T), (at.dM, s * s.T)):
             forces = np.abs(derivative) * rates[:, :, None] * unit[r:]
-            depends |= (forces > none).reshape(-1, m).any(axis=0)
+            depends |= (forces > limit).reshape(-1, m).any(axis=0)
         if pushed:
-            carried = np.abs(at.mass_matrix[:k, r:]) * unit[:k, None] * unit[r:]
-            depends |= (carried > none).any(axis=0)
-        weight = float(np.linalg.norm(system.gravity))
+            work = np.abs(at.mass_matrix[:k, r:]) * unit[:k, None] * unit[r:]
+            depends |= (work > limit).any(axis=0)
+        gravity = float(np.linalg.norm(system.gravity))
         if heavy:
-            moved = system.mass * np.abs(slope).max(axis=0)
-            depends |= weight * moved * unit[r:] > none + weight * none
+            moment = system.mass * np.abs(com_derivative).max(axis=0)
+            depends |= gravity * moment * unit[r:] > limit + gravity * limit
             continue
         try:
-            pull = np.abs(red.potential_gradient(at.x)) * unit[r:]
-            depends |= pull > none + weight * none
+            work = np.abs(red.potential_gradient(at.x)) * unit[r:]
+            depends |= work > limit + gravity * limit
         except SymmetryError:
             depends[:] = True
     return tuple(np.flatnonzero(~depends).tolist())
 
 
-def _nothing(system: System, data: pin.Data, H: Array) -> tuple[Array, Array]:
-    """Return usual rates (n,), and the work on each shape joint, (m,), below which it is none.
+def _usual_rates(system: System, data: pin.Data, H: Array) -> tuple[Array, Array]:
+    """Return usual rates (n,), and the work on each shape joint, (m,), that counts as zero.
 
-    Usual rates are 1 rad/s, and what covers the robot in a second.  Work is none below a part
-    of the joint's own kinetic energy, not of the robot's: a light joint feels little as much
-    as a heavy one feels more.  Round-off is that of the subtree's inertia about the root: near
-    it, what is small and light counts too.  data: with the places of the joints.
+    A usual rate is 1 rad/s, or a speed that covers the robot's length in a second.  The limit is a
+    fraction of the joint's kinetic energy, not of the robot's, so that it suits light and heavy
+    joints.  Round-off scales with the subtree's inertia about the root, so that the limit is lower
+    for small and light subtrees near the root.  data: with the placements of the joints.
     """
     model, r = system.model, system.r
     root = data.oMi[1].translation
-    ends = np.zeros(model.njoints)  # how far from the root the mass of a subtree is
+    ends = np.zeros(model.njoints)  # greatest distance from the root in each subtree [m]
     for i in range(model.njoints - 1, 0, -1):
         place = data.oMi[i].act(model.inertias[i].lever)
-        far = float(np.linalg.norm(place - root)) + radius_of_gyration(model.inertias[i])
-        ends[i] = max(ends[i], far, float(np.linalg.norm(data.oMi[i].translation - root)))
+        distance = float(np.linalg.norm(place - root)) + radius_of_gyration(model.inertias[i])
+        ends[i] = max(ends[i], distance, float(np.linalg.norm(data.oMi[i].translation - root)))
         ends[model.parents[i]] = max(ends[model.parents[i]], ends[i])
     reach = float(ends[1]) or 1.0
     unit = np.ones(model.nv)
@@ -93,12 +99,12 @@ def _nothing(system: System, data: pin.Data, H: Array) -> tuple[Array, Array]:
     if system.coupled is not None:
         terms = system.sizes_on_shape(np.append(np.zeros(r), terms))[r:]
         unit = np.append(unit[:r], unit[r:][system.coupled.leads])
-    own = (np.diag(H) * unit**2)[r:]
-    return unit, np.maximum(_NO_DEPENDENCE * own, _ROUND_OFF * terms)
+    energies = (np.diag(H) * unit**2)[r:]
+    return unit, np.maximum(_NO_DEPENDENCE * energies, _ROUND_OFF * terms)
 
 
 def cyclic_of(system: System, touched: frozenset[int], *, pushed: bool) -> tuple[int, ...]:
-    """Return the cyclic joints of a system that are not touched; found once."""
+    """Return the cyclic joints of a system, computed once (see `cyclic_joints`)."""
     return system.workspace(
         (cyclic_of, touched, pushed),
         lambda: cyclic_joints(PointwiseReduction(system), touched, pushed=pushed),

@@ -1,4 +1,4 @@
-"""Poisson brackets of the reduced phase space, in the two forms that reduction gives it.
+"""Poisson brackets of the reduced phase space, in two forms.
 
 In the local trivialisation T*Q/G = T*B × 𝔤*, with z = (x, π, μ), canonical × Lie–Poisson,
 
@@ -9,9 +9,9 @@ and on T*B ⊕ 𝔤̃*, with z = (x, p, μ) and the connection, p = π − Aᵀ�
     {x^α, p_β} = δ,   {p_α, p_β} = ⟨μ, B_αβ⟩,   {p_α, ⟨μ, η⟩} = ⟨μ, [A_α, η]⟩,
     {⟨μ, ξ⟩, ⟨μ, η⟩} = −⟨μ, [ξ, η]⟩.
 
-Where gravity turns a pivoted base, its direction Γ in the body is a variable too (so(3) ⋉ ℝ³):
-{Γ, ⟨μ, ξ⟩} = Γ × ξ, {Γ, Γ} = 0, {p_α, Γ} = −{⟨μ, A_α⟩, Γ}.  Along motions, ḟ = {f, h}; gravity
-that only makes the robot fall is left out: momenta are those in the falling frame.
+If gravity rotates a pivoted base, its direction Γ in the body is a variable too (so(3) ⋉ ℝ³):
+{Γ, ⟨μ, ξ⟩} = Γ × ξ, {Γ, Γ} = 0, {p_α, Γ} = −{⟨μ, A_α⟩, Γ}.  Along motions, ḟ = {f, h}.  Gravity
+along the group's translations does not appear, because momenta are those in the falling frame.
 
 Source: Cendra, Marsden, Pekarsky, Ratiu, "Variational principles for Lie–Poisson and
 Hamilton–Poincaré equations", 2003; Montgomery, Marsden, Ratiu, "Gauged Lie–Poisson structures",
@@ -42,12 +42,13 @@ from .casimirs import momentum_tensor
 from .potential import pivot_weight, shape_gravity
 from .tree.all_joints import joint_values
 from .tree.body_frames import bodies_of
-from .tree.casadi_reduction import casadi_reduction
+from .tree.casadi_reduction import CasadiReduction, casadi_reduction
 from .tree.momenta import centre_of_mass
 
 Form: TypeAlias = Literal["connection", "canonical"]
 FORMS = ("connection", "canonical")
 
+# Phase spaces by the hashes of their symbols.
 _spaces: WeakValueDictionary[int, PhaseSpace] = WeakValueDictionary()
 
 
@@ -55,9 +56,13 @@ _spaces: WeakValueDictionary[int, PhaseSpace] = WeakValueDictionary()
 class PhaseSpace:
     """The variables of a system's reduced phase space as CasADi symbols.
 
-    x: (m,).  p: (m,), M ẋ in the form "connection", π = ∂L/∂ẋ in "canonical".  mu: (r,) body
-    momentum.  gamma: (3,) direction of gravity in the body where it turns a pivoted base, else
-    (0,).
+    Attributes:
+        system: The system.
+        form: "connection" or "canonical".
+        x: Shape, (m,).
+        p: M ẋ in the form "connection", π = ∂L/∂ẋ in "canonical", (m,).
+        mu: Body momentum, (r,).
+        gamma: Direction of gravity in the body, (3,), if gravity rotates a pivoted base, else (0,).
     """
 
     system: System
@@ -69,7 +74,7 @@ class PhaseSpace:
 
     @property
     def z(self) -> ca.SX:
-        """All variables, (2m + r,), or three more."""
+        """All variables (x, p, μ, Γ), (2m + r,), or (2m + r + 3,) with Γ."""
         return ca.vertcat(self.x, self.p, self.mu, self.gamma)
 
     @cached_property
@@ -77,9 +82,9 @@ class PhaseSpace:
         """The Poisson tensor {z_i, z_j}, antisymmetric."""
         m, r, k = self.system.m, self.system.r, self.gamma.numel()
         C = [momentum_tensor(self.system.group, e) for e in np.eye(r)]
-        turned = sum((self.mu[i] * ca.SX(C[i]) for i in range(r)), ca.SX(r, r))
+        of_mu = sum((self.mu[i] * ca.SX(C[i]) for i in range(r)), ca.SX(r, r))
         W = ca.SX(r + k, r + k)
-        W[:r, :r] = turned
+        W[:r, :r] = of_mu
         if k:
             W[:r, r:] = W[r:, :r] = ca.skew(self.gamma)
         P = ca.SX(2 * m + r + k, 2 * m + r + k)
@@ -93,7 +98,7 @@ class PhaseSpace:
 
     @cached_property
     def hamiltonian(self) -> ca.SX:
-        """The energy h, without springs: those are functions of x to be added."""
+        """The energy h without springs, whose energy may be added as a function of x."""
         m, r = self.system.m, self.system.r
         if self.form == "canonical":
             momentum = ca.vertcat(self.mu, self.p)
@@ -115,31 +120,20 @@ class PhaseSpace:
         return h - self.system.mass * ca.dot(ca.DM(acting), place + ca.DM(origin))
 
     @cached_property
-    def _terms(self) -> CasadiTerms:
-        found = casadi_reduction(self.system)
-        named = [ca.substitute(part, found.x, self.x) for part in (found.H, found.I, found.A)]
-        rest = [ca.substitute(part, found.x, self.x) for part in (found.M, found.B)]
-        return CasadiTerms(*named, *rest)
-
-
-@dataclass(frozen=True)
-class CasadiTerms:
-    """H, I, A, M and B of one phase space, in its x."""
-
-    H: ca.SX
-    I: ca.SX
-    A: ca.SX
-    M: ca.SX
-    B: ca.SX
+    def _terms(self) -> CasadiReduction:
+        return casadi_reduction(self.system, self.x)
 
 
 @dataclass(frozen=True)
 class Observable:
-    """A function on the reduced phase space by numbers.
+    """A numerical function on the reduced phase space.
 
-    red: whose.  value: (x, p, mu), and gamma where gravity turns a pivoted base, → number.
-    gradient: the same → derivative by z = (x, p, mu, gamma), one vector or its parts.
-    form: as of `tensor`.
+    Attributes:
+        red: Reduction of the system.
+        value: Function (x, p, mu) → number, or (x, p, mu, gamma) if gravity rotates a pivoted base.
+        gradient: Function of the same arguments → derivative by z = (x, p, mu, gamma), as one
+            vector or as a tuple of vectors.
+        form: "connection" or "canonical", see `tensor`.
     """
 
     red: PointwiseReduction
@@ -151,7 +145,11 @@ class Observable:
 def phase_space(system: System, *, form: Form = "connection") -> PhaseSpace:
     """Return the reduced phase space of a system, as CasADi symbols for `bracket`.
 
-    form: "connection" for (x, p, μ), "canonical" for (x, π, μ).
+    Args:
+        system: The system.
+        form: "connection" for (x, p, μ), "canonical" for (x, π, μ).
+    Returns:
+        The phase space; the same object at every call.
     """
     system = checked_system(system, "phase_space")
     return once(system, (phase_space, _form(form)), lambda: _space(system, form))
@@ -168,16 +166,20 @@ def bracket(f: Observable, g: Observable) -> Callable[..., float]: ...
 def bracket(f: ca.SX | Observable, g: ca.SX | Observable) -> ca.SX | Callable[..., float]:
     """Return the Poisson bracket {f, g}.
 
-    f, g: CasADi expressions in the symbols of one `phase_space`, whose bracket is another; or two
-    Observables of one Reduction, whose bracket is a function of the same arguments.
-    Raises InputError for symbols of no phase space, or for f and g of two of them.
+    Args:
+        f: CasADi expression in the symbols of one `phase_space`, or an Observable.
+        g: The same for the second argument, of the same phase space or Reduction.
+    Returns:
+        A CasADi expression, or, for Observables, a function of the same arguments.
+    Raises:
+        InputError: The arguments are of different types, or not in the symbols of one phase space.
     """
     if isinstance(f, Observable) and isinstance(g, Observable):
         return _of_observables(f, g)
     if isinstance(f, Observable) or isinstance(g, Observable):
         raise InputError("bracket takes two CasADi expressions or two Observables, not one of each")
     space = _space_of(f, g)
-    df, dg = (ca.jacobian(ca.SX(each), space.z) for each in (f, g))
+    df, dg = (ca.jacobian(ca.SX(expression), space.z) for expression in (f, g))
     return df @ space.tensor @ dg.T
 
 
@@ -190,12 +192,20 @@ def tensor(
     *,
     form: Form = "connection",
 ) -> Array:
-    """Return the Poisson tensor {z_i, z_j} at z = (x, p, μ), antisymmetric.
+    """Compute the Poisson tensor {z_i, z_j} at z = (x, p, μ), or z = (x, p, μ, Γ).
 
-    x, p: (m,).  mu: (r,).  gamma: (3,), direction of gravity in the body, where it turns a pivoted
-    base, and only there; then z = (x, p, μ, Γ).  form: "connection", p = M ẋ, or "canonical",
-    p = π; p itself does not enter, as the bracket is linear in momenta beside it.
-    Raises ShapeError for wrong lengths, InputError without gamma where it is needed.
+    Args:
+        red: Reduction of the system.
+        x: Shape, (m,) [rad | m].
+        p: Shape momentum, (m,).  The tensor does not depend on it.
+        mu: Body momentum, (r,) [N s | N m s].
+        gamma: Direction of gravity in the body, (3,); required if and only if gravity rotates a
+            pivoted base.
+        form: "connection", p = M ẋ, or "canonical", p = π.
+    Returns:
+        The tensor, antisymmetric.
+    Raises:
+        InputError: gamma is missing or superfluous, or the form is unknown.
     """
     system, m, r = red.system, red.system.m, red.system.r
     _ = vector(p, m, "p")
@@ -203,9 +213,9 @@ def tensor(
     heavy = bool(pivot_weight(system).any())
     if heavy != (gamma is not None):
         raise InputError(
-            f"gravity turns '{system.name}' about its pivot: give gamma (3,)"
+            f"gravity rotates '{system.name}' about its pivot: give gamma (3,)"
             if heavy
-            else f"gravity turns no pivoted base of '{system.name}'; leave gamma out"
+            else f"gravity rotates no pivoted base of '{system.name}'; leave gamma out"
         )
     W = momentum_tensor(red.group, mu, None if gamma is None else vector(gamma, 3, "gamma"))
     P = np.zeros((2 * m + len(W), 2 * m + len(W)))
@@ -225,18 +235,19 @@ def _of_observables(f: Observable, g: Observable) -> Callable[..., float]:
     def value(x: ArrayLike, p: ArrayLike, mu: ArrayLike, gamma: ArrayLike | None = None) -> float:
         P = tensor(f.red, x, p, mu, gamma, form=f.form)
         state = (x, p, mu) if gamma is None else (x, p, mu, gamma)
-        slopes = [_slope(each.gradient(*state), len(P)) for each in (f, g)]
-        return float(slopes[0] @ P @ slopes[1])
+        df, dg = (_gradient(h.gradient(*state), len(P)) for h in (f, g))
+        return float(df @ P @ dg)
 
     return value
 
 
-def _slope(given: ArrayLike, size: int) -> Array:
-    parts = given if isinstance(given, tuple) else (given,)
-    out = np.concatenate([np.atleast_1d(np.asarray(part, dtype=float)) for part in parts])
-    if out.shape != (size,):
-        raise ShapeError(f"a gradient by z must have shape ({size},), got {out.shape}")
-    return out
+def _gradient(value: ArrayLike, size: int) -> Array:
+    """Return a gradient by z, (size,), given as one vector or as a tuple of vectors."""
+    blocks = value if isinstance(value, tuple) else (value,)
+    gradient = np.concatenate([np.atleast_1d(np.asarray(b, dtype=float)) for b in blocks])
+    if gradient.shape != (size,):
+        raise ShapeError(f"a gradient by z must have shape ({size},), got {gradient.shape}")
+    return gradient
 
 
 def _form(form: str) -> Form:
@@ -249,23 +260,23 @@ def _space(system: System, form: Form) -> PhaseSpace:
     m, r = system.m, system.r
     heavy = bool(pivot_weight(system).any())
     sizes = {"x": m, "p" if form == "connection" else "pi": m, "mu": r, "gamma": 3 * heavy}
-    made = PhaseSpace(system, form, *(ca.SX.sym(name, size) for name, size in sizes.items()))
-    for symbol in ca.vertsplit(made.z):
-        _spaces[symbol.element_hash()] = made
-    return made
+    space = PhaseSpace(system, form, *(ca.SX.sym(name, size) for name, size in sizes.items()))
+    for symbol in ca.vertsplit(space.z):
+        _spaces[symbol.element_hash()] = space
+    return space
 
 
 def _space_of(*expressions: ca.SX) -> PhaseSpace:
-    """Return the phase space whose symbols stand in expressions.  Raises InputError."""
-    found: list[PhaseSpace] = []
-    for symbol in ca.symvar(ca.vertcat(*(ca.vec(ca.SX(each)) for each in expressions))):
+    """Return the phase space to which the symbols of expressions belong.  Raises InputError."""
+    spaces: list[PhaseSpace] = []
+    for symbol in ca.symvar(ca.vertcat(*(ca.vec(ca.SX(value)) for value in expressions))):
         space = _spaces.get(symbol.element_hash())
         if space is None:
             raise InputError(
                 f"'{symbol}' is no variable of a phase space; take those of "
                 "pinred.poisson.phase_space(system)"
             )
-        found.append(space)
-    if not found or any(space is not found[0] for space in found):
+        spaces.append(space)
+    if not spaces or any(space is not spaces[0] for space in spaces):
         raise InputError("f and g must be expressions in the symbols of one phase space")
-    return found[0]
+    return spaces[0]

@@ -1,8 +1,8 @@
-"""The potential V(x) on shape space: springs, and gravity where it keeps the symmetry.
+"""The potential V(x) on shape space: springs, and gravity if it keeps the symmetry.
 
-Gravity along a translation of the group only makes the whole system fall; it is no part of
-V(x) and shows in the path of the centre of mass.  What remains, g⊥, must leave the
-potential unchanged under the group's rotations: V(x) = −m g⊥ᵀ c(x).
+Gravity along a translation of the group makes the whole system fall: it bends the path of the
+centre of mass and is not part of V(x).  The remaining component g⊥ must leave the potential
+unchanged under the group's rotations: V(x) = −m g⊥ᵀ c(x).
 """
 
 from __future__ import annotations
@@ -22,42 +22,45 @@ from ..system.system import System
 
 Springs: TypeAlias = Mapping[str, tuple[float, float]]
 
-_SAMPLES = 8  # random configurations at which an invariance is tried
-_ROUND_OFF = 4e-16  # of the largest entry of a rotation
-_LEVEL = 1e-12  # of a place times gravity: less is round-off
-_TOLERANCE = 1e-10  # of weight times size, the torque that counts as none
+_SAMPLES = 8  # random configurations at which the symmetry is checked
+_ROUND_OFF = 4e-16  # relative round-off of a rotated vector
+_LEVEL = 1e-12  # relative tolerance for a pivot at the height of the world's origin
+_TOLERANCE = 1e-10  # torques below this multiple of weight times size count as zero
 
 
 def translations(system: System) -> Array:
     """Return the directions in which the group translates the base, (3, k), root joint frame."""
-    return once(system, translations, lambda: read_only(_translations(system)))
 
+    def make() -> Array:
+        linear = system.group.linear
+        if system.r > 1 or not linear:
+            return read_only(np.eye(3)[:, list(system.group.axes[:linear])])
+        return read_only(axes_of(system.model.joints[1])[:3])  # a single axis has any direction
 
-def _translations(system: System) -> Array:
-    linear = system.group.linear
-    if system.r > 1 or not linear:
-        return np.eye(3)[:, list(system.group.axes[:linear])]
-    return axes_of(system.model.joints[1])[:3]  # one axis alone may be any
+    return once(system, translations, make)
 
 
 def falling(system: System) -> Array:
-    """Return the acceleration with which the base's translations fall, (k,) [m/s²]."""
+    """Return the acceleration by gravity along the base's translations, (k,) [m/s²]."""
     root = system.model.jointPlacements[1].rotation
     return np.asarray(translations(system).T @ root.T @ system.gravity)
 
 
 class Potential:
-    """The potential V(x) of one system and its gradient.  Only terms that act are computed."""
+    """The potential V(x) of one system and its gradient; terms without effect are skipped."""
 
     def __init__(
         self, system: System, springs: Springs | None = None, *, weight: bool = True
     ) -> None:
-        """Collect what acts on the shape.
+        """Prepare the terms.
 
-        springs: {joint: (stiffness [N·m/rad | N/m], rest [rad | m])}.  weight: whether
-        gravity counts.
-        Raises InputError for an unknown joint or a number that is not finite, and
-        SymmetryError if gravity breaks the symmetry.
+        Args:
+            system: The system.
+            springs: {joint: (stiffness [N·m/rad | N/m], rest [rad | m])}.
+            weight: Whether gravity counts.
+
+        InputError is raised for an unknown joint or a number that is not finite, SymmetryError if
+        gravity breaks the symmetry.
         """
         self._system = system
         self._index, self._stiffness, self._rest = _spring_arrays(system, springs or {})
@@ -73,18 +76,18 @@ class Potential:
         self._identity = system.group.identity()
         if sideways.any() and system.group.turns and not system.group.plane:
             _check_invariance(system, self._model, self._data)
-        # What every rotation about a pivot leaves alone has its centre of mass there at all shapes.
+        # A pivot keeps the symmetry only if the centre of mass is there at all shapes.
         self._acts = sideways.any() and not system.group.is_pivot
         self._weighs = self._acts and system.m > 0
 
     @property
     def is_zero(self) -> bool:
-        """Whether nothing acts on the shape: no springs, no gravity across the group."""
+        """Whether V is constant: no springs, and no gravity across the translations."""
         return not (self._weighs or self._index.size)
 
     @property
     def direction(self) -> tuple[float, float, float] | None:
-        """Gravity across the translations, (3,) in the root joint's fixed frame; None if zero."""
+        """Gravity across the translations, (3,) [m/s²], root joint's fixed frame; None if zero."""
         if not self._acts:
             return None
         x, y, z = self._system.model.jointPlacements[1].rotation.T @ self._sideways
@@ -98,7 +101,7 @@ class Potential:
         return np.asarray(-self._system.mass * height @ self._sideways + spring)
 
     def value(self, x: Array) -> float:
-        """Return V(x) [J]; heights are counted from the world origin."""
+        """Return V(x) [J], with heights measured from the world origin."""
         energy = 0.0
         if self._sideways.any():
             q = self._system.model_q(self._identity, x)
@@ -106,60 +109,58 @@ class Potential:
         return energy + self._spring_energy(x)
 
     def value_at(self, x: Array, com: Array) -> float:
-        """Return V(x) where the centre of mass c(x) in the root body frame is known, (3,)."""
+        """Return V(x) [J] from the centre of mass c(x) in the root body's frame, (3,) [m]."""
         height = self._system.model.jointPlacements[1].act(com)
         return float(-self._system.mass * self._sideways @ height) + self._spring_energy(x)
 
     def gradient(self, x: Array) -> Array:
         """Return ∂V/∂x, (m,) [N·m | N]."""
-        out = np.zeros(self._system.m)
+        gradient = np.zeros(self._system.m)
         if self._weighs:
             q = self._system.model_q(self._identity, x)
             torque = pin.computeGeneralizedGravity(self._model, self._data, q)
-            out += self._system.on_shape(torque)[self._system.r :]
-        out[self._index] += self._stiffness * (x[self._index] - self._rest)
-        return out
+            gradient += self._system.on_shape(torque)[self._system.r :]
+        gradient[self._index] += self._stiffness * (x[self._index] - self._rest)
+        return gradient
 
     def _spring_energy(self, x: Array) -> float:
         return float(0.5 * self._stiffness @ (x[self._index] - self._rest) ** 2)
 
 
 def pivot_weight(system: System) -> Array:
-    """Return m g in the root joint's fixed frame, (3,), if it turns a pivoted base, else zero.
+    """Return m g in the root joint's fixed frame, (3,) [N], if gravity rotates a pivoted base.
 
-    A robot that is balanced on a pivot above or below the world's origin counts as turned, by no
-    moment: only so its height, which has an energy, follows gravity and mass where these vary.
+    Otherwise zero.  A robot that is balanced on a pivot above or below the world's origin also
+    counts, although its moment is zero: its potential energy follows gravity and mass if these are
+    varied.
     """
-    return system.workspace(pivot_weight, lambda: read_only(_pivot_weight(system)))
 
+    def make() -> Array:
+        place, gravity = system.model.jointPlacements[1], system.gravity
+        size = float(np.linalg.norm(place.translation) * np.linalg.norm(gravity))
+        lifted = abs(float(place.translation @ gravity)) > _LEVEL * size
+        if system.group.is_pivot and (broken_by_gravity(system) or lifted):
+            return read_only(np.asarray(system.mass * place.rotation.T @ gravity))
+        return read_only(np.zeros(3))
 
-def _pivot_weight(system: System) -> Array:
-    if system.group.is_pivot and (broken_by_gravity(system) or _is_lifted(system)):
-        return np.asarray(system.mass * system.model.jointPlacements[1].rotation.T @ system.gravity)
-    return np.zeros(3)
-
-
-def _is_lifted(system: System) -> bool:
-    place, gravity = system.model.jointPlacements[1].translation, system.gravity
-    size = float(np.linalg.norm(place) * np.linalg.norm(gravity))
-    return abs(float(place @ gravity)) > _LEVEL * size
+    return system.workspace(pivot_weight, make)
 
 
 def broken_by_gravity(system: System) -> str:
-    """Return why gravity turns the base, so that its momentum changes; empty if it does not."""
+    """Return why gravity rotates the base, so that its momentum changes; empty if it does not."""
 
-    def why() -> str:
+    def make() -> str:
         try:
             Potential(system)
         except SymmetryError as error:
             return str(error)
         return ""
 
-    return once(system, broken_by_gravity, why)
+    return once(system, broken_by_gravity, make)
 
 
 def shape_gravity(system: System) -> Potential:
-    """Return the potential of gravity on the shape alone, set up once for each thread.
+    """Return the potential of gravity on the shape, made once per thread.
 
     Raises SymmetryError if gravity breaks the symmetry.
     """
@@ -169,20 +170,21 @@ def shape_gravity(system: System) -> Potential:
 
 
 def acting_gravity(system: System) -> Array:
-    """Return the part of gravity that acts on the shape or turns a pivoted base, (3,) [m/s²].
+    """Return the part of gravity that acts on the shape or rotates a pivoted base, (3,) [m/s²].
 
-    In the root joint's fixed frame; entries that are round-off of a rotation are zero.  Raises
+    It is in the root joint's fixed frame, and round-off of its rotation is set to zero.  Raises
     SymmetryError if gravity breaks the symmetry.
     """
-    return system.workspace(acting_gravity, lambda: read_only(_acting_gravity(system)))
 
+    def make() -> Array:
+        gravity = pivot_weight(system) / system.mass
+        direction = shape_gravity(system).direction
+        if direction is not None and not gravity.any():
+            gravity = np.array(direction)
+        small = np.abs(gravity) <= _ROUND_OFF * np.linalg.norm(gravity)
+        return read_only(np.where(small, 0.0, gravity))
 
-def _acting_gravity(system: System) -> Array:
-    found = pivot_weight(system) / system.mass
-    direction = shape_gravity(system).direction
-    if direction is not None and not found.any():
-        found = np.array(direction)
-    return np.where(np.abs(found) <= _ROUND_OFF * np.linalg.norm(found), 0.0, found)
+    return system.workspace(acting_gravity, make)
 
 
 def spring_pair(name: str, pair: Any) -> Array:
@@ -209,7 +211,10 @@ def _spring_arrays(system: System, springs: Springs) -> tuple[Indices, Array, Ar
 
 
 def _check_invariance(system: System, model: pin.Model, data: pin.Data) -> None:
-    """Raise SymmetryError if gravity exerts a moment about the group's rotations anywhere."""
+    """Raise SymmetryError if gravity exerts a moment about the group's rotations.
+
+    model, data: with the component of gravity that acts on the shape.
+    """
     rng = np.random.default_rng(0)
     directions = []
     for _ in range(_SAMPLES):
@@ -229,7 +234,7 @@ def _check_invariance(system: System, model: pin.Model, data: pin.Data) -> None:
     gravity = ", ".join(f"{g:g}" for g in system.gravity)
     if system.group.turns == 1:
         unit = directions[0] / np.linalg.norm(directions[0])
-        axis = ", ".join(f"{a:.3g}" for a in np.round(unit, 9) + 0.0)  # without its round-off
+        axis = ", ".join(f"{a:.3g}" for a in np.round(unit, 9) + 0.0)  # hides round-off
         broken = f"turning about its axis ({axis}), which is not along gravity,"
     else:
         broken = f"turning about the world's {_axes(np.array(directions))} axes"
@@ -241,7 +246,7 @@ def _check_invariance(system: System, model: pin.Model, data: pin.Data) -> None:
 
 
 def _axes(moments: Array) -> str:
-    """Name the world axes that lie in the span of the moments."""
+    """Return the names of the world axes in the span of the moments (k, 3)."""
     _, singular, span = np.linalg.svd(moments)
     rank = int((singular > 1e-6 * singular[0]).sum())
     share = np.linalg.norm(span[:rank], axis=0)

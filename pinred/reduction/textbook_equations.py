@@ -1,4 +1,4 @@
-"""The reduced equations, term by term, by Pinocchio's numbers.
+"""The reduced equations of motion, term by term, evaluated with Pinocchio.
 
 Lagrange–Poincaré, in shape x, rate ẋ and locked velocity Ω, with μ = I Ω, ξ = Ω − A ẋ:
 
@@ -6,18 +6,17 @@ Lagrange–Poincaré, in shape x, rate ẋ and locked velocity Ω, with μ = I �
                       − ⟨f, A_α⟩
     μ̇ = ad*_ξ μ + f
 
-The Hamilton–Poincaré equations are the same in (x, p, μ), with ẋ = M⁻¹ p; the Euler–Poincaré
-equations are the last line alone, at a fixed shape.  τ are joint torques, f is a wrench on the
-base in its own frame; −⟨f, A_α⟩ is the work that f does when the shape moves horizontally,
-ξ = −A ẋ.  Gravity along the group's translations does not appear: the equations hold in the
-frame that falls with it.
+The Hamilton–Poincaré equations are the same in (x, p, μ), with ẋ = M⁻¹ p.  The Euler–Poincaré
+equations are the last line alone, at a fixed shape.  τ are joint torques, and f is a wrench on the
+base in its frame.  −⟨f, A_α⟩ is the work of f in a horizontal motion, ξ = −A ẋ.  Gravity along the
+group's translations does not appear: the equations hold in the falling frame.
 
-Where gravity turns a pivoted base (SO(3), the pivot away from the centre of mass c), its direction
-in the body Γ = Rᵀ ĝ is a variable too, Γ̇ = Γ × ξ.  With the weight F = m |g| Γ,
+If gravity rotates a pivoted base (SO(3), with the pivot away from the centre of mass c), its
+direction in the body Γ = Rᵀ ĝ is a variable too, Γ̇ = Γ × ξ.  With the gravity force F = m |g| Γ,
 
     f_weight = c × F  in μ̇,     F·∂_αc − ⟨c × F, A_α⟩  in the shape equation,
 
-and h gains −F·c.  `gamma`, or the pose that it follows from, is then required.
+and h gains −F·c.  Then `gamma`, or the pose that determines it, is required.
 
 Source: Cendra, Marsden, Ratiu 2001, ch. 3; Cendra, Marsden, Pekarsky, Ratiu,
 "Variational principles for Lie–Poisson and Hamilton–Poincaré equations", 2003; for the weight:
@@ -26,7 +25,7 @@ Holm, Marsden, Ratiu, "The Euler–Poincaré equations and semidirect products",
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,16 +37,38 @@ from .at_a_shape import PointwiseReduction, ReducedShape
 from .base_parts import root_of
 from .potential import pivot_weight
 
-_UNIT = 1e-6  # by how much gamma may miss length one
+_UNIT = 1e-6  # tolerance for the length of gamma
+
+
+class _Terms:
+    """Base of dataclasses whose fields are the terms of one equation."""
+
+    @property
+    def total(self) -> Array:
+        """Sum of all terms."""
+        return np.asarray(np.sum([values for _, values in self._named()], axis=0))
+
+    def __str__(self) -> str:
+        rows = [*self._named(), ("total", self.total)]
+        return "\n".join(f"  {name:<12} {_row(values)}" for name, values in rows)
+
+    def _named(self) -> list[tuple[str, Array]]:
+        return list(vars(self).items())
 
 
 @dataclass(frozen=True)
-class ShapeForces:
-    """The terms of d/dt(M ẋ) = ṗ, each (m,) [N·m | N].
+class ShapeForces(_Terms):
+    """The terms of d/dt(M ẋ) = ṗ, each (m,) [N m | N].
 
-    metric: ½ ẋᵀ ∂M ẋ.  centrifugal: ½ Ωᵀ ∂I Ω.  potential: −∂V.
-    curvature: ⟨μ, B_αβ⟩ ẋ^β.  coadjoint: −⟨μ, [Ω, A_α]⟩.  torque: τ.  wrench: −⟨f, A_α⟩.
-    weight: F·∂_αc − ⟨c × F, A_α⟩, of a pivoted base.
+    Attributes:
+        metric: ½ ẋᵀ ∂M ẋ.
+        centrifugal: ½ Ωᵀ ∂I Ω.
+        potential: −∂V.
+        curvature: ⟨μ, B_αβ⟩ ẋ^β.
+        coadjoint: −⟨μ, [Ω, A_α]⟩.
+        torque: τ.
+        wrench: −⟨f, A_α⟩.
+        weight: F·∂_αc − ⟨c × F, A_α⟩ of a pivoted base.
     """
 
     metric: Array
@@ -59,38 +80,31 @@ class ShapeForces:
     wrench: Array
     weight: Array
 
-    @property
-    def total(self) -> Array:
-        """The sum of all terms, (m,)."""
-        return np.asarray(np.sum([getattr(self, term.name) for term in fields(self)], axis=0))
-
-    def __str__(self) -> str:
-        return _table([(t.name, getattr(self, t.name)) for t in fields(self)], self.total)
-
 
 @dataclass(frozen=True)
-class MomentumForces:
-    """The terms of μ̇, each (r,) [N; N·m].  coadjoint: ad*_ξ μ.  wrench: f.  weight: c × F."""
+class MomentumForces(_Terms):
+    """The terms of μ̇, each (r,) [N; N m].
+
+    Attributes:
+        coadjoint: ad*_ξ μ.
+        wrench: f.
+        weight: c × F.
+    """
 
     coadjoint: Array
     wrench: Array
     weight: Array
-
-    @property
-    def total(self) -> Array:
-        """The sum of all terms, (r,)."""
-        return self.coadjoint + self.wrench + self.weight
-
-    def __str__(self) -> str:
-        return _table([(t.name, getattr(self, t.name)) for t in fields(self)], self.total)
 
 
 @dataclass(frozen=True)
 class LagrangePoincare:
     """The Lagrange–Poincaré equations at one state.
 
-    shape: terms of d/dt(M ẋ).  momentum: terms of μ̇.
-    xddot: (m,) and xidot: (r,), the accelerations that follow.
+    Attributes:
+        shape: Terms of d/dt(M ẋ).
+        momentum: Terms of μ̇.
+        xddot: Shape acceleration, (m,) [rad/s² | m/s²].
+        xidot: Rate of the body twist, (r,) [m/s²; rad/s²].
     """
 
     shape: ShapeForces
@@ -109,8 +123,11 @@ class LagrangePoincare:
 class HamiltonPoincare:
     """The Hamilton–Poincaré equations at one state.
 
-    xdot: (m,) = M⁻¹ p.  shape: terms of ṗ.  momentum: terms of μ̇.
-    energy: h = ½ pᵀ M⁻¹ p + V + ½ μᵀ I⁻¹ μ, and −F·c of a pivoted base's weight [J].
+    Attributes:
+        xdot: Shape rate M⁻¹ p, (m,) [rad/s | m/s].
+        shape: Terms of ṗ.
+        momentum: Terms of μ̇.
+        energy: h = ½ pᵀ M⁻¹ p + V + ½ μᵀ I⁻¹ μ [J], with −F·c if gravity rotates a pivoted base.
     """
 
     xdot: Array
@@ -129,7 +146,9 @@ class HamiltonPoincare:
 class EulerPoincare:
     """The Euler–Poincaré equations of the system with frozen joints.
 
-    momentum: terms of μ̇ = ad*_ξ μ + f.  xidot: (r,) = I⁻¹ μ̇.
+    Attributes:
+        momentum: Terms of μ̇ = ad*_ξ μ + f.
+        xidot: I⁻¹ μ̇, (r,) [m/s²; rad/s²].
     """
 
     momentum: MomentumForces
@@ -152,11 +171,18 @@ def lagrange_poincare(
 ) -> LagrangePoincare:
     """Evaluate the Lagrange–Poincaré equations.
 
-    x, xdot: (m,).  omega: (r,) locked velocity Ω = ξ + A ẋ (`red.locked_velocity`).
-    torque: (m,) at the joints.  wrench: (r,) on the base, in its frame.  gamma: (3,) direction
-    of gravity in the body, or pose, where gravity turns a pivoted base, and only there.
-    Raises ShapeError for wrong lengths, InputError without gamma or pose where one is needed,
-    SymmetryError if gravity breaks the symmetry.
+    Args:
+        red: Reduction of the system.
+        x: Shape, (m,) [rad | m].
+        xdot: Shape rate, (m,) [rad/s | m/s].
+        omega: Locked velocity Ω = ξ + A ẋ (`red.locked_velocity`), (r,).
+        torque: Joint torques, (m,) [N m | N].
+        wrench: Wrench on the base in its frame, (r,) [N; N m].
+        gamma: Direction of gravity in the body, (3,).  It or pose is required if and only if
+            gravity rotates a pivoted base.
+        pose: Pose coordinates of the base.
+    Returns:
+        The terms and the accelerations.  Raises SymmetryError if gravity breaks the symmetry.
     """
     at, F = red.at(x), _weight(red, gamma, pose)
     xdot = vector(xdot, red.system.m, "xdot")
@@ -184,11 +210,18 @@ def hamilton_poincare(
 ) -> HamiltonPoincare:
     """Evaluate the Hamilton–Poincaré equations.
 
-    x: (m,).  p: (m,) horizontal shape momentum M ẋ.  mu: (r,) body momentum.
-    torque: (m,) at the joints.  wrench: (r,) on the base, in its frame.  gamma: (3,) direction
-    of gravity in the body, or pose, where gravity turns a pivoted base, and only there.
-    Raises ShapeError for wrong lengths, InputError without gamma or pose where one is needed,
-    SymmetryError if gravity breaks the symmetry.
+    Args:
+        red: Reduction of the system.
+        x: Shape, (m,) [rad | m].
+        p: Horizontal shape momentum M ẋ, (m,) [N m s | N s].
+        mu: Body momentum, (r,) [N s; N m s].
+        torque: Joint torques, (m,) [N m | N].
+        wrench: Wrench on the base in its frame, (r,) [N; N m].
+        gamma: Direction of gravity in the body, (3,).  It or pose is required if and only if
+            gravity rotates a pivoted base.
+        pose: Pose coordinates of the base.
+    Returns:
+        The terms and the energy.  Raises SymmetryError if gravity breaks the symmetry.
     """
     at, F = red.at(x), _weight(red, gamma, pose)
     p, mu = vector(p, red.system.m, "p"), vector(mu, red.system.r, "mu")
@@ -213,15 +246,21 @@ def euler_poincare(
     gamma: ArrayLike | None = None,
     pose: ArrayLike | None = None,
 ) -> EulerPoincare:
-    """Evaluate the Euler–Poincaré equations of the system frozen at shape x.
+    """Evaluate the Euler–Poincaré equations of the system with frozen joints.
 
-    xi: (r,) body twist.  wrench: (r,) on the base, in its frame.  gamma: (3,) direction of gravity
-    in the body, or pose, where gravity turns a pivoted base, and only there.
-    Raises ShapeError for wrong lengths, InputError without gamma or pose where one is needed,
-    SymmetryError if gravity breaks the symmetry.
+    Args:
+        red: Reduction of the system.
+        x: Shape, (m,) [rad | m].
+        xi: Body twist, (r,) [m/s; rad/s].
+        wrench: Wrench on the base in its frame, (r,) [N; N m].
+        gamma: Direction of gravity in the body, (3,).  It or pose is required if and only if
+            gravity rotates a pivoted base.
+        pose: Pose coordinates of the base.
+    Returns:
+        The terms and the rate of the twist.  Raises SymmetryError if gravity breaks the symmetry.
     """
     F = _weight(red, gamma, pose)
-    red.shape_potential()  # gravity that breaks the symmetry has a moment, which is no term here
+    red.shape_potential()  # raises SymmetryError: the moment of such gravity is not among the terms
     at, xi = red.split(x), vector(xi, red.system.r, "xi")
     momentum = _momentum_forces(red, xi, at.locked_inertia @ xi, wrench, F, at.com)
     return EulerPoincare(momentum, read_only(_solve(at.locked_inertia, momentum.total)))
@@ -230,20 +269,22 @@ def euler_poincare(
 def _weight(
     red: PointwiseReduction, gamma: ArrayLike | None, pose: ArrayLike | None
 ) -> Array | None:
-    """Return the weight F = m |g| Γ in the body's frame, (3,), if it turns a pivoted base."""
+    """Return the gravity force F = m |g| Γ in the body's frame, (3,), if it rotates the base."""
     fixed, name = pivot_weight(red.system), red.system.name
     if not fixed.any():
         if gamma is not None or pose is not None:
-            raise InputError(f"gravity turns no pivoted base of '{name}'; leave gamma and pose out")
+            raise InputError(
+                f"gravity rotates no pivoted base of '{name}'; leave gamma and pose out"
+            )
         return None
     if (gamma is None) == (pose is None):
         raise InputError(
-            f"gravity turns '{name}' about its pivot: give either gamma (3,), the direction of "
+            f"gravity rotates '{name}' about its pivot: give either gamma (3,), the direction of "
             "gravity in the body's frame, or pose"
         )
     if gamma is None:
-        turned = rotation(red.group.pose(pose))
-        return np.asarray(apply(turned.T, fixed))
+        R = rotation(red.group.pose(pose))
+        return np.asarray(apply(R.T, fixed))
     direction = vector(gamma, 3, "gamma")
     length = float(np.linalg.norm(direction))
     if not abs(length - 1.0) <= _UNIT:
@@ -252,7 +293,7 @@ def _weight(
 
 
 def _weight_energy(red: PointwiseReduction, F: Array | None, com: Array) -> float:
-    """Return the potential energy of the weight, counted from the world's origin [J]."""
+    """Return the potential energy of the gravity force, from the world's origin up [J]."""
     if F is None:
         return 0.0
     return -float(F @ com + pivot_weight(red.system) @ root_of(red.system).origin)
@@ -276,7 +317,7 @@ def _shape_forces(
         potential=read_only(0.0 - red.shape_potential().gradient(at.x)),
         curvature=read_only(np.einsum("iab,i,b->a", at.curvature, mu, xdot)),
         coadjoint=read_only(-red.group.ad(omega).T @ mu @ at.local_connection),
-        torque=_given(torque, red.system.m, "torque"),
+        torque=_vector_or_zero(torque, red.system.m, "torque"),
         wrench=read_only(-momentum.wrench @ at.local_connection),
         weight=read_only(weight),
     )
@@ -292,22 +333,17 @@ def _momentum_forces(
 ) -> MomentumForces:
     coadjoint = read_only(red.group.coadjoint(xi, mu))
     moment = np.zeros(red.system.r) if F is None else np.cross(com, F)
-    given = _given(wrench, red.system.r, "wrench")
-    return MomentumForces(coadjoint, given, read_only(moment))
+    force = _vector_or_zero(wrench, red.system.r, "wrench")
+    return MomentumForces(coadjoint, force, read_only(moment))
 
 
 def _solve(matrix: Array, rhs: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix, rhs), dtype=float)
 
 
-def _given(value: ArrayLike | None, size: int, what: str) -> Array:
-    return read_only(np.zeros(size) if value is None else vector(value, size, what).copy())
+def _vector_or_zero(value: ArrayLike | None, size: int, name: str) -> Array:
+    return read_only(np.zeros(size) if value is None else vector(value, size, name).copy())
 
 
 def _row(values: Array) -> str:
     return " ".join(f"{value:+.9e}" for value in values)
-
-
-def _table(terms: list[tuple[str, Array]], total: Array) -> str:
-    lines = [f"  {name:<12} {_row(values)}" for name, values in [*terms, ("total", total)]]
-    return "\n".join(lines)

@@ -61,8 +61,12 @@ def read_arrays(path: Path) -> dict[str, Any]:
 def _check_sizes(name: str, archive: zipfile.ZipFile) -> None:
     """Check the stated sizes of an archive.
 
-    Raises LoadError for an archive that is too large or has other members than arrays, and
-    ValueError for an array whose header does not match its size.
+    Args:
+        name: The file in messages.
+        archive: The open archive.
+    Raises:
+        LoadError: The archive is too large, or has other members than arrays.
+        ValueError: The header of an array does not match its size.
     """
     members = archive.infolist()
     if len(members) > _MOST_ARRAYS:

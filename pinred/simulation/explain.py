@@ -42,9 +42,13 @@ def seen_and_integrated(plan: Plan) -> list[str]:
 
 
 def varying(plan: Plan, *, generic: bool = False) -> list[str]:
-    """Describe the robot parameters that are inputs of the kernel, and their cost, in lines.
+    """Describe the robot parameters that are inputs of the kernel, and their cost.
 
-    generic: whether placements may take any value, as in flows.
+    Args:
+        plan: The plan of a scene.
+        generic: Whether placements may take any value, as in flows.
+    Returns:
+        The lines.
     """
     varied = plan.scene.varied
     if varied is None:
@@ -82,9 +86,13 @@ def integrated(plan: Plan) -> str:
 
 
 def skipped(plan: Plan, *, zero_momentum: bool) -> list[str]:
-    """Describe the terms that are not integrated or not computed, one in each line.
+    """Describe the terms that are not integrated or not computed.
 
-    zero_momentum: whether the angular momentum of the base is zero at the start.
+    Args:
+        plan: The plan of a scene.
+        zero_momentum: Whether the angular momentum of the base is zero at the start.
+    Returns:
+        A line for each group of terms.
     """
     system, forces = plan.system, plan.forces
     names, group = system.shape_names, system.group

@@ -83,8 +83,9 @@ class Recording(OverTime):
     def system(self) -> System:
         """The robot, loaded at first access.
 
-        Raises LoadError if the robot cannot be loaded, and InputError if it does not match the
-        recorded states.
+        Raises:
+            LoadError: The robot cannot be loaded.
+            InputError: The robot does not match the recorded states.
         """
         system = _load_robot(
             self.path, self.robot, self.group, self.origin, confirmed=self.confirmed
@@ -214,7 +215,13 @@ def _find_trusted_source(path: Path, source: str) -> str:
     A recording from somebody else could name any file on this machine.  Trusted sources are
     robots known by name, bundled files, and files in the folder of the recording.
 
-    Raises LoadError for all other files.
+    Args:
+        path: Path of the recording.
+        source: Name or file of the robot that the recording states.
+    Returns:
+        The name, or the path of the file to load.
+    Raises:
+        LoadError: The source is another file.
     """
     if not is_path(source):
         return source

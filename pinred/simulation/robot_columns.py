@@ -142,10 +142,15 @@ class RobotColumns:
                 yield k, self._bodies[joint - 1], place, twists
 
     def _in_gravity(self, g: Array) -> tuple[Array, Array]:
-        """Return the components of gravity along the kernel's axes, and the free fall.
+        """Compute the components of gravity along the kernel's axes, and the free fall.
 
-        Raises SymmetryError if gravity breaks the symmetry, and InputError if it has other
-        components.
+        Args:
+            g: Gravity in the world frame, (3,) [m/s²].
+        Returns:
+            The components, and the acceleration of the centre of mass along the translations.
+        Raises:
+            InputError: Gravity has other components.
+            SymmetryError: Gravity breaks the symmetry.
         """
         system = in_gravity(self._system, g)
         acting, axes = acting_gravity(system), list(self._layout.gravity)
@@ -158,9 +163,12 @@ class RobotColumns:
         return acting[axes], falling(system)
 
     def _gravity_maps(self) -> tuple[Array, Array]:
-        """Return the linear maps from gravity in the world frame to its components and the fall.
+        """Compute the linear maps from gravity in the world frame to its components and the fall.
 
-        Raises InputError if all of gravity varies and some direction breaks the symmetry.
+        Returns:
+            (axes, 3) and (k, 3), cached.
+        Raises:
+            InputError: All of gravity varies, and some direction breaks the symmetry.
         """
         if self._gravity is not None:
             return self._gravity

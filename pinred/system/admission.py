@@ -149,7 +149,7 @@ def _admit_numbers(model: pin.Model, group: Group) -> None:
 
 
 def _check_inertias(model: pin.Model, coupled: Coupled | None) -> tuple[str, ...]:
-    """Return doubts about the inertias of a model.  Raises ModelError for useless ones."""
+    """Return doubts about inertias.  Raises ModelError for inertias that cannot be simulated."""
     unit = largest_step(model)
     for i in range(1, model.njoints):
         _check_body(model, i, unit)

@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 
 from ..common.arrays import Array, freeze
 from ..common.errors import InputError
@@ -35,20 +35,20 @@ class StateField:
 
     Attributes:
         name: Name of the field in State, in files and among the outputs of flows.
-        meaning: The quantity, as a phrase that starts a sentence.
         unit: Unit of the entries; " | " separates the units of different entries.
         axis: The axis after time, None for one number at each time.
-        needs_base: Whether the field is missing if the scene leaves out the base.
         derivative: How flows differentiate the field: by its "entries", by the "twist" of the
             body that changes a pose, or not at all ("none").
+        meaning: The quantity, as a phrase that starts a sentence.
+        needs_base: Whether the field is missing if the scene leaves out the base.
     """
 
     name: str
-    meaning: str
     unit: str
     axis: Axis | None
+    derivative: Literal["entries", "twist", "none"]
+    meaning: str
     needs_base: bool = True
-    derivative: Literal["entries", "twist", "none"] = "none"
 
     @property
     def description(self) -> str:
@@ -57,38 +57,29 @@ class StateField:
         return f"{self.meaning}, {shape} [{self.unit}]."
 
 
-FIELDS: Mapping[str, StateField] = MappingProxyType({
-    field.name: field
-    for field in (
-        StateField("t", "Time", "s", None, needs_base=False),
-        StateField("x", "Shape", "rad | m", "joint", needs_base=False, derivative="entries"),
-        StateField(
-            "xdot", "Shape rate", "rad/s | m/s", "joint", needs_base=False, derivative="entries"
-        ),
-        StateField(
-            "xi", "Body twist of the base as [linear; angular]", "m/s | rad/s", "twist",
-            derivative="entries",
-        ),
-        StateField("pose", "Pose of the base", "m | rad | 1", "coordinate", derivative="twist"),
-        StateField("q", "Pinocchio's configuration", "m | rad | 1", "nq"),
-        StateField("v", "Pinocchio's velocity", "m/s | rad/s", "nv"),
-        StateField(
-            "body_momentum", "Body momentum μ, in the body frame, about its origin",
-            "N·s | N·m·s", "twist", derivative="entries",
-        ),
-        StateField(
-            "spatial_momentum",
-            "Spatial momentum J = Ad*_{g⁻¹} μ, in the root joint's fixed frame, about its origin",
-            "N·s | N·m·s", "twist", derivative="entries",
-        ),
-        StateField(
-            "energy",
-            "Kinetic and potential energy: with the base in the world, its free fall included and "
-            "zero height at the world's origin; without the base, about the centre of mass",
-            "J", None, needs_base=False, derivative="entries",
-        ),
-    )
-})  # fmt: skip
+_TABLE = (
+    StateField("t", "s", None, "none", "Time", needs_base=False),
+    StateField("x", "rad | m", "joint", "entries", "Shape", needs_base=False),
+    StateField("xdot", "rad/s | m/s", "joint", "entries", "Shape rate", needs_base=False),
+    StateField("xi", "m/s | rad/s", "twist", "entries", "Body twist [linear; angular] of the base"),
+    StateField("pose", "m | rad | 1", "coordinate", "twist", "Pose of the base"),
+    StateField("q", "m | rad | 1", "nq", "none", "Pinocchio's configuration"),
+    StateField("v", "m/s | rad/s", "nv", "none", "Pinocchio's velocity"),
+    StateField(
+        "body_momentum", "N·s | N·m·s", "twist", "entries",
+        "Body momentum μ, in the body frame, about its origin",
+    ),
+    StateField(
+        "spatial_momentum", "N·s | N·m·s", "twist", "entries",
+        "Spatial momentum J = Ad*_{g⁻¹} μ, in the root joint's fixed frame, about its origin",
+    ),
+    StateField(
+        "energy", "J", None, "entries",
+        "Kinetic and potential energy, of free fall too, with zero height at the world's origin; "
+        "without the base, the energy about the centre of mass", needs_base=False,
+    ),
+)  # fmt: skip
+FIELDS: Mapping[str, StateField] = MappingProxyType({field.name: field for field in _TABLE})
 
 
 def _describe_fields(kind: _Kind) -> _Kind:
@@ -139,17 +130,12 @@ class _Column:
         self._field = FIELDS[name]
         self.__doc__ = self._field.description
 
-    @overload
-    def __get__(self, motion: None, owner: type) -> _Column: ...
-
-    @overload
-    def __get__(self, motion: StateArrays, owner: type | None = None) -> Array: ...
-
-    def __get__(self, motion: StateArrays | None, owner: type | None = None) -> Any:
+    def __get__(self, motion: StateArrays | None, owner: type | None = None) -> Array:
         if motion is None:
-            return self
+            return self  # type: ignore[return-value]
         states = motion.states if self._field.needs_base else motion.outputs
-        return getattr(states, self._field.name)
+        values: Array = getattr(states, self._field.name)
+        return values
 
     def __set__(self, motion: StateArrays, value: object) -> NoReturn:
         raise AttributeError(f"'{self._field.name}' of a motion is read-only")

@@ -16,10 +16,10 @@ import numpy as np
 NEW_FIELD = {
     "pinred.system.state_fields": [
         (
-            '        StateField(\n            "energy",',
-            '        StateField("relative_twist", "Body twist relative to the centre of mass",\n'
-            '            "m/s | rad/s", "twist", needs_base=False, derivative="entries"),\n'
-            '        StateField(\n            "energy",',
+            '    StateField(\n        "energy",',
+            '    StateField("relative_twist", "m/s | rad/s", "twist", "entries",\n'
+            '        "Body twist relative to the centre of mass", needs_base=False),\n'
+            '    StateField(\n        "energy",',
         ),
         ("    energy: Array\n", "    relative_twist: Array\n    energy: Array\n"),
         ('"energy"]', '"relative_twist", "energy"]'),

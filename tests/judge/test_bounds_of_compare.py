@@ -1,4 +1,4 @@
-"""Every bound of a comparison: what it is, and that the verdict hangs on it, on each alone."""
+"""The bounds of a comparison and the dependence of the verdict on each of them."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ TOLERANCE = RTOL + ATOL
 
 @cache
 def cat() -> pinred.Trajectory:
-    """A second of the falling cat."""
+    """Simulate the falling cat for one second."""
     return pinred.simulate(pinred.load("falling_cat"), duration=1.0, rtol=RTOL, atol=ATOL)
 
 
 @cache
-def passed() -> pinred.Report:
-    """Its comparison."""
+def passing_report() -> pinred.Report:
+    """Return its comparison."""
     return pinred.compare(cat())
 
 
-def test_the_line_names_the_worst() -> None:
-    """Of all checks the one that is the largest part of its bound, of bounds of zero, too."""
-    report = passed()
+def test_repr_names_check_closest_to_its_bound() -> None:
+    """The one-line summary names the check with the largest ratio to its bound."""
+    report = passing_report()
     for name, bound in (("energy_drift", "drift_bound"), ("field_error", "field_bound")):
         near = replace(report, **{name: 0.9 * getattr(report, bound)})
-        (words,) = (each for each in near.checks if near.checks[each][0] == getattr(near, name))
+        (words,) = (item for item in near.checks if near.checks[item][0] == getattr(near, name))
         assert words in repr(near)
         assert words not in repr(report)
     assert "defect" in repr(replace(report, defect=1e-20, defect_bound=0.0))
 
 
-def test_the_closest_to_its_bound() -> None:
-    """Where nothing passes, any error is beyond it; where there is no joint, there is none."""
+def test_closest_error_with_zero_bound_or_no_joint() -> None:
+    """Any error exceeds a bound of zero; without joints there is no error."""
     none = np.empty((3, 0))
     assert _closest(none, none) == (0.0, 0.0)
     errors, bounds = np.array([0.05, 1e-9, 2.0]), np.array([0.0, 1e-8, 4.0])
@@ -56,9 +56,9 @@ def test_the_closest_to_its_bound() -> None:
     assert np.isnan(_closest(np.array([0.1, np.nan]), np.ones(2))[0])
 
 
-def test_what_passes() -> None:
-    """The bounds are those that docs/comparison.md states."""
-    report = passed()
+def test_report_has_documented_bounds() -> None:
+    """The bounds are those in docs/comparison.md."""
+    report = passing_report()
     assert report.passed
     assert report.equations_bound == 1e-12
     assert report.defect_bound == pytest.approx(3.0 * TOLERANCE)
@@ -80,11 +80,11 @@ NUMBERS = {
 
 @pytest.mark.parametrize("name", NUMBERS)
 @pytest.mark.parametrize("part", [1.01, np.inf, np.nan])
-def test_each_number_alone_fails(name: str, part: float) -> None:
-    """A little above its bound, and what is not a number; just below, it passes."""
-    bound = getattr(passed(), NUMBERS[name])
-    assert replace(passed(), **{name: 0.99 * bound}).passed
-    report = replace(passed(), **{name: part * bound})
+def test_verdict_fails_for_each_number_above_its_bound(name: str, part: float) -> None:
+    """A value slightly above its bound or NaN fails; slightly below it passes."""
+    bound = getattr(passing_report(), NUMBERS[name])
+    assert replace(passing_report(), **{name: 0.99 * bound}).passed
+    report = replace(passing_report(), **{name: part * bound})
     assert report.verdict is Verdict.FAILED
     assert sum(not value <= most for value, most in report.checks.values()) == 1
 
@@ -92,23 +92,23 @@ def test_each_number_alone_fails(name: str, part: float) -> None:
 @pytest.mark.parametrize("kind", ["shape", "rotation", "position"])
 @pytest.mark.parametrize("part", [1.01, np.inf, np.nan])
 @pytest.mark.parametrize("when", [1, 50, -1])
-def test_each_error_alone_fails(kind: str, part: float, when: int) -> None:
-    """One entry of one joint at one time; after what can be told, it does not count."""
-    errors = getattr(passed(), f"{kind}_errors").copy()
-    bounds = getattr(passed(), f"{kind}_bounds")
+def test_verdict_fails_for_each_single_error(kind: str, part: float, when: int) -> None:
+    """One entry of one joint at one time fails, unless that time cannot be judged."""
+    errors = getattr(passing_report(), f"{kind}_errors").copy()
+    bounds = getattr(passing_report(), f"{kind}_bounds")
     where = (when, 1) if errors.ndim == 2 else (when,)
     errors[where] = 0.99 * bounds[where]
-    assert replace(passed(), **{f"{kind}_errors": errors}).passed
+    assert replace(passing_report(), **{f"{kind}_errors": errors}).passed
     errors = errors.copy()
     errors[where] = part * bounds[where]
-    report = replace(passed(), **{f"{kind}_errors": errors})
+    report = replace(passing_report(), **{f"{kind}_errors": errors})
     assert report.verdict is Verdict.FAILED
     told = replace(report, told=when % len(report.t), reasons=("",))
     assert told.verdict is Verdict.CANNOT_TELL
 
 
-def test_a_kick_is_a_millionth() -> None:
-    """Of each number, of a radian, of the radius of gyration, and of what covers these."""
+def test_perturbation_is_a_millionth_of_each_unit() -> None:
+    """Units are the number, a radian, the radius of gyration, and rates that cover these."""
     system = cat().system
     full = FullState(cat().scene)
     y0 = full.state(
@@ -130,46 +130,49 @@ def test_a_kick_is_a_millionth() -> None:
     assert kicked == pytest.approx(expected, rel=1e-4)
 
 
-def test_growth_is_that_of_an_unstable_motion() -> None:
-    """A beanie on a spring that pushes: a kick grows as cosh does."""
+def test_growth_of_unstable_motion_is_hyperbolic() -> None:
+    """For a beanie on a repelling spring the perturbation grows as cosh."""
     system = pinred.load("elroys_beanie")
     scene = pinred.Scene(system=system, springs={"beanie": (-6.0, 0.0)}, x0=[0.0], duration=2.0)
     full = FullState(scene)
     y0 = full.state(scene.start.pose, scene.start.x, scene.start.xi, scene.start.xdot)
     times = np.linspace(0.0, 2.0, 11)
     growth = full.growth(y0, full.run(y0, times, 1e-12, 1e-14), times, 1e-12, 1e-14)
-    # x grows as cosh 3t ± sinh(3t) / 3T, where the kick of the rate has either sign.
+    # x grows as cosh 3t ± sinh(3t) / 3T, depending on the sign of the perturbed rate.
     most, least = (np.cosh(3 * times) + s * np.sinh(3 * times) / 6 for s in (1, -1))
     assert (growth >= 0.99 * np.maximum(1.0, least)).all()
     assert (growth <= 1.3 * most + 1.0).all()
 
 
 @pytest.mark.parametrize("error", [1e-300, np.nan])
-def test_a_bound_of_nothing_passes_nothing(error: float) -> None:
-    """However small, and what is no number; no error at all passes."""
-    bounds, errors = passed().rotation_bounds.copy(), passed().rotation_errors.copy()
+def test_zero_bound_passes_zero_error_only(error: float) -> None:
+    """Any positive error or NaN fails a bound of zero."""
+    bounds, errors = (
+        passing_report().rotation_bounds.copy(),
+        passing_report().rotation_errors.copy(),
+    )
     bounds[5] = errors[5] = 0.0
-    assert replace(passed(), rotation_errors=errors.copy(), rotation_bounds=bounds).passed
+    assert replace(passing_report(), rotation_errors=errors.copy(), rotation_bounds=bounds).passed
     errors[5] = error
-    report = replace(passed(), rotation_errors=errors, rotation_bounds=bounds)
+    report = replace(passing_report(), rotation_errors=errors, rotation_bounds=bounds)
     assert report.verdict is Verdict.FAILED
 
 
-def test_a_hinge_does_not_hide_behind_a_wheel() -> None:
-    """Each joint is judged in units of its own motion: wheels turn by 300 rad, the panel by 1."""
+def test_errors_of_slow_joint_next_to_fast_wheels_fail() -> None:
+    """Each joint has the unit of its motion: wheels rotate by 300 rad, the panel by 1."""
     traj = pinred.simulate(pinred.load("reaction_wheel_satellite"))
     report = pinred.compare(traj)
     assert report.passed, str(report)
     assert report.shape_bounds[-1, 3] > 100.0 * report.shape_bounds[-1, 0]
-    found = pinred.compare(tampered(traj, offset("x", 0, 1e-6)))
-    value, bound = found.checks["shape error [rad | m]"]
+    result = pinred.compare(tampered(traj, offset("x", 0, 1e-6)))
+    value, bound = result.checks["shape error [rad | m]"]
     assert value > bound
-    assert found.verdict is Verdict.FAILED
+    assert result.verdict is Verdict.FAILED
 
 
 @pytest.mark.parametrize("away", [1e3, 1e5])
-def test_a_jump_far_away(away: float) -> None:
-    """A base 100 km from the origin that jumps by 1e-6 m: it travels a metre, and that counts."""
+def test_jump_of_distant_base_fails(away: float) -> None:
+    """A base 100 km from the origin that travels one metre and jumps by 1e-6 m fails."""
     pose0 = [away, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
     traj = pinred.simulate(pinred.load("falling_cat"), duration=1.0, pose0=pose0)
     assert pinred.compare(traj).passed
@@ -179,16 +182,16 @@ def test_a_jump_far_away(away: float) -> None:
     assert value > bound
 
 
-def test_round_off_of_places() -> None:
-    """At a thousand kilometres, 1e-14 of them passes besides what passes of ten metres."""
+def test_position_bound_includes_round_off_of_distance() -> None:
+    """At a distance of 1000 km, 1e-14 of the distance is added to the bound."""
     pose0 = [1e6, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
     traj = pinred.simulate(pinred.load("falling_cat"), duration=1.0, pose0=pose0)
     report = pinred.compare(traj)
     assert report.position_bounds - 10.0 * report.rotation_bounds == pytest.approx(1e-8, rel=0.01)
 
 
-def test_sizes_of_a_motion() -> None:
-    """Travelled, the radius of gyration, or 1e-5 of what is away from the origin; 1 rad, or |x|."""
+def test_size_of_motion_is_distance_travelled_and_largest_joint_value() -> None:
+    """Least units: radius of gyration, 1e-5 of the distance from the origin, 1 rad."""
     full = FullState(cat().scene)
     q = np.array(cat().q[:2])
     q[:, :3] = [[4e6, 0.0, 0.0], [4e6, 7.0, 0.0]]
@@ -203,21 +206,21 @@ def test_sizes_of_a_motion() -> None:
     assert full.size(FullMotion(x=x, q=q)).position == pytest.approx(radius)
 
 
-def test_slides_count_by_the_size_of_the_robot() -> None:
-    """Where they move by less than that; of hinges it is a radian."""
+def test_size_of_prismatic_joint_is_at_least_radius_of_gyration() -> None:
+    """Small translations are measured in the radius of gyration, small rotations in radians."""
     system = pinred.load(random_model("SE3", 6, 2))
     full = FullState(pinred.Scene(system=system, seed=0))
     q = system.sorted_q(system.q(system.group.identity(), np.zeros(6)))
     radius = full.totals.radius_of_gyration(q)
     assert {"m", "rad"} == set(system.units)
-    found = full.size(FullMotion(x=np.zeros((1, 6)), q=q[None])).joints
+    result = full.size(FullMotion(x=np.zeros((1, 6)), q=q[None])).joints
     sizes = {"m": radius, "rad": 1.0}
-    assert found == pytest.approx([sizes[unit] for unit in joint_units(system.model)])
+    assert result == pytest.approx([sizes[unit] for unit in joint_units(system.model)])
 
 
 @pytest.mark.parametrize("away", [0.0, 3.0])
-def test_places_of_small_robots(away: float) -> None:
-    """At rest, the radius of gyration of millimetres, and 1e-5 of the distance from the origin."""
+def test_size_of_small_robot_at_rest(away: float) -> None:
+    """The unit is its radius of gyration, or 1e-5 of its distance from the origin."""
     model = random_model("SE3", 2, 0, armature=False)
     for i in range(1, model.njoints):
         at, body = model.jointPlacements[i], model.inertias[i]
@@ -234,16 +237,16 @@ def test_places_of_small_robots(away: float) -> None:
 
 
 @pytest.mark.parametrize("rate", [0.0, 3e-13])
-def test_rest_cannot_be_judged(rate: float) -> None:
-    """Nothing of the equations is seen where nothing moves."""
+def test_compare_at_rest_cannot_tell(rate: float) -> None:
+    """Without motion the equations are not tested."""
     traj = pinred.simulate(pinred.load("coupled_planar"), x0=[0.3], xdot0=[rate], duration=1.0)
     report = pinred.compare(traj)
     assert report.verdict is Verdict.CANNOT_TELL
     assert "nothing moves" in report.reasons[0]
 
 
-def test_little_motion_is_judged() -> None:
-    """Of 5e-12 rad."""
+def test_compare_of_tiny_motion_passes() -> None:
+    """A motion of 5e-12 rad is judged."""
     traj = pinred.simulate(pinred.load("coupled_planar"), x0=[0.3], xdot0=[5e-12], duration=1.0)
     assert not pinred.compare(traj).reasons
 
@@ -252,8 +255,8 @@ def test_little_motion_is_judged() -> None:
     ("name", "speed"),
     [("falling_cat", 1e-160), ("falling_cat", 1e-20), ("planar_chain5", 1e-20)],
 )
-def test_hardly_any_motion_does_not_fail(name: str, speed: float) -> None:
-    """Momenta and rates whose squares are no numbers."""
+def test_compare_of_underflowing_motion_does_not_fail(name: str, speed: float) -> None:
+    """Squares of its momenta and rates underflow."""
     system = pinred.load(name)
     rng = np.random.default_rng(0)
     traj = pinred.simulate(
@@ -267,8 +270,8 @@ def test_hardly_any_motion_does_not_fail(name: str, speed: float) -> None:
 @pytest.mark.parametrize("speed", [1.0, 1e-3])
 @pytest.mark.parametrize("name", ["falling_cat", "planar_chain5"])
 @pytest.mark.parametrize("away", [1e6, 1e9])
-def test_far_away_does_not_fail(name: str, speed: float, away: float) -> None:
-    """A base at 1e9 m."""
+def test_compare_of_distant_base_does_not_fail(name: str, speed: float, away: float) -> None:
+    """The base is 1e9 m from the origin."""
     system = pinred.load(name)
     pose0 = np.array(system.group.identity())
     pose0[:2] = away, -0.7 * away
@@ -278,8 +281,8 @@ def test_far_away_does_not_fail(name: str, speed: float, away: float) -> None:
 
 
 @pytest.mark.slow
-def test_chaos_and_a_loose_tolerance_cannot_tell() -> None:
-    """At 1e-3, 60 s of chaos."""
+def test_compare_of_chaos_at_loose_tolerance_cannot_tell() -> None:
+    """Sixty seconds of chaos at a tolerance of 1e-3."""
     traj = pinred.simulate(
         pinred.load("double_spherical_pendulum"), x0=[2.0, 1.0, 2.5], xdot0=[4.0, -5.0, 6.0],
         xi0=[3.0], duration=60.0, rtol=1e-3, atol=1e-5,
@@ -288,8 +291,8 @@ def test_chaos_and_a_loose_tolerance_cannot_tell() -> None:
     assert report.verdict is Verdict.CANNOT_TELL, str(report)
 
 
-def test_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
-    """0 for what passes, 1 for what fails, 3 for what cannot be told."""
+def test_exit_codes_of_verdicts(capsys: pytest.CaptureFixture[str]) -> None:
+    """0 for PASSED, 1 for FAILED, 3 for CANNOT TELL."""
     assert print_comparison(cat()) == 0
     assert print_comparison(tampered(cat(), offset("x", 0, 1e-3))) == 1
     still = pinred.simulate(pinred.load("coupled_planar"), x0=[0.3], duration=1.0)
@@ -299,15 +302,15 @@ def test_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
     assert EXIT_CODES == {"PASSED": 0, "FAILED": 1, "CANNOT TELL": 3}
 
 
-def test_a_report_is_true_and_one_line() -> None:
-    """If it passed, and only then; what comes closest to its bound is named."""
-    assert bool(passed()) is True
-    assert bool(replace(passed(), reasons=("no",))) is False
-    failed = replace(passed(), equations=1.0)
+def test_report_is_true_if_passed() -> None:
+    """Its one-line summary names the check closest to its bound."""
+    assert bool(passing_report()) is True
+    assert bool(replace(passing_report(), reasons=("no",))) is False
+    failed = replace(passing_report(), equations=1.0)
     assert bool(failed) is False
-    assert [str(report).count("FAILED") for report in (passed(), failed)] == [0, 2]
-    for report in (passed(), failed, replace(passed(), reasons=("no reason",))):
+    assert [str(report).count("FAILED") for report in (passing_report(), failed)] == [0, 2]
+    for report in (passing_report(), failed, replace(passing_report(), reasons=("no reason",))):
         assert "\n" not in repr(report)
         assert str(report.verdict) in repr(report)
     assert "equations of motion [relative] 1.0e+00 of 1.0e-12" in repr(failed)
-    assert "no reason" in repr(replace(passed(), reasons=("no reason",)))
+    assert "no reason" in repr(replace(passing_report(), reasons=("no reason",)))

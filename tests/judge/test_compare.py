@@ -1,4 +1,4 @@
-"""The main job on every robot, and a judge that can say no."""
+"""Comparison of all robots with ABA, and detection of wrong trajectories."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ EXAMPLES = {"solo12": 2.0, "ur5": 3.0, "talos": 0.5}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(bundled_robots()))
-def test_bundled_robot(name: str) -> None:
-    """Every bundled robot agrees with ABA over its whole duration, from its own state."""
+def test_compare_passes_for_bundled_robot(name: str) -> None:
+    """Every bundled robot agrees with ABA over its default duration and initial state."""
     traj = pinred.simulate(pinred.load(name))
     report = pinred.compare(traj)
     assert report.passed, str(report)
@@ -32,7 +32,7 @@ def test_bundled_robot(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not has_example_robots(), reason="needs example-robot-data")
 @pytest.mark.parametrize("name", sorted(EXAMPLES))
-def test_example_robot(name: str) -> None:
+def test_compare_passes_for_example_robot(name: str) -> None:
     """A quadruped, an arm on a free base and a humanoid, tumbling and falling."""
     report = pinred.compare(
         pinred.simulate(pinred.load(name, group="SE3"), seed=1, duration=EXAMPLES[name])
@@ -45,8 +45,8 @@ def test_example_robot(name: str) -> None:
     "seed", [0, 3, *(pytest.param(k, marks=pytest.mark.by_hand) for k in (1, 2))]
 )
 @pytest.mark.parametrize("group", GROUPS)
-def test_random_trees(group: str, seed: int) -> None:
-    """Random trees on every group, with springs, armature, a moved pose and gravity if it fits."""
+def test_compare_passes_for_random_trees(group: str, seed: int) -> None:
+    """Trees of every group with springs, armature, a moved pose, and gravity if invariant."""
     model = random_model(group, seed + 1, seed)
     if GROUPS[group].linear:
         model.gravity.linear = np.array([1.0, -2.0, 3.0])
@@ -60,8 +60,8 @@ def test_random_trees(group: str, seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_error_follows_the_tolerance() -> None:
-    """A tighter tolerance gives a smaller error, within a factor of it, down to round-off."""
+def test_error_decreases_with_tolerance() -> None:
+    """The error stays within a factor of the tolerance, down to round-off."""
     system = pinred.load("falling_cat")
     errors = {}
     for rtol in (1e-5, 1e-8, 1e-11):
@@ -89,8 +89,10 @@ def test_error_follows_the_tolerance() -> None:
         ("spatial_momentum", 5, 1e-6, "fields against q, v"),
     ],
 )
-def test_the_judge_sees_a_wrong_trajectory(name: str, column: int, size: float, check: str) -> None:
-    """An error of a millionth in shape, base or velocity fails, by the right name."""
+def test_compare_fails_for_wrong_trajectory(
+    name: str, column: int, size: float, check: str
+) -> None:
+    """A relative error of 1e-6 in shape, base or velocity fails the corresponding check."""
     traj = pinred.simulate(pinred.load("falling_cat"), duration=1.0)
     assert pinred.compare(traj).passed
     report = pinred.compare(tampered(traj, offset(name, column, size)))
@@ -100,8 +102,8 @@ def test_the_judge_sees_a_wrong_trajectory(name: str, column: int, size: float, 
     assert "verdict: FAILED" in str(report)
 
 
-def test_the_judge_sees_wrong_physics() -> None:
-    """A robot whose mass is off by a millionth is another robot."""
+def test_compare_fails_for_wrong_mass() -> None:
+    """A relative mass error of 1e-6 fails."""
     system = pinred.load("falling_cat")
     traj = pinred.simulate(system, duration=5.0)
     other = pinred.load("falling_cat")
@@ -115,8 +117,8 @@ def test_the_judge_sees_wrong_physics() -> None:
 
 
 @pytest.mark.slow
-def test_all_of_the_motion_is_judged() -> None:
-    """A scene that reports only its start is judged to its end, and fails where that does."""
+def test_compare_covers_whole_duration() -> None:
+    """A scene that reports only its start is compared until its end."""
     system = pinred.load("double_spherical_pendulum")
     traj = pinred.simulate(
         system, x0=[2.0, 1.0, 2.5], xdot0=[4.0, -5.0, 6.0], xi0=[3.0], duration=15.0, times=[0.0],
@@ -127,8 +129,8 @@ def test_all_of_the_motion_is_judged() -> None:
     assert report.verdict == "CANNOT TELL"
 
 
-def test_wrong_energy_is_seen() -> None:
-    """The energy is Pinocchio's, not only constant: an offset fails, on a slanted falling root."""
+def test_compare_fails_for_constant_energy_offset() -> None:
+    """The energy must equal Pinocchio's, also on a tilted falling root."""
     model = random_model("SE2", 2, 3)
     model.gravity.linear = np.array([1.0, -2.0, 3.0])
     traj = pinred.simulate(pinred.load(model), seed=1, duration=1.0)
@@ -141,8 +143,8 @@ def test_wrong_energy_is_seen() -> None:
 
 
 @pytest.mark.slow
-def test_chaos_is_not_passed_by_default() -> None:
-    """Where perturbations grow too much for the endpoint to mean anything, it says so."""
+def test_compare_of_chaotic_motion_cannot_tell() -> None:
+    """The report states until when errors can be judged."""
     system = pinred.load("double_spherical_pendulum")
     traj = pinred.simulate(
         system,
@@ -161,8 +163,8 @@ def test_chaos_is_not_passed_by_default() -> None:
     assert "can be judged until t = " in report.reasons[0]
 
 
-def test_reference_is_as_accurate_as_it_says() -> None:
-    """The judge's own error, from its two orders, bounds its distance to a closed form."""
+def test_reference_error_bounds_distance_to_closed_form() -> None:
+    """The difference of the two references bounds their error."""
     system = pinred.load("elroys_beanie")
     k = 3.0
     full = FullState(pinred.Scene(system=system, springs={"beanie": (k, 0.0)}))
@@ -176,8 +178,8 @@ def test_reference_is_as_accurate_as_it_says() -> None:
     assert full.distance(eight, five).worst(full.size(eight)) < 1e-10
 
 
-def test_report_is_a_table_with_its_numbers() -> None:
-    """Names, values and bounds are all in the text; arrays are over the report times."""
+def test_report_text_contains_checks() -> None:
+    """Names, values and bounds are in the text; arrays are over the compared times."""
     traj = pinred.simulate(pinred.load("coupled_planar"), duration=1.0, times=[0.0, 0.5, 1.0])
     report = pinred.compare(traj)
     text = str(report)
@@ -195,8 +197,8 @@ def test_report_is_a_table_with_its_numbers() -> None:
 
 @pytest.mark.parametrize("group", [name for name in GROUPS if GROUPS[name].turns])
 @pytest.mark.parametrize("angle", [1e-3, 1e-6, 3e-9, 1e-12])
-def test_small_turns_are_seen(group: str, angle: float) -> None:
-    """Two bases that differ by a small turn are as far apart, wherever they stand."""
+def test_small_rotation_is_measured_at_any_pose(group: str, angle: float) -> None:
+    """The distance of two slightly rotated bases is independent of their pose."""
     system = pinred.load(random_model(group, 2, 1))
     judge = FullState(pinred.Scene(system=system, seed=0))
     rng = np.random.default_rng(0)
@@ -206,7 +208,7 @@ def test_small_turns_are_seen(group: str, angle: float) -> None:
     for _ in range(50):
         pose = system.group.exp(rng.normal(size=system.r))
         poses = (pose, system.group.compose(pose, system.group.exp(turn)))
-        here, there = (FullMotion(x[None], system.q(p, x)[None]) for p in poses)
-        found = judge.distance(here, there)
-        assert found.rotation[0] == pytest.approx(angle, rel=1e-6, abs=1e-15)
-        assert found.position[0] < 1e-14
+        first, second = (FullMotion(x[None], system.q(p, x)[None]) for p in poses)
+        result = judge.distance(first, second)
+        assert result.rotation[0] == pytest.approx(angle, rel=1e-6, abs=1e-15)
+        assert result.position[0] < 1e-14

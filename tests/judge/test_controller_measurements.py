@@ -1,4 +1,4 @@
-"""What controllers were given is judged, each kind of number in its own unit."""
+"""Check of controller measurements, each kind of number in its unit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WRONG = 1e-3
 
 @cache
 def motion(speed: float) -> tuple[pinred.Trajectory, FullState]:
-    """The cat, three times seen by a controller that does nothing."""
+    """Simulate the cat with an idle controller that is called three times."""
     idle = Controller(lambda _: np.zeros(CAT.m), 0.1)
     traj = pinred.simulate(
         CAT, x0=speed * np.array([0.5, 3.0, -2.0]), xdot0=speed * np.array([1.0, -4.0, 2.0]),
@@ -31,13 +31,13 @@ def motion(speed: float) -> tuple[pinred.Trajectory, FullState]:
     return traj, FullState(traj.scene)
 
 
-def off(traj: pinred.Trajectory, name: str, of_base: bool) -> tuple[Any, ...]:
-    """The calls, of which the last was told a wrong number."""
+def with_wrong_measurement(traj: pinred.Trajectory, name: str, of_base: bool) -> tuple[Any, ...]:
+    """Return the recorded calls with one wrong number in the last one."""
     *before, last = traj.actions
-    part: Any = last.seen.base if of_base else last.seen
-    wrong = getattr(part, name).copy()
+    fraction: Any = last.seen.base if of_base else last.seen
+    wrong = getattr(fraction, name).copy()
     wrong[-1] += WRONG
-    changed = replace(part, **{name: wrong})
+    changed = replace(fraction, **{name: wrong})
     return *before, replace(last, seen=replace(last.seen, base=changed) if of_base else changed)
 
 
@@ -49,40 +49,40 @@ KINDS = [
 
 @pytest.mark.parametrize("speed", [1.0, 1e-2])
 @pytest.mark.parametrize(("name", "of_base"), KINDS)
-def test_each_number_in_its_unit(
+def test_measurement_error_is_relative_to_unit(
     monkeypatch: pytest.MonkeyPatch, name: str, of_base: bool, speed: float
 ) -> None:
-    """Radians, the largest rate, and momenta as the largest rate makes of all the mass."""
+    """Units are radians, the largest rate, and momenta of the whole mass at that rate."""
     traj, full = motion(speed)
     kept = traj.actions
     assert len(kept) == 3
     assert measurement_error(traj, full) < 1e-12
-    monkeypatch.setattr(traj.motion, "actions", off(traj, name, of_base))
-    seen: list[Any] = [each.seen for each in kept]
-    rates = max(float(np.abs([*each.xi[3:], *each.xdot]).max()) for each in seen)
+    monkeypatch.setattr(traj.motion, "actions", with_wrong_measurement(traj, name, of_base))
+    seen: list[Any] = [item.seen for item in kept]
+    rates = max(float(np.abs([*item.xi[3:], *item.xdot]).max()) for item in seen)
     data, q = CAT.model.createData(), CAT.q(seen[0].base.pose, seen[0].x)
     pin.ccrba(CAT.model, data, q, np.zeros(CAT.n))
     carried = float(np.trace(data.Ig.inertia)) * rates
     least = {"x": 1.0, "pose": 1.0, "mu": carried, "J": carried}.get(name, 0.0)
     largest = max(
-        float(np.abs(getattr(each.base if of_base else each, name)).max()) for each in seen
+        float(np.abs(getattr(item.base if of_base else item, name)).max()) for item in seen
     )
     expected = WRONG / max(least, largest)
     assert measurement_error(traj, full) == pytest.approx(expected, rel=1e-6)
 
 
-def test_without_a_base(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where it was left out, the rest is judged; without controllers there is nothing."""
+def test_measurement_error_without_base(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without base data the other fields are compared; without calls the error is 0."""
     traj, full = motion(1.0)
-    bare = tuple(replace(each, seen=replace(each.seen, base=None)) for each in traj.actions)
+    bare = tuple(replace(item, seen=replace(item.seen, base=None)) for item in traj.actions)
     monkeypatch.setattr(traj.motion, "actions", bare)
     assert 0.0 <= measurement_error(traj, full) < 1e-12
     monkeypatch.setattr(traj.motion, "actions", ())
     assert measurement_error(traj, full) == 0.0
 
 
-def test_without_joints() -> None:
-    """Of what a robot has not, nothing can be wrong."""
+def test_measurement_error_without_joints() -> None:
+    """Empty fields have no error."""
     push = Controller(lambda _: Command(wrench=np.array([0.1, 0.0, 0.2])), 0.1, wrench=True)
     traj = pinred.simulate(
         pinred.load("rigid_body"), duration=0.2, xi0=[0.1, 2.0, 0.3], forces=push

@@ -1,4 +1,4 @@
-"""The judge of coupled joints: its own accelerations, and what it finds."""
+"""Accelerations with coupled joints, and comparison of robots with couplings."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ MASSLESS = robot(
 
 @settings(max_examples=40)
 @given(coupled_cases())
-def test_accelerations(case: CoupledCase) -> None:
-    """By ABA with multipliers, as one system, and by Gᵀ of the whole tree."""
+def test_acceleration_of_random_couplings(case: CoupledCase) -> None:
+    """Multipliers by ABA and by one linear system agree with the projected equations."""
     system, rng = case.system, case.rng
     constraints, model = CouplingConstraints(system), system.model
     q = system.model_q(system.group.exp(rng.normal(size=system.r)), rng.uniform(-2, 2, system.m))
@@ -52,8 +52,8 @@ def test_accelerations(case: CoupledCase) -> None:
 
 
 @pytest.mark.parametrize("alone", [True, False])
-def test_accelerations_in_gravity(alone: bool) -> None:
-    """Which pulls at all bodies, and not at the multipliers, by ABA and as one system."""
+def test_acceleration_in_gravity(alone: bool) -> None:
+    """Gravity acts on bodies but not on the response to multipliers."""
     case = make_case("SE3", 5, 0, heavy=True)
     model, rng = case.system.model, case.rng
     assert model.gravity.linear.any()
@@ -66,34 +66,34 @@ def test_accelerations_in_gravity(alone: bool) -> None:
     H = np.triu(upper) + np.triu(upper, 1).T
     bias = pin.nonLinearEffects(model, data, q, v)
     expected = G @ np.linalg.solve(G.T @ H @ G, -G.T @ bias)
-    found = constraints.acceleration(q, v, np.zeros(model.nv))
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    result = constraints.acceleration(q, v, np.zeros(model.nv))
+    np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(("driven", "seed"), [([0], 0), ([2, 0], 1), ([1, 2], 2), ([], 3)])
-def test_accelerations_of_driven_joints(driven: list[int], seed: int) -> None:
-    """Those that are given, followers with them; Gᵀ of the whole tree for all others."""
+def test_acceleration_with_driven_joints(driven: list[int], seed: int) -> None:
+    """Driven joints and their followers have the prescribed accelerations."""
     case = make_case("SE3", 7, seed, heavy=True)
     system, rng, G, r = case.system, case.rng, case.whole, case.system.r
     constraints, model, data = CouplingConstraints(system), system.model, system.model.createData()
     q = system.model_q(system.group.exp(rng.normal(size=r)), rng.uniform(-2, 2, system.m))
-    v, tau, given = G @ rng.normal(size=system.n), rng.normal(size=model.nv), rng.normal(size=3)
+    v, tau, values = G @ rng.normal(size=system.n), rng.normal(size=model.nv), rng.normal(size=3)
     upper = pin.crba(model, data, q)
     H = G.T @ (np.triu(upper) + np.triu(upper, 1).T) @ G
     held = r + np.array(driven, dtype=int)
     free = np.setdiff1d(np.arange(system.n), held)
     a = np.zeros(system.n)
-    a[held] = given[: len(driven)]
+    a[held] = values[: len(driven)]
     right = G.T @ (tau - pin.nonLinearEffects(model, data, q, v)) - H @ a
     a[free] = np.linalg.solve(H[np.ix_(free, free)], right[free])
-    found = constraints.acceleration(
-        q, v, tau, constraints.leads[driven].tolist(), given[: len(driven)]
+    result = constraints.acceleration(
+        q, v, tau, constraints.leads[driven].tolist(), values[: len(driven)]
     )
-    np.testing.assert_allclose(found, G @ a, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(result, G @ a, rtol=1e-8, atol=1e-8)
 
 
-def test_accelerations_of_a_tree_that_is_singular_without_its_ties(tmp_path: Path) -> None:
-    """A leader without mass moves that of its follower: one system with multipliers, not ABA."""
+def test_acceleration_of_tree_that_is_singular_without_couplings(tmp_path: Path) -> None:
+    """A massless leader that moves its follower needs one linear system instead of ABA."""
     system = pinred.load(write(tmp_path, MASSLESS))
     constraints, model, data = CouplingConstraints(system), system.model, system.model.createData()
     (coupling,) = system.couplings
@@ -110,14 +110,14 @@ def test_accelerations_of_a_tree_that_is_singular_without_its_ties(tmp_path: Pat
     assert np.linalg.cond(H) > 1e12 > 1e8 * np.linalg.cond(G.T @ H @ G)
     bias = pin.nonLinearEffects(model, data, q, v)
     expected = G @ np.linalg.solve(G.T @ H @ G, G.T @ (tau - bias))
-    found = constraints.acceleration(q, v, tau)
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    result = constraints.acceleration(q, v, tau)
+    np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("group", "seed"), [("SE3", 0), ("SE2", 4), ("SO3", 5), ("SO2", 8)])
-def test_compare_passes(group: str, seed: int) -> None:
-    """On random trees with couplings, and what is under forces."""
+def test_compare_passes_with_couplings_and_forces(group: str, seed: int) -> None:
+    """Random trees with couplings, and springs on leaders and followers."""
     system = make_case(group, 5, seed).system
     springs = dict.fromkeys((system.shape_names[0], system.followers[0]), (2.0, 0.1))
     traj = pinred.simulate(system, seed=seed, duration=0.5, springs=springs)
@@ -126,8 +126,8 @@ def test_compare_passes(group: str, seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_a_tree_that_is_singular_without_its_ties(tmp_path: Path) -> None:
-    """A leader without mass moves that of its follower: one system, not ABA."""
+def test_compare_passes_for_tree_that_is_singular_without_couplings(tmp_path: Path) -> None:
+    """A massless leader that moves its follower needs one linear system instead of ABA."""
     system = pinred.load(write(tmp_path, MASSLESS))
     assert not CouplingConstraints(system)._uses_aba
     assert CouplingConstraints(make_case("SE3", 4, 0).system)._uses_aba
@@ -137,8 +137,8 @@ def test_a_tree_that_is_singular_without_its_ties(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3])
-def test_a_wrong_ratio_is_found(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
-    """Of a part in a million, wherever the reduction takes it from."""
+def test_compare_fails_for_wrong_coupling_ratio(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """A relative error of 1e-6 in the reduction's ratio fails."""
     right = make_case("SE3", 5, seed).system
     coupled = right.coupled
     assert coupled is not None
@@ -154,8 +154,8 @@ def test_a_wrong_ratio_is_found(monkeypatch: pytest.MonkeyPatch, seed: int) -> N
     assert report.equations > 10.0 * report.equations_bound or report.field_error > 1e-8
 
 
-def test_a_kick_leaves_followers_on_their_leaders() -> None:
-    """What measures how errors grow begins where the couplings hold, in place and rate."""
+def test_perturbation_satisfies_couplings() -> None:
+    """Positions and rates of followers obey their couplings after the perturbation."""
     case = make_case("SE3", 5, 0)
     scene = pinred.Scene(system=case.system, seed=0, duration=1.0)
     full, start = FullState(scene), scene.start
@@ -172,8 +172,8 @@ def test_a_kick_leaves_followers_on_their_leaders() -> None:
     "panda", "baxter", "tiago_pro",
     *(pytest.param(name, marks=pytest.mark.by_hand) for name in ("pr2", "talos_full")),
 ])  # fmt: skip
-def test_robots_with_grippers(name: str) -> None:
-    """As they are in example-robot-data; both engines, and the judge."""
+def test_compare_passes_for_robots_with_grippers(name: str) -> None:
+    """Robots of example-robot-data, with both engines."""
     pytest.importorskip("example_robot_data")
     system = pinred.load(name)
     assert system.followers

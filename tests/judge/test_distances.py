@@ -19,14 +19,16 @@ SIZE = Size(joints=np.array([2.0, 5.0]), position=4.0, away=1e3)
         ((2.0, 5.0), 1.0, 12.0),
     ],
 )
-def test_the_largest_counts(joints: tuple[float, float], rotation: float, position: float) -> None:
-    """Of each joint in its own unit, of the turn in radians, of the place; NaN stays."""
-    found = Distance(
+def test_relative_distance_is_largest_of_all_kinds(
+    joints: tuple[float, float], rotation: float, position: float
+) -> None:
+    """Joints, rotation and position have separate units; NaN stays NaN."""
+    result = Distance(
         joints=np.array([[0.0, 0.0], joints]),
         rotation=np.array([0.0, rotation]),
         position=np.array([0.0, position]),
     )
-    assert found.relative(SIZE).tolist() == [0.0, 3.0]
-    assert found.worst(SIZE) == 3.0
-    assert found.shape.tolist() == [0.0, max(joints)]
-    assert np.isnan(Distance(found.joints, found.rotation * np.nan, found.position).worst(SIZE))
+    assert result.relative(SIZE).tolist() == [0.0, 3.0]
+    assert result.worst(SIZE) == 3.0
+    assert result.shape.tolist() == [0.0, max(joints)]
+    assert np.isnan(Distance(result.joints, result.rotation * np.nan, result.position).worst(SIZE))

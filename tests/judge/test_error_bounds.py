@@ -1,4 +1,4 @@
-"""How far the ends of a motion may be off, and what the references say of themselves."""
+"""Bounds on the errors of a motion, and use of the two reference solutions."""
 
 from __future__ import annotations
 
@@ -32,48 +32,51 @@ TOLERANCE = RTOL + ATOL
 
 @cache
 def cat() -> pinred.Trajectory:
-    """A second of the falling cat."""
+    """Simulate the falling cat for one second."""
     return pinred.simulate(pinred.load("falling_cat"), duration=1.0, rtol=RTOL, atol=ATOL)
 
 
 class Spy:
-    """A full simulation whose runs are written down, and whose parts can be replaced."""
+    """Record the runs of the full simulation, and optionally modify the second reference."""
 
     def __init__(
         self, monkeypatch: pytest.MonkeyPatch, *, apart: float = 0.0, at: int = -1
     ) -> None:
-        """Watch from now on.  apart: by how much the second reference is moved [rad].  at: when."""
+        """Start recording.
+
+        apart: change of the second reference [rad].  at: index of the time of the change.
+        """
         self.runs: list[tuple[str, float, float]] = []
         run = FullState.run
 
         def watched(
             full: FullState, y0: Array, times: Array, rtol: float, atol: float, **more: Any
         ) -> FullMotion:
-            found = run(full, y0, times, rtol, atol, **more)
+            result = run(full, y0, times, rtol, atol, **more)
             self.runs.append((more.get("method", "dop853"), rtol, atol))
             if more.get("method") != "dopri5":
-                return found
-            x = found.x.copy()
+                return result
+            x = result.x.copy()
             x[at, 0] += apart
-            return FullMotion(x=x, q=found.q)
+            return FullMotion(x=x, q=result.q)
 
         monkeypatch.setattr(FullState, "run", watched)
 
 
-def test_references_are_tighter_and_of_two_orders(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A hundred times, by two methods, and the kicked one as tight as they are."""
+def test_references_use_tighter_tolerance_and_two_methods(monkeypatch: pytest.MonkeyPatch) -> None:
+    """References and the perturbed run use a tolerance 100 times tighter."""
     spy = Spy(monkeypatch)
     began = time.perf_counter()
     report = pinred.compare(cat())
     assert 0.0 < report.wall_full < time.perf_counter() - began
-    assert spy.runs[0] == ("dop853", RTOL, ATOL)  # that whose time is taken
+    assert spy.runs[0] == ("dop853", RTOL, ATOL)  # the timed run
     assert sorted(name for name, *_ in spy.runs[1:]) == ["dop853", "dop853", "dopri5"]
     for _, rtol, atol in spy.runs[1:]:
         assert (rtol, atol) == pytest.approx((RTOL / 100.0, ATOL / 100.0))
 
 
-def test_the_reference_is_judged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """How far the two are apart is what is reported, and beyond its bound fails."""
+def test_difference_of_references_is_reported_and_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A difference beyond its bound fails."""
     Spy(monkeypatch, apart=1e-7)
     report = pinred.compare(cat())
     assert report.reference_error == pytest.approx(1e-7, rel=1e-2)
@@ -85,15 +88,15 @@ def test_the_reference_is_judged(monkeypatch: pytest.MonkeyPatch) -> None:
     assert value > bound
 
 
-def test_a_reference_that_was_wrong_is_not_right_later(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the two were apart once passes from then on."""
+def test_difference_of_references_widens_later_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A difference at one time is added to all later bounds."""
     Spy(monkeypatch, apart=1e-6, at=50)
     bounds = pinred.compare(cat()).rotation_bounds
     assert bounds[49] < 1e-6
     assert (bounds[50:] > 0.99e-5).all()
 
 
-def with_defects(
+def compare_with_defects(
     monkeypatch: pytest.MonkeyPatch,
     steps: float,
     inside: float,
@@ -102,13 +105,13 @@ def with_defects(
     own: float = 1.0,
     blurred: float = 0.0,
 ) -> pinred.Report:
-    """The comparison, of a motion whose defects and growth were those.
+    """Compare a motion with artificial defects and growth.
 
-    own: how much more the defects are in parts of the motion's own rates.  blurred: by ABA [1/s].
+    own: ratio of defects in units of the motion.  blurred: round-off of ABA [1/s].
     """
     both = np.full(9, steps), np.full(9, inside)
-    made = Defects(*both, np.ones(9, dtype=bool), own * both[0], own * both[1], blurred)
-    monkeypatch.setattr(judge, "compute_defects", lambda *_: made)
+    defects = Defects(*both, np.ones(9, dtype=bool), own * both[0], own * both[1], blurred)
+    monkeypatch.setattr(judge, "compute_defects", lambda *_: defects)
     monkeypatch.setattr(
         FullState, "growth", lambda _full, _y0, _motion, times, *_: growth + np.zeros(len(times))
     )
@@ -116,20 +119,20 @@ def with_defects(
 
 
 @pytest.mark.parametrize(("steps", "mean"), [(2e-8, 2e-8), (1e-4, 3.0 * TOLERANCE)])
-def test_energy_drifts_by_many_defects(
+def test_drift_bound_grows_with_defects(
     monkeypatch: pytest.MonkeyPatch, steps: float, mean: float
 ) -> None:
-    """Twice as many as there are steps; defects that fail excuse nothing."""
+    """The bound is twice the sum of the mean defects, limited to passing defects."""
     fine = pinred.DOP853(max_step=0.01)
     traj = pinred.simulate(cat().system, duration=1.0, rtol=RTOL, atol=ATOL, method=fine)
     count = len(traj.motion.knots) - 1
     assert count >= 100
-    report = with_defects(monkeypatch, steps, 0.0, 1.0, traj)
+    report = compare_with_defects(monkeypatch, steps, 0.0, 1.0, traj)
     assert report.drift_bound == pytest.approx(2.0 * count * mean)
 
 
-def test_all_of_a_motion_is_judged() -> None:
-    """At 101 times and those reported, whatever these are; of one that ends at once, round-off."""
+def test_compare_uses_101_times_and_report_times() -> None:
+    """A motion of almost no duration has round-off only."""
     system = cat().system
     traj = pinred.simulate(system, duration=1.0, times=[0.0, 0.333], rtol=1e-14, atol=1e-16)
     report = pinred.compare(traj)
@@ -139,11 +142,11 @@ def test_all_of_a_motion_is_judged() -> None:
     assert report.defect_bound == pytest.approx(3.0 * (1e-13 + 1e-16), abs=0.0)
 
 
-def test_nothing_is_judged_after_what_can_be_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither the reference nor its bound, which grows as long as something is told."""
+def test_reference_is_judged_only_at_informative_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither the reference error nor its bound depends on later times."""
     growth = np.concatenate([np.full(50, 1.0), [7.0], np.full(150, 1e6)])
     Spy(monkeypatch, apart=1.0, at=51)
-    report = with_defects(monkeypatch, 1e-9, 0.0, growth)
+    report = compare_with_defects(monkeypatch, 1e-9, 0.0, growth)
     assert report.told == 51
     assert report.reference_bound == pytest.approx(700.0 * TOLERANCE)
     assert report.reference_error < 1e-9
@@ -154,7 +157,7 @@ def test_nothing_is_judged_after_what_can_be_told(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(("steps", "most"), [(1e-9, 1e-9), (1e-4, 3.0 * TOLERANCE)])
 @pytest.mark.parametrize(("inside", "least"), [(1e-8, 1e-8), (1e-2, 50.0 * TOLERANCE)])
 @pytest.mark.parametrize("own", [1.0, 30.0])
-def test_ends_are_bounded_by_defects(
+def test_error_bound_is_sum_of_defects_times_growth(
     monkeypatch: pytest.MonkeyPatch,
     steps: float,
     most: float,
@@ -162,29 +165,28 @@ def test_ends_are_bounded_by_defects(
     least: float,
     own: float,
 ) -> None:
-    """Ten times their sum times the growth; defects that fail excuse nothing.
-
-    Growth is that of parts of the motion's own rates.
-    """
-    report = with_defects(monkeypatch, steps, inside, 7.0, own=own)
+    """Failing defects do not loosen the bound; growth applies to defects in units of the motion."""
+    report = compare_with_defects(monkeypatch, steps, inside, 7.0, own=own)
     count = np.searchsorted(cat().motion.knots, report.t)
     local = own * (count * most + np.where(count > 0, least, 0.0))
     assert report.rotation_bounds == pytest.approx(
         10.0 * (7.0 * local + 1e-13), rel=0.02, abs=2e-11
     )
-    assert report.shape_bounds[:, 0] == pytest.approx(report.rotation_bounds)  # 1 rad at least
+    assert report.shape_bounds[:, 0] == pytest.approx(
+        report.rotation_bounds
+    )  # the least unit is 1 rad
 
 
-def test_round_off_of_aba_leads_the_reference_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As much a second as two ways to it are apart, times the growth; ten times that passes."""
-    report = with_defects(monkeypatch, 0.0, 0.0, 7.0, blurred=1e-7)
+def test_error_bound_includes_round_off_of_aba(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its rate times the duration times the growth is added."""
+    report = compare_with_defects(monkeypatch, 0.0, 0.0, 7.0, blurred=1e-7)
     assert report.rotation_bounds == pytest.approx(10.0 * 7.0 * 1e-7 * report.t, abs=2e-11)
 
 
-def test_a_thin_body_on_a_lever() -> None:
-    """A free body moves on as it began, but for the five digits that its inertia takes of rates.
+def test_compare_of_nearly_singular_body_passes() -> None:
+    """Its inertia loses five digits of the rates.
 
-    Both references take them from the same ABA, so their difference does not show this.
+    Both references share these errors of ABA, so their difference does not show them.
     """
     model = pin.Model()
     model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "base")
@@ -206,23 +208,23 @@ def test_a_thin_body_on_a_lever() -> None:
 
 
 @pytest.mark.parametrize(("growth", "verdict"), [(9e4, "PASSED"), (1.1e5, "CANNOT TELL")])
-def test_a_kick_of_a_millionth(
+def test_perturbation_that_grows_to_a_tenth_cannot_tell(
     monkeypatch: pytest.MonkeyPatch, growth: float, verdict: str
 ) -> None:
-    """Where it has grown to a tenth, nothing is told."""
-    report = with_defects(monkeypatch, 1e-9, 0.0, growth)
+    """Growth above 1e5 of a perturbation of 1e-6 carries no information."""
+    report = compare_with_defects(monkeypatch, 1e-9, 0.0, growth)
     assert report.verdict == verdict
     assert report.told == (len(report.t) if verdict == "PASSED" else 0)
-    assert report.reference_bound == 0.1  # 100 tolerances times the growth are more
+    assert report.reference_bound == 0.1  # limited: 100 tolerances times the growth exceed it
 
 
 @pytest.mark.parametrize(("allowed", "verdict"), [(0.09, "PASSED"), (0.11, "CANNOT TELL")])
-def test_a_bound_above_a_tenth_tells_nothing(
+def test_bound_above_a_tenth_cannot_tell(
     monkeypatch: pytest.MonkeyPatch, allowed: float, verdict: str
 ) -> None:
-    """Of a radian, or of the size of the motion."""
+    """A tenth of a radian, or of the size of the motion."""
     growth = allowed / (10.0 * 50.0 * TOLERANCE)
-    report = with_defects(monkeypatch, 0.0, 1.0, growth)
+    report = compare_with_defects(monkeypatch, 0.0, 1.0, growth)
     assert report.verdict == verdict
 
 
@@ -230,31 +232,31 @@ def test_a_bound_above_a_tenth_tells_nothing(
     (2e5, 0, "a small change of the initial state has grown 2.0e+05 times by the end"),
     (0.15 / (500.0 * TOLERANCE), 2, "errors up to 1.5e-01 would pass by the end"),
 ])  # fmt: skip
-def test_why_nothing_is_told(
+def test_reason_names_chaos_or_wide_bounds(
     monkeypatch: pytest.MonkeyPatch, growth: float, told: int, why: str
 ) -> None:
-    """Of chaos, of bounds that are too wide: which of the two it is."""
-    report = with_defects(monkeypatch, 0.0, 1.0, growth)
+    """The reason distinguishes chaos from a loose tolerance."""
+    report = compare_with_defects(monkeypatch, 0.0, 1.0, growth)
     assert report.told <= told
     assert why in report.reasons[0]
     assert "until t = 0 s only" in report.reasons[0]
 
 
-def test_ends_of_a_motion_without_defects() -> None:
-    """Round-off of steps, of ABA and of the references is left; once apart, these stay so.
+def test_error_bound_without_defects_is_round_off() -> None:
+    """Round-off of steps, of ABA and of the references remains.
 
-    Growth stretches that of steps and of ABA, and a place far away has round-off of its own.
+    Growth multiplies that of steps and of ABA; a distant base adds the round-off of its position.
     """
     knots = np.arange(1025.0) / 1024.0
     traj: Any = SimpleNamespace(motion=SimpleNamespace(knots=knots))
     times, steps = np.array([0.0, 0.25, 0.5 + 1e-9, 1.0]), np.array([0, 256, 513, 1024])
     growth, between = np.array([1.0, 2.0, 3.0, 50.0]), np.array([0.0, 4e-13, 1e-13, 2e-13])
     none = np.zeros(3)
-    made = Defects(none, none, np.ones(3, dtype=bool), none, none, 3e-13)
+    defects = Defects(none, none, np.ones(3, dtype=bool), none, none, 3e-13)
     size = Size(joints=np.array([2.0, 5.0]), position=3.0, away=7e3)
-    bounds = compute_error_bounds(traj, times, growth, made, between, size, TOLERANCE)
-    apart = np.array([0.0, 4e-13, 4e-13, 4e-13])
-    expected = 10.0 * (growth * (1e-15 * (steps + 1) + 3e-13 * times) + 1e-13 + apart)
+    bounds = compute_error_bounds(traj, times, growth, defects, between, size, TOLERANCE)
+    differences = np.array([0.0, 4e-13, 4e-13, 4e-13])
+    expected = 10.0 * (growth * (1e-15 * (steps + 1) + 3e-13 * times) + 1e-13 + differences)
     assert bounds.distance.rotation == pytest.approx(expected, rel=1e-9, abs=0.0)
     assert bounds.distance.joints == pytest.approx(
         np.outer(expected, [2.0, 5.0]), rel=1e-9, abs=0.0
@@ -266,14 +268,14 @@ def test_ends_of_a_motion_without_defects() -> None:
     assert explain_uninformative_times(times, 4, bounds.relative, growth) == ()
 
 
-def test_equations_are_judged_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At 101 times over all of the motion."""
+def test_equations_are_compared_over_whole_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 101 evenly spaced times."""
     seen: list[Array] = []
-    whole = equation_errors
+    expected = equation_errors
 
     def watched(traj: pinred.Trajectory, full: FullState, times: Array) -> Array:
         seen.append(times)
-        return whole(traj, full, times)
+        return expected(traj, full, times)
 
     monkeypatch.setattr(judge, "equation_errors", watched)
     parts: list[float] = []
@@ -284,8 +286,8 @@ def test_equations_are_judged_from_the_start(monkeypatch: pytest.MonkeyPatch) ->
 
 @pytest.mark.parametrize(("part", "rests"), [(0.3, True), (3.0, False)])
 @pytest.mark.parametrize("kind", ["place", "far place", "joint", "slide"])
-def test_what_counts_as_rest(kind: str, part: float, rests: bool) -> None:
-    """1e-12 of a metre or of how far it goes, of a radian, of the unit of what slides."""
+def test_motion_below_1e_12_counts_as_rest(kind: str, part: float, rests: bool) -> None:
+    """Relative to a metre or the distance travelled, a radian, and the unit of prismatic joints."""
     x, q = np.zeros((2, 2)), np.zeros((2, 9))
     x[1] = part * 1e-12 * np.array([kind == "joint", 7.0 * (kind == "slide")])
     q[1, 0] = part * 1e-12 * {"place": 1.0, "far place": 50.0}.get(kind, 0.0)

@@ -1,4 +1,4 @@
-"""No right motion is called wrong: random scenes of all kinds, in short."""
+"""Correct random motions never fail the comparison (short form)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pinred
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("seed", range(5, 12 * 12, 24))
-def test_a_right_motion_does_not_fail(seed: int) -> None:
+def test_compare_of_correct_motion_does_not_fail(seed: int) -> None:
     """One scene of each of six trees; tests/helpers/false_alarms.py runs any number."""
     alarm = judged(seed)
     assert alarm.verdict in ("PASSED", "CANNOT TELL"), f"{alarm.about}: {alarm.said}"
@@ -37,15 +37,15 @@ def test_a_right_motion_does_not_fail(seed: int) -> None:
         pytest.param(305596, marks=pytest.mark.by_hand),
     ],
 )
-def test_what_was_called_wrong_once(seed: int) -> None:
-    """Small spheres on a lever, wrenches on what falls or turns, a stiff spring by Tsit5."""
+def test_compare_of_former_false_alarms_does_not_fail(seed: int) -> None:
+    """Spheres on a lever, wrenches on falling or rotating bases, a stiff spring with Tsit5."""
     assert judged(seed).verdict == "PASSED"
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_less_accurate_is_not_wrong() -> None:
-    """A motion that gets better with the tolerance is told from one that does not."""
+def test_motion_that_improves_with_tolerance_is_less_accurate() -> None:
+    """A motion that does not improve is reported as wrong."""
     alarm = judged(300351)
     assert alarm.verdict == INACCURATE
     assert "FAILED" in alarm.said
@@ -61,7 +61,7 @@ def test_less_accurate_is_not_wrong() -> None:
         (9.0, 1.0, 0.09, 2.0, False),
     ],
 )
-def test_wrong_is_not_less_accurate(
+def test_false_alarm_criteria_are_each_necessary(
     monkeypatch: pytest.MonkeyPatch,
     steps: float,
     drift: float,
@@ -69,10 +69,10 @@ def test_wrong_is_not_less_accurate(
     equations: float,
     right: bool,
 ) -> None:
-    """Steps miss the tolerance, all but them and ends is right, and finer ones miss less.
+    """Only defects and final errors may exceed their bounds, and finer tolerances must reduce them.
 
-    Each of the four, alone, makes an alarm of it: what is given is in parts of the bounds, or of
-    the first defect.
+    Each parameter alone turns the case into an alarm; values are relative to the bounds or to the
+    first defect.
     """
     checks = {
         "defect of a step": (steps, 1.0),
@@ -83,15 +83,15 @@ def test_wrong_is_not_less_accurate(
     monkeypatch.setattr(pinred, "compare", lambda _: again)
     scene = random_scene(300351)
     monkeypatch.setattr(RandomScene, "simulate", lambda _: None)
-    found: Any = SimpleNamespace(checks=checks, defect=steps, defect_bound=1.0)
-    assert _is_right(scene, found) is right
+    result: Any = SimpleNamespace(checks=checks, defect=steps, defect_bound=1.0)
+    assert _is_right(scene, result) is right
 
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("robot", ["planar_chain5", "reaction_wheel_satellite", "rigid_body"])
 @pytest.mark.parametrize(("speed", "offset"), [(TINY, 0.0), (1.0, FAR)])
-def test_extremes_do_not_fail(robot: str, speed: float, offset: float) -> None:
-    """Squares of rates that are no numbers any more, and places with round-off of micrometres."""
+def test_compare_of_extreme_values_does_not_fail(robot: str, speed: float, offset: float) -> None:
+    """Underflowing squares of rates, and positions with round-off of micrometres."""
     rng = np.random.default_rng(4)
     system = pinred.load(robot)
     pose = np.array(system.group.exp(rng.uniform(-1.0, 1.0, system.r)))
@@ -110,8 +110,8 @@ def test_extremes_do_not_fail(robot: str, speed: float, offset: float) -> None:
     assert str(report.verdict) == expected, str(report)
 
 
-def test_from_rest_to_rest() -> None:
-    """At rest, accelerations are round-off alone, and no part of what is left of nothing."""
+def test_compare_of_motion_between_rests_does_not_fail() -> None:
+    """At rest, accelerations consist of round-off alone."""
     rods = pinred.load("three_rods")
     angle = "(2*pi*t/2.0 - sin(2*pi*t/2.0))"
     plan = {"alpha1": f"0.3 - 0.3*cos({angle})", "alpha2": f"0.7*sin({angle})"}

@@ -1,4 +1,4 @@
-"""The root joint of the full simulation, against Pinocchio's integration of configurations."""
+"""Root joint and configurations of the full state, against Pinocchio's integration."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pinred.lie import GROUPS
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_rates(group: str) -> None:
-    """As a configuration moves in a short time, by differences of order four."""
+def test_root_rate_equals_differences_of_integration(group: str) -> None:
+    """Compared with fourth-order differences of pin.integrate."""
     model, rng = random_model(group, 0, 3), np.random.default_rng(0)
     root = root_motion(model)
     at = rng.normal(size=root.size)
@@ -22,19 +22,19 @@ def test_rates(group: str) -> None:
     v, h = rng.normal(size=model.nv), 1e-3
     slope = np.zeros(model.nq)
     for k, weight in ((1, 2 / 3), (2, -1 / 12)):
-        there, back = (pin.integrate(model, root.q(at), s * k * h * v) for s in (1.0, -1.0))
-        slope += weight * (there - back) / h
+        second, back = (pin.integrate(model, root.q(at), s * k * h * v) for s in (1.0, -1.0))
+        slope += weight * (second - back) / h
     rate, step = root.rate(at, v), 1e-6
-    found = (root.q(at + step * rate) - root.q(at - step * rate)) / (2.0 * step)
-    np.testing.assert_allclose(found, slope, atol=1e-8)
+    result = (root.q(at + step * rate) - root.q(at - step * rate)) / (2.0 * step)
+    np.testing.assert_allclose(result, slope, atol=1e-8)
     if root.turns == 3:
-        assert rate[-4:] @ at[-4:] == pytest.approx(0.0, abs=1e-15)  # its length stays
+        assert rate[-4:] @ at[-4:] == pytest.approx(0.0, abs=1e-15)  # keeps the norm
     assert root.is_pivoted == (group in ("SO2", "SO3"))
 
 
 @pytest.mark.parametrize("group", ["SO3", "SE3"])
-def test_quaternions_that_have_grown(group: str) -> None:
-    """Integration changes their length a little; Pinocchio is given one of length one."""
+def test_root_normalises_quaternions(group: str) -> None:
+    """Pinocchio gets unit quaternions although integration changes their length."""
     model, rng = random_model(group, 0, 3), np.random.default_rng(0)
     root = root_motion(model)
     at = rng.normal(size=root.size)
@@ -43,7 +43,7 @@ def test_quaternions_that_have_grown(group: str) -> None:
     assert np.linalg.norm(root.q(at)[-4:]) == pytest.approx(1.0, abs=1e-15)
     np.testing.assert_allclose(root.q(longer), root.q(at), atol=1e-15)
     v = rng.normal(size=model.nv)
-    slides = root.linear  # a longer one turns faster in its own numbers, and slides no faster
+    slides = root.linear  # a scaled quaternion has a scaled rate but the same translation
     np.testing.assert_allclose(root.rate(longer, v)[:slides], root.rate(at, v)[:slides], atol=1e-14)
     np.testing.assert_allclose(root.rate(longer, v)[slides:], 1.7 * root.rate(at, v)[slides:])
 
@@ -51,8 +51,8 @@ def test_quaternions_that_have_grown(group: str) -> None:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("joints", [0, 1, 9])
 @pytest.mark.parametrize("group", GROUPS)
-def test_angles_beyond_a_turn(group: str, joints: int, seed: int) -> None:
-    """From where all is zero at constant rates for a second, some of several turns."""
+def test_configuration_of_angles_beyond_full_rotations(group: str, joints: int, seed: int) -> None:
+    """Constant rates for one second from zero, including several full rotations."""
     model, rng = random_model(group, joints, seed), np.random.default_rng(seed)
     root = root_motion(model)
     v = np.concatenate([rng.normal(size=root.axes.shape[1]), rng.uniform(-20.0, 20.0, joints)])
@@ -61,12 +61,12 @@ def test_angles_beyond_a_turn(group: str, joints: int, seed: int) -> None:
     if root.circle:
         *slide, c, s = place.tolist()
         place = np.array([*slide, np.arctan2(s, c)])
-    found = Configuration(model, root)(place, v[len(v) - joints :])
-    np.testing.assert_allclose(found, q, rtol=1e-13, atol=1e-13)
+    result = Configuration(model, root)(place, v[len(v) - joints :])
+    np.testing.assert_allclose(result, q, rtol=1e-13, atol=1e-13)
 
 
-def test_both_ways_of_keeping_angles_are_tried() -> None:
-    """Of the trees above some have angles, some cosines and sines, and some both."""
+def test_cases_include_angles_and_cosines() -> None:
+    """The random trees include both representations of angles."""
     kinds = {
         frozenset(joint.nq for joint in list(random_model(group, joints, seed).joints)[2:])
         for group in GROUPS

@@ -1,6 +1,6 @@
-"""The full simulation at one state: momenta added up body by body, rates by ABA under what acts.
+"""The full simulation at one state: inputs of forces, totals, and rates under forces.
 
-What forces see of a state, and energies, are found here from the motions of the bodies alone.
+Momenta and energies are computed here by sums over bodies.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pinred.system.joints import axes_of
 
 @dataclass(frozen=True)
 class Bodies:
-    """A state as the motions of all bodies tell it, in the root joint's fixed frame.
+    """Totals of a state from the motions of all bodies, in the root joint's fixed frame.
 
     mass [kg].  com, velocity, linear: (3,) of the centre of mass.  angular: (3,) about the frame's
     origin.  kinetic, potential: energies without rotors, in the model's gravity [J].
@@ -41,25 +41,25 @@ class Bodies:
 
 
 def bodies(model: pin.Model, q: Array, v: Array) -> Bodies:
-    """Return what all bodies have together."""
+    """Sum over all bodies."""
     data, root = model.createData(), model.jointPlacements[1]
     pin.forwardKinematics(model, data, q, v)
-    whole, moment, mass, kinetic, height = np.zeros(6), np.zeros(3), 0.0, 0.0, 0.0
+    expected, moment, mass, kinetic, height = np.zeros(6), np.zeros(3), 0.0, 0.0, 0.0
     for i in range(1, model.njoints):
-        body, own = model.inertias[i], data.v[i]
+        body, unit = model.inertias[i], data.v[i]
         place = root.inverse() * data.oMi[i]
-        h = body * own
-        whole += place.act(h).vector
-        kinetic += 0.5 * float(h.vector @ own.vector)
+        h = body * unit
+        expected += place.act(h).vector
+        kinetic += 0.5 * float(h.vector @ unit.vector)
         moment += body.mass * place.act(body.lever)
         mass += body.mass
         height -= body.mass * float(model.gravity.linear @ data.oMi[i].act(body.lever))
-    linear, com = whole[:3], moment / mass
-    return Bodies(mass, com, linear / mass, linear, whole[3:], kinetic, height)
+    linear, com = expected[:3], moment / mass
+    return Bodies(mass, com, linear / mass, linear, expected[3:], kinetic, height)
 
 
-def handed(group: str) -> pinred.System:
-    """Return a tree with a link on its last body; a hinge on which it turns has a rotor."""
+def tree_with_hand(group: str) -> pinred.System:
+    """Build a tree with a link on its last body; a hinge at the root has a rotor."""
     model = tree(group, 3, 5).model.copy()
     if group == "SO2":
         model.armature = np.append(0.3, model.armature[1:])
@@ -69,8 +69,8 @@ def handed(group: str) -> pinred.System:
 
 
 def case(group: str, **options: Any) -> tuple[FullState, Array, Array, Array]:
-    """Return the full simulation of a tree, a state y, and Pinocchio's q and v of it."""
-    system, rng = handed(group), np.random.default_rng(5)
+    """Return the full simulation of a tree, a state y, and Pinocchio's q and v."""
+    system, rng = tree_with_hand(group), np.random.default_rng(5)
     full = FullState(pinred.Scene(system=system, seed=0, duration=1.0, **options))
     pose = system.group.exp(rng.normal(size=system.r))
     x, v = rng.normal(size=system.m), rng.normal(size=system.n)
@@ -78,17 +78,17 @@ def case(group: str, **options: Any) -> tuple[FullState, Array, Array, Array]:
     return full, y, full.q(y), v
 
 
-def along(system: pinred.System) -> Array:
+def group_axes(system: pinred.System) -> Array:
     """Return the twists of the group in its fixed frame, (6, r)."""
     return axes_of(system.model.joints[1])
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_what_forces_see(group: str) -> None:
-    """Twist and momentum about the centre of mass, or the pivot; the base's own as well."""
+def test_sample_has_twist_and_momentum_about_centre_of_mass_or_pivot(group: str) -> None:
+    """The base data are relative to the world."""
     full, y, q, v = case(group)
     system = full.system
-    r, k, S = system.r, system.group.linear, along(system)
+    r, k, S = system.r, system.group.linear, group_axes(system)
     all_of = bodies(system.model, q, v)
     data = system.model.createData()
     pin.forwardKinematics(system.model, data, q)
@@ -97,7 +97,7 @@ def test_what_forces_see(group: str) -> None:
     assert seen.x == pytest.approx(y[full.root.size : full.root.size + system.m])
     assert seen.xdot == pytest.approx(v[r:])
     slides = S[:3, :k]
-    within = slides.T @ turn @ slides  # in the body's axes
+    within = slides.T @ turn @ slides  # rotation within the translations
     xi = v[:r].copy()
     xi[:k] -= within.T @ slides.T @ all_of.velocity
     assert seen.xi == pytest.approx(xi)
@@ -113,8 +113,8 @@ def test_what_forces_see(group: str) -> None:
     assert seen.base.xi == pytest.approx(v[:r])
     pose = y[: full.root.size].copy()
     assert seen.base.pose == pytest.approx(pose)
-    own = system.group.spatial_momentum(pose, seen.base.mu)
-    assert own == pytest.approx(J)
+    unit = system.group.spatial_momentum(pose, seen.base.mu)
+    assert unit == pytest.approx(J)
     if group == "SE3":
         longer = y.copy()
         longer[3:7] *= 1.3
@@ -122,14 +122,14 @@ def test_what_forces_see(group: str) -> None:
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_energies(group: str) -> None:
-    """Of all bodies and rotors; the part that the centre of mass has along the slides."""
+def test_energies_equal_sums_over_bodies(group: str) -> None:
+    """Rotors are included; the centre of mass counts group_axes the group's translations."""
     full, _, q, v = case(group)
     system = full.system
     all_of = bodies(system.model, q, v)
     other_shape = system.model_q(system.group.identity(), np.zeros(system.m))
     full.totals.radius_of_gyration(other_shape)
-    S = along(system)[:3]
+    S = group_axes(system)[:3]
     velocity = S.T @ all_of.velocity
     carried = 0.5 * all_of.mass * float(velocity @ velocity)
     assert full.totals.com_kinetic_energy(q, v) == pytest.approx(carried)
@@ -139,12 +139,12 @@ def test_energies(group: str) -> None:
 
 
 @pytest.mark.parametrize("group", GROUPS)
-def test_momentum_about_the_pivot_and_the_centre_of_mass(group: str) -> None:
-    """Linear momentum is less what a fall has given; angular momentum is as it is."""
+def test_momentum_equals_sum_over_bodies(group: str) -> None:
+    """About the pivot and about the centre of mass, less the momentum of the fall."""
     full, _, q, v = case(group)
     system = full.system
     all_of, turn = bodies(system.model, q, v), system.model.jointPlacements[1].rotation
-    fall, S = np.array([0.3, -0.5, 0.7]), along(system)
+    fall, S = np.array([0.3, -0.5, 0.7]), group_axes(system)
     rotor = system.model.armature[: system.r] * v[: system.r]
     for about in (True, False):
         angular = all_of.angular - (not about) * np.cross(all_of.com, all_of.linear)
@@ -152,19 +152,19 @@ def test_momentum_about_the_pivot_and_the_centre_of_mass(group: str) -> None:
         assert full.totals.momentum(q, v, fall, about_pivot=about) == pytest.approx(expected)
 
 
-def torques(names: tuple[str, ...], m: int, sizes: dict[str, int]) -> dict[str, Array]:
-    """Return how much each of some numbers counts for each joint."""
+def random_gains(names: tuple[str, ...], m: int, sizes: dict[str, int]) -> dict[str, Array]:
+    """Return random gains (m, size) of each input of the random_gains."""
     rng = np.random.default_rng(1)
     return {name: rng.normal(size=(m, sizes[name])) for name in names}
 
 
 @pytest.mark.parametrize("names", [("pose",), ("xi", "pose"), ("mu", "J")])
 @pytest.mark.parametrize("group", ["SO2", "SE2", "SO3", "SE3"])
-def test_rates_under_forces_that_see_the_base(group: str, names: tuple[str, ...]) -> None:
-    """By ABA, under torques from what all bodies have together."""
-    system = handed(group)
+def test_rate_under_forces_that_depend_on_base(group: str, names: tuple[str, ...]) -> None:
+    """Compared with ABA under random_gains from sums over bodies."""
+    system = tree_with_hand(group)
     sizes = {"pose": system.group.size, **dict.fromkeys(("xi", "mu", "J"), system.r)}
-    A = torques(names, system.m, sizes)
+    A = random_gains(names, system.m, sizes)
 
     def torque(s: SeenState) -> ca.SX:
         return ca.SX(sum(ca.DM(A[name]) @ getattr(s, name) for name in names))
@@ -172,7 +172,7 @@ def test_rates_under_forces_that_see_the_base(group: str, names: tuple[str, ...]
     full, y, q, v = case(group, forces=[Torque(torque)])
     all_of, r = bodies(system.model, q, v), system.r
     rotor = system.model.armature[:r] * v[:r]
-    J = along(system).T @ np.append(all_of.linear, all_of.angular) + rotor
+    J = group_axes(system).T @ np.append(all_of.linear, all_of.angular) + rotor
     pose = y[: full.root.size]
     back = system.group.Ad(pose).T  # μ = Ad*_g J
     seen = {"pose": pose, "xi": v[:r], "mu": back @ J, "J": J}
@@ -181,14 +181,14 @@ def test_rates_under_forces_that_see_the_base(group: str, names: tuple[str, ...]
     assert full.rate(0.2, y)[full.root.size + system.m :] == pytest.approx(a)
 
 
-def test_rates_under_forces_that_see_momentum() -> None:
-    """The body's about the centre of mass, and a wrench on a link that sees nothing."""
-    system = handed("SE3")
+def test_rate_under_forces_that_depend_on_momentum() -> None:
+    """Torques depend on the body momentum about the centre of mass; a wrench acts on a link."""
+    system = tree_with_hand("SE3")
     A = np.random.default_rng(2).normal(size=(3, 6))
     free = Torque(lambda _t, _x, _xdot, mu: ca.SX(ca.DM(A) @ mu))
     push = Wrench([1.0, -2.0, 3.0, 0.1, 0.2, -0.3], link="hand")
     full, y, q, v = case("SE3", forces=[free, push])
-    mu = full.sample(y).mu  # see test_what_forces_see
+    mu = full.sample(y).mu  # see test_sample_has_twist_and_momentum_about_centre_of_mass_or_pivot
     data = system.model.createData()
     frame = system.model.getFrameId("hand")
     jacobian = pin.computeFrameJacobian(system.model, data, q, frame, pin.ReferenceFrame.LOCAL)
@@ -200,8 +200,8 @@ def test_rates_under_forces_that_see_momentum() -> None:
 
 @pytest.mark.parametrize("method", ["dop853", "dopri5"])
 @pytest.mark.parametrize(("size", "relative"), [(1.0, 3.5e-14), (1e-3, 4e-13)])
-def test_the_finest_tolerances(method: str, size: float, relative: float) -> None:
-    """An oscillator is followed to some units of round-off by either code, small ones as well."""
+def test_finest_tolerance_reaches_round_off(method: str, size: float, relative: float) -> None:
+    """An oscillator is exact to a few units of round-off with both methods, at any amplitude."""
     y0 = np.array([size, 0.0])
     solver = Hairer(lambda _, y: np.array([y[1], -y[0]]), method, y0, 0.0, *FINEST, 10.0)
     y = solver.integrate(10.0)
@@ -210,19 +210,19 @@ def test_the_finest_tolerances(method: str, size: float, relative: float) -> Non
 
 
 @pytest.mark.parametrize("method", ["dop853", "dopri5"])
-def test_times_that_differ_by_round_off_are_one(method: str) -> None:
-    """No step is so short; a joint that turns steadily is where it should be at all of them."""
+def test_run_accepts_times_that_differ_by_round_off(method: str) -> None:
+    """A steadily rotating joint has the right angle at all times."""
     system, end = pinred.load("coupled_planar"), 1e4
     scene = pinred.Scene(system=system, xdot0=[1e-3], duration=end)
     full, start = FullState(scene), scene.start
     y0 = full.state(start.pose, start.x, start.xi, start.xdot)
     times = np.array([0.0, 0.5 * end, np.nextafter(0.5 * end, end), end])
-    found = full.run(y0, times, 1e-8, 1e-10, method=method).x[:, 0]
-    assert found == pytest.approx(1e-3 * times)
+    result = full.run(y0, times, 1e-8, 1e-10, method=method).x[:, 0]
+    assert result == pytest.approx(1e-3 * times)
 
 
 def test_growth_is_at_least_one() -> None:
-    """A kick is a smaller part of a motion that goes far; bounds do not shrink for that."""
+    """A perturbation may shrink relative to a long motion, but the growth stays 1."""
     system = pinred.load("cartpole", gravity=np.zeros(3))
     scene = pinred.Scene(system=system, x0=[1.0], xdot0=[10.0], xi0=[20.0], duration=1.0)
     full, start, times = FullState(scene), scene.start, np.linspace(0.0, 1.0, 5)
@@ -233,12 +233,12 @@ def test_growth_is_at_least_one() -> None:
     assert full.growth(y0, motion, times, 1e-10, 1e-12)[0] == 1.0
 
 
-def test_rates_of_prescribed_joints() -> None:
-    """Their plan's, whatever the state says of them; the others go as H a + b = 0 says."""
-    system, t = handed("SE3"), 0.4
+def test_rate_of_prescribed_joints_follows_plan() -> None:
+    """Other joints obey H a + b = 0."""
+    system, t = tree_with_hand("SE3"), 0.4
     plans = {1: "0.3*sin(2*t)", 2: "0.2*cos(3*t)"}
-    given = {system.shape_names[k]: pinred.signals.Expression(f) for k, f in plans.items()}
-    full, y, _, v = case("SE3", prescribed=given)
+    values = {system.shape_names[k]: pinred.signals.Expression(f) for k, f in plans.items()}
+    full, y, _, v = case("SE3", prescribed=values)
     x, v = y[7:10].copy(), v.copy()
     x[1:] = 0.3 * np.sin(2 * t), 0.2 * np.cos(3 * t)
     v[7:9] = 0.6 * np.cos(2 * t), -0.6 * np.sin(3 * t)
@@ -256,8 +256,8 @@ def test_rates_of_prescribed_joints() -> None:
 
 
 @pytest.mark.parametrize("method", ["dop853", "dopri5"])
-def test_forces_that_jump_between_times(method: str) -> None:
-    """A slide on a slide, of 1 kg each, pushed by 0.4 N and from 0.5 s on by −0.2 N."""
+def test_run_stops_at_jumps_of_forces(method: str) -> None:
+    """Two slides of 1 kg, pushed by 0.4 N, and by −0.2 N after 0.5 s."""
     model = pin.Model()
     for i, name in enumerate(("root", "slide")):
         at = model.addJoint(i, pin.JointModelPX(), pin.SE3.Identity(), name)
@@ -266,7 +266,7 @@ def test_forces_that_jump_between_times(method: str) -> None:
     push = Torque({"slide": pinred.signals.Hold([0.0, 0.5], [0.4, -0.2])})
     scene = pinred.Scene(system=pinred.load(model), x0=[0.0], forces=push, duration=1.0)
     full, times = FullState(scene), np.array([0.0, 0.3, 1.0])
-    found = full.run(np.zeros(4), times, 1e-10, 1e-12, method=method).x[:, 0]
+    result = full.run(np.zeros(4), times, 1e-10, 1e-12, method=method).x[:, 0]
     speed = 2.0 * 0.4 * 0.5  # both masses move
     last = 0.5 * 0.8 * 0.5**2 + speed * 0.5 - 0.5 * 0.4 * 0.5**2
-    assert found == pytest.approx([0.0, 0.5 * 0.8 * 0.3**2, last])
+    assert result == pytest.approx([0.0, 0.5 * 0.8 * 0.3**2, last])

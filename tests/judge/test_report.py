@@ -1,4 +1,4 @@
-"""Reports made by hand: what their numbers, their words and their line say, whatever was judged."""
+"""Reports with artificial numbers: properties, texts, and the worst check."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ BOUND = 1e-3
 
 
 def report(errors: Array, **more: object) -> Report:
-    """One whose errors of shape (T, M) were these, and a bound of a thousandth for everything."""
+    """Build a report with given shape errors (T, M) and bounds of 1e-3."""
     times = np.arange(float(len(errors)))
     bounds = np.full(len(errors), BOUND)
-    made = Report(
+    sample = Report(
         robot="arm", engine="compiled", group="SE3", joints=errors.shape[1], duration=2.0,
         rtol=1e-6, atol=1e-8, t=times, shape_errors=errors, rotation_errors=0.1 * bounds,
         position_errors=0.2 * bounds, shape_bounds=np.full(errors.shape, BOUND),
@@ -27,35 +27,39 @@ def report(errors: Array, **more: object) -> Report:
         reference_bound=BOUND, growth=np.linspace(1.0, 345.0, len(errors)), told=len(errors),
         reasons=(), wall_reduced=0.125, wall_full=7.25,
     )  # fmt: skip
-    return replace(made, **more)  # type: ignore[arg-type]
+    return replace(sample, **more)  # type: ignore[arg-type]
 
 
 ERRORS = np.array([[0.0, 1e-5], [3e-4, 2e-5], [1e-4, 4e-5]])
 
 
-def test_the_largest_errors() -> None:
-    """Over all times and joints; of a robot without joints, none."""
+def test_largest_errors_over_times_and_joints() -> None:
+    """A robot without joints has none."""
     rotation, position = np.array([1e-6, 5e-6, 2e-6]), np.array([0.0, 1e-7, 8e-7])
-    made = report(ERRORS, rotation_errors=rotation, position_errors=position)
-    assert (made.shape_error, made.rotation_error, made.position_error) == (3e-4, 5e-6, 8e-7)
+    sample = report(ERRORS, rotation_errors=rotation, position_errors=position)
+    assert (sample.shape_error, sample.rotation_error, sample.position_error) == (
+        3e-4,
+        5e-6,
+        8e-7,
+    )
     bare = report(np.empty((3, 0)))
     assert bare.shape_error == 0.0
     assert bare.passed
     assert bare.checks["shape error [rad | m]"] == (0.0, 0.0)
 
 
-def test_numbers_stay() -> None:
-    """Arrays are read-only, each of them."""
-    made = report(ERRORS.copy())
-    arrays = [getattr(made, each.name) for each in fields(made) if each.type == "Array"]
+def test_report_arrays_are_read_only() -> None:
+    """All arrays are read-only."""
+    sample = report(ERRORS.copy())
+    arrays = [getattr(sample, item.name) for item in fields(sample) if item.type == "Array"]
     assert len(arrays) == 8
     for array in arrays:
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
 
 
-def test_the_text_tells_all() -> None:
-    """Growth at the end, wall times, reasons and what was left out stand there with the checks."""
+def test_report_text_contains_all_parts() -> None:
+    """Growth, wall times, reasons and left-out forces are in the text."""
     more = {"reasons": ("chaos from t = 1 s",), "left_out": "left out: a spring"}
     text = str(report(ERRORS, **more))
     lines = [" ".join(line.split()) for line in text.splitlines()]
@@ -66,17 +70,17 @@ def test_the_text_tells_all() -> None:
     assert "left out" not in str(report(ERRORS))
 
 
-def test_what_is_no_number_is_the_worst() -> None:
-    """The line names it, whichever check it is, and however close others are to their bounds."""
+def test_nan_is_the_worst_check() -> None:
+    """The one-line summary names it, however close others are to their bounds."""
     for name, words in (("equations", "equations of motion"), ("field_error", "fields against")):
-        made = report(ERRORS, energy_drift=0.9 * BOUND, **{name: np.nan})
-        assert not made.passed
-        assert f"closest to its bound: {words}" in repr(made)
-        assert "nan of 1.0e-03" in repr(made)
+        sample = report(ERRORS, energy_drift=0.9 * BOUND, **{name: np.nan})
+        assert not sample.passed
+        assert f"closest to its bound: {words}" in repr(sample)
+        assert "nan of 1.0e-03" in repr(sample)
 
 
 @pytest.mark.parametrize("part", [0.05, 3.0])
-def test_no_error_where_nothing_passes_hides_none(part: float) -> None:
-    """At a bound of zero; what counts is the error beside it, which is some part of its own."""
+def test_zero_error_with_zero_bound_does_not_hide_others(part: float) -> None:
+    """The error next to it determines the ratio."""
     errors, bounds = np.array([0.0, part * BOUND]), np.array([0.0, BOUND])
     assert _closest(errors, bounds) == (part * BOUND, BOUND)

@@ -16,8 +16,8 @@ from pinred.system.catalogue import bundled_robots
 BY = 1e-9
 
 
-def spoiled(system: pinred.System, kind: str, joint: int, axis: int) -> pinred.System:
-    """The robot with one constant off by 1e-9: a mass or a length by that part, an axis by rad."""
+def with_fault(system: pinred.System, kind: str, joint: int, axis: int) -> pinred.System:
+    """Return the robot with one constant wrong by 1e-9 (relative, or rad for an axis)."""
     model, entry = system.model.copy(), np.eye(3)[axis]
     body, place = model.inertias[joint].copy(), model.jointPlacements[joint].copy()
     if kind == "mass":
@@ -37,13 +37,13 @@ def spoiled(system: pinred.System, kind: str, joint: int, axis: int) -> pinred.S
 
 @cache
 def motion(name: str) -> pinred.Trajectory:
-    """A short motion of a bundled robot; where nothing moves by itself there is a spring."""
+    """Simulate a short motion of a bundled robot, with a spring if nothing moves otherwise."""
     springs = {"elroys_beanie": {"beanie": (3.0, 0.0)}, "snakeboard": {"rotor": (3.0, 0.0)}}
     return pinred.simulate(pinred.load(name), duration=0.5, springs=springs.get(name, {}))
 
 
-def judged_as(traj: pinred.Trajectory, other: pinred.System) -> pinred.Report:
-    """The comparison of a motion with the equations of another robot, from the same state."""
+def compare_with(traj: pinred.Trajectory, other: pinred.System) -> pinred.Report:
+    """Compare a motion with the equations of another robot."""
     start: dict[str, Any] = {"x0": traj.x[0], "xdot0": traj.xdot[0], "xi0": traj.xi[0]}
     scene = replace(traj.scene, system=other, **start)
     return pinred.compare(pinred.Trajectory(scene, traj.motion, traj.run))
@@ -89,19 +89,19 @@ FAULTS = {
 }  # fmt: skip
 
 
-def test_every_robot_has_faults() -> None:
-    """None is left out."""
+def test_all_bundled_robots_have_faults() -> None:
+    """No bundled robot is left out."""
     assert set(FAULTS) == set(bundled_robots())
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(FAULTS))
-def test_a_fault_of_1e_9_fails(name: str) -> None:
-    """The equations see it, at the default tolerance; without it all pass."""
+def test_fault_of_1e_9_fails_equations(name: str) -> None:
+    """The equations detect it at the default tolerance; without the fault all checks pass."""
     traj = motion(name)
-    own = judged_as(traj, traj.system)
-    assert own.passed, str(own)
-    for kind, joint, axis in FAULTS[name]:
-        report = judged_as(traj, spoiled(traj.system, kind, joint, axis))
-        assert report.verdict == "FAILED", (kind, joint, axis, str(report))
-        assert report.equations > report.equations_bound, (kind, joint, axis)
+    unit = compare_with(traj, traj.system)
+    assert unit.passed, str(unit)
+    for fault, joint, axis in FAULTS[name]:
+        report = compare_with(traj, with_fault(traj.system, fault, joint, axis))
+        assert report.verdict == "FAILED", (fault, joint, axis, str(report))
+        assert report.equations > report.equations_bound, (fault, joint, axis)

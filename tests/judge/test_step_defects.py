@@ -1,4 +1,4 @@
-"""Defects by ABA: a jump of each number at the end of a step shows by its size, in its unit."""
+"""Defects of steps by ABA, tested by jumps of single numbers at a step end."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ JUMP = 1e-3
 
 @cache
 def cat(atol: float, away: float = 0.0) -> pinred.Trajectory:
-    """The falling cat, with speeds of some 1 m/s and rad/s."""
+    """Simulate the falling cat with speeds of about 1 m/s and 1 rad/s."""
     pose0 = [away, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
     return pinred.simulate(
         pinred.load("falling_cat"), duration=END, rtol=RTOL, atol=atol, pose0=pose0,
@@ -32,8 +32,8 @@ def cat(atol: float, away: float = 0.0) -> pinred.Trajectory:
     )  # fmt: skip
 
 
-def jumped(traj: pinred.Trajectory, name: str, column: int, when: float) -> pinred.Trajectory:
-    """The motion with one number larger from a time on."""
+def with_jump(traj: pinred.Trajectory, name: str, column: int, when: float) -> pinred.Trajectory:
+    """Add a jump to one number after a time."""
 
     def change(state: pinred.State) -> pinred.State:
         values = getattr(state, name).copy()
@@ -48,9 +48,11 @@ KINDS = [("pose", 1), ("pose", 4), ("x", 0), ("x", 1), ("xi", 2), ("xi", 4), ("x
 
 @pytest.mark.parametrize(("name", "column"), KINDS)
 @pytest.mark.parametrize(("atol", "away"), [(1e-2 * RTOL, 0.0), (1e3 * RTOL, 0.0), (RTOL, 1e7)])
-def test_a_jump_shows_in_its_unit(name: str, column: int, atol: float, away: float) -> None:
-    """The largest of its kind, at least 1, the radius of gyration, or atol over rtol of those."""
-    traj = jumped(cat(atol, away), name, column, END)
+def test_defect_of_jump_is_relative_to_its_unit(
+    name: str, column: int, atol: float, away: float
+) -> None:
+    """The unit is the largest of its kind, at least 1, the radius of gyration, or atol/rtol."""
+    traj = with_jump(cat(atol, away), name, column, END)
     slow, states = atol / RTOL, traj(traj.motion.knots)
     full = FullState(traj.scene)
     radius = full.totals.radius_of_gyration(traj.system.q(states.pose[0], states.x[0]))
@@ -69,8 +71,8 @@ def test_a_jump_shows_in_its_unit(name: str, column: int, atol: float, away: flo
     assert largest_defect(traj, traj.system) == pytest.approx(JUMP / sizes[name], rel=1e-3)
 
 
-def test_right_motions_have_small_defects() -> None:
-    """Of the tolerance; where a step turns the base six times round, of round-off all the same."""
+def test_defects_of_correct_motions_are_small() -> None:
+    """Below the tolerance; at round-off even if the base rotates six times in a step."""
     assert largest_defect(cat(RTOL), cat(RTOL).system) < RTOL
     exact = pinred.RKMK4(step=2.0)
     spinning = pinred.simulate(
@@ -80,8 +82,8 @@ def test_right_motions_have_small_defects() -> None:
     assert largest_defect(spinning, spinning.system) < 1e-14
 
 
-def test_parts_of_steps_end_where_steps_do() -> None:
-    """To the last bit; halves, where the base does not turn by more than 2 rad in a step."""
+def test_subintervals_end_exactly_at_step_ends() -> None:
+    """Steps are halved unless the base rotates by more than 2 rad."""
     traj = cat(RTOL)
     knots = traj.motion.knots
     count = len(knots) - 1
@@ -93,8 +95,8 @@ def test_parts_of_steps_end_where_steps_do() -> None:
     assert (b[first] == a[first + 1]).all()
 
 
-def test_no_part_ends_after_the_motion(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A begin plus what is left until the end may be more than the end, by round-off."""
+def test_last_subinterval_ends_at_final_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Round-off of start + (end − start) must not exceed the end."""
     start, end = 0.001, 0.009
     assert start + (end - start) > end
     traj = pinred.simulate(pinred.load("rigid_body"), duration=end, xi0=[0.1, 0.2, 0.3])
@@ -103,8 +105,8 @@ def test_no_part_ends_after_the_motion(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.isfinite(compute_defects(traj, FullState(traj.scene)).worst)
 
 
-def test_halves_are_enough_where_nothing_turns() -> None:
-    """However long a step is."""
+def test_subintervals_are_halves_without_rotation() -> None:
+    """For any length of a step."""
     cart = pinred.load("cartpole", gravity=np.zeros(3))
     traj = pinred.simulate(
         cart, x0=[0.0], xdot0=[0.0], xi0=[0.3], duration=100.0, method=pinred.RKMK4(step=50.0)
@@ -115,21 +117,21 @@ def test_halves_are_enough_where_nothing_turns() -> None:
     assert first.tolist() == [0, 2]
 
 
-def test_angles_count_by_a_radian() -> None:
-    """Or by the largest, if that is more, however little of it is travelled."""
+def test_defect_unit_of_angles_is_at_least_a_radian() -> None:
+    """The unit is the largest angle, even if little of it is travelled."""
     system = pinred.load("elroys_beanie")
     traj = pinred.simulate(
         system, pose0=[8.0], x0=[0.1], xi0=[0.2], xdot0=[0.2], duration=END, rtol=RTOL, atol=ATOL
     )
-    unit = 8.0 + 0.2 * END  # without springs both spin steadily
-    assert largest_defect(jumped(traj, "pose", 0, END), system) == pytest.approx(
+    unit = 8.0 + 0.2 * END  # without springs both rotate at constant rates
+    assert largest_defect(with_jump(traj, "pose", 0, END), system) == pytest.approx(
         JUMP / unit, rel=1e-3
     )
-    assert largest_defect(jumped(traj, "x", 0, END), system) == pytest.approx(JUMP, rel=1e-3)
+    assert largest_defect(with_jump(traj, "x", 0, END), system) == pytest.approx(JUMP, rel=1e-3)
 
 
-def test_what_jumps_between_the_ends_of_a_step() -> None:
-    """It does not show in the step, and in its parts it does."""
+def test_jump_inside_step_appears_in_subintervals_only() -> None:
+    """It changes the dense output, but not the step ends."""
     knots = cat(RTOL).motion.knots
     middle = 0.5 * (knots[2] + knots[3])
 
@@ -145,39 +147,39 @@ def test_what_jumps_between_the_ends_of_a_step() -> None:
     )
 
 
-class Rounded(FullState):
-    """One whose ABA has round-off in the world's axes."""
+class FullStateWithRoundOff(FullState):
+    """Full simulation with an artificial error of ABA in world axes."""
 
     left = 0.0
 
     def rate(self, t: float, y: Array, axes: pin.Convention = pin.Convention.LOCAL) -> Array:
-        """Off by that in the rate of a rate."""
-        out = super().rate(t, y, axes)
-        out[-1] += self.left * (axes == pin.Convention.WORLD)
-        return out
+        """Add the artificial error to the last rate."""
+        rate = super().rate(t, y, axes)
+        rate[-1] += self.left * (axes == pin.Convention.WORLD)
+        return rate
 
 
-def test_round_off_of_aba_is_no_defect(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten times what two ways through it are apart, for as long as the step lasts."""
-    traj = jumped(cat(RTOL), "xdot", 2, END)
-    full = Rounded(traj.scene)
+def test_defect_ignores_round_off_of_aba(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten times the difference between two evaluations of ABA is subtracted."""
+    traj = with_jump(cat(RTOL), "xdot", 2, END)
+    full = FullStateWithRoundOff(traj.scene)
     clean = compute_defects(traj, full)
-    whole = clean.worst
+    expected = clean.worst
     length = float(np.diff(traj.motion.knots)[-1])
-    size = JUMP / whole
-    monkeypatch.setattr(Rounded, "left", 0.03 * JUMP / length)
-    found = compute_defects(traj, full)
-    assert found.worst == pytest.approx(whole - 0.3 * JUMP / size, rel=1e-3)
-    # Half as long, so half of that is taken off.
-    assert found.subintervals.max() == pytest.approx(whole - 0.15 * JUMP / size, rel=1e-3)
-    own = JUMP / clean.motion_steps.max()
-    assert found.round_off_rate == pytest.approx(0.03 * JUMP / length / own, rel=1e-3)
-    monkeypatch.setattr(Rounded, "left", 0.3 * JUMP / length)
+    size = JUMP / expected
+    monkeypatch.setattr(FullStateWithRoundOff, "left", 0.03 * JUMP / length)
+    result = compute_defects(traj, full)
+    assert result.worst == pytest.approx(expected - 0.3 * JUMP / size, rel=1e-3)
+    # A subinterval is half as long, so half of that is subtracted.
+    assert result.subintervals.max() == pytest.approx(expected - 0.15 * JUMP / size, rel=1e-3)
+    unit = JUMP / clean.motion_steps.max()
+    assert result.round_off_rate == pytest.approx(0.03 * JUMP / length / unit, rel=1e-3)
+    monkeypatch.setattr(FullStateWithRoundOff, "left", 0.3 * JUMP / length)
     assert compute_defects(traj, full).worst < 1e-6
 
 
-def test_round_off_is_told_by_one_evaluation_in_eight(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a stretch, in the world's axes; more would take as long as the integral itself."""
+def test_round_off_is_measured_once_per_subinterval(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More evaluations in world axes would double the cost."""
     times: list[tuple[float, bool]] = []
     rate = FullState.rate
 
@@ -196,33 +198,35 @@ def test_round_off_is_told_by_one_evaluation_in_eight(monkeypatch: pytest.Monkey
     assert [t for t, world in times if world] == of_bodies[::8]
 
 
-def test_round_off_far_away_is_none() -> None:
-    """Both ways begin where the base is."""
-    traj = jumped(cat(RTOL, 1e7), "xdot", 2, END)
+def test_round_off_of_distant_base_is_small() -> None:
+    """Both evaluations of ABA have the base at the origin."""
+    traj = with_jump(cat(RTOL, 1e7), "xdot", 2, END)
     assert largest_defect(traj, traj.system) > 0.99 * JUMP / np.abs(traj.states.xdot).max()
 
 
 @pytest.mark.parametrize(("slow", "duration", "unit"), [(1e-3, 1.0, 1.0), (1e-3, 50.0, 0.02)])
-def test_what_slow_rates_carry(slow: float, duration: float, unit: float) -> None:
-    """A jump of a rate, in parts of what leads through a radian by the end, or of the rates.
+def test_motion_defect_of_slow_rates_uses_their_size(
+    slow: float, duration: float, unit: float
+) -> None:
+    """The unit is the rate that covers a radian until the end, or the largest rate.
 
-    For the tolerance it is a part of what the absolute one is to the relative one, 1 rad/s.
+    For the tolerance the unit is atol/rtol, 1 rad/s.
     """
     x0, xdot0 = [0.5, 3.0, -2.0], [slow, 0.0, 0.0]
     resting = pinred.simulate(
         pinred.load("falling_cat"), duration=duration, rtol=1e-8, atol=1e-8, x0=x0, xdot0=xdot0
     )
-    traj = jumped(resting, "xdot", 1, duration)
-    found = compute_defects(traj, FullState(resting.scene))
-    own = max(unit, float(np.abs(traj(traj.motion.knots).xdot[:, 1]).max()))
-    assert found.worst == pytest.approx(JUMP, rel=1e-2)
-    assert found.motion_steps.max() == pytest.approx(JUMP / own, rel=1e-2)
-    assert found.motion_subintervals.max() == pytest.approx(JUMP / own, rel=1e-2)
+    traj = with_jump(resting, "xdot", 1, duration)
+    result = compute_defects(traj, FullState(resting.scene))
+    scale = max(unit, float(np.abs(traj(traj.motion.knots).xdot[:, 1]).max()))
+    assert result.worst == pytest.approx(JUMP, rel=1e-2)
+    assert result.motion_steps.max() == pytest.approx(JUMP / scale, rel=1e-2)
+    assert result.motion_subintervals.max() == pytest.approx(JUMP / scale, rel=1e-2)
 
 
 @cache
 def satellite() -> pinred.Trajectory:
-    """A panel, the first joint, beside wheels that spin fast, on a base that a wrench turns."""
+    """Simulate a satellite with a panel (first joint) and fast wheels, rotated by a wrench."""
     return pinred.simulate(
         pinred.load("reaction_wheel_satellite"), duration=END, rtol=1e-8, atol=1e-8,
         xdot0=[0.1, 300.0, 200.0, 100.0], xi0=[9.0, 0.0, 0.0, 0.1, 0.2, 0.1],
@@ -231,50 +235,50 @@ def satellite() -> pinred.Trajectory:
 
 
 @pytest.mark.parametrize(("name", "column"), [("pose", 4), ("x", 0), ("x", 1), ("xi", 1)])
-def test_what_else_is_carried_as_it_is(name: str, column: int) -> None:
-    """Places, angles and velocities: in parts of the largest of their kind, as the tolerance is."""
-    traj = jumped(satellite(), name, column, END)
-    found = compute_defects(traj, FullState(traj.scene))
-    assert found.motion_steps.max() == pytest.approx(found.worst, rel=1e-6)
-    assert found.motion_subintervals.max() == pytest.approx(found.subintervals.max(), rel=1e-6)
+def test_motion_defect_of_other_numbers_equals_defect(name: str, column: int) -> None:
+    """Positions, angles and linear velocities have the same unit in both."""
+    traj = with_jump(satellite(), name, column, END)
+    result = compute_defects(traj, FullState(traj.scene))
+    assert result.motion_steps.max() == pytest.approx(result.worst, rel=1e-6)
+    assert result.motion_subintervals.max() == pytest.approx(result.subintervals.max(), rel=1e-6)
 
 
 @pytest.mark.parametrize(("name", "column"), [("xdot", 0), ("xi", 4)])
-def test_what_rates_carry_behind_faster_ones(name: str, column: int) -> None:
-    """A joint counts by its own rate, however fast others are; a base by that of the start."""
-    moved = satellite()
-    assert moved.system.shape_names[0] == "panel_hinge"
-    traj = jumped(moved, name, column, END)
-    found, states = compute_defects(traj, FullState(moved.scene)), traj(traj.motion.knots)
-    kind = np.abs(states.xdot if name == "xdot" else states.xi[:, 3:]).max()
-    own = np.abs(states.xdot[:, column]).max() if name == "xdot" else 0.2
-    own = max(min(1.0 / END, 1.0), float(own))  # what leads through a radian, or atol over rtol
-    assert kind > 3.0 * own
-    assert found.worst == pytest.approx(JUMP / kind, rel=1e-2)
-    assert found.motion_steps.max() == pytest.approx(JUMP / own, rel=1e-2)
+def test_motion_defect_of_joint_uses_its_rate(name: str, column: int) -> None:
+    """Each joint has its own unit; the base's spin uses its initial value."""
+    simulated = satellite()
+    assert simulated.system.shape_names[0] == "panel_hinge"
+    traj = with_jump(simulated, name, column, END)
+    result, states = compute_defects(traj, FullState(simulated.scene)), traj(traj.motion.knots)
+    largest = np.abs(states.xdot if name == "xdot" else states.xi[:, 3:]).max()
+    unit = np.abs(states.xdot[:, column]).max() if name == "xdot" else 0.2
+    unit = max(min(1.0 / END, 1.0), float(unit))  # the rate that covers a radian, or atol/rtol
+    assert largest > 3.0 * unit
+    assert result.worst == pytest.approx(JUMP / largest, rel=1e-2)
+    assert result.motion_steps.max() == pytest.approx(JUMP / unit, rel=1e-2)
 
 
-def test_what_a_spin_from_rest_carries() -> None:
-    """In parts of what leads through a radian by the end, however fast it becomes."""
+def test_motion_defect_of_spin_from_rest_uses_least_unit() -> None:
+    """The unit is the rate that covers a radian until the end, however fast it becomes."""
     system = pinred.load("elroys_beanie")
     push = pinred.forces.Wrench([0.05])
     pushed = pinred.simulate(
         system, xi0=[0.0], xdot0=[0.0], duration=50.0, rtol=1e-8, atol=1e-8, forces=[push]
     )
-    traj = jumped(pushed, "xi", 0, 50.0)
+    traj = with_jump(pushed, "xi", 0, 50.0)
     assert np.abs(pushed.xi).max() > 0.3
-    found = compute_defects(traj, FullState(pushed.scene))
-    assert found.motion_steps.max() == pytest.approx(JUMP / 0.02, rel=1e-3)
+    result = compute_defects(traj, FullState(pushed.scene))
+    assert result.motion_steps.max() == pytest.approx(JUMP / 0.02, rel=1e-3)
 
 
 @pytest.mark.parametrize(
     ("method", "far"), [("Tsit5", 0.03), ("DOP853", 1.0), ("AdaptiveGauss", 0.03)]
 )
-def test_what_parts_of_a_step_hide_from_each_other(method: str, far: float) -> None:
-    """A beanie on a spring, x = x₀ cos ωt: what steps are off by is what is carried.
+def test_motion_defect_includes_residuals_that_cancel(method: str, far: float) -> None:
+    """For a beanie on a spring, x = x₀ cos ωt, it equals the error of the step.
 
-    The residual of Tsit5's states between the ends of steps adds up to nothing there.  Those of
-    DOP853 are a radian of the spring long, which a slope in each half cannot follow more closely.
+    The residual of Tsit5's interpolant cancels over the step. DOP853's steps span a radian of the
+    spring, so a linearisation in each half is less accurate.
     """
     system = pinred.load("elroys_beanie")
     traj = pinred.simulate(
@@ -282,7 +286,7 @@ def test_what_parts_of_a_step_hide_from_each_other(method: str, far: float) -> N
         method=method,
     )  # fmt: skip
     knots, full = traj.motion.knots, FullState(traj.scene)
-    y, found = module.full_states(traj, full, knots), compute_defects(traj, full)
+    y, result = module.full_states(traj, full, knots), compute_defects(traj, full)
     inertia = pin.crba(system.model, pin.Data(system.model), system.q(y[0, :1], y[0, 1:2]))
     inertia = np.triu(inertia) + np.triu(inertia, 1).T
     share = inertia[0, 1] / inertia[0, 0]
@@ -290,45 +294,44 @@ def test_what_parts_of_a_step_hide_from_each_other(method: str, far: float) -> N
     x, v, step = y[:-1, 1], y[:-1, 3], np.diff(knots)
     c, s = np.cos(omega * step), np.sin(omega * step)
     off = np.column_stack([y[1:, 1] - (c * x + s / omega * v), y[1:, 3] - (c * v - omega * s * x)])
-    own = module._sizes(traj, full)[1]
-    expected = np.abs(np.column_stack([off, share * off]) / own[[1, 3, 0, 2]])
-    assert found.motion_steps == pytest.approx(expected.max(axis=1), rel=far, abs=1e-12)
+    unit = module._sizes(traj, full)[1]
+    expected = np.abs(np.column_stack([off, share * off]) / unit[[1, 3, 0, 2]])
+    assert result.motion_steps == pytest.approx(expected.max(axis=1), rel=far, abs=1e-12)
     if method == "Tsit5":
-        assert found.worst < 1e-12 < 1e-9 < expected.max()
+        assert result.worst < 1e-12 < 1e-9 < expected.max()
         assert compute_defects(traj, full, propagate=False).motion_steps.max() < 1e-12
 
 
-def test_what_a_state_that_is_off_leads_to() -> None:
-    """The slope of ABA in the middle of a part, times its length; of nothing, nothing.
+def test_growth_over_subinterval_is_linearised_aba() -> None:
+    """Compared with differences of ABA; a zero or non-finite error gives zero.
 
-    The panel of a satellite whose wheels make 300 rad/s: the slope counts what is off in parts of
-    what the numbers are.
+    The wheels of the satellite rotate at 300 rad/s, so the step of the difference must be scaled.
     """
-    moved = pinred.simulate(
+    simulated = pinred.simulate(
         pinred.load("reaction_wheel_satellite"), duration=END, x0=[0.3, 0.0, 0.0, 0.0],
         xdot0=[0.1, 300.0, 200.0, 100.0], xi0=[0.1, 0.2, 0.3, 0.4, -0.2, 0.3],
     )  # fmt: skip
-    full, rng = FullState(moved.scene), np.random.default_rng(0)
+    full, rng = FullState(simulated.scene), np.random.default_rng(0)
     t = np.array([0.1, 0.2])
     nodes = np.concatenate([np.linspace(s, s + 0.1, 8) for s in t])
-    y, none = module.full_states(moved, full, nodes), np.zeros((2, 21))
+    y, none = module.full_states(simulated, full, nodes), np.zeros((2, 21))
     rates = np.array([full.rate(0.0, row) for row in y])
     course = module._Quadrature(
         nodes, [np.empty(0)] * 16, y, rates, none, none, np.array([0.3, 0.1])
     )
-    sizes = module._sizes(moved, full)[0]
+    sizes = module._sizes(simulated, full)[0]
     off = 1e-9 * sizes * rng.normal(size=21)
     up, down = (full.rate(0.0, y[12] + s * 1e4 * off) for s in (1.0, -1.0))
     expected = 0.1 * (up - down) / 2e4
-    found = module._growth_over(full, course, 1, off, sizes)
+    result = module._growth_over(full, course, 1, off, sizes)
     scale = np.abs(expected).max()
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-4 * scale)
+    np.testing.assert_allclose(result, expected, rtol=0.0, atol=1e-4 * scale)
     for odd in (0.0, np.nan, np.inf):
         assert (module._growth_over(full, course, 1, odd * sizes, sizes) == 0.0).all()
 
 
-def test_steps_that_are_judged() -> None:
-    """All up to 200, and of more as many at random."""
+def test_defects_use_at_most_200_steps() -> None:
+    """Longer trajectories are sampled at random."""
     fine = pinred.DOP853(max_step=END / 230)
     traj = pinred.simulate(cat(RTOL).system, duration=END, method=fine)
     full = FullState(traj.scene)
@@ -341,8 +344,8 @@ def test_steps_that_are_judged() -> None:
 
 
 @pytest.mark.parametrize("kinks", [True, False])
-def test_kinks_of_forces_stand_out(monkeypatch: pytest.MonkeyPatch, kinks: bool) -> None:
-    """Ten times the median, where forces have kinks; what is no number is none."""
+def test_steps_with_kinks_are_not_smooth(monkeypatch: pytest.MonkeyPatch, kinks: bool) -> None:
+    """The threshold is ten times the median, only for forces with kinks; NaN is never excluded."""
     system = pinred.load("coupled_planar")
     acting = [pinred.forces.Torque(lambda _t, x, *_: 0.1 * casadi.fabs(x))] if kinks else []
     steps = np.array([2.0, 2.0, 2.0, 19.8, 20.2])
@@ -353,15 +356,15 @@ def test_kinks_of_forces_stand_out(monkeypatch: pytest.MonkeyPatch, kinks: bool)
     monkeypatch.setattr(module, "_defects_of_steps", made)
     scene = pinred.Scene(system=system, duration=0.1, xdot0=[1.0], forces=acting)
     traj = pinred.simulate(scene)
-    found = compute_defects(traj, FullState(scene))
-    assert found.smooth.tolist() == [True] * 4 + [not kinks]
-    assert found.worst == (19.8 if kinks else 20.2)
+    result = compute_defects(traj, FullState(scene))
+    assert result.smooth.tolist() == [True] * 4 + [not kinks]
+    assert result.worst == (19.8 if kinks else 20.2)
     steps[0] = np.nan
     assert np.isnan(compute_defects(traj, FullState(scene)).worst)
 
 
-def test_what_controllers_hold_is_what_acts() -> None:
-    """In each stretch its own torque, for the full simulation, the equations and the defects."""
+def test_compare_uses_commands_held_by_controllers() -> None:
+    """Full simulation, equations and defects use the command of each segment."""
     system = pinred.load("coupled_planar")
     wave = pinred.forces.Controller(lambda t, *_: [np.cos(9.0 * t)], 0.1, system.shape_names)
     traj = pinred.simulate(system, duration=0.4, xdot0=[0.3], forces=wave)

@@ -175,7 +175,7 @@ def test_nothing_is_near_what_counts_as_nothing(
 ) -> None:
     """Structure constants are whole numbers: 1e-13 and 1e-3 tell the same Casimirs from none."""
     for bound in (1e-13, 1e-3):
-        monkeypatch.setattr(casimirs, "_NOTHING", bound)
+        monkeypatch.setattr(casimirs, "_ZERO", bound)
         found = casimirs.casimirs(make_case(group, 1, 0).system)
         assert [str(each) for each in found] == EXPECTED[group]
 

@@ -1,4 +1,4 @@
-"""Joints that follow others: what files say of them, locks, refusals, coordinates."""
+"""Follower joints: URDF and MJCF files, locks, refusals, and coordinates."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ AXIS = '<axis xyz="0 0 1"/>'
 
 
 def arm(*mimics: str, last: float = 2.0) -> str:
-    """A URDF of links a, b, c, d in a row; what stands in the joints a-b, b-c and c-d."""
+    """Return a URDF of links a, b, c, d in a chain, with content for joints a-b, b-c and c-d."""
     links = [*(link(name) for name in "abc"), link("d", last)]
     pairs = zip("abc", "bcd", (*mimics, "", "", "")[:3], strict=True)
     return robot(*links, *(joint(p, c, inside=AXIS + more) for p, c, more in pairs))
 
 
 def mimic(leader: str, numbers: str = "") -> str:
-    """A <mimic> element."""
+    """Return a <mimic> element."""
     return f'<mimic joint="{leader}" {numbers}/>'
 
 
 @settings(max_examples=60)
 @given(coupled_cases())
-def test_coordinates(case: CoupledCase) -> None:
-    """All joints are G y + b, of any number of states at once, and y is found again in q and v."""
+def test_coordinates_of_coupled_joints_round_trip(case: CoupledCase) -> None:
+    """All joints are G y + b, also for batches of states, and q and v give y back."""
     system, rng = case.system, case.rng
     x, xdot = rng.uniform(-2.0, 2.0, (3, system.m)), rng.normal(size=(3, system.m))
     pose, xi = system.group.exp(rng.normal(size=system.r)), rng.normal(size=system.r)
@@ -52,8 +52,8 @@ def test_coordinates(case: CoupledCase) -> None:
     assert set(system.shape_names).isdisjoint(system.followers)
 
 
-def test_urdf(tmp_path: Path) -> None:
-    """Multiplier and offset, or 1 and 0; a follower of a follower follows the first."""
+def test_urdf_mimic_gives_ratio_and_offset(tmp_path: Path) -> None:
+    """Multiplier and offset default to 1 and 0; followers of followers are resolved."""
     text = arm("", mimic("a-b"), mimic("b-c", 'multiplier="-2" offset="0.3"'))
     system = pinred.load(write(tmp_path, text))
     assert system.shape_names == ("a-b",)
@@ -65,14 +65,14 @@ def test_urdf(tmp_path: Path) -> None:
     assert "c-d = -2·b-c + 0.3" in system._repr_html_()
 
 
-def test_a_fixed_joint_follows_nobody(tmp_path: Path) -> None:
-    """Its <mimic> means nothing."""
+def test_mimic_of_fixed_joint_is_ignored(tmp_path: Path) -> None:
+    """A <mimic> element in a fixed joint makes no coupling."""
     text = robot(link("a"), link("b"), joint("a", "b", "fixed", mimic("far")))
     assert pinred.load(write(tmp_path, text)).m == 0
 
 
-def test_locks(tmp_path: Path) -> None:
-    """A leader takes its followers along; a follower is not locked without it."""
+def test_locking_leader_locks_followers(tmp_path: Path) -> None:
+    """A follower is locked with its leader, and not without it."""
     text = arm("", mimic("a-b", 'multiplier="2"'), mimic("b-c", 'offset="0.3"'))
     path = write(tmp_path, text)
     free = pinred.load(path)
@@ -96,8 +96,10 @@ def test_locks(tmp_path: Path) -> None:
         ((mimic("b-c"), mimic("a-b")), ["circle", "a-b", "b-c"]),
     ],
 )
-def test_what_cannot_be_followed(tmp_path: Path, mimics: tuple[str, ...], words: list[str]) -> None:
-    """It is said in one line, with the names and a way out."""
+def test_invalid_mimic_is_refused(
+    tmp_path: Path, mimics: tuple[str, ...], words: list[str]
+) -> None:
+    """The message is one line with the names and a way out."""
     with pytest.raises(ModelError) as caught:
         pinred.load(write(tmp_path, arm(*mimics)))
     told = str(caught.value)
@@ -105,8 +107,8 @@ def test_what_cannot_be_followed(tmp_path: Path, mimics: tuple[str, ...], words:
     assert "\n" not in told
 
 
-def test_the_root_neither_follows_nor_leads() -> None:
-    """Its motion is the symmetry."""
+def test_coupling_of_root_is_refused() -> None:
+    """The motion of the root is the symmetry, so the root is neither follower nor leader."""
     model = random_model("SO2", 2, 0)
     pairs = (("joint1", "joint0"), ("joint0", "joint1"))
     for pair in pairs:
@@ -115,8 +117,8 @@ def test_the_root_neither_follows_nor_leads() -> None:
             pinred.System(model, contents=contents)
 
 
-def test_a_leader_that_becomes_the_root(tmp_path: Path) -> None:
-    """On an anchor without mass the first joint is; locked, it takes its follower along."""
+def test_leader_that_becomes_root_can_be_locked(tmp_path: Path) -> None:
+    """On a massless anchor the first joint is the root; locking it locks its follower."""
     parts = [link("a", 0.0), link("b"), link("c"), joint("a", "b")]
     path = write(tmp_path, robot(*parts, joint("b", "c", inside=AXIS + mimic("a-b"))))
     with pytest.raises(ModelError, match=r"'b-c' follows 'a-b'.*root joint 'a-b'.*lock 'a-b'"):
@@ -124,8 +126,8 @@ def test_a_leader_that_becomes_the_root(tmp_path: Path) -> None:
     assert pinred.load(path, lock=["a-b"], group="SE3").m == 0
 
 
-def test_two_leaders_and_numbers() -> None:
-    """A joint follows one other, in finite proportion."""
+def test_two_leaders_or_infinite_ratio_are_refused() -> None:
+    """A joint follows one other joint, with finite ratio and offset."""
     names = ["a", "b", "c"]
     with pytest.raises(ModelError, match=r"'a' follows several joints: b, c"):
         resolved([Coupling("a", "b", 1.0, 0.0), Coupling("a", "c", 1.0, 0.0)], names)
@@ -135,8 +137,8 @@ def test_two_leaders_and_numbers() -> None:
 
 @pytest.mark.parametrize("kind", [pin.JointModelPY(), pin.JointModelRZ(), None])
 @pytest.mark.parametrize("ratio", [2.0, -0.7])
-def test_pinocchio_mimics(kind: pin.JointModel | None, ratio: float) -> None:
-    """They become plain joints on the same axes: mass matrix and gravity are Pinocchio's own."""
+def test_pinocchio_mimics_become_couplings(kind: pin.JointModel | None, ratio: float) -> None:
+    """Mass matrix and gravity of the coupled plain joints equal Pinocchio's with mimic joints."""
     rng = np.random.default_rng(0)
     plain = random_model("SE3", 4, 3, armature=False)
     if kind is None:
@@ -168,8 +170,8 @@ def test_pinocchio_mimics(kind: pin.JointModel | None, ratio: float) -> None:
     np.testing.assert_allclose(system.on_shape(own), weight, atol=1e-12)
 
 
-def test_mjcf_against_mujoco() -> None:
-    """MuJoCo's residual of the constraint is zero where the follower is, references and all."""
+def test_mjcf_coupling_matches_mujoco() -> None:
+    """MuJoCo's constraint residual is zero at the follower's value, with references included."""
     system = pinred.load(_gripper())
     model = _gripper()
     data = mujoco.MjData(model)
@@ -180,7 +182,7 @@ def test_mjcf_against_mujoco() -> None:
     mujoco.mj_forward(model, data)
     assert data.nefc == 2
     np.testing.assert_allclose(data.efc_pos, 0.0, atol=1e-15)
-    # Velocities are where its Jacobian says, and its mass matrix is ours there.
+    # Velocities satisfy its Jacobian, and its mass matrix equals ours in the coupled joints.
     names = list(system.model.names)[2:]
     at = [model.jnt_dofadr[model.joint(name).id] for name in names]
     rates = system.v(np.zeros(6), [1.0])[6:]
@@ -206,8 +208,8 @@ def _gripper() -> mujoco.MjModel:
     )
 
 
-def test_joints_out_of_order() -> None:
-    """Q and v stay in the order that was given, followers among them."""
+def test_coupled_joints_out_of_order_keep_q_and_v() -> None:
+    """Both keep the order of the original model, followers included."""
     model, rng = pin.Model(), np.random.default_rng(0)
     root = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
     a = model.addJoint(root, pin.JointModelRX(), pin.SE3.Random(), "a")
@@ -226,8 +228,8 @@ def test_joints_out_of_order() -> None:
     np.testing.assert_allclose(v[6:], [names["a"], names["b"], 2.0 * names["b"]])
 
 
-def test_mass_of_a_leader_may_be_that_of_its_follower(tmp_path: Path) -> None:
-    """A joint that moves no mass of its own is admitted if its follower does, and not without."""
+def test_massless_leader_with_heavy_follower_is_admitted(tmp_path: Path) -> None:
+    """A joint that moves no mass is admitted if its follower moves mass, and refused otherwise."""
     tree = [link("a"), link("b", 0.0), link("c"), joint("a", "b")]
     follows = joint("a", "c", inside=AXIS + mimic("a-b"))
     system = pinred.load(write(tmp_path, robot(*tree, follows)))
@@ -239,8 +241,8 @@ def test_mass_of_a_leader_may_be_that_of_its_follower(tmp_path: Path) -> None:
             pinred.load(write(tmp_path, robot(*tree, other)))
 
 
-def test_a_pair_that_moves_no_mass_together(tmp_path: Path) -> None:
-    """Two coaxial joints in opposition leave a point mass on the axis where it was."""
+def test_opposed_pair_around_point_mass_is_refused(tmp_path: Path) -> None:
+    """Two coaxial joints with opposite rates do not move a point mass on the axis."""
     point = '<link name="{}"><inertial><mass value="1"/><inertia ixx="0" iyy="0" izz="0" ixy="0" '
     point += 'ixz="0" iyz="0"/></inertial></link>'
     plain = f'<joint name="{{}}" type="revolute"><parent link="{{}}"/><child link="{{}}"/>{AXIS}'
@@ -257,8 +259,8 @@ def test_a_pair_that_moves_no_mass_together(tmp_path: Path) -> None:
                 pinred.load(path)
 
 
-def test_random_cases_have_all_kinds() -> None:
-    """Chains, zero ratios, negative ones and several groups occur among the random trees."""
+def test_random_cases_cover_all_kinds() -> None:
+    """The random trees include chains, zero and negative ratios, and several groups."""
     cases = [make_case("SE3", 8, seed) for seed in range(40)]
     found = [each for case in cases for each in case.system.couplings]
     assert any(each.ratio == 0.0 for each in found)
@@ -273,8 +275,8 @@ POINT = (
 )
 
 
-def test_single_shapes_of_coupled_joints(tmp_path: Path) -> None:
-    """A point mass that a geared elbow folds back onto the shoulder's axis, at one angle alone."""
+def test_singular_shape_of_coupled_joints_is_named(tmp_path: Path) -> None:
+    """A geared elbow folds a point mass back onto the shoulder's axis at one angle."""
     plain = '<joint name="{}" type="revolute"><parent link="{}"/><child link="{}"/><origin xyz='
     plain += '"{} 0 0"/><axis xyz="0 0 1"/><limit effort="1" velocity="1"/>{}</joint>'
     tree = [

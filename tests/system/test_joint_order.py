@@ -1,4 +1,4 @@
-"""Models whose joints are not in depth-first order: q and v stay in the order that was given."""
+"""Models whose joints are not in depth-first order: q and v keep the original order."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pinred.system.rebuild import depth_first
 
 
 def shuffled(model: pin.Model, seed: int) -> pin.Model:
-    """The same tree with its joints in another order, parents before children."""
+    """Return the same tree with its joints in another order, parents before children."""
     rng = np.random.default_rng(seed)
     other = pin.Model()
     other.name, other.gravity = model.name, model.gravity
@@ -38,8 +38,8 @@ def shuffled(model: pin.Model, seed: int) -> pin.Model:
 
 
 @given(groups, st.integers(1, 7), seeds)
-def test_q_and_v_are_those_of_the_given_model(group: str, joints: int, seed: int) -> None:
-    """Each joint's place is where the given model's kinematics puts it for system.q."""
+def test_q_and_v_use_order_of_original_model(group: str, joints: int, seed: int) -> None:
+    """The kinematics of the original model places each joint for system.q as system.model does."""
     model = shuffled(random_model(group, joints, seed), seed)
     system = pinred.load(model)
     rng = np.random.default_rng(seed)
@@ -62,8 +62,8 @@ def test_q_and_v_are_those_of_the_given_model(group: str, joints: int, seed: int
 
 
 @pytest.mark.slow
-def test_a_motion_in_the_given_order() -> None:
-    """A trajectory of such a model passes the judge; its q and v move the given model's energy.
+def test_trajectory_uses_order_of_original_model() -> None:
+    """The trajectory agrees with ABA, and the original model conserves energy along its q and v.
 
     Pinocchio's kinetic energy needs no depth-first order, unlike crba.
     """
@@ -91,8 +91,8 @@ def test_a_motion_in_the_given_order() -> None:
     )
 
 
-def test_order_of_a_long_chain_and_of_a_star() -> None:
-    """The order takes each joint once, its subtree behind it, in linear time."""
+def test_depth_first_order_takes_linear_time() -> None:
+    """Each joint occurs once, followed by its subtree, also in long chains and large stars."""
     assert depth_first([0, 0, 1, 1, 2, 3, 2]) == [1, 2, 4, 6, 3, 5]
     assert depth_first([0, *range(100_000)]) == list(range(1, 100_001))
     assert depth_first([0] * 100_001) == list(range(1, 100_001))

@@ -1,4 +1,4 @@
-"""URDF that strict parsers refuse and whose meaning is clear; what is asked for where it is not."""
+"""URDF files that strict parsers refuse: accepted if unambiguous, otherwise refused."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pinred.lie import SE2, SE3
 from pinred.system.admission import WORKSPACE_BYTES
 
 LIMIT = re.compile("<limit[^>]*>")
-SAME = {  # the same robot, written otherwise
+SAME = {  # equivalent texts of one robot
     "blanks around numbers": FLOATING.replace('value="2.0"', 'value=" 2.0\t"').replace(
         'xyz="0 0 1"', 'xyz="  0\n0  1 "'
     ),
@@ -32,21 +32,21 @@ SAME = {  # the same robot, written otherwise
 
 
 @pytest.mark.parametrize("case", SAME)
-def test_the_same_robot(case: str, tmp_path: Path) -> None:
-    """Mass matrix and placements are those of the file that says it properly."""
+def test_lenient_urdf_equals_strict_one(case: str, tmp_path: Path) -> None:
+    """Mass matrix and placements equal those of the correct file."""
     expected = pinred.load(write(tmp_path, FLOATING))
-    found = pinred.load(write(tmp_path, SAME[case]))
+    actual = pinred.load(write(tmp_path, SAME[case]))
     x = np.array([0.7])
-    H = [pinred.Reduction(each).mass_matrix(x) for each in (found, expected)]
+    H = [pinred.Reduction(entry).mass_matrix(x) for entry in (actual, expected)]
     np.testing.assert_array_equal(H[0], H[1])
 
 
-def test_no_limits_are_none(tmp_path: Path) -> None:
-    """A joint without <limit> moves anywhere; one that gives its ends keeps them."""
+def test_missing_limits_are_infinite(tmp_path: Path) -> None:
+    """A joint without <limit> is unlimited; given limits are kept."""
     free = pinred.load(write(tmp_path, LIMIT.sub("", FLOATING))).model
     assert (free.lowerPositionLimit[-1], free.upperPositionLimit[-1]) == (-np.inf, np.inf)
-    held = pinred.load(write(tmp_path, FLOATING.replace(' effort="1"', ""))).model
-    assert (held.lowerPositionLimit[-1], held.upperPositionLimit[-1]) == (-1.0, 1.0)
+    limited = pinred.load(write(tmp_path, FLOATING.replace(' effort="1"', ""))).model
+    assert (limited.lowerPositionLimit[-1], limited.upperPositionLimit[-1]) == (-1.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -57,29 +57,29 @@ def test_no_limits_are_none(tmp_path: Path) -> None:
         FLOATING.replace('"a-b"', '"$(arg name)"'),
     ],
 )
-def test_templates_say_what_to_run(text: str, tmp_path: Path) -> None:
-    """A file that xacro has to expand is refused with the command, which spares the file."""
+def test_xacro_template_is_refused_with_command(text: str, tmp_path: Path) -> None:
+    """The suggested command does not overwrite the template."""
     path = write(tmp_path, text)
     with pytest.raises(LoadError) as caught:
         pinred.load(path)
     assert f"`xacro {path} > arm_expanded.urdf`" in str(caught.value)
 
 
-def test_two_inertias_are_none(tmp_path: Path) -> None:
-    """Which of two counts is not clear."""
+def test_two_inertial_elements_are_refused(tmp_path: Path) -> None:
+    """It is unclear which of the two counts."""
     inertial = "<inertial>" + link("a").split("<inertial>")[1].removesuffix("</link>")
     with pytest.raises(ModelError, match="'a' has 2 inertial elements"):
         pinred.load(write(tmp_path, FLOATING.replace(inertial, 2 * inertial, 1)))
 
 
-def test_groups_in_any_letters(tmp_path: Path) -> None:
-    """Small letters name the same group."""
+def test_group_name_ignores_case(tmp_path: Path) -> None:
+    """Lower-case letters name the same group."""
     path = write(tmp_path, FLOATING)
     assert pinred.load(path, group="se3").group is SE3
 
 
-def test_rounded_quaternions() -> None:
-    """Quaternions, cosines and sines of few decimals are brought to length one, others refused."""
+def test_rounded_unit_vectors_are_normalised() -> None:
+    """Quaternions, and cosine-sine pairs, with few decimals are normalised; others are refused."""
     pose = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.9999])
     np.testing.assert_array_equal(SE3.pose(pose), [1, 2, 3, 0, 0, 0, 1])
     np.testing.assert_allclose(SE2.pose([1.0, 2.0, 0.7071, 0.7071]), [1, 2, np.pi / 4])
@@ -88,14 +88,14 @@ def test_rounded_quaternions() -> None:
 
 
 def chain(count: int, kind: str) -> str:
-    """Links in a row."""
+    """Return a URDF of links in a chain."""
     links = (link(f"l{k}") for k in range(count + 1))
     return robot(*links, *(joint(f"l{k}", f"l{k + 1}", kind) for k in range(count)))
 
 
 @pytest.mark.slow
-def test_deep_trees(tmp_path: Path) -> None:
-    """Two thousand links on fixed joints are one body; a fault in them is still an error."""
+def test_deep_tree_of_fixed_joints_is_one_body(tmp_path: Path) -> None:
+    """Two thousand links on fixed joints are one body; an error in them is still reported."""
     text = chain(2000, "fixed")
     system = pinred.load(write(tmp_path, text))
     assert system.m == 0
@@ -104,15 +104,15 @@ def test_deep_trees(tmp_path: Path) -> None:
         pinred.load(write(tmp_path, text.replace('<link name="l7">', '<link name="x">')))
 
 
-def test_too_many_joints_are_refused_in_advance(tmp_path: Path) -> None:
-    """The message says how much memory they would take."""
+def test_too_many_joints_are_refused_with_memory(tmp_path: Path) -> None:
+    """The message states how much memory they would need."""
     with pytest.raises(ModelError, match=r"407 degrees of freedom, more than 400.* GB"):
         pinred.load(write(tmp_path, chain(401, "revolute")))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_the_memory_that_is_told() -> None:
-    """The work space of Pinocchio for 150 joints takes what the refusal would say of it."""
+def test_stated_memory_matches_pinocchio() -> None:
+    """Pinocchio's work space for 150 joints has the size that the refusal would state."""
     code = (
         "import pinocchio as pin\n"
         "def held(): return 4096 * int(open('/proc/self/statm').read().split()[1])\n"
@@ -131,28 +131,28 @@ TURNS = ("continuous", "1 0 0"), ("continuous", "0 1 0"), ("continuous", "0 0 1"
 
 
 def six(kinds: tuple[tuple[str, str], ...], turned: str = "0.1 0.2 0.3") -> str:
-    """Six joints in a row on links without mass, with a body and an arm at the end."""
+    """Return a URDF of six joints between massless links, with a body and an arm at the end."""
     text = "".join(link(f"l{k}", 0) for k in range(6)) + link("l6") + link("arm")
     for k, (kind, axis) in enumerate(kinds):
-        made = joint(f"l{k}", f"l{k + 1}", kind, AXIS.replace("0 0 1", axis))
-        text += made.replace("0 0.2 0.3", "0 0 0").replace("0.1 0.2 0.3", turned)
+        built = joint(f"l{k}", f"l{k + 1}", kind, AXIS.replace("0 0 1", axis))
+        text += built.replace("0 0.2 0.3", "0 0 0").replace("0.1 0.2 0.3", turned)
     return robot(text, joint("l6", "arm"))
 
 
 @pytest.mark.parametrize("kinds", [SLIDES + TURNS, TURNS + SLIDES, SLIDES[:2] + TURNS + SLIDES[2:]])
-def test_three_slides_and_three_hinges_float(
+def test_three_slides_and_three_hinges_are_se3(
     kinds: tuple[tuple[str, str], ...], tmp_path: Path
 ) -> None:
-    """In any order and however they are turned, they are SE3, as in MJCF."""
+    """They are SE3 in any order and orientation, as in MJCF."""
     system = pinred.load(write(tmp_path, six(kinds)))
     free = pinred.load(write(tmp_path, robot(link("l6"), link("arm"), joint("l6", "arm"))))
     assert (system.group, system.shape_names) == (SE3, ("l6-arm",))
-    H = [pinred.Reduction(each).mass_matrix([0.4]) for each in (system, free)]
+    H = [pinred.Reduction(entry).mass_matrix([0.4]) for entry in (system, free)]
     np.testing.assert_allclose(H[0], H[1], atol=1e-14)
 
 
-def test_six_joints_that_do_not_move_everywhere(tmp_path: Path) -> None:
-    """Two slides along one line leave a direction out: the joints stay what they are."""
+def test_six_dependent_joints_are_not_joined(tmp_path: Path) -> None:
+    """Two slides along one line leave a direction out, so the joints stay separate."""
     kinds = (SLIDES[0], SLIDES[1], SLIDES[1], *TURNS)
     with pytest.raises(ModelError, match="mass"):
         pinred.load(write(tmp_path, six(kinds, "0 0 0")))

@@ -30,13 +30,13 @@ ARM = f'<body name="arm" pos="0 0.2 0.3">{HINGE}{MASS}</body>'
 
 
 def mass_matrix(model: pin.Model, q: Array) -> Array:
-    """Pinocchio's mass matrix, whole."""
+    """Return Pinocchio's complete mass matrix."""
     H = np.triu(pin.crba(model, model.createData(), q))
     return np.asarray(H + np.triu(H, 1).T)
 
 
 def some_q(model: pin.Model) -> Array:
-    """A configuration with nothing zero or equal in it."""
+    """Return a configuration without zero or equal entries."""
     return np.asarray(pin.integrate(model, pin.neutral(model), np.linspace(-1.0, 0.9, model.nv)))
 
 
@@ -49,8 +49,8 @@ BRANCHED = robot(
 ANCHORED = robot(link("w", 0), link("a"), link("b"), joint("w", "a"), joint("a", "b"))
 
 
-def test_bundled_names() -> None:
-    """Every bundled robot has the group, gravity and initial state its table entry says."""
+def test_bundled_robot_matches_catalogue() -> None:
+    """Every bundled robot has the group, gravity and initial state of its catalogue entry."""
     for name, entry in catalogue.bundled_robots().items():
         system = pinred.load(name)
         raw = pin.buildModelFromUrdf(str(entry.path))
@@ -62,15 +62,15 @@ def test_bundled_names() -> None:
         assert system.initial.xi.shape == (system.r,)
 
 
-def test_initial_state_belongs_to_the_bundled_robot_as_it_is() -> None:
-    """With a joint locked or another group the initial state would not fit, so there is none."""
+def test_initial_state_is_dropped_for_other_group_or_lock() -> None:
+    """With a locked joint or another group, the initial state would not fit."""
     assert pinred.load("elroys_beanie", lock=["beanie"]).initial is None
     assert pinred.load("satellite_two_arms", group="SO3").initial is None
 
 
 @pytest.mark.parametrize("as_type", [str, Path])
-def test_paths(tmp_path: Path, as_type: type) -> None:
-    """A path is text or Path and gives the name; a group is its name or itself."""
+def test_path_and_group_in_all_forms(tmp_path: Path, as_type: type) -> None:
+    """A path is text or Path and gives the name; a group is its name or a Group."""
     system = pinred.load(as_type(write(tmp_path, FLOATING)), group=GROUPS["SE2"])
     assert system.group is GROUPS["SE2"]
     assert (system.name, system.shape_names, system.mass) == ("arm", ("a-b",), 4.0)
@@ -78,11 +78,11 @@ def test_paths(tmp_path: Path, as_type: type) -> None:
 
 
 def anchored(kind: str) -> str:
-    """One body on a joint of the world."""
+    """Return one body on a joint of the world."""
     return robot(link("w", 0), link("a"), joint("w", "a", kind))
 
 
-# text, asked group: the group, root joint, shape joints and moving mass that follow
+# Text and requested group: expected group, root joint, shape joints and moving mass.
 ROOTS = {
     "massive root floats": (FLOATING, None, "SE3", "root_joint", ["a-b"], 4),
     "massive root in the plane": (FLOATING, "SE2", "SE2", "root_joint", ["a-b"], 4),
@@ -112,8 +112,10 @@ ROOTS = {
 
 
 @pytest.mark.parametrize("row", ROOTS.values(), ids=ROOTS.keys())
-def test_root(tmp_path: Path, row: tuple[str, str | None, str, str, list[str], float]) -> None:
-    """The root is the file's own free joint or anchor, or a new joint of the group."""
+def test_root_follows_file_or_group(
+    tmp_path: Path, row: tuple[str, str | None, str, str, list[str], float]
+) -> None:
+    """The root is the free joint or anchor in the file, or a new joint of the group."""
     text, asked, group, root, shape, mass = row
     system = pinred.load(write(tmp_path, text), group=asked)
     assert (system.group.name, system.root_name) == (group, root)
@@ -122,8 +124,8 @@ def test_root(tmp_path: Path, row: tuple[str, str | None, str, str, list[str], f
 
 
 @pytest.mark.parametrize("group", sorted(GROUPS))
-def test_adding_a_root_keeps_the_dynamics(tmp_path: Path, group: str) -> None:
-    """Inertia, armature, gravity, frames and limits are those of Pinocchio's floating model."""
+def test_added_root_keeps_dynamics(tmp_path: Path, group: str) -> None:
+    """Inertia, armature, gravity, frames and limits equal those of Pinocchio's floating model."""
     path = write(tmp_path, BRANCHED)
     raw = pin.buildModelFromUrdf(str(path))
     raw.armature = np.array([0.1, 0.2, 0.3])
@@ -147,8 +149,8 @@ def test_adding_a_root_keeps_the_dynamics(tmp_path: Path, group: str) -> None:
         assert place[0].isApprox(place[1], 1e-12)
 
 
-def test_mjcf_armature_and_gravity(tmp_path: Path) -> None:
-    """A welded MJCF base floats as one with a free joint does in Pinocchio, armature included."""
+def test_welded_mjcf_base_floats_as_with_free_joint(tmp_path: Path) -> None:
+    """The mass matrix equals Pinocchio's with a free joint, armature included."""
     path = write(tmp_path, mjcf(body("<freejoint/>" + ARM)))
     free = pin.buildModelFromMJCF(str(path))
     path = write(tmp_path, mjcf(body(ARM), '<option gravity="0 0 -1.6"/>'))
@@ -159,14 +161,14 @@ def test_mjcf_armature_and_gravity(tmp_path: Path) -> None:
     assert mass_matrix(welded.model, q) == pytest.approx(mass_matrix(free, q), abs=1e-14)
 
 
-def test_gravity_given(tmp_path: Path) -> None:
-    """The argument wins over what the robot comes with."""
+def test_gravity_argument_overrides_robot(tmp_path: Path) -> None:
+    """The argument replaces the robot's gravity."""
     path = write(tmp_path, FLOATING)
     assert pinred.load(path, gravity=[1, 0, -2]).gravity.tolist() == [1.0, 0.0, -2.0]
     assert pinred.load("falling_cat", gravity=EARTH).gravity.tolist() == EARTH
 
 
-def test_fixed_joints_merge(tmp_path: Path) -> None:
+def test_fixed_links_merge_into_carrier(tmp_path: Path) -> None:
     """Links on fixed joints add their inertia to the link that carries them."""
     parts = link("a"), link("b"), link("c", 3.0), joint("a", "b"), joint("b", "c", "fixed")
     system = pinred.load(write(tmp_path, robot(*parts)))
@@ -176,16 +178,16 @@ def test_fixed_joints_merge(tmp_path: Path) -> None:
     assert system.model.inertias[2].isApprox(b + place.act(c), 1e-12)
 
 
-def test_meshes_are_not_read(tmp_path: Path) -> None:
-    """A mesh file that does not exist is no obstacle."""
+def test_missing_mesh_is_no_error(tmp_path: Path) -> None:
+    """A mesh file that does not exist does not matter."""
     mesh = '<geometry><mesh filename="package://none/none.stl"/></geometry>'
     shapes = f"<visual>{mesh}</visual><collision>{mesh}</collision></link>"
     path = write(tmp_path, FLOATING.replace("</link>", shapes))
     assert pinred.load(path).mass == 4.0
 
 
-def test_a_model_is_copied() -> None:
-    """Loading neither changes the given model nor shares it."""
+def test_loaded_model_is_copied() -> None:
+    """Loading neither changes nor shares the original model."""
     model = random_model("SE3", 3, seed=1)
     before = model.copy()
     system = pinred.load(model, gravity=EARTH)
@@ -196,8 +198,8 @@ def test_a_model_is_copied() -> None:
 
 
 @given(groups, seeds, st.booleans())
-def test_lock_freezes_at_the_value(group: str, seed: int, floats: bool) -> None:
-    """A locked system's mass matrix is the block of the free one's at the locked values."""
+def test_lock_freezes_joint_at_value(group: str, seed: int, floats: bool) -> None:
+    """The mass matrix of the locked system is a block of the free one's at the locked values."""
     rng = np.random.default_rng(seed)
     model = random_model(group, 5, seed)
     for i in range(1, model.njoints):
@@ -212,13 +214,13 @@ def test_lock_freezes_at_the_value(group: str, seed: int, floats: bool) -> None:
     x = {n: float(rng.uniform(-2, 2)) for n in system.shape_names}
     pose = system.group.exp(rng.normal(size=system.r))
     rows = [*range(system.r), *(system.r + free.shape_names.index(n) for n in x)]
-    whole = mass_matrix(free.model, free.q(pose, [(x | lock)[n] for n in free.shape_names]))
+    complete = mass_matrix(free.model, free.q(pose, [(x | lock)[n] for n in free.shape_names]))
     q = system.q(pose, list(x.values()))
-    assert mass_matrix(system.model, q) == pytest.approx(whole[np.ix_(rows, rows)], abs=1e-11)
+    assert mass_matrix(system.model, q) == pytest.approx(complete[np.ix_(rows, rows)], abs=1e-11)
 
 
-def test_lock_list(tmp_path: Path) -> None:
-    """A list locks at zero."""
+def test_lock_list_freezes_at_zero(tmp_path: Path) -> None:
+    """A list of names locks at zero."""
     parts = [link(name) for name in "abc"]
     path = write(tmp_path, robot(*parts, joint("a", "b"), joint("b", "c")))
     system = pinred.load(path, lock=["b-c"])
@@ -226,16 +228,16 @@ def test_lock_list(tmp_path: Path) -> None:
     assert pinred.load(path, lock={"b-c": 0.0}).model.inertias[2] == system.model.inertias[2]
 
 
-def test_lock_a_joint_called_like_its_link(tmp_path: Path) -> None:
-    """Names of joints and links may coincide."""
+def test_lock_joint_with_name_of_link(tmp_path: Path) -> None:
+    """A joint and a link may have the same name."""
     text = robot(*(link(name) for name in "abc"), joint("a", "b"), joint("b", "c"))
     system = pinred.load(write(tmp_path, text.replace("a-b", "b")), lock=["b"])
     assert (system.shape_names, system.mass) == (("b-c",), 6.0)
 
 
 @pytest.mark.slow
-def test_lock_a_model_made_from_python() -> None:
-    """A model without joint frames can be locked, in a process of its own: it might crash."""
+def test_lock_model_without_joint_frames() -> None:
+    """The model is locked in a separate process, since it might crash."""
     code = (
         "import pinred, trees\n"
         "system = pinred.load(trees.random_model('SE3', 3, 0), lock=['joint2'])\n"
@@ -249,8 +251,8 @@ def test_lock_a_model_made_from_python() -> None:
 
 @needs_robots
 @pytest.mark.parametrize("name", ["solo12", "talos", "anymal_c"])
-def test_example_robots(name: str) -> None:
-    """Armature and mass matrix are those of example_robot_data's own loader."""
+def test_example_robot_matches_its_loader(name: str) -> None:
+    """Armature and mass matrix equal those of example_robot_data's loader."""
     from example_robot_data import load
 
     other = load(name).model
@@ -264,8 +266,8 @@ def test_example_robots(name: str) -> None:
 
 
 @given(cases())
-def test_conversions_round_trip(case: Case) -> None:
-    """Nothing is lost in q and v, one at a time or along a leading time axis."""
+def test_conversions_to_q_and_v_round_trip(case: Case) -> None:
+    """Both give pose, shape and rates back, for single states and along a time axis."""
     system = case.system
     at, rate = system.configuration(case.q), system.velocity(case.v)
     assert at.pose == pytest.approx(case.pose, abs=1e-15)
@@ -282,12 +284,14 @@ def test_conversions_round_trip(case: Case) -> None:
 
 @given(cases(), st.floats(0.01, 1.0))
 def test_conversions_agree_with_pinocchio(case: Case, dt: float) -> None:
-    """Moving q by v is moving the pose by exp ξ and the shape by ẋ, and back."""
+    """Integrating q by v moves the pose by exp ξ and the shape by ẋ, and the difference gives v."""
     system, group = case.system, case.system.group
-    moved = pin.integrate(system.model, case.q, dt * case.v)
+    moved_mass = pin.integrate(system.model, case.q, dt * case.v)
     pose = group.compose(case.pose, group.exp(dt * case.xi))
-    there = system.q(pose, case.x + dt * case.xdot)
-    assert pin.difference(system.model, moved, there) == pytest.approx(np.zeros(system.n), abs=1e-9)
+    target = system.q(pose, case.x + dt * case.xdot)
+    assert pin.difference(system.model, moved_mass, target) == pytest.approx(
+        np.zeros(system.n), abs=1e-9
+    )
     x = case.x + np.clip(dt * case.xdot, -3.0, 3.0)  # less than half a turn
     back = system.velocity(pin.difference(system.model, case.q, system.q(pose, x)))
     error = group.log(group.compose(group.inverse(case.pose), pose))
@@ -296,8 +300,8 @@ def test_conversions_agree_with_pinocchio(case: Case, dt: float) -> None:
     assert group.error(group.exp(back.xi), group.exp(error)).translation < 1e-9
 
 
-def test_angles_need_not_be_wrapped() -> None:
-    """Two turns more in a continuous joint are the same q; a sliding joint has no turns."""
+def test_unwrapped_angles_give_same_q() -> None:
+    """Two turns more in a continuous joint give the same q; a slide has no turns."""
     case = make_case("SE3", 8, seed=5)
     turns = [4 * np.pi * (j.nq == 2) for j in list(case.system.model.joints)[2:]]
     assert max(turns) > 0

@@ -1,4 +1,4 @@
-"""Loading from many threads: standard error stays what it was, and keeps what others print."""
+"""Loading from many threads keeps standard error and the output of others."""
 
 from __future__ import annotations
 
@@ -51,15 +51,15 @@ print(said[0])
 
 
 def run(code: str, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run Python in a process of its own."""
+    """Run Python in a separate process."""
     return subprocess.run(
         [sys.executable, "-c", code, *words], cwd=ROOT, capture_output=True, text=True, check=False
     )
 
 
 @pytest.mark.slow
-def test_eight_threads_load_while_another_prints(tmp_path: Path) -> None:
-    """Standard error is the same file, and has every line of the other thread, and no more."""
+def test_threads_that_load_keep_output_of_others(tmp_path: Path) -> None:
+    """Standard error is the same file, and has exactly the lines of the other thread."""
     broken = tmp_path / "broken.urdf"
     broken.write_text(
         '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous">'
@@ -71,19 +71,21 @@ def test_eight_threads_load_while_another_prints(tmp_path: Path) -> None:
         '<mujoco><default><geom contype="0" conaffinity="0"/></default><worldbody><body>'
         '<freejoint/><geom size="1"/></body></worldbody></mujoco>'
     )
-    found = run(MANY, "falling_cat", str(xml), str(broken), "cartpole")
-    assert found.returncode == 0, found.stderr[-2000:]
-    count = int(found.stdout)
-    lines = re.findall(r"<(\d+)>\n", found.stderr)
+    caught = run(MANY, "falling_cat", str(xml), str(broken), "cartpole")
+    assert caught.returncode == 0, caught.stderr[-2000:]
+    count = int(caught.stdout)
+    lines = re.findall(r"<(\d+)>\n", caught.stderr)
     assert sorted(map(int, lines)) == list(range(count))
-    assert re.sub(r"<\d+>\n", "", found.stderr) == ""
+    assert re.sub(r"<\d+>\n", "", caught.stderr) == ""
 
 
 OWN = re.compile(rb"^mine:[^\n]*\n", re.MULTILINE)
 
 
-def test_what_is_not_the_librarys_comes_through(capfd: pytest.CaptureFixture[str]) -> None:
-    """Also if it ends in an error; what is the library's is a list of texts."""
+def test_library_output_is_caught_and_other_output_passes(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """This holds after an error too; the library's messages are returned as a list of texts."""
     with library_output(OWN) as said:
         os.write(2, b"mine: one\ntheirs\nmine: two\nand more")
     assert said == ["mine: one", "mine: two"]
@@ -100,19 +102,19 @@ def test_what_is_not_the_librarys_comes_through(capfd: pytest.CaptureFixture[str
 
 
 @pytest.mark.slow
-def test_without_standard_error() -> None:
-    """A process that has none loads all the same."""
+def test_loading_without_standard_error() -> None:
+    """A process without standard error can load robots."""
     code = (
         "import os, sys; import pinred; os.close(2); sys.stderr = None\n"
         "print(pinred.load('falling_cat').m)\n"
         "try: os.fstat(2)\nexcept OSError: print('none')"
     )
-    found = run(code)
-    assert found.stdout == "3\nnone\n"
+    caught = run(code)
+    assert caught.stdout == "3\nnone\n"
 
 
-def test_a_fork_waits() -> None:
-    """A child that is forked while lines are caught has the right standard error."""
+def test_forked_child_has_standard_error() -> None:
+    """A child that is forked while output is caught has the right standard error."""
     code = """
 import os, re, threading, time
 from pinred.common.library_output import library_output

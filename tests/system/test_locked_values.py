@@ -1,4 +1,4 @@
-"""Values of locked joints that vary: the robot is the one that is loaded with them, in any file."""
+"""Varying values of locked joints gives the robot that is loaded with these values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pinred import InputError
 from pinred.kernels import build
 
 # A free base with two arms: hinges and slides with references, three joints on one body, a ball,
-# and on each arm a joint that follows another; BENT is the second power of one that does.
+# and on each arm a joint that follows another.  BENT gives one follower a quadratic law.
 MJCF = """<mujoco><option gravity="0 0 -9.81"/>
 <default><geom type="box" size=".1 .07 .05" density="800" contype="0" conaffinity="0"/></default>
 <worldbody><body name="base" pos="1 2 3"><freejoint/><geom/>
@@ -49,16 +49,16 @@ CASES: dict[str, tuple[str, dict[str, float], dict[str, float]]] = {
 
 
 def by_name(values: Mapping[str, float]) -> dict[str, float]:
-    """Values of locked joints as parameters."""
+    """Return values of locked joints as parameters."""
     return {f"{name}.lock": value for name, value in values.items()}
 
 
 def assert_same_robot(one: pinred.System, other: pinred.System) -> None:
-    """Both have the same inertias, placements, and frames on bodies."""
+    """Check that two systems have the same inertias, placements, and frames on bodies."""
     assert list(one.model.names) == list(other.model.names)
     for ours, theirs in zip(one.model.inertias, other.model.inertias, strict=True):
         np.testing.assert_allclose(ours.matrix(), theirs.matrix(), rtol=0, atol=2e-12)
-    # The root's own says where the world is.
+    # The placement of the root only moves the world.
     places = zip(one.model.jointPlacements, other.model.jointPlacements, strict=True)
     for here, there in list(places)[2:]:
         np.testing.assert_allclose(here.homogeneous, there.homogeneous, rtol=0, atol=1e-14)
@@ -70,15 +70,15 @@ def assert_same_robot(one: pinred.System, other: pinred.System) -> None:
 
 
 def compiled(case: str) -> tuple[Any, dict[str, float], dict[str, float]]:
-    """MuJoCo's model of a case, what is locked, and other values."""
+    """Return MuJoCo's model of a case, the locked joints, and other values."""
     bent, lock, values = CASES[case]
     model = mujoco.MjModel.from_xml_string(MJCF.replace("BENT", bent))
     return model, {"ball": 0.0, **lock}, values
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_mjcf(case: str) -> None:
-    """Inertias, placements, and MuJoCo's own mass matrix with the joints where the values say."""
+def test_mjcf_with_varied_locks_matches_mujoco(case: str) -> None:
+    """Inertias and placements equal the loaded ones, and the mass matrix equals MuJoCo's."""
     model, lock, values = compiled(case)
     system = pinred.load(model, lock=lock, parameters=by_name(values))
     assert_same_robot(system, pinred.load(model, lock={**lock, **values}))
@@ -86,7 +86,7 @@ def test_mjcf(case: str) -> None:
     at: dict[str, float] = {**lock, **values}
     x = np.random.default_rng(0).uniform(-1.0, 1.0, system.m)
     at |= dict(zip(list(system.model.names)[2:], system.joint_values(x), strict=True))
-    for number, leader in ((1, "c1"), (0, "e1")):  # a follower is where MuJoCo's law puts it
+    for number, leader in ((1, "c1"), (0, "e1")):  # MuJoCo's law gives the follower's value.
         first, second = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
         refs = [float(model.qpos0[model.jnt_qposadr[j]]) for j in (first, second)]
         by = at[leader] - refs[1]
@@ -108,8 +108,8 @@ def test_mjcf(case: str) -> None:
 
 
 @pytest.mark.slow
-def test_motions_and_slopes() -> None:
-    """Motions are those of ABA; slopes are those of the flow's values."""
+def test_motion_with_varied_locks_matches_aba() -> None:
+    """Motions agree with ABA, and derivatives with differences of the flow."""
     model, lock, values = compiled("one that leads by a parabola")
     system, named = pinred.load(model, lock=lock), by_name(values)
     options: dict[str, Any] = {"seed": 1, "duration": 0.2, "method": "DOP853", "rtol": 1e-12}
@@ -123,8 +123,8 @@ def test_motions_and_slopes() -> None:
 
 
 @pytest.mark.slow
-def test_one_build_for_all_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A hundred values of a locked leader, and with it of its follower, take one kernel."""
+def test_all_lock_values_share_one_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hundred values of a locked leader and its follower need one kernel."""
     monkeypatch.setenv("PINRED_CACHE_DIR", str(tmp_path))
     made: list[str] = []
     whole: Any = vars(build)["compile_object"]
@@ -140,21 +140,23 @@ def test_one_build_for_all_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         pinred.simulate(
             system, seed=1, duration=0.02, times=[0.02], rtol=1e-6, parameters={"e1.lock": value}
         ).x[-1]
-        for value in np.linspace(0.3, 1.0, 100)  # at 0.2, as it was loaded, more folds
+        for value in np.linspace(
+            0.3, 1.0, 100
+        )  # At the loaded value 0.2 more terms would be constants.
     ]
     assert made == ["rate", "outputs"]
     assert len(np.unique(ends, axis=0)) == 100
 
 
 def arm(*mimics: str) -> str:
-    """A URDF of links a to f in a row; what stands in its joints besides."""
+    """Return a URDF of links a to f in a chain, with further content in its joints."""
     links = [link(name) for name in "abcdef"]
     pairs = zip("abcde", "bcdef", (*mimics, "", "", "", "")[:5], strict=True)
     return robot(*links, *(joint(p, c, inside='<axis xyz="0 1 1"/>' + m) for p, c, m in pairs))
 
 
-def test_urdf_with_followers(tmp_path: Path) -> None:
-    """Followers of a locked leader, and of a follower, move with it; others stay as they are."""
+def test_followers_of_locked_leader_move_with_it(tmp_path: Path) -> None:
+    """Direct and indirect followers move with a locked leader; other joints do not."""
     follows = '<mimic joint="a-b" multiplier="-0.5" offset="0.2"/>'
     further = '<mimic joint="b-c" multiplier="3"/>'
     text = arm("", follows, further)
@@ -172,8 +174,8 @@ def test_urdf_with_followers(tmp_path: Path) -> None:
     assert_same_robot(system, pinred.load(path, lock={"b-c": -0.4}))
 
 
-def test_behind_and_ahead_of_a_root(tmp_path: Path) -> None:
-    """Behind joints that are the root together they vary; ahead of it there is nothing to vary."""
+def test_lock_varies_behind_root_and_not_ahead(tmp_path: Path) -> None:
+    """Locked joints vary behind the joints of the root, and not ahead of them."""
     chain = [joint("w", "c", "prismatic"), joint("c", "d", "planar").replace("0 0.2 0.3", "0 0 0")]
     chain[1] = chain[1].replace("0.1 0.2 0.3", "0 0 0")
     links = [link("w", 0.0), link("c", 0.0), link("d"), link("e"), link("f")]

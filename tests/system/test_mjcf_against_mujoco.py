@@ -1,4 +1,4 @@
-"""Every construct of MJCF that touches masses or motions, judged by MuJoCo at random states."""
+"""Every MJCF construct that affects masses or motions, compared with MuJoCo at random states."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from strategies import seeds
 
 from pinred.system.mjcf.tree import Tree
 
-EXACT = 1e-12  # of the largest entry of M, and of the terms of a force
+EXACT = 1e-12  # relative to the largest entry of M, and to the terms of a force
 ARMS = [CONSTRUCTS[name][1] for name in ("Euler angles", "branches", "reference of a hinge", "box")]
 
 
 def worst(tree: Tree, seed: int = 0) -> Errors:
-    """The largest errors at three random states."""
+    """Return the largest errors at three random states."""
     judge, rng = Judge(tree), np.random.default_rng(seed)
     return max((judge.errors(rng) for _ in range(3)), key=lambda errors: errors.worst)
 
 
 def agrees(folder: Path, text: str) -> Tree:
-    """Read a file, and let MuJoCo judge what was read."""
+    """Read a file and compare it with MuJoCo."""
     path = folder / "robot.xml"
     path.write_text(text, encoding="utf-8")
     tree = read_tree(path)
@@ -47,38 +47,38 @@ def agrees(folder: Path, text: str) -> Tree:
 
 @pytest.mark.parametrize("root", ["fixed", "free", "plane", "ball"])
 @pytest.mark.parametrize("name", CONSTRUCTS)
-def test_construct(tmp_path: Path, name: str, root: str) -> None:
-    """Each construct by itself, on four roots."""
+def test_construct_matches_mujoco(tmp_path: Path, name: str, root: str) -> None:
+    """Each construct alone, on four roots."""
     agrees(tmp_path, of_construct(name, root))
 
 
-def test_there_are_many_constructs() -> None:
-    """Sixty at least; and no two are the same text."""
+def test_constructs_are_many_and_distinct() -> None:
+    """There are at least sixty constructs, and no two have the same text."""
     assert len(CONSTRUCTS) >= 60
     assert len({of_construct(name) for name in CONSTRUCTS}) == len(CONSTRUCTS)
 
 
 @pytest.mark.parametrize("name", HEADS)
-def test_setting(tmp_path: Path, name: str) -> None:
-    """Each setting of the whole file."""
+def test_setting_matches_mujoco(tmp_path: Path, name: str) -> None:
+    """Each setting of a whole file."""
     agrees(tmp_path, robot(HEADS[name], "free", ARMS))
 
 
 @pytest.mark.parametrize("root", ROOTS)
-def test_root(tmp_path: Path, root: str) -> None:
-    """Each way in which the carrying body moves."""
+def test_root_matches_mujoco(tmp_path: Path, root: str) -> None:
+    """Each motion of the carrying body."""
     agrees(tmp_path, robot("", root, ARMS))
 
 
 @given(seeds)
 @settings(max_examples=60)
-def test_mixed(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
-    """Several constructs, settings and a root at random."""
+def test_random_mixture_matches_mujoco(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+    """Several constructs, settings and a root, drawn at random."""
     agrees(tmp_path_factory.mktemp("mixed"), mixed(np.random.default_rng(seed)))
 
 
-def test_included_and_attached_files(tmp_path: Path) -> None:
-    """Files are found beside the one that names them, or beside the first; models, too."""
+def test_included_and_attached_files_are_found(tmp_path: Path) -> None:
+    """Files and models are found beside the including file, or beside the first file."""
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts/arm.xml").write_text(
         '<mujocoinclude><include file="finger.xml"/><include file="parts/thumb.xml"/>'
@@ -102,8 +102,8 @@ def test_included_and_attached_files(tmp_path: Path) -> None:
     assert tree.world.body_names[-1] == "its_tip"
 
 
-def test_mesh_files(tmp_path: Path) -> None:
-    """A mesh that carries mass is found in the folder of meshes; a texture is not looked for."""
+def test_mesh_with_mass_is_read_and_texture_is_not(tmp_path: Path) -> None:
+    """A mesh with mass is read from the mesh folder; a missing texture is no error."""
     corners = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.4, 0], [0.05, 0.1, 0.5]])
     faces = [(1, 3, 2), (1, 2, 4), (2, 3, 4), (3, 1, 4)]
     lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a} {b} {c}" for a, b, c in faces]
@@ -117,13 +117,13 @@ def test_mesh_files(tmp_path: Path) -> None:
         '<geom type="mesh" mesh="part" material="skin" density="2000"/></body></body></worldbody>'
         "</mujoco>",
     )
-    volume = 0.3 * 0.4 * 0.5 / 6.0  # of single precision: so does MuJoCo keep meshes
+    volume = 0.3 * 0.4 * 0.5 / 6.0  # MuJoCo stores meshes in single precision.
     assert tree.model.inertias[2].mass == pytest.approx(2000 * volume, rel=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["MjSpec", "MjModel"])
-def test_in_memory(kind: str) -> None:
-    """A spec is not changed by reading it; a model is taken with the numbers it has now."""
+def test_spec_and_model_in_memory(kind: str) -> None:
+    """Reading does not change a spec; a model is used with its present numbers."""
     spec = mujoco.MjSpec.from_string(robot("", "plane", ARMS))
     if kind == "MjSpec":
         before = spec.to_xml()
@@ -141,8 +141,8 @@ def test_in_memory(kind: str) -> None:
 @pytest.mark.parametrize(
     "what", ["mass", "moment", "lever", "place", "axis", "armature", "gravity"]
 )
-def test_the_judge_sees_a_small_fault(what: str) -> None:
-    """One number wrong in its eighth digit is ten times what is let pass, or more."""
+def test_comparison_detects_small_fault(what: str) -> None:
+    """A relative error of 1e-8 in one number exceeds the tolerance by ten or more."""
     tree = read_tree(
         mujoco.MjSpec.from_string(robot("", "free", [*ARMS, CONSTRUCTS["armature"][1]]))
     )

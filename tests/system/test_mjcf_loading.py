@@ -1,4 +1,4 @@
-"""What of an MJCF file is the robot, what it is called, and what else the file is said to hold."""
+"""MJCF files: which bodies are the robot, their names, and the actions that are left out."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ from pinred.common.errors import ChoiceError
 from pinred.forces import Damper, Friction, Spring
 from pinred.system.passive import BASE
 
-# Shapes that touch nothing, so that nothing is left out of the reduction.
+# Geoms without contact, so that no action is left out of the reduction.
 SILENT = '<default><geom contype="0" conaffinity="0"/></default>'
 SIDE = '<body name="side" pos="5 0 0"><freejoint name="drift"/><geom size=".3"/></body>'
 TABLE = f'<geom type="plane" size="9 9 1"/><body name="table" pos="0 5 0">{BOX}</body>'
 
 
 def arm(name: str = "arm", joints: str = "") -> str:
-    """A body on a hinge that is called as it is."""
+    """Return a body on a hinge with the same name."""
     joints = joints or f'<joint name="{name}" axis="0 1 0" pos=".1 0 .2"/>'
     return f'<body name="{name}" pos=".1 .2 .3">{joints}{INERTIAL}</body>'
 
 
 def text(world: str, head: str = "") -> str:
-    """A file in which nothing touches."""
+    """Return a file in which nothing touches."""
     return f"<mujoco>{SILENT}{head}<worldbody>{world}</worldbody></mujoco>"
 
 
 def base(inside: str = "", joints: str = '<freejoint name="float"/>') -> str:
-    """A carrying body."""
+    """Return a carrying body."""
     return f'<body name="base" pos="1 2 3">{joints}{BOX}{inside}</body>'
 
 
@@ -52,12 +52,12 @@ def write(folder: Path, content: str) -> Path:
 
 
 def loaded(content: str, **options: Any) -> pinred.System:
-    """The system in a text, of which nothing may be left out."""
+    """Return the system in a text without any left-out action."""
     return pinred.load(mujoco.MjSpec.from_string(content), **options)
 
 
 def with_warning(content: str, **options: Any) -> tuple[pinred.System, str]:
-    """The system in a text, and the one line of warning that comes with it."""
+    """Return the system in a text, and its warning of one line."""
     with pytest.warns(LeftOutWarning) as caught:
         system = loaded(content, **options)
     assert len(caught) == 1
@@ -67,19 +67,19 @@ def with_warning(content: str, **options: Any) -> tuple[pinred.System, str]:
     return system, line
 
 
-# ---- which bodies
+# ---- choice of bodies
 
 
-def test_static_surroundings_do_not_matter() -> None:
-    """A floor, a table and a hand that is moved are no robots."""
+def test_static_bodies_are_not_the_robot() -> None:
+    """A floor, a table and a mocap hand are no robots."""
     hand = '<body name="hand" mocap="true"><geom size=".1"/></body>'
     system = loaded(text(f"{TABLE}{base(arm())}{hand}"))
     assert (system.root_name, system.shape_names) == ("float", ("arm",))
     assert system.mass == pytest.approx(8.0 + 1.3)
 
 
-def test_of_several_bodies_one_is_chosen(tmp_path: Path) -> None:
-    """Without a choice the error lists them; the others are told as left out."""
+def test_root_chooses_among_several_bodies(tmp_path: Path) -> None:
+    """Without root= the error lists the bodies; with it the others are reported as left out."""
     content = text(f"{TABLE}{base(arm())}{SIDE}")
     with pytest.raises(ModelError, match=r"base, side.*root="):
         loaded(content)
@@ -97,14 +97,14 @@ def test_of_several_bodies_one_is_chosen(tmp_path: Path) -> None:
     assert system.origin == pinred.system.contents.Origin(str(path), {}, "side")
 
 
-def test_root_is_for_mjcf() -> None:
-    """One link carries all others elsewhere."""
+def test_root_argument_is_refused_for_urdf() -> None:
+    """In a URDF one link carries all others."""
     with pytest.raises(InputError, match="root='trunk' is for MJCF"):
         pinred.load("falling_cat", root="trunk")
 
 
-def test_one_body_without_joints_floats() -> None:
-    """Where nothing moves, the one body with mass is set free."""
+def test_single_heavy_body_without_joints_floats() -> None:
+    """If nothing moves in the file, its one body with mass floats."""
     system = loaded(text(f'{base(joints="")}<body name="mark"/>'))
     assert (system.group.name, system.m, system.contents.freed) == ("SE3", 0, "base")
     with pytest.raises(ModelError, match="base, table"):
@@ -113,8 +113,8 @@ def test_one_body_without_joints_floats() -> None:
         loaded(text('<body name="mark"/>'))
 
 
-def test_several_trees_on_one_carrier_are_one_robot() -> None:
-    """However many kinematic trees MuJoCo counts, what hangs on one body is one robot."""
+def test_trees_on_one_carrier_are_one_robot() -> None:
+    """All bodies on one carrier are one robot, however many trees MuJoCo counts."""
     content = text(base(arm("left") + arm("right"), joints=""))
     assert mujoco.MjModel.from_xml_string(content).ntree == 2
     system = loaded(content)
@@ -123,8 +123,8 @@ def test_several_trees_on_one_carrier_are_one_robot() -> None:
 
 
 @pytest.mark.parametrize("head", ["", '<compiler fusestatic="true"/>'])
-def test_a_carrier_with_mass_floats_as_on_a_free_joint(head: str) -> None:
-    """The mass matrix of a base set free is that of the file with a free joint, turned to it."""
+def test_fixed_heavy_carrier_floats_as_on_free_joint(head: str) -> None:
+    """The mass matrix equals that of the file with a free joint, in rotated axes."""
     inner = '<body name="inner" pos="0 0 1" euler="10 20 30">' + BOX + arm("left") + "</body>"
     fixed, free = (
         loaded(text(base(inner + arm("right"), joints=joints), head))
@@ -135,7 +135,7 @@ def test_a_carrier_with_mass_floats_as_on_a_free_joint(head: str) -> None:
     H = [pinred.Reduction(system).mass_matrix(x) for system in (fixed, free)]
     place = fixed.model.frames[fixed.model.getFrameId("base", pin.FrameType.BODY)].placement
     T = np.eye(8)
-    T[:6, :6] = place.actionInverse  # of a twist, from the root joint's frame to the body's
+    T[:6, :6] = place.actionInverse  # maps twists from the root joint's frame to the body's
     assert T.T @ H[1] @ T == pytest.approx(H[0], abs=1e-12 * np.abs(H[0]).max())
     first = str(pinred.inspect(fixed)).splitlines()[0]
     assert "the file fixes 'base' to the world; here it is free" in first
@@ -143,15 +143,15 @@ def test_a_carrier_with_mass_floats_as_on_a_free_joint(head: str) -> None:
     assert "here it is free" in pinred.inspect(fixed)._repr_html_()
 
 
-def test_a_mere_anchor_leaves_the_first_joint_the_root() -> None:
-    """A fixed body without mass, with one moving body on it, and other such bodies."""
+def test_massless_anchor_makes_first_joint_root() -> None:
+    """The anchor is fixed and massless, with one moving body and other massless ones."""
     anchor = f'<body name="anchor" pos="0 0 1"><body name="mark"/>{arm("first")}</body>'
     system = loaded(text(anchor))
     assert (system.group.name, system.root_name, system.contents.freed) == ("SO2", "first", "")
 
 
-def test_a_mere_frame_is_part_of_the_world() -> None:
-    """Of several bodies that move on a fixed one without mass, root= names one, where it is."""
+def test_massless_frame_with_several_bodies_is_world() -> None:
+    """root= chooses one of the moving bodies on it."""
     inner = '<body name="in" pos="1 0 0">{}</body>'
     frame = f'<body name="frame" pos="0 1 0" euler="0 0 30">{inner}</body>'
     two = arm("first") + arm("second")
@@ -169,8 +169,8 @@ def test_a_mere_frame_is_part_of_the_world() -> None:
 # ---- names
 
 
-def test_names_of_what_has_none() -> None:
-    """They are made of bodies, kinds and numbers, and give way to those in the file."""
+def test_nameless_elements_get_unique_names() -> None:
+    """Names consist of bodies, kinds and numbers, and avoid those in the file."""
     inside = (
         f"<body>{HINGE}{SLIDE}{INERTIAL}</body>"
         f'<body name="body3"><joint name="body2_hinge"/>{INERTIAL}</body>'
@@ -183,8 +183,8 @@ def test_names_of_what_has_none() -> None:
     assert bodies == ["base", "body2", "body3", "universe_"]
 
 
-def test_a_plane_is_called_after_its_joints() -> None:
-    """And gives way to a joint that is called so."""
+def test_planar_root_is_named_after_its_joints() -> None:
+    """The name avoids that of another joint."""
     joints = (
         '<joint name="a" type="slide" axis="1 0 0"/><joint name="b" type="slide"/>'
         '<joint name="c" axis="0 1 0"/>'
@@ -198,8 +198,8 @@ def test_a_plane_is_called_after_its_joints() -> None:
 
 
 @pytest.mark.parametrize("joint", ['<joint name="arm" {}/>', '<joint name="arm" type="slide" {}/>'])
-def test_a_locked_joint_is_at_its_coordinate(joint: str) -> None:
-    """The rest of the mass matrix is MuJoCo's with the joint at that value."""
+def test_locked_joint_is_at_mujoco_coordinate(joint: str) -> None:
+    """The remaining mass matrix equals MuJoCo's with the joint at that value."""
     joint = joint.format('ref=".3" pos=".1 0 0" axis="1 1 0"')
     content = text(base(arm(joints=joint) + arm("other")), '<compiler angle="radian"/>')
     system = loaded(content, lock={"arm": 0.8})
@@ -215,8 +215,8 @@ def test_a_locked_joint_is_at_its_coordinate(joint: str) -> None:
     assert pytest.approx(M[np.ix_(rows, rows)], abs=1e-12 * np.abs(M).max()) == H
 
 
-def test_locking_joints_of_the_base() -> None:
-    """What is left of a plane's joints is another group; of a free base, one that floats."""
+def test_locking_base_joints_changes_group() -> None:
+    """The remaining joints of a plane are another group; a locked free base floats."""
     joints = (
         '<joint name="a" type="slide" axis="1 0 0"/><joint name="b" type="slide"/>'
         '<joint name="c" axis="0 1 0"/>'
@@ -229,11 +229,11 @@ def test_locking_joints_of_the_base() -> None:
     floating = loaded(text(base(arm())), lock=["float"])
     assert (floating.group.name, floating.contents.freed) == ("SE3", "base")
     place = floating.model.frames[floating.model.getFrameId("base", pin.FrameType.BODY)].placement
-    assert place.translation.tolist() == [1.0, 2.0, 3.0]  # where the file has it
+    assert place.translation.tolist() == [1.0, 2.0, 3.0]  # the drawn position
 
 
-def test_locks_that_cannot_be() -> None:
-    """A joint that is not there, of another robot, or with several degrees not at zero."""
+def test_invalid_lock_is_refused() -> None:
+    """Refused are unknown joints, joints of another robot, and nonzero values of ball joints."""
     content = text(base(arm()) + SIDE)
     for name in ("elbow", "drift"):
         with pytest.raises(InputError, match=f"no joint '{name}'.*float, arm"):
@@ -242,20 +242,20 @@ def test_locks_that_cannot_be() -> None:
         loaded(content, root="base", lock={"float": 1.0})
 
 
-def test_a_ball_inside_is_refused_and_locked() -> None:
-    """By name, and with the way out."""
+def test_ball_inside_tree_is_refused_but_can_be_locked() -> None:
+    """The message names the joint and the way out."""
     content = text(base(arm(joints='<joint name="socket" type="ball"/>')))
     with pytest.raises(ModelError, match=r"'socket' is a ball joint.*lock.*three hinges"):
         loaded(content)
     assert loaded(content, lock=["socket"]).m == 0
 
 
-# ---- what acts and is left out
+# ---- left-out actions
 
 
 @pytest.mark.parametrize("what", ACTING)
-def test_what_acts_is_left_out_and_told(what: str) -> None:
-    """By name, if it acts on the robot and no flag switches it off."""
+def test_left_out_actions_are_reported(what: str) -> None:
+    """An action is reported by name if it acts on the robot and no flag disables it."""
     head, inside, outside, names = ACTING[what]
     carrier = arm().replace("</body>", f"{inside}</body>")
     content = text(base(carrier) + SIDE + outside, head)
@@ -271,8 +271,8 @@ def test_what_acts_is_left_out_and_told(what: str) -> None:
         assert what not in {entry.what for entry in system.left_out}
 
 
-def test_constraints_and_passive_forces_switched_off() -> None:
-    """One flag for all constraints; both flags of springs and dampers for all passive forces."""
+def test_disable_flags_of_constraints_and_passive_forces() -> None:
+    """One flag disables all constraints; both flags of springs and dampers, all passive forces."""
     head = (
         '<option density="1">'
         '<flag constraint="disable" spring="disable" damper="disable"/></option>'
@@ -283,16 +283,16 @@ def test_constraints_and_passive_forces_switched_off() -> None:
     assert loaded(content).left_out == ()
 
 
-def test_several_kinds_are_told_in_one_line() -> None:
-    """With their counts; long lists are cut in the middle of nothing."""
+def test_left_out_kinds_are_reported_in_one_line() -> None:
+    """The line has counts, and long lists are shortened."""
     head = '<default><joint stiffness="1" springyield="1" range="-1 1"/></default>'
     system, line = with_warning(text(base("".join(arm(f"j{k}") for k in range(9))), head))
     assert "plastic springs (9), joint limits (9)" in line
     assert str(system.left_out[0]) == "plastic springs: j0, j1, j2, j3, j4, j5, … (9 in all)"
 
 
-def test_passive_forces_are_values_of_forces() -> None:
-    """Springs, dampers and dry friction, with their polynomials, rests and units."""
+def test_passive_forces_become_force_objects() -> None:
+    """Springs, dampers and dry friction keep their polynomials, rest positions and units."""
     joint = (
         '<joint name="arm" stiffness="2 .3 .1" damping=".5 .2 .1" frictionloss=".7" '
         'springref="30" ref="10"/>'
@@ -320,8 +320,8 @@ def test_passive_forces_are_values_of_forces() -> None:
         '<joint name="b" axis="0 0 1" frictionloss="4"/>',
     ],
 )
-def test_what_is_passive_at_the_base_is_left_out(root: str) -> None:
-    """It would change the momentum."""
+def test_passive_forces_at_base_are_left_out(root: str) -> None:
+    """They would change the momentum."""
     inside = arm(joints='<joint name="arm" damping="1"/>')
     system, line = with_warning(text(base(inside, joints=root)))
     assert system.passive == (Damper("arm", 1.0),)
@@ -329,8 +329,8 @@ def test_what_is_passive_at_the_base_is_left_out(root: str) -> None:
     assert f"{BASE} (1)" in line
 
 
-def test_gravity_that_is_compensated_alike() -> None:
-    """What is left of it is the gravity; with a motor at the joint that does it or not."""
+def test_uniform_gravity_compensation_reduces_gravity() -> None:
+    """The remainder is the gravity, also if a motor at the joint compensates."""
     carrier = base(arm()).replace('name="base"', 'name="base" gravcomp=".75"')
     carrier = carrier.replace('name="arm" pos', 'name="arm" gravcomp=".75" pos')
     head = '<option gravity="0 4 -8"/>'
@@ -351,8 +351,8 @@ def run(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-def test_mujoco_is_imported_for_mjcf_alone(tmp_path: Path) -> None:
-    """Not for pinred, nor for a URDF; and without it one line says what to install."""
+def test_mujoco_is_imported_only_for_mjcf(tmp_path: Path) -> None:
+    """Neither pinred nor a URDF imports it."""
     path = write(tmp_path, text(base(arm())))
     code = (
         "import sys, pinred\npinred.load('falling_cat')\nassert 'mujoco' not in sys.modules\n"
@@ -362,8 +362,10 @@ def test_mujoco_is_imported_for_mjcf_alone(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_without_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One line says what to install."""
+def test_missing_mujoco_names_command_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The message has one line."""
     path = write(tmp_path, text(base(arm())))
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(MissingPackageError, match=r'pip install "pinred\[mjcf\]"') as caught:
@@ -372,8 +374,8 @@ def test_without_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.slow
-def test_no_file_is_written(tmp_path: Path) -> None:
-    """What MuJoCo warns of neither ends in a file beside one nor stays switched off."""
+def test_mujoco_warnings_write_no_file(tmp_path: Path) -> None:
+    """Warnings are not logged to a file, and are enabled again afterwards."""
     nan = write(tmp_path, text(base(arm()).replace("1 2 3", "1 nan 3")))
     code = (
         "import mujoco, pinred\n"
@@ -388,13 +390,13 @@ def test_no_file_is_written(tmp_path: Path) -> None:
     )
     done = run(code, tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "holds nan" in done.stdout
+    assert "has nan" in done.stdout
     assert done.stderr == ""
     assert [entry.name for entry in tmp_path.iterdir()] == ["robot.xml"]
 
 
-def test_names_of_systems(tmp_path: Path) -> None:
-    """A file's is its own, a model's what it says."""
+def test_system_name_of_file_and_model(tmp_path: Path) -> None:
+    """A file gives its own name, a model the name in it."""
     content = text(base(arm())).replace("<mujoco>", '<mujoco model="walker">')
     assert pinred.load(write(tmp_path, content)).name == "robot"
     assert loaded(content).name == "walker"
@@ -402,8 +404,8 @@ def test_names_of_systems(tmp_path: Path) -> None:
     assert loaded(content).origin is None
 
 
-def test_a_robot_with_nothing_left_out_loads_without_a_word() -> None:
-    """MuJoCo's own words about what is out of fashion are not passed on."""
+def test_robot_without_left_out_actions_loads_silently() -> None:
+    """MuJoCo's deprecation messages are not passed on."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         system = loaded(text(base(arm()), '<compiler settotalmass="5"/>'))
@@ -411,8 +413,8 @@ def test_a_robot_with_nothing_left_out_loads_without_a_word() -> None:
     assert (system.left_out, system.passive, dict(system.keyframes)) == ((), (), {})
 
 
-def test_a_motion_is_that_of_mujoco() -> None:
-    """A planar robot for a second: by the reduced equations, and by MuJoCo's small steps."""
+def test_planar_motion_matches_mujoco() -> None:
+    """The reduced equations and MuJoCo with small steps agree for one second."""
     spec = mujoco.MjSpec.from_string(
         robot(f'{SILENT}<option integrator="RK4" timestep="1e-4" gravity="0 0 -9.81"/>', "plane",
               [arm("a"), arm("b", '<joint name="b" axis="0 1 0" ref="20"/>')])

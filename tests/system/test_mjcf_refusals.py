@@ -1,4 +1,4 @@
-"""Refusals of MJCF: constraints by name with a way out, texts that no parser should see."""
+"""Refusals of MJCF: constraints by name with a way out, and texts that are too large."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pinred.system.mjcf import text as mjcf_text
 from pinred.system.mjcf.constraints import constraints_of
 
 TWO = base(arm("left") + arm("right"))
-# the constraint between left and right, or one of them and the ground; what the refusal says
+# Constraint between left and right, or one of them and the ground; words of the refusal.
 LOOPS = {
     "weld": ('<weld name="tie" body1="left" body2="right"/>', ["weld 'tie'", "'left'", "'right'"]),
     "weld to the ground": ('<weld name="tie" body1="left"/>', ["weld 'tie'", "'left'", "'world'"]),
@@ -37,7 +37,7 @@ LOOPS = {
 
 
 def with_loop(constraint: str, **options: str) -> str:
-    """A robot of two arms with a constraint."""
+    """Return a robot of two arms with a constraint."""
     sites = TWO.replace('<body name="left"', '<site name="a"/><body name="left"').replace(
         '<joint name="left"', '<site name="b"/><joint name="left"'
     )
@@ -47,8 +47,8 @@ def with_loop(constraint: str, **options: str) -> str:
 
 
 @pytest.mark.parametrize("name", LOOPS)
-def test_loops(name: str) -> None:
-    """They are refused by name; switched off, they are nothing; with the joints locked, too."""
+def test_closed_loop_is_refused_unless_inactive_or_locked(name: str) -> None:
+    """The message names the constraint."""
     constraint, words = LOOPS[name]
     with pytest.raises(ModelError) as caught:
         loaded(with_loop(constraint))
@@ -63,8 +63,8 @@ def test_loops(name: str) -> None:
     assert loaded(with_loop(constraint).replace("<equality>", off)).m == 2
 
 
-def test_a_loop_between_what_does_not_move() -> None:
-    """A constraint between bodies that are fixed to each other, or are not the robot's."""
+def test_constraint_without_relative_motion_is_accepted() -> None:
+    """The bodies are fixed to each other, or are not the robot's."""
     constraint = '<weld body1="table"/>'
     assert loaded(with_loop(constraint)).m == 2
     system, _ = with_warning(
@@ -75,7 +75,7 @@ def test_a_loop_between_what_does_not_move() -> None:
 
 
 def coupled(constraints: str) -> str:
-    """Two hinges, one of which has a reference of its own, with constraints on joints."""
+    """Return two hinges with constraints on joints; one hinge has a reference position."""
     right = '<joint name="right" axis="0 1 0" ref=".4"/>'
     left = '<joint name="left" type="slide" ref=".3"/>'
     return text(
@@ -84,14 +84,14 @@ def coupled(constraints: str) -> str:
     )
 
 
-def test_couplings() -> None:
-    """In coordinates of the shape, for MuJoCo's are counted from the references."""
+def test_joint_constraint_becomes_coupling() -> None:
+    """Offsets are in shape coordinates, while MuJoCo's are relative to the references."""
     content = coupled('<joint name="gear" joint1="left" joint2="right" polycoef=".1 2"/>')
     tree = read_tree(mujoco.MjSpec.from_string(content))
     (coupling,) = constraints_of(tree).couplings
     assert coupling == Coupling("left", "right", 2.0, coupling.offset)
     assert coupling.offset == pytest.approx(0.3 + 0.1 - 2.0 * 0.4)
-    # MuJoCo's own residual of the constraint is zero there.
+    # MuJoCo's residual of the constraint is zero there.
     model = tree.world.model
     data = mujoco.MjData(model)
     leader = 0.9
@@ -118,8 +118,8 @@ def test_couplings() -> None:
         ),
     ],
 )
-def test_joints_that_are_held_or_follow_otherwise(constraint: str, words: list[str]) -> None:
-    """By name, with the lock that helps; and it does."""
+def test_held_or_nonlinear_joint_is_refused_with_lock(constraint: str, words: list[str]) -> None:
+    """The message names the joint, and the suggested lock works."""
     content = coupled(constraint)
     with pytest.raises(ModelError) as caught:
         loaded(content)
@@ -127,8 +127,8 @@ def test_joints_that_are_held_or_follow_otherwise(constraint: str, words: list[s
     assert loaded(content, lock={"left": 0.3}).shape_names == ("right",)
 
 
-def test_a_leader_that_is_locked() -> None:
-    """Its follower is locked with it, where the leader puts it; it is not locked alone."""
+def test_follower_of_locked_leader_is_locked() -> None:
+    """It is locked where the leader puts it, and cannot be locked alone."""
     content = coupled('<joint joint1="left" joint2="right" polycoef=".1 2"/>')
     whole, system = loaded(content), loaded(content, lock={"right": 0.7})
     assert system.m == 0
@@ -154,8 +154,8 @@ def test_a_leader_that_is_locked() -> None:
         '<actuator><motor tendon="line" armature="2"/></actuator>',
     ],
 )
-def test_tendons_that_weigh(said: str) -> None:
-    """They couple joints in the mass matrix; on joints that are locked they do nothing."""
+def test_tendon_with_armature_is_refused(said: str) -> None:
+    """It couples joints in the mass matrix, unless its joints are locked."""
     content = text(TWO, said)
     with pytest.raises(ModelError, match=r"tendon 'line' has armature"):
         loaded(content)
@@ -166,7 +166,7 @@ def test_tendons_that_weigh(said: str) -> None:
 
 
 def deep(count: int) -> str:
-    """Bodies in one another."""
+    """Return nested bodies."""
     return text("<body>" * count + BOX + "</body>" * count)
 
 
@@ -180,7 +180,7 @@ PREFIXED = "".join(
     "</body>"
     for k in range(1, 60)
 )
-# Texts that would fill the stack or the memory, take hours, or have more in them than one sees.
+# Texts that would exhaust the stack or the memory, take hours, or expand to many elements.
 BOMBS = {
     "deep": (deep(20_000), "within one another"),
     "defaults": (
@@ -233,8 +233,8 @@ BOMBS = {
 
 
 @pytest.mark.parametrize("name", BOMBS)
-def test_texts_that_no_parser_should_see(tmp_path: Path, name: str) -> None:
-    """Each is refused in one line that names the file, at once."""
+def test_oversized_text_is_refused_at_once(tmp_path: Path, name: str) -> None:
+    """The message has one line and names the file."""
     content, words = BOMBS[name]
     with pytest.raises(LoadError, match=words) as caught:
         pinred.load(write(tmp_path, content))
@@ -243,8 +243,8 @@ def test_texts_that_no_parser_should_see(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("tag", ["include", "INCLUDE", "model"])
-def test_what_is_included_is_looked_at_too(tmp_path: Path, tag: str) -> None:
-    """A file that is named by another, from either folder, in any letters."""
+def test_oversized_include_is_refused(tmp_path: Path, tag: str) -> None:
+    """The included file may be in either folder, and the tag in any case."""
     (tmp_path / "parts").mkdir()
     (tmp_path / "parts/bomb.xml").write_text(deep(5_000))
     (tmp_path / "parts/fuse.xml").write_text(
@@ -255,8 +255,8 @@ def test_what_is_included_is_looked_at_too(tmp_path: Path, tag: str) -> None:
         pinred.load(write(tmp_path, content))
 
 
-def test_a_file_of_the_same_name_elsewhere(tmp_path: Path) -> None:
-    """It is another file; but where paths are stripped, the one beside is meant."""
+def test_include_of_same_name_in_other_folder(tmp_path: Path) -> None:
+    """It is another file, except with strippath, which refers to the file beside."""
     (tmp_path / "parts").mkdir()
     part = f"<mujoco><worldbody>{base()}</worldbody></mujoco>"
     (tmp_path / "parts/robot.xml").write_text(part)
@@ -270,16 +270,18 @@ def test_a_file_of_the_same_name_elsewhere(tmp_path: Path) -> None:
         pinred.load(write(tmp_path, strip))
 
 
-def test_many_files_in_one_another(tmp_path: Path) -> None:
-    """Each includes the next."""
+def test_too_many_nested_includes_are_refused(tmp_path: Path) -> None:
+    """Each file includes the next."""
     for k in range(200):
         (tmp_path / f"f{k}.xml").write_text(f'<mujoco><include file="f{k + 1}.xml"/></mujoco>')
     with pytest.raises(LoadError, match="too many files"):
         pinred.load(tmp_path / "f0.xml")
 
 
-def test_too_much_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of all files together."""
+def test_too_much_text_in_all_files_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The limit counts all files together."""
     content = text(base())
     path = write(tmp_path, content)
     monkeypatch.setattr(mjcf_text, "_MOST_LETTERS", len(content))
@@ -290,8 +292,8 @@ def test_too_much_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_a_file_that_is_too_large(tmp_path: Path) -> None:
-    """It is not even read: of a URDF, too."""
+def test_too_large_file_is_not_read(tmp_path: Path) -> None:
+    """This holds for URDF, too."""
     for name in ("robot.xml", "robot.urdf"):
         path = tmp_path / name
         with path.open("wb") as file:
@@ -307,14 +309,14 @@ PICTURES = (
 
 
 @pytest.mark.parametrize("head", [ROOMS, PICTURES])
-def test_room_for_what_is_not_needed_is_not_taken(head: str) -> None:
-    """Neither memory of MuJoCo's simulation nor pictures and landscapes."""
+def test_unneeded_memory_is_not_reserved(head: str) -> None:
+    """Neither memory for simulation nor textures and height fields."""
     assert loaded(text(base(arm()), head)).m == 1
 
 
 @pytest.mark.slow
-def test_a_wrong_text_never_ends_the_process(tmp_path: Path) -> None:
-    """Texts changed at random end in a System or in an error of pinred's, in one line."""
+def test_random_text_gives_system_or_one_line_error(tmp_path: Path) -> None:
+    """Randomly changed texts never crash the process."""
     code = f"""
 import random, warnings
 from pathlib import Path
@@ -352,7 +354,7 @@ for k in range(150):
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["robot.xml", "seed.xml"]
 
 
-def test_numbers_that_are_not_finite() -> None:
+def test_nonfinite_numbers_are_refused() -> None:
     """In a model that was changed, and in one that overflows."""
     model = mujoco.MjModel.from_xml_string(text(base(arm())))
     for name in ("body_mass", "jnt_axis", "dof_armature", "qpos0"):

@@ -1,4 +1,4 @@
-"""The carrying body of an MJCF file: which group its joints are, its coordinates and its rotors."""
+"""The carrying body of an MJCF file: group, coordinates and rotors of its joints."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pinred.system.joints import motion_group
 from pinred.system.mjcf.read import keyframes_of
 from pinred.system.mjcf.tree import Tree
 
-# the group of each root; how many joints of the carrying body are left for the shape
+# The group of each root, and the number of joints of the carrying body that remain as shape.
 GROUP_OF = {
     "free": ("SE3", 0),
     "free, as a joint": ("SE3", 0),
@@ -37,33 +37,33 @@ GROUP_OF = {
 
 
 def tree_in(text: str) -> Tree:
-    """The robot in a text."""
+    """Return the robot in a text."""
     return read_tree(mujoco.MjSpec.from_string(text))
 
 
 def group_of(tree: Tree) -> str:
-    """The group of the first joint."""
+    """Return the group of the first joint."""
     group = motion_group(tree.model.joints[1])
     assert group is not None
     return group.name
 
 
 def numbers(values: Array) -> str:
-    """Numbers in an attribute, to the last digit."""
+    """Return the numbers as text with all digits."""
     return " ".join(map(repr, np.asarray(values).tolist()))
 
 
 @pytest.mark.parametrize("root", GROUP_OF)
-def test_group(root: str) -> None:
-    """The joints of the carrying body are one group; what is left of them is shape."""
+def test_joints_of_carrier_form_group(root: str) -> None:
+    """The joints of the carrying body are one group; its remaining joints are shape."""
     tree = tree_in(robot("", root, [CONSTRUCTS["hinge"][1]]))
-    group, left = GROUP_OF[root]
+    group, remaining = GROUP_OF[root]
     assert group_of(tree) == group
-    assert len(tree.shape) == left + 1
+    assert len(tree.shape) == remaining + 1
 
 
 def plane(order: str, seed: int, armature: str = "") -> str:
-    """A carrying body on slides (S) and hinges (H) of a random plane, and one across it (C)."""
+    """Return a carrier on slides (S) and hinges (H) of a random plane, with a normal slide (C)."""
     rng = np.random.default_rng(seed)
     turn = pin.exp3(rng.uniform(-2.0, 2.0, 3))
     joints = ""
@@ -81,22 +81,22 @@ def plane(order: str, seed: int, armature: str = "") -> str:
 
 
 def world(inside: str, head: str = "") -> str:
-    """A file with bodies."""
+    """Return a file with bodies."""
     return f"<mujoco>{head}<worldbody>{inside}</worldbody></mujoco>"
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("order", ["".join(o) for o in product("SH", repeat=3) if "H" in o])
-def test_any_three_joints_of_a_plane_are_se2(order: str, seed: int) -> None:
-    """In any order, any plane, with points and references anywhere."""
+def test_three_joints_of_plane_are_se2(order: str, seed: int) -> None:
+    """This holds in any order and any plane, with points and references anywhere."""
     tree = tree_in(world(plane(order, seed)))
     assert group_of(tree) == "SE2"
     assert worst(tree, seed).worst < EXACT
 
 
 @pytest.mark.parametrize("order", ["CSSH", "SCSH", "SSHC", "HSCS", "HCHS", "HHCH", "CHSH"])
-def test_a_plane_that_climbs(order: str) -> None:
-    """With a slide across the plane, anywhere among its joints."""
+def test_plane_with_normal_slide_is_r_times_se2(order: str) -> None:
+    """The slide may be anywhere among the joints."""
     tree = tree_in(world(plane(order, 4)))
     assert group_of(tree) == "RxSE2"
     assert worst(tree).worst < EXACT
@@ -116,16 +116,16 @@ def test_a_plane_that_climbs(order: str) -> None:
         '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/><joint/><joint/>',
     ],
 )
-def test_what_is_no_plane(joints: str) -> None:
-    """Three joints across a plane, in a row, or one on the other, are the first and a shape."""
+def test_other_joint_patterns_are_no_plane(joints: str) -> None:
+    """The first joint is the root, and the others are shape."""
     tree = tree_in(world(f'<body name="base">{joints}{BOX}</body>'))
     assert group_of(tree) in ("R", "SO2")
     assert len(tree.shape) == joints.count("<joint") - 1
     assert worst(tree).worst < EXACT
 
 
-def test_three_hinges_in_a_row() -> None:
-    """They make a plane although they cannot where the file has them drawn."""
+def test_three_hinges_drawn_in_line_are_a_plane() -> None:
+    """They move in all directions of the plane away from the drawn position."""
     joints = "".join(f'<joint pos="{k} 0 0"/>' for k in range(3))
     tree = tree_in(world(f'<body name="base">{joints}{BOX}</body>'))
     assert group_of(tree) == "SE2"
@@ -133,8 +133,8 @@ def test_three_hinges_in_a_row() -> None:
 
 
 @pytest.mark.parametrize("root", [*ROOTS, "HSH", "HHH", "SSH", "SCHS"])
-def test_keyframes(root: str) -> None:
-    """A keyframe is the state to which MuJoCo's kinematics and Jacobians come."""
+def test_keyframe_matches_mujoco(root: str) -> None:
+    """A keyframe is the state that MuJoCo's kinematics and Jacobians give."""
     rng = np.random.default_rng(5)
     spec = mujoco.MjSpec.from_string(
         robot("", root, ARMS) if root in ROOTS else world(plane(root, 2))
@@ -167,12 +167,12 @@ def test_keyframes(root: str) -> None:
 
 
 def slides(said: str) -> str:
-    """Three slides along the axes."""
+    """Return three slides along the axes."""
     axes = "1 0 0", "0 0 1", "0 1 0"
     return "".join(f'<joint type="slide" axis="{axis}" {said}/>' for axis in axes)
 
 
-# joints of the carrying body with rotors that are an inertia, and gravity that they bear
+# Joints of the carrying body whose rotors equal an inertia, and admissible gravity.
 ROTORS = {
     "free, no gravity": ('<joint type="free" armature=".8"/>', "0 0 0"),
     "ball": ('<joint type="ball" armature=".8" pos=".1 .2 0"/>', "1 2 3"),
@@ -206,8 +206,8 @@ ROTORS = {
 
 
 @pytest.mark.parametrize("name", ROTORS)
-def test_rotors_of_the_base(name: str) -> None:
-    """Rotors that resist alike in all directions become an inertia; forces are MuJoCo's."""
+def test_isotropic_rotors_of_base_become_inertia(name: str) -> None:
+    """Rotors that resist equally in all directions become an inertia; forces equal MuJoCo's."""
     joints, gravity = ROTORS[name]
     head = f'<option gravity="{gravity}"/>'
     if name == "ball of a motor":
@@ -220,7 +220,7 @@ def test_rotors_of_the_base(name: str) -> None:
     assert tree.root.rotors != pin.Inertia.Zero() or name == "hinge"
 
 
-# joints of the carrying body, gravity, and what the refusal says
+# Joints of the carrying body, gravity, and words of the refusal.
 REFUSED = {
     "free in gravity": ('<joint name="j" type="free" armature="1"/>', "0 0 -1", ["'j'", "gravity"]),
     "slide along gravity": (
@@ -262,8 +262,8 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_rotors_that_break_the_symmetry(name: str) -> None:
-    """They are refused by the joints' names, with the way out."""
+def test_rotors_that_break_symmetry_are_refused(name: str) -> None:
+    """The message names the joints and the way out."""
     joints, gravity, words = REFUSED[name]
     text = world(f'<body name="base">{joints}{BOX}</body>', f'<option gravity="{gravity}"/>')
     with pytest.raises(ModelError) as caught:
@@ -272,8 +272,8 @@ def test_rotors_that_break_the_symmetry(name: str) -> None:
     assert [word for word in [*words, "armature", "set it to zero"] if word not in said] == []
 
 
-def test_gravity_given_decides_over_rotors() -> None:
-    """What the file says of gravity is not looked at where another is given."""
+def test_gravity_argument_decides_about_rotors() -> None:
+    """Gravity in the file is not used if another one is passed."""
     spec = mujoco.MjSpec.from_string(world(f'<body><joint type="free" armature="1"/>{BOX}</body>'))
     with pytest.raises(ModelError, match="gravity"):
         pinred.load(spec)
@@ -281,8 +281,8 @@ def test_gravity_given_decides_over_rotors() -> None:
     assert pinred.load(spec, gravity=[0, 0, 0]).mass == pytest.approx(9.0)
 
 
-def test_rotors_of_a_changed_model() -> None:
-    """Rotors of one joint can differ in a model that was changed; turning, they have no bias."""
+def test_rotors_of_changed_model() -> None:
+    """In a changed model, rotors of one joint can differ; rotation gives them no bias."""
     for kind, dof in (("free", 1), ("free", 4), ("ball", 1)):
         text = world(f'<body><joint name="j" type="{kind}" armature="1"/>{BOX}</body>')
         model = mujoco.MjSpec.from_string(text).compile()

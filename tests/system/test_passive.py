@@ -1,4 +1,4 @@
-"""Dampers and friction of URDF files and pin.Models, as System.passive and left_out have them."""
+"""Dampers and friction of URDF files and pin.Models in System.passive and left_out."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
 
 
 def link(name: str, mass: float = 1.0) -> str:
-    """A link with or without mass."""
+    """Return a link with or without mass."""
     heavy = f'<inertial><mass value="{mass}"/>{_INERTIA}</inertial>' if mass else ""
     return f'<link name="{name}">{heavy}</link>'
 
 
 def joint(name: str, ends: str, dynamics: str = "", kind: str = "continuous") -> str:
-    """A joint between the links of two letters."""
+    """Return a joint between the links of two letters."""
     said = f"<dynamics {dynamics}/>" if dynamics else ""
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{ends[0]}"/><child link="{ends[1]}"/>'
@@ -37,8 +37,8 @@ def write(folder: Path, *parts: str) -> Path:
     return path
 
 
-def test_dynamics_of_a_urdf(tmp_path: Path) -> None:
-    """Damping and friction are what a joint's <dynamics> says; nothing is warned about."""
+def test_urdf_dynamics_become_passive_forces(tmp_path: Path) -> None:
+    """Damping and friction are those of a joint's <dynamics>, without any warning."""
     path = write(
         tmp_path, link("a"), link("b"), link("c"), link("d"),
         joint("j", "ab", 'damping="0.5" friction="0.2"'),
@@ -59,8 +59,8 @@ def test_dynamics_of_a_urdf(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["continuous", "planar", "floating"])
-def test_dynamics_of_the_base_are_left_out(tmp_path: Path, kind: str) -> None:
-    """By name, of planar and floating joints too, whose <dynamics> Pinocchio does not read."""
+def test_urdf_dynamics_of_base_are_left_out(tmp_path: Path, kind: str) -> None:
+    """This includes planar and floating joints, whose <dynamics> Pinocchio does not read."""
     path = write(
         tmp_path, link("a", 0.0), link("b"), link("c"),
         joint("base", "ab", 'damping="0.5"', kind), joint("j", "bc", 'friction="0.2"'),
@@ -71,8 +71,8 @@ def test_dynamics_of_the_base_are_left_out(tmp_path: Path, kind: str) -> None:
     assert system.passive == (Friction("j", 0.2),)
 
 
-def test_arrays_of_a_model_in_any_order() -> None:
-    """By joint, however the joints of a model stand."""
+def test_passive_forces_match_joints_in_any_order() -> None:
+    """Forces belong to the right joints for any joint order of the model."""
     model, ball = pin.Model(), pin.Inertia.FromSphere(1.0, 0.2)
     model.inertias[0] = ball
     for name, parent in (("a", 0), ("b", 0), ("c", 1), ("d", 2)):

@@ -1,4 +1,4 @@
-"""Joints at the root with nothing between: one joint, which moves the robot as they do."""
+"""Consecutive joints at the root become one joint with the same motion."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pinred.lie import GROUPS
 
 
 def at(place: str, kind: str, axis: str, ends: str = "w-c") -> str:
-    """A joint between two links at a place "xyz / rpy", about or along an axis."""
+    """Return a joint between two links at "xyz / rpy", about or along an axis."""
     xyz, rpy = place.split("/")
     parent, child = ends.split("-")
     text = joint(parent, child, kind, f'<axis xyz="{axis}"/>')
@@ -25,7 +25,7 @@ def at(place: str, kind: str, axis: str, ends: str = "w-c") -> str:
 
 HERE, THERE = "0 0 0/0 0 0", "1 -2 0.5/0.3 -0.8 1.1"
 X, Y, Z = "1 0 0", "0 1 0", "0 0 1"
-ON_ITS_SIDE = "0.3 0 0.2/0 -1.5707963267948966 0"  # its x axis is the normal
+ON_ITS_SIDE = "0.3 0 0.2/0 -1.5707963267948966 0"  # The x axis of the link is the normal.
 CHAINS = {
     "climb, plane": ("RxSE2", [at(THERE, "prismatic", Z), at(HERE, "planar", Z, "c-d")]),
     "climb, turned plane": (
@@ -56,22 +56,24 @@ CHAINS = {
 
 
 def text_of(joints: list[str]) -> str:
-    """A robot whose link d hangs on such a chain and carries an arm."""
+    """Return a robot whose link d is at the end of a chain and carries an arm."""
     between = [link(name, 0) for name in "we"[: len(joints) - 1]] + [link("c", 0)]
     arm = joint("d", "a", inside='<axis xyz="1 1 0"/>')
     return robot(*between, link("d"), link("a"), *joints, arm)
 
 
 @pytest.mark.parametrize("row", CHAINS.values(), ids=CHAINS.keys())
-def test_motions_of_a_chain(tmp_path: Path, row: tuple[str, list[str]]) -> None:
-    """Wherever Pinocchio's own joints bring the links, the group's does, with that energy."""
+def test_chain_has_motion_and_energy_of_its_joints(
+    tmp_path: Path, row: tuple[str, list[str]]
+) -> None:
+    """The group's joint moves the links to where Pinocchio's separate joints move them."""
     group, joints = row
     path = write(tmp_path, text_of(joints))
     raw, system = pin.buildModelFromUrdf(str(path)), pinred.load(path)
     assert (system.group.name, system.shape_names) == (group, ("d-a",))
     assert system.root_name == "+".join(list(raw.names)[1 : 1 + len(joints)])
     model, rng = system.model, np.random.default_rng(0)
-    data, seen = raw.createData(), model.createData()
+    data, reached = raw.createData(), model.createData()
     last = model.frames[model.getFrameId("d")].placement
     for _ in range(5):
         q = pin.integrate(raw, pin.neutral(raw), rng.uniform(-1.0, 1.0, raw.nv))
@@ -83,18 +85,20 @@ def test_motions_of_a_chain(tmp_path: Path, row: tuple[str, list[str]]) -> None:
         pose = system.group.pose(_matrix(system.group.name, relative.homogeneous))
         twist = last.act(pin.getFrameVelocity(raw, data, raw.getFrameId("d"), pin.LOCAL)).vector
         xi = twist[list(system.group.axes)]
-        assert np.abs(np.delete(twist, system.group.axes)).max() < 1e-14  # nothing else moves
+        assert (
+            np.abs(np.delete(twist, system.group.axes)).max() < 1e-14
+        )  # No other component moves.
         own = system.q(pose, [np.arctan2(*q[[-1, -2]]) if raw.joints[-1].nq == 2 else q[-1]])
-        pin.framesForwardKinematics(model, seen, own)
+        pin.framesForwardKinematics(model, reached, own)
         for name in "wda":
             true = data.oMf[raw.getFrameId(name)]
-            assert seen.oMf[model.getFrameId(name)].isApprox(true, 1e-12), name
-        energy = pin.computeKineticEnergy(model, seen, own, system.v(xi, v[-1:]))
+            assert reached.oMf[model.getFrameId(name)].isApprox(true, 1e-12), name
+        energy = pin.computeKineticEnergy(model, reached, own, system.v(xi, v[-1:]))
         assert energy == pytest.approx(pin.computeKineticEnergy(raw, data, q, v), rel=1e-12)
 
 
 def _matrix(group: str, placement: Array) -> Array:
-    """The homogeneous matrix as a group takes it."""
+    """Return a homogeneous matrix as the group stores it."""
     keep = {"SE2": [0, 1, 3], "SO3": [0, 1, 2]}.get(group, [0, 1, 2, 3])
     return placement[np.ix_(keep, keep)]
 
@@ -102,16 +106,16 @@ def _matrix(group: str, placement: Array) -> Array:
 CLIMBING = [at(THERE, "prismatic", Z), at(HERE, "planar", Z, "c-d")]
 
 
-def test_a_chain_is_simulated(tmp_path: Path) -> None:
-    """Under gravity in any direction, judged by ABA."""
+def test_simulated_chain_matches_aba(tmp_path: Path) -> None:
+    """Gravity has a random direction."""
     path = write(tmp_path, text_of(CLIMBING))
     system = pinred.load(path, gravity=(1.0, -2.0, -9.0))
     report = pinred.compare(pinred.simulate(system, seed=1, duration=1.0))
     assert report.passed, str(report)
 
 
-def test_parts_of_a_chain_are_locked(tmp_path: Path) -> None:
-    """What is left of it is a smaller group."""
+def test_partly_locked_chain_is_smaller_group(tmp_path: Path) -> None:
+    """The remaining joints of the chain form a smaller group."""
     path = write(tmp_path, text_of(CLIMBING))
     for locked, group in (("w-c", "SE2"), ("c-d", "R")):
         system = pinred.load(path, lock=[locked])
@@ -121,8 +125,8 @@ def test_parts_of_a_chain_are_locked(tmp_path: Path) -> None:
     assert pinred.load(path, group="RxSE2").r == 4
 
 
-def test_chains_that_are_none(tmp_path: Path) -> None:
-    """A slide in the plane moves no mass by itself; one hardly off its normal is a joint."""
+def test_dependent_or_tilted_joints_are_no_chain(tmp_path: Path) -> None:
+    """A slide in the plane moves no mass by itself; one slightly off the normal is a joint."""
     joints = [at(THERE, "planar", Z), at(HERE, "prismatic", X, "c-d")]
     with pytest.raises(pinred.ModelError, match=r"link 'c' .* has no mass.*at no shape"):
         pinred.load(write(tmp_path, text_of(joints)))
@@ -136,8 +140,8 @@ def test_chains_that_are_none(tmp_path: Path) -> None:
         pinred.load(write(tmp_path, branched))
 
 
-def test_only_joints_of_groups_are_joined() -> None:
-    """Where coordinates are zero a universal joint and a hinge have the axes of a pivot."""
+def test_universal_joint_is_not_joined() -> None:
+    """At zero, a universal joint and a hinge have the axes of a spherical joint."""
     model = pin.Model()
     i = model.addJoint(0, pin.JointModelUniversal(*np.eye(3)[:2]), pin.SE3.Identity(), "cross")
     i = model.addJoint(i, pin.JointModelRZ(), pin.SE3.Identity(), "hinge")
@@ -146,8 +150,8 @@ def test_only_joints_of_groups_are_joined() -> None:
         pinred.load(model)
 
 
-def test_rotors_in_a_chain_are_refused(tmp_path: Path) -> None:
-    """They are not lost: a root of several axes has none."""
+def test_armature_in_chain_is_refused(tmp_path: Path) -> None:
+    """A root with several axes cannot have armature."""
     raw = pin.buildModelFromUrdf(str(write(tmp_path, text_of(CLIMBING))))
     raw.armature = np.array([0.5, 0.0, 0.0, 0.0, 0.1])
     with pytest.raises(pinred.ModelError, match=r"w-c\+c-d.*armature \[0.5"):
@@ -156,8 +160,8 @@ def test_rotors_in_a_chain_are_refused(tmp_path: Path) -> None:
     assert pinred.load(raw).model.armature == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.1])
 
 
-def test_composite_joints() -> None:
-    """One made so is a root as it is; with a placement inside it is none that is known."""
+def test_composite_root_joint() -> None:
+    """A composite joint is a root unless it has inner placements."""
     whole = pin.JointModelComposite()
     whole.addJoint(pin.JointModelPZ())
     whole.addJoint(pin.JointModelPlanar())

@@ -1,4 +1,4 @@
-"""Which mass matrices are singular: the structural rule against the eigenvalues of CRBA."""
+"""Singular mass matrices: the structural rule against the eigenvalues of CRBA."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from pinred.scene.scene import Engine
 from pinred.system.massless_motions import bound_massless_twists, moves_no_mass, tree_of
 from pinred.system.singular_mass_matrix import SingularShapes, singular_shapes
 
-ZERO = 1e-11  # of the usual inertia
+ZERO = 1e-11  # scaled inertia that counts as zero
 POINT = np.zeros((3, 3))
 
 
@@ -37,7 +37,7 @@ class Least:
     """The least eigenvalue of the mass matrix, each coordinate scaled by its usual inertia."""
 
     def __init__(self, model: pin.Model) -> None:
-        """Find the usual inertias, at random shapes."""
+        """Find the usual inertias at random shapes."""
         self._model, self._data, self.m = model, model.createData(), model.njoints - 2
         self._scale = np.ones(1)
         rng = np.random.default_rng(1)
@@ -47,7 +47,7 @@ class Least:
         self._scale = np.sqrt(np.outer(usual, usual))
 
     def __call__(self, x: Array) -> float:
-        """Return it at shape x (m,)."""
+        """Return the least eigenvalue at shape x (m,)."""
         return float(np.linalg.eigvalsh(self._matrix(x) / self._scale)[0])
 
     def _matrix(self, x: Array) -> Array:
@@ -60,22 +60,22 @@ class Least:
 
 
 def corners(m: int) -> list[Array]:
-    """Shapes of quarter turns, where what people draw is singular."""
+    """Return shapes of quarter turns, where typical drawings are singular."""
     quarters = (0.0, np.pi / 2, np.pi, -np.pi / 2)
     return [np.array(c) for c in itertools.islice(itertools.product(quarters, repeat=m), 64)]
 
 
-def agrees(model: pin.Model, found: SingularShapes, rng: np.random.Generator) -> None:
-    """Check what was found against eigenvalues at random shapes and at quarter turns."""
+def agrees(model: pin.Model, verdict: SingularShapes, rng: np.random.Generator) -> None:
+    """Check a verdict against eigenvalues at random shapes and at quarter turns."""
     least = Least(model)
     shapes = [rng.uniform(-3, 3, least.m) for _ in range(8)]
-    if found.everywhere:
+    if verdict.everywhere:
         assert max(least(x) for x in [*shapes, *corners(least.m)]) < ZERO
         return
     assert min(least(x) for x in shapes) > ZERO
-    if not found.isolated:
+    if not verdict.isolated:
         assert min(least(x) for x in corners(least.m)) > ZERO
-    for shape in found.isolated:
+    for shape in verdict.isolated:
         for x in shapes:
             for name, value in shape.at.items():
                 x[model.getJointId(name) - 2] = value
@@ -89,38 +89,38 @@ def agrees(model: pin.Model, found: SingularShapes, rng: np.random.Generator) ->
 @example("SO3", 3, 53)
 @example("SO2", 3, 56)
 @example("R", 5, 140116907)
-def test_the_rule_against_eigenvalues(group: str, joints: int, seed: int) -> None:
-    """Refused: singular at all shapes tried.  Named: singular there.  Accepted: nowhere."""
+def test_verdict_matches_eigenvalues(group: str, joints: int, seed: int) -> None:
+    """Refused models are singular at all shapes, named shapes are singular, others are not."""
     model = odd_model(group, joints, seed)
     agrees(model, singular_shapes(model), np.random.default_rng(seed))
 
 
 @pytest.mark.slow
 @given(groups, st.integers(1, 6), seeds)
-def test_locking_what_is_named_is_the_way_out(group: str, joints: int, seed: int) -> None:
-    """Without the joints that move no mass at any shape, the others do at most shapes."""
+def test_locking_named_joints_makes_matrix_regular(group: str, joints: int, seed: int) -> None:
+    """Without the joints that move no mass at any shape, the matrix is regular at most shapes."""
     model = odd_model(group, joints, seed)
-    found = singular_shapes(model).everywhere
-    if not found or model.names[1] in found:
+    verdict = singular_shapes(model).everywhere
+    if not verdict or model.names[1] in verdict:
         return
-    if len(found) == joints or not any(body.mass for body in model.inertias):
+    if len(verdict) == joints or not any(body.mass for body in model.inertias):
         return
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ModelWarning)
         try:
-            # Not at zero, which for what people draw is a shape of its own.
-            system = pinred.load(model, lock=dict.fromkeys(found, 0.7))
+            # Zero is often a special shape of drawn robots, so lock elsewhere.
+            system = pinred.load(model, lock=dict.fromkeys(verdict, 0.7))
         except pinred.ModelError as error:
-            # Joints at the root may be one then, whose armature is another thing to refuse.
+            # The remaining joints at the root may be one joint, which cannot have armature.
             if "armature" in str(error):
                 return
             raise
-    assert not set(found) & set(system.shape_names)
+    assert not set(verdict) & set(system.shape_names)
 
 
 @given(groups, st.integers(1, 6), seeds)
-def test_positive_bodies_need_no_search(group: str, joints: int, seed: int) -> None:
-    """With positive masses and moments no motion moves no mass, and nothing is computed."""
+def test_positive_inertias_are_regular_without_search(group: str, joints: int, seed: int) -> None:
+    """With positive masses and moments every motion moves mass."""
     tree = tree_of(random_model(group, joints, seed))
     assert not tree.suspects
     bounds = bound_massless_twists(tree, 1e-6)
@@ -130,7 +130,7 @@ def test_positive_bodies_need_no_search(group: str, joints: int, seed: int) -> N
 def pendulum(
     joints: list[tuple[pin.JointModel, float, Array]], step_between: float = 0.0
 ) -> pin.Model:
-    """A free body, and on it a chain of joints along z, each with a point mass at a lever."""
+    """Return a free body with a chain of joints along z, each with a point mass at a lever."""
     model = pin.Model()
     at = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
     model.appendBodyToJoint(at, pin.Inertia(2.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
@@ -146,53 +146,53 @@ NONE, OUT, UP = np.zeros(3), np.array([0.3, 0.0, 0.4]), np.array([0.0, 0.0, 1.0]
 HALF = np.pi / 2
 
 
-def test_named_shapes_are_exact() -> None:
-    """A universal joint with a point mass: singular where its rod lies along the first axis."""
+def test_universal_joint_with_point_mass_names_exact_shapes() -> None:
+    """It is singular where its rod is along the first axis."""
     model = pendulum([(RX, 0.0, NONE), (RY, 1.0, UP)])
-    found = singular_shapes(model)
-    assert {shape.joint for shape in found.isolated} == {"j0"}
-    assert sorted(shape.at["j1"] for shape in found.isolated) == pytest.approx(
+    verdict = singular_shapes(model)
+    assert {shape.joint for shape in verdict.isolated} == {"j0"}
+    assert sorted(shape.at["j1"] for shape in verdict.isolated) == pytest.approx(
         [-HALF, HALF], abs=1e-12
     )
-    # With the second axis further from the first than the rod is long, the point never gets there.
-    apart = [singular_shapes(pendulum([(RX, 0.0, NONE), (RY, 1.0, UP)], d)) for d in (0.5, 1.5)]
-    cosines = np.cos([shape.at["j1"] for shape in apart[0].isolated])
+    # If the rod is shorter than the distance of the axes, the point never reaches the first axis.
+    verdicts = [singular_shapes(pendulum([(RX, 0.0, NONE), (RY, 1.0, UP)], d)) for d in (0.5, 1.5)]
+    cosines = np.cos([shape.at["j1"] for shape in verdicts[0].isolated])
     assert cosines == pytest.approx([-0.5, -0.5], abs=1e-12)
-    assert apart[1] == SingularShapes()
+    assert verdicts[1] == SingularShapes()
 
 
-def test_decimals_of_a_file() -> None:
-    """A point mass off the axis by 3e-8 of its rod is told, by 1e-12 refused, by 1e-3 accepted."""
-    found = [
+def test_nearly_singular_matrix_is_reported() -> None:
+    """An offset of 3e-8 of the rod is reported, 1e-12 is refused, and 1e-3 is accepted."""
+    verdict = [
         singular_shapes(pendulum([(RZ, 1.0, np.array([off, 0.0, 1.0]))]))
         for off in (1e-12, 3e-8, 1e-3)
     ]
-    assert found == [
+    assert verdict == [
         SingularShapes(everywhere=("j0",)),
         SingularShapes(nearly=("j0",)),
         SingularShapes(),
     ]
 
 
-def test_several_angles_decide() -> None:
-    """A point on three axes: singular wherever their Jacobian is, examples of which are found."""
+def test_singular_shapes_of_several_angles_are_found() -> None:
+    """A point on three axes is singular where their Jacobian is; examples are named."""
     model = pendulum([(RX, 0.0, NONE), (RZ, 0.0, NONE), (RY, 1.0, OUT)], 0.3)
     tree = tree_of(model)
     assert tree.suspects
-    found = singular_shapes(model)
-    assert found.isolated
-    agrees(model, found, np.random.default_rng(0))
+    verdict = singular_shapes(model)
+    assert verdict.isolated
+    agrees(model, verdict, np.random.default_rng(0))
 
 
 def refusal(model: pin.Model) -> str:
-    """The message with which a model is refused."""
+    """Return the message with which a model is refused."""
     with pytest.raises(ModelError) as caught:
         pinred.load(model)
     return str(caught.value)
 
 
-def test_a_wrist_without_mass_is_refused_with_the_way_out() -> None:
-    """Joints that move no mass are named with what to lock; locking it loads."""
+def test_massless_wrist_is_refused_with_lock() -> None:
+    """The message names the joints to lock; with the lock, or with armature, the model loads."""
     model = pendulum([(RX, 1.0, UP), (RZ, 0.0, NONE), (RY, 0.0, NONE)])
     message = refusal(model)
     assert "'j2'" in message
@@ -203,16 +203,16 @@ def test_a_wrist_without_mass_is_refused_with_the_way_out() -> None:
     assert pinred.load(model).m == 3
 
 
-def test_nothing_is_compiled_for_what_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The refusal comes from loading, before any expression is made."""
+def test_refusal_precedes_compilation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loading refuses the model before any expression is made."""
     import pinred.kernels.build as build
 
     monkeypatch.setattr(build, "ReducedGraph", None)
     assert "j0" in refusal(pendulum([(RZ, 1.0, UP)]))
 
 
-def test_a_singular_shape_has_no_metric() -> None:
-    """Nothing that divides by it is given there; a hair beside it, all of it is."""
+def test_reduction_at_singular_shape_raises() -> None:
+    """Quantities that divide by the inertia raise there, and exist at a shape close by."""
     model = pendulum([(RX, 0.0, NONE), (RY, 1.0, UP)])
     with pytest.warns(ModelWarning, match="'j0' moves no mass"):
         system = pinred.load(model, gravity=(0, 0, 0))
@@ -225,8 +225,8 @@ def test_a_singular_shape_has_no_metric() -> None:
 
 
 @pytest.mark.slow
-def test_a_run_that_reaches_a_singular_shape_names_the_joint() -> None:
-    """Both engines end with the joint that has lost its inertia; elsewhere the robot runs."""
+def test_run_at_singular_shape_names_joint() -> None:
+    """Both engines name the joint that lost its inertia; away from the shape the robot runs."""
     model = pendulum([(RX, 0.0, NONE), (RY, 1.0, UP)])
     with pytest.warns(ModelWarning, match="'j0' moves no mass at 'j1' = -1.5708 rad or 1.5708 rad"):
         system = pinred.load(model, gravity=(0, 0, 0))
@@ -241,42 +241,42 @@ def test_a_run_that_reaches_a_singular_shape_names_the_joint() -> None:
     assert pinred.compare(traj).passed
 
 
-def test_words_begin_at_a_millionth_of_the_usual() -> None:
-    """Half way down to where the rod lies on the first axis, by CRBA's least eigenvalue."""
+def test_lost_inertia_is_reported_below_millionth() -> None:
+    """The threshold is found by bisection, and compared with CRBA's least eigenvalue."""
     model = pendulum([(RX, 0.0, NONE), (RY, 0.2, 0.3 * UP)])
     with pytest.warns(ModelWarning, match="'j0' moves no mass"):
         system = pinred.load(model, gravity=(0, 0, 0))
     rng, least = np.random.default_rng(5), Least(model)
     usual = float(np.median([least(rng.uniform(-3, 3, 2)) for _ in range(200)]))
-    silent, told = 0.1, 1e-6
+    silent, reported = 0.1, 1e-6
     assert lost_inertia(system, np.array([0.1, HALF + silent])) == ""
     for _ in range(30):
-        middle = np.sqrt(silent * told)
+        middle = np.sqrt(silent * reported)
         words = lost_inertia(system, np.array([0.1, HALF + middle]))
-        silent, told = (silent, middle) if words else (middle, told)
+        silent, reported = (silent, middle) if words else (middle, reported)
     assert words == "" or "'j0'" in words
-    assert least(np.array([0.1, HALF + told])) == pytest.approx(1e-6 * usual, rel=0.7)
+    assert least(np.array([0.1, HALF + reported])) == pytest.approx(1e-6 * usual, rel=0.7)
 
 
-def test_strictly_a_warning_is_a_refusal() -> None:
-    """strict=True refuses singular single shapes."""
+def test_strict_refuses_isolated_singular_shapes() -> None:
+    """strict=True turns the warning into an error."""
     with pytest.raises(ModelError, match="j1"):
         pinred.load(pendulum([(RX, 0.0, NONE), (RY, 1.0, UP)]), strict=True)
 
 
 def pointed(tmp_path: Path) -> pinred.System:
-    """The double spherical pendulum of point masses."""
-    with pytest.warns(ModelWarning) as told:
+    """Return the double spherical pendulum of point masses."""
+    with pytest.warns(ModelWarning) as reported:
         system = pinred.load(write(tmp_path, URDF))
-    text = str(told[0].message)
+    text = str(reported[0].message)
     assert re.search(r"'azimuth' moves no mass at 'tilt1' = 0 rad or 3.14159 rad", text)
     assert re.search(r"'swing2' moves no mass at 'tilt2' = -1.5708 rad or 1.5708 rad", text)
-    assert len(told) == 1
+    assert len(reported) == 1
     return system
 
 
-def test_point_pendulum_has_the_mass_matrix_of_its_lagrangian(tmp_path: Path) -> None:
-    """H, and the accelerations of full ABA, are those of two points on two rods."""
+def test_point_pendulum_matches_lagrangian(tmp_path: Path) -> None:
+    """H, and the accelerations of ABA, equal those of two points on two rods."""
     system, lagrangian = pointed(tmp_path), Lagrangian()
     assert (system.group.name, system.m) == ("SO2", 3)
     red, rng = pinred.Reduction(system), np.random.default_rng(0)
@@ -286,14 +286,14 @@ def test_point_pendulum_has_the_mass_matrix_of_its_lagrangian(tmp_path: Path) ->
         M, acceleration, _ = lagrangian(y, v)
         assert red.mass_matrix(y[1:]) == pytest.approx(M, abs=1e-12)
         q = system.model_q(y[:1], y[1:])
-        found = pin.aba(system.model, data, q, v, np.zeros(4))
+        verdict = pin.aba(system.model, data, q, v, np.zeros(4))
         size = float(np.linalg.cond(M)) * np.abs(acceleration).max()
-        assert found == pytest.approx(acceleration, abs=1e-13 * size)
+        assert verdict == pytest.approx(acceleration, abs=1e-13 * size)
 
 
 @pytest.mark.slow
-def test_point_pendulum_moves_as_its_lagrangian_says(tmp_path: Path) -> None:
-    """Simulated and judged by ABA; its states obey the Euler–Lagrange equations of two points."""
+def test_point_pendulum_motion_obeys_euler_lagrange(tmp_path: Path) -> None:
+    """The simulation agrees with ABA, and with the Euler–Lagrange equations of two points."""
     system, lagrangian = pointed(tmp_path), Lagrangian()
     assert system.gravity[2] == -GRAVITY
     x0, xdot0 = [0.5, 0.3, -0.2], [0.2, -0.3, 0.4]
@@ -312,8 +312,8 @@ def test_point_pendulum_moves_as_its_lagrangian_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_driven_into_a_singular_shape_names_the_joint() -> None:
-    """A plan that lays the rod on the first axis lets its momentum turn ever faster; it ends."""
+def test_run_driven_into_singular_shape_names_joint() -> None:
+    """A prescribed joint lays the rod on the first axis, about which the speed then diverges."""
     with pytest.warns(ModelWarning):
         system = pinred.load(pendulum([(RX, 0.0, NONE), (RY, 1.0, UP)]), gravity=(0, 0, 0))
     plan = {"j1": Spline([0.0, 1.0, 2.0], [0.0, HALF, 2.0])}
@@ -331,8 +331,8 @@ def test_a_run_driven_into_a_singular_shape_names_the_joint() -> None:
     assert "'j0'" in lost_inertia(system, np.array([0.3, HALF + 1e-4]))
 
 
-def test_links_without_mass_in_a_file(tmp_path: Path) -> None:
-    """A link without inertia between two joints is fine; at the end it is refused by name."""
+def test_massless_link_is_accepted_inside_and_refused_at_end(tmp_path: Path) -> None:
+    """A massless link between two joints is fine; at the end of a chain it is refused."""
     middle = robot(link("a"), link("b", 0), link("c"), joint("a", "b"), joint("b", "c"))
     assert pinred.load(write(tmp_path, middle), strict=True).m == 2
     end = robot(link("a"), link("b"), link("c", 0), joint("a", "b"), joint("b", "c"))

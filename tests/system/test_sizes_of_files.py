@@ -1,4 +1,4 @@
-"""Files whose depth, count or numbers are beyond what a parser or a float can take."""
+"""Files whose depth, size or numbers exceed the limits of parsers or floats."""
 
 from __future__ import annotations
 
@@ -23,28 +23,30 @@ _DEEP = 10_000
         (robot(*(link(f"l{k}") for k in range(20_001))), "20001 links, more than 20000"),
     ],
 )
-def test_too_deep_or_too_many(text: str, message: str, tmp_path: Path) -> None:
-    """They are refused before a parser in C++ sees them."""
+def test_too_deep_or_too_many_elements_are_refused(text: str, message: str, tmp_path: Path) -> None:
+    """They are refused before a parser in C++ reads them."""
     with pytest.raises(pinred.LoadError, match=message):
         pinred.load(write(tmp_path, text))
 
 
-def test_too_many_elements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All elements are counted, whatever they are."""
+def test_unknown_elements_count_towards_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All elements are counted, whatever their tag."""
     monkeypatch.setattr(robot_files, "_MOST_ELEMENTS", 50)
     with pytest.raises(pinred.LoadError, match="more than 50 elements"):
         pinred.load(write(tmp_path, robot("<x/>" * 100)))
 
 
-def test_what_the_system_makes_up_is_not_read() -> None:
-    """Reading /proc/kmsg waits for ever; what has no size is empty, or no file."""
+def test_generated_system_file_is_not_read() -> None:
+    """Reading /proc/kmsg would wait for ever; a file of size zero counts as empty."""
     with pytest.raises(pinred.LoadError, match="is empty"):
         pinred.load("/proc/kmsg")
 
 
 @pytest.mark.parametrize("what", ['mass value="2.0"', 'ixx="1"'])
-def test_inertias_of_which_products_overflow(what: str, tmp_path: Path) -> None:
-    """A mass of 1e300 is told as what it is."""
+def test_huge_mass_is_refused(what: str, tmp_path: Path) -> None:
+    """The message states the mass of 1e300."""
     name = what.partition('"')[0]
     with pytest.raises(pinred.ModelError, match=r"1\.0e\+300, above 1e\+100"):
         pinred.load(write(tmp_path, FLOATING.replace(what, f'{name}"1e300"')))

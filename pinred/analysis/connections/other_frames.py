@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...common.arrays import Array
+from ...common.differences import central_differences
 from ...common.errors import InputError
 from ...kernels.connection.form import ConnectionForm, form_of
 from ...lie.group import Group
@@ -78,20 +79,11 @@ def in_section(form: ConnectionForm, pose: Callable[[ca.SX], ca.SX]) -> Connecti
 
     def entries(x: Array) -> Array:
         back = group.inverse(at(x))
-        moved = np.zeros((group.dim, m))
-        for k in range(m):
-            for step, weight in (
-                (1, 45.0),
-                (-1, -45.0),
-                (2, -9.0),
-                (-2, 9.0),
-                (3, 1.0),
-                (-3, -1.0),
-            ):
-                to = x.copy()
-                to[k] += step * _STEP
-                moved[:, k] += weight / (60.0 * _STEP) * group.log(group.compose(back, at(to)))
-        return np.hstack([group.Ad(back), moved])
+
+        def log_from(y: Array) -> Array:
+            return group.log(group.compose(back, at(y)))
+
+        return np.hstack([group.Ad(back), central_differences(log_from, x, _STEP)])
 
     def old(x: ca.SX, xi: ca.SX, xdot: ca.SX) -> ca.SX:
         value = h(x)

@@ -1,1 +1,1 @@
-"""Local connections as machine code: the forms that define them, their expressions, their judge."""
+"""Machine code of local connections: defining forms, their graphs, compilation, validation."""

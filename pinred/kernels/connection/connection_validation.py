@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
 from ...common.arrays import Array
+from ...common.differences import central_differences
 from ..evaluate import evaluate
 from ..machine.native import NativeCode
 from ..validation import require_agreement
@@ -95,7 +96,7 @@ def validate_locked_derivative(form: ConnectionForm, code: NativeCode) -> None:
         def momentum(y: Array, omega: Array = omega) -> Array:
             return np.asarray(form.reference(y)[:r, :r] @ omega)
 
-        expected = differences(momentum, x)
+        expected = central_differences(momentum, x, _STEP)
         scale = float(np.abs(form.reference(x)[:r, :r]).max() * np.abs(omega).sum()) / _STEP
         _require(form, "the derivative of P_b", values, expected, scale, _TOLERANCE)
 
@@ -122,7 +123,7 @@ def validate_covariant(form: ConnectionForm, code: NativeCode) -> None:
         force, gradient = np.split(values, [m])
         expected = M @ xddot + centrifugal
         _require(form, "the covariant force", force, expected, 0.0, _TOLERANCE)
-        (expected,) = differences(weighted_force, motion)
+        (expected,) = central_differences(weighted_force, motion, _STEP)
         _require(form, "its derivative", gradient, expected, 0.0, _TOLERANCE)
 
 
@@ -139,18 +140,6 @@ def trial_shapes(form: ConnectionForm) -> Iterator[tuple[Array, np.random.Genera
         count += 1
         if count == _TRIALS:
             return
-
-
-def differences(function: Callable[[Array], Array], x: Array) -> Array:
-    """Return the derivative (k, m) of a function (m,) → (k,), by differences of order 6."""
-    columns = []
-    for unit in np.eye(len(x)):
-        column = np.zeros_like(function(x))
-        for step, weight in ((1, 45.0), (2, -9.0), (3, 1.0)):
-            ahead, behind = (function(x + sign * step * _STEP * unit) for sign in (1.0, -1.0))
-            column += weight / (60.0 * _STEP) * (ahead - behind)
-        columns.append(column)
-    return np.array(columns).reshape(len(x), function(x).size).T
 
 
 def _reference_terms(form: ConnectionForm, x: Array) -> tuple[Array, Array, float]:
@@ -171,7 +160,7 @@ def _reference_derivatives(form: ConnectionForm, x: Array) -> tuple[Array, Array
         A, M, _ = _reference_terms(form, y)
         return np.concatenate([A.ravel(), M.ravel()])
 
-    derivatives = differences(terms, x)
+    derivatives = central_differences(terms, x, _STEP)
     return derivatives[: r * m].reshape(r, m, m), derivatives[r * m :].reshape(m, m, m)
 
 

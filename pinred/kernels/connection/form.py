@@ -1,9 +1,9 @@
-"""The linear form of velocities whose zeros are the horizontal motions of a connection.
+"""The linear form of velocities that defines a connection: it vanishes on horizontal motions.
 
-A connection on G × B is a form F(x) (ξ, ẋ) = P_b(x) ξ + P_s(x) ẋ with r rows: momenta, drag forces,
-or the slip of wheels.  Where it vanishes, ξ = −A ẋ with A = P_b⁻¹ P_s.  If F is symmetric, as
-momenta and drag are, its last m rows are there as well, and with them a metric on shape space,
-M = G_ss − Aᵀ P_b A, where G is the whole of it.
+A connection on G × B is given by a form F(x) (ξ, ẋ) = P_b(x) ξ + P_s(x) ẋ with r rows: momenta,
+drag forces, or the slip of wheels.  If it vanishes, ξ = −A ẋ with A = P_b⁻¹ P_s.  A symmetric form,
+such as momenta or drag, also has m rows for the shape.  Its full matrix G defines a metric on shape
+space, M = G_ss − Aᵀ P_b A.
 """
 
 from __future__ import annotations
@@ -19,13 +19,19 @@ from ...lie.group import Group
 
 @dataclass(frozen=True, eq=False)
 class ConnectionForm:
-    """A form F of velocities on G × B, as expressions and by Pinocchio.
+    """A form F of velocities v = (ξ, ẋ) on G × B, as CasADi expressions and by Pinocchio.
 
-    group: G.  joints, units: names and units of the shape coordinates, (m,).  what: it is, in a
-    few words.  values: (x, v) → F(x) v, (r,), or (n,) of a symmetric form; v = (ξ, ẋ).  locked:
-    x → P_b, (r²,) by columns.  reference: x → the matrix of F, (r, n) or (n, n), by other means
-    than the expressions; it judges them.  symmetric: whether there is a metric.
-    momentum: whether F is one, of which the spatial one is conserved.
+    Attributes:
+        group: The group G.
+        joints: Names of the shape coordinates, (m,).
+        units: Units of the shape coordinates, (m,).
+        what: Short description for messages.
+        values: Function (x, v) → F(x) v, (r,), or (n,) if the form is symmetric.
+        locked: Function x → P_b by columns, (r²,).
+        reference: Returns the matrix of F at a shape, (r, n) or (n, n), independently of the
+            expressions.  Machine code is validated against it.
+        symmetric: Whether the form is symmetric, so that there is a metric.
+        momentum: Whether F is a momentum, whose spatial form is conserved.
     """
 
     group: Group
@@ -50,7 +56,7 @@ class ConnectionForm:
 
     @property
     def key(self) -> bytes:
-        """What tells its machine code from that of others: the expressions themselves."""
+        """Key of its machine code in the cache: the serialised expressions."""
         axes = f"{self.group.name} {self.group.axes} {self.symmetric}"
         return f"{axes} {self.values.serialize()} {self.locked.serialize()}".encode()
 
@@ -67,9 +73,20 @@ def form_of(
     momentum: bool = False,
     locked: Callable[[ca.SX], ca.SX] | None = None,
 ) -> ConnectionForm:
-    """Return the form whose values are written by a function of x and v.
+    """Return a form from functions of CasADi symbols; see `ConnectionForm`.
 
-    locked: writes P_b, (r, r), where that takes fewer operations than the derivative of `values`.
+    Args:
+        group: The group G.
+        joints: Names of the shape coordinates, (m,).
+        units: Units of the shape coordinates, (m,).
+        what: Short description for messages.
+        values: Returns F(x) v for symbols x and v.
+        reference: Returns the matrix of F at a shape.
+        symmetric: Whether the form is symmetric.
+        momentum: Whether F is a momentum.
+        locked: Returns P_b, (r, r), if that takes fewer operations than the derivative of `values`.
+    Returns:
+        The form.
     """
     r, m = group.dim, len(joints)
     x, v = ca.SX.sym("x", m), ca.SX.sym("v", r + m)

@@ -15,19 +15,19 @@ def velocity_graph(form: ConnectionForm) -> ca.Function:
     F = form.values(x, ca.vertcat(ca.SX.zeros(r, 1), xdot))
     P = _locked(form, x)
     xi = -_solved(form, P, F[:r])
-    out = [xi, health(form, P)]
+    outputs = [xi, health(form, P)]
     if form.symmetric:
-        out.append(ca.dot(xdot, F[r:]) + ca.dot(F[:r], xi))
-    return _function("velocity", ca.vertcat(x, xdot), out)
+        outputs.append(ca.dot(xdot, F[r:]) + ca.dot(F[:r], xi))
+    return _function("velocity", ca.vertcat(x, xdot), outputs)
 
 
 def velocity_slope_graph(form: ConnectionForm) -> ca.Function:
     """Return (x, ẋ) → the derivative of (ξ, ẋᵀ M ẋ) by (x, ẋ), by columns."""
-    velocity = velocity_graph(form)
     y = ca.SX.sym("y", 2 * form.m)
-    out = velocity(y, ca.SX.sym("none"))
-    rows = [*range(form.r), *range(form.r + 1, out.numel())]
-    return _function("slope", y, [ca.vec(ca.densify(ca.jacobian(out[rows], y)))])
+    values = velocity_graph(form)(y, ca.SX.sym("none"))
+    without_health = [*range(form.r), *range(form.r + 1, values.numel())]
+    derivative = ca.jacobian(values[without_health], y)
+    return _function("slope", y, [ca.vec(ca.densify(derivative))])
 
 
 def column_graph(form: ConnectionForm) -> ca.Function:
@@ -79,12 +79,12 @@ def covariant_graph(form: ConnectionForm) -> ca.Function:
     motion, along = ca.SX.sym("motion", 3 * m), ca.SX.sym("along", m)
     state, rate = motion[: 2 * m], motion[m:]
     square = velocity_graph(form)(state, none)[-1]
-    slope = 0.5 * ca.gradient(square, motion)
-    by_rate = slope[m : 2 * m]
-    force = ca.jtimes(by_rate, motion, ca.vertcat(rate, ca.SX.zeros(m))) - slope[:m]
+    energy_gradient = 0.5 * ca.gradient(square, motion)
+    momentum = energy_gradient[m : 2 * m]
+    momentum_rate = ca.jtimes(momentum, motion, ca.vertcat(rate, ca.SX.zeros(m)))
+    force = momentum_rate - energy_gradient[:m]
     derivative = ca.gradient(ca.dot(along, force), motion)
-    out = ca.densify(ca.vertcat(force, derivative))
-    return ca.Function("covariant", [ca.vertcat(motion, along), none], [out], {"cse": True})
+    return _function("covariant", ca.vertcat(motion, along), [force, derivative])
 
 
 def _locked(form: ConnectionForm, x: ca.SX) -> ca.SX:
@@ -97,45 +97,25 @@ def _solved(form: ConnectionForm, P: ca.SX, right: ca.SX) -> ca.SX:
     if not k:
         return ca.SX(r, 0)
     if not form.symmetric:
-        return _by_minors(P, right) if r <= 3 else ca.solve(P, right)
+        # Cramer's rule needs no pivots.
+        return ca.densify(ca.adj(P) @ right / ca.det(P)) if r <= 3 else ca.solve(P, right)
     L, _, inverse = factor_ldl(_rows(P))
-    columns = [
-        solve_factored(L, inverse, [_scalar(right[i, j]) for i in range(r)]) for j in range(k)
-    ]
+    columns = [solve_factored(L, inverse, column) for column in _rows(right.T)]
     solved: ca.SX = ca.vertcat(*(entry for column in columns for entry in column))
     return solved.reshape((r, k))
 
 
 def _rows(P: ca.SX) -> list[list[ca.SX | float]]:
-    return [[_scalar(P[i, j]) for j in range(P.shape[1])] for i in range(P.shape[0])]
-
-
-def _scalar(value: ca.SX) -> ca.SX | float:
-    """Return an entry, as a float if it is a constant: then products with 0 and 1 disappear."""
-    return float(value) if value.is_constant() else value
-
-
-def _by_minors(P: ca.SX, right: ca.SX) -> ca.SX:
-    """Return P⁻¹ right by Cramer's rule, which needs no pivots."""
-    return ca.densify(_adjugate(P) @ right / ca.det(P))
-
-
-def _adjugate(P: ca.SX) -> ca.SX:
-    if P.shape[0] == 1:
-        return ca.SX(1.0)
-    if P.shape[0] == 2:
-        return ca.blockcat([[P[1, 1], -P[0, 1]], [-P[1, 0], P[0, 0]]])
-    columns = [P[:, k] for k in range(3)]
-    rows = [ca.cross(columns[(k + 1) % 3], columns[(k + 2) % 3]).T for k in range(3)]
-    adjugate: ca.SX = ca.vertcat(*rows)
-    return adjugate
+    """Return the entries of a matrix, constants as floats: products with 0 and 1 vanish."""
+    rows = [[P[i, j] for j in range(P.shape[1])] for i in range(P.shape[0])]
+    return [[float(entry) if entry.is_constant() else entry for entry in row] for row in rows]
 
 
 def health(form: ConnectionForm, P: ca.SX) -> ca.SX:
-    """Return how far P is from singular: 0 where it is, at best 1, or ±1 of one not symmetric.
+    """Return the distance of P from singular: 0 if it is singular, at best 1, or ±1.
 
-    Of a symmetric one, the least part of a diagonal entry that the rows before it do not
-    explain; of another, det P over the product of the norms of its rows.
+    If the form is symmetric, this is the least pivot of P, relative to its diagonal entry.
+    Otherwise it is det P divided by the product of the norms of the rows, and has a sign.
     """
     if form.symmetric:
         _, D, _ = factor_ldl(_rows(P))
@@ -150,11 +130,12 @@ def health(form: ConnectionForm, P: ca.SX) -> ca.SX:
 
 
 def _directional_function(name: str, x: ca.SX, u: ca.SX, outputs: list[ca.SX]) -> ca.Function:
-    """Return the Function of shape, no parameters, and joint rates, to be compiled for lanes."""
+    """Return the Function of (x, no parameters, u); its machine code takes several u at once."""
     column = ca.densify(ca.vertcat(*outputs))
     return ca.Function(name, [x, ca.SX.sym("none"), u], [column], {"cse": True})
 
 
-def _function(name: str, y: ca.SX, out: list[ca.SX]) -> ca.Function:
-    column = ca.densify(ca.vertcat(ca.SX(0, 1), *out))
+def _function(name: str, y: ca.SX, outputs: list[ca.SX]) -> ca.Function:
+    """Return the Function of (y, no parameters), with its outputs in one column."""
+    column = ca.densify(ca.vertcat(ca.SX(0, 1), *outputs))
     return ca.Function(name, [y, ca.SX.sym("none")], [column], {"cse": True})

@@ -129,8 +129,10 @@ def _target() -> llvm.Target:
 def _create_machine() -> llvm.TargetMachine:
     """Create a target machine for this CPU.
 
-    MCJIT takes ownership, so each call needs a new one.  The code model allows code far from its
-    constants and from libm.
+    The code model allows code far from its constants and from libm.
+
+    Returns:
+        The machine; MCJIT takes ownership, so each call creates a new one.
     """
     return _target().create_target_machine(
         cpu=llvm.get_host_cpu_name(),

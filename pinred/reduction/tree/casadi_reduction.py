@@ -1,4 +1,4 @@
-"""The split of the mass matrix as CasADi expressions of the shape."""
+"""CasADi expressions of the mass matrix, split along the symmetry."""
 
 from __future__ import annotations
 
@@ -12,9 +12,15 @@ from .momenta import bracket, momenta
 
 @dataclass(frozen=True)
 class CasadiReduction:
-    """Expressions of x (m, 1): H (n, n), I (r, r), A (r, m), M (m, m).
+    """Expressions of the reduction.
 
-    B: (r, m²), column α m + β is B_αβ.
+    Attributes:
+        x: Shape symbols, (m, 1).
+        H: Mass matrix, (n, n).
+        I: Locked inertia, (r, r).
+        A: Local connection, (r, m).
+        M: Reduced metric, (m, m).
+        B: Curvature, (r, m²); column α m + β is B_αβ.
     """
 
     x: ca.SX
@@ -25,10 +31,10 @@ class CasadiReduction:
     B: ca.SX
 
 
-def casadi_reduction(system: System) -> CasadiReduction:
-    """Return the expressions of a system, in symbols of their own."""
+def casadi_reduction(system: System, x: ca.SX | None = None) -> CasadiReduction:
+    """Return the expressions of a system at shape symbols x (m, 1), new ones if not given."""
     r, m = system.r, system.m
-    x, v = ca.SX.sym("x", m), ca.SX.sym("v", system.n)
+    x, v = ca.SX.sym("x", m) if x is None else x, ca.SX.sym("v", system.n)
     H = ca.jacobian(momenta(system, x, v), v)
     I, Hbs, Hss = H[:r, :r], H[:r, r:], H[r:, r:]
     A = ca.solve(I, Hbs) if m else ca.SX(r, 0)
@@ -40,9 +46,9 @@ def _curvature(system: System, x: ca.SX, A: ca.SX) -> ca.SX:
     if not m:
         return ca.SX(r, 0)
     dA = [ca.jacobian(A[:, b], x) for b in range(m)]  # dA[β][:, α] = ∂_α A_β
-    columns = []
-    for a in range(m):
-        for b in range(m):
-            turned = bracket(system.group, A[:, a], A[:, b])
-            columns.append(dA[b][:, a] - dA[a][:, b] - turned)
+    columns = [
+        dA[b][:, a] - dA[a][:, b] - bracket(system.group, A[:, a], A[:, b])
+        for a in range(m)
+        for b in range(m)
+    ]
     return ca.horzcat(*columns)

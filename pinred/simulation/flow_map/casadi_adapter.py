@@ -174,8 +174,15 @@ class FlowCallback(_ArrayCallback):
     ) -> ca.Function:
         """Build a derivative and keep it alive.
 
-        seeds: shapes of the arguments after the inputs and the output.  shapes: of the results.
-        evaluate: function of the inputs and the seeds.
+        Args:
+            name: Name of the Function.
+            inames: Names of its inputs.
+            onames: Names of its outputs.
+            seeds: Shapes of the arguments after the inputs and the output of the flow.
+            shapes: Shapes of the results.
+            evaluate: Function of the inputs and the seeds.
+        Returns:
+            Function of the inputs, the output and the seeds.
         """
         count = len(self.columns.sizes)
         sparsities = [

@@ -155,10 +155,14 @@ _numbers = count()
 
 
 def numbered(function: Function) -> int:
-    """Register a function and return its number.
+    """Register a function, which stays registered as long as the process lives.
 
-    The function stays registered as long as the process lives, because XLA does not report when the
-    last program that calls it is deleted.
+    XLA does not report when the last program that calls the function is deleted.
+
+    Args:
+        function: The function.
+    Returns:
+        Its number, for the attribute of calls.
     """
     number = next(_numbers)
     _functions[number] = function
