@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from nearness import close
+from assertions import close
 from strategies import Case, cases
 
 import pinred

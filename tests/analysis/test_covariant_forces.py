@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from inverse_dynamics import joint_torques
-from nearness import close
+from assertions import close
 from strategies import make_case
 
 import pinred

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 import three_links
 from lifts import lifted
-from nearness import close
+from assertions import close
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred

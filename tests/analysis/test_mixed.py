@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from lifts import random_gait
-from nearness import close
+from assertions import close
 from scipy.integrate import solve_ivp
 
 import pinred

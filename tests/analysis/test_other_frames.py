@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lifts import random_gait
-from nearness import close
+from assertions import close
 from strategies import groups, make_case, seeds
 from trees import random_model
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from lifts import by_pinocchio, random_gait
-from nearness import close
+from assertions import close
 from scipy.integrate import solve_ivp
 from strategies import make_case
 

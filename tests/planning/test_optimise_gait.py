@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from inverse_dynamics import joint_torques
 from lifts import by_pinocchio
-from nearness import close
+from assertions import close
 from three_links import CENTRES, LENGTH, LINKS
 
 import pinred

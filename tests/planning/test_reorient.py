@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 from inverse_dynamics import joint_torques
 from lifts import by_pinocchio
-from nearness import close
+from assertions import close
 from trees import random_model
 
 import pinred
