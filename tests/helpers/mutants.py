@@ -80,8 +80,8 @@ TESTS: dict[str, list[str]] = {
         "simulation/test_flow_map.py", "simulation/test_adapters.py",
     ],
     "integrators/explicit": [
-        "integrators/test_steppers.py", "integrators/test_claimed_orders.py",
-        "integrators/test_tableaux.py", "integrators/test_tolerance_of_turns.py",
+        "integrators/test_steppers.py", "integrators/test_measured_orders.py",
+        "integrators/test_tableaux.py", "integrators/test_rotation_tolerance.py",
         "integrators/test_step_control.py",
     ],
     "integrators/gauss/stage_sensitivities": [
@@ -101,7 +101,7 @@ TESTS: dict[str, list[str]] = {
     "integrators/variational": [
         "integrators/test_counted_evaluations.py", "integrators/test_variational.py",
     ],
-    "integrators/lanes": ["integrators/test_lanes.py", "integrators/test_claimed_orders.py"],
+    "integrators/lanes": ["integrators/test_lanes.py", "integrators/test_measured_orders.py"],
     "integrators/methods": [
         "integrators/test_equal_steps.py", "integrators/test_further_method.py",
         "integrators/test_tableaux.py", "integrators/test_steppers.py",
@@ -111,8 +111,8 @@ TESTS: dict[str, list[str]] = {
     "integrators": [
         "integrators/test_counted_evaluations.py", "integrators/test_step_control.py",
         "integrators/test_steppers.py", "integrators/test_batches.py",
-        "integrators/test_claimed_orders.py", "integrators/test_further_method.py",
-        "integrators/test_memory.py", "integrators/test_radau.py",
+        "integrators/test_measured_orders.py", "integrators/test_further_method.py",
+        "integrators/test_work_rows.py", "integrators/test_radau.py",
     ],
     "simulation": [
         "simulation/test_balances.py", "judge/test_audit.py", "forces/test_forces.py",

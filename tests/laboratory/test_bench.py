@@ -1,4 +1,4 @@
-"""The measurements: what they measure, on small cases, against what is known."""
+"""Benchmarks on small cases, compared with known values."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(autouse=True)
 def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rounds so short that a measurement takes no time, and is worth nothing as one."""
+    """Make rounds so short that measurements take almost no time."""
     monkeypatch.setattr(timing, "SPAN", 1e-5)
 
 
-def test_bench_is_light() -> None:
-    """Importing the package imports none of what it measures with."""
+def test_importing_bench_is_lazy() -> None:
+    """Importing the package imports none of the measured modules."""
     code = "import sys, pinred.cli.bench_command; print(*sys.modules)"
     assert not {"numpy", "pinocchio", "scipy", "casadi", "heyoka"} & set(python(code).split())
 
 
-def test_chains_are_what_they_say() -> None:
-    """Stretched out, a chain is one rod, whose inertia is known; spatial joints take turns."""
+def test_chain_inertia_in_closed_form() -> None:
+    """A straight chain is one rod with known inertia; axes of spatial joints alternate."""
     system = chain("planar", 9)
     assert (system.group.name, system.m) == ("SE2", 9)
     assert system.mass == pytest.approx(10.0)
@@ -59,87 +59,89 @@ def test_chains_are_what_they_say() -> None:
         chain("helical", 3)
 
 
-def test_forces(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """A torque adds nothing to integrate, a wrench momentum and a path, its place the time."""
-    (found,) = bench_forces(["planar_chain5"])
-    assert found.numbers == (11, 11, 16, 17)
-    assert min(found.torque, found.wrench, found.full) > 0.0
+def test_bench_forces_counts_integrated_states(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A torque adds no state; a wrench adds momentum, a path, and time if needed."""
+    (result,) = bench_forces(["planar_chain5"])
+    assert result.numbers == (11, 11, 16, 17)
+    assert min(result.torque, result.wrench, result.full) > 0.0
     assert main(["bench", "forces", "elroys_beanie", "--out", str(tmp_path)]) == 0
     assert "torque, attitude" in capsys.readouterr().out
     assert (tmp_path / "forces.csv").read_text().startswith("robot,free,torque,wrench,full")
 
 
-def test_scaling() -> None:
-    """The slope is that of a power law; short chains are measured, in order only."""
+def test_scaling_fits_power_law() -> None:
+    """Chains must have increasing numbers of joints."""
     n = np.array([5, 20, 50, 100])
     law = Scaling("made", n, 3 * n, build=0.1 * n, kernel=np.where(n < 20, 9.0, n**1.5))
     assert law.slope == pytest.approx(1.5)
     assert law.instructions_slope == pytest.approx(1.0)
     assert "to the power 1.50, instructions 1.00" in str(law)
-    found = bench_scaling((2, 4), rounds=1)
-    assert [each.family for each in found] == ["planar", "spatial"]
-    for each in found:
-        assert each.instructions[0] < each.instructions[1] <= 3 * each.instructions[0]
-        assert (each.kernel > 0.0).all()
-        assert (each.build > 0.0).all()
-        assert np.isnan(each.slope)
+    result = bench_scaling((2, 4), rounds=1)
+    assert [item.family for item in result] == ["planar", "spatial"]
+    for item in result:
+        assert item.instructions[0] < item.instructions[1] <= 3 * item.instructions[0]
+        assert (item.kernel > 0.0).all()
+        assert (item.build > 0.0).all()
+        assert np.isnan(item.slope)
     with pytest.raises(InputError, match="increasing"):
         bench_scaling((4, 2))
 
 
-def test_many() -> None:
-    """Each way keeps to the error, by the judgement of ABA, or says that it does not."""
-    (found,) = bench_many(["planar1"], members=4, rounds=1, error=1e-6)
-    rates = {rate.solver: rate for rate in found.rates}
+def test_bench_many_reaches_error_or_reports_failure() -> None:
+    """Each solver reaches the requested error against ABA, or says that it does not."""
+    (result,) = bench_many(["planar1"], members=4, rounds=1, error=1e-6)
+    rates = {rate.solver: rate for rate in result.rates}
     assert {"lanes", "one by one"} <= rates.keys()
-    assert all(0.0 < rate.error <= 1e-6 for rate in found.rates)
-    assert all(rate.per_second > 0.0 for rate in found.rates)
-    own, other = rates["lanes"], rates["one by one"]
-    assert own.tolerance == other.tolerance
-    assert own.error == pytest.approx(other.error, rel=1e-3)
-    assert found.times("lanes") == pytest.approx(own.per_second / other.per_second)
-    assert len(found.rates) + len(found.missing) == len(BATCH_SOLVERS)
+    assert all(0.0 < rate.error <= 1e-6 for rate in result.rates)
+    assert all(rate.per_second > 0.0 for rate in result.rates)
+    expected, other = rates["lanes"], rates["one by one"]
+    assert expected.tolerance == other.tolerance
+    assert expected.error == pytest.approx(other.error, rel=1e-3)
+    assert result.times("lanes") == pytest.approx(expected.per_second / other.per_second)
+    assert len(result.rates) + len(result.missing) == len(BATCH_SOLVERS)
     with pytest.raises(InputError, match="at least 2"):
         bench_many(["planar1"], members=1)
 
 
-def test_threads() -> None:
-    """Times of both, and memory that is at least what the results take."""
+def test_bench_threads_measures_time_and_memory() -> None:
+    """The memory is at least that of the results."""
     system = pinred.load("falling_cat")
-    found = bench_threads(system, members=8, duration=0.05, rounds=1)
-    assert (found.wall > 0.0).all()
-    assert found.speedup == pytest.approx(found.wall[0] / found.wall[1])
+    result = bench_threads(system, members=8, duration=0.05, rounds=1)
+    assert (result.wall > 0.0).all()
+    assert result.speedup == pytest.approx(result.wall[0] / result.wall[1])
     many = pinred.simulate_many(system, seeds=range(8), times=[0.05])
-    assert found.sizes.tolist() == [2.0, 8.0]
-    assert found.results.tolist() == [many.y.nbytes / 4.0, many.y.nbytes]
-    assert (found.kept >= found.results).all()
-    assert (found.extra >= 0.0).all()
+    assert result.sizes.tolist() == [2.0, 8.0]
+    assert result.results.tolist() == [many.y.nbytes / 4.0, many.y.nbytes]
+    assert (result.kept >= result.results).all()
+    assert (result.extra >= 0.0).all()
     with pytest.raises(InputError, match="at least 4"):
         bench_threads(system, members=3)
 
 
-def test_commands_write_csv(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """`--out` makes the folder and writes whole tables whose numbers read back."""
+def test_bench_commands_write_csv(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`--out` creates the folder and writes complete tables whose numbers can be read back."""
     folder = tmp_path / "new" / "numbers"
     assert main(["bench", "kernels", "coupled_planar", "--out", str(folder)]) == 0
     assert main(["bench", "threads", "falling_cat", "--members", "4", "--out", str(folder)]) == 0
-    out = capsys.readouterr().out
+    printed = capsys.readouterr().out
     names = ["kernels", "threads", "threads_memory"]
     assert sorted(path.name for path in folder.iterdir()) == [f"{name}.csv" for name in names]
-    assert all(f"written to {folder / name}.csv" in out for name in names)
+    assert all(f"written to {folder / name}.csv" in printed for name in names)
     with (folder / "threads.csv").open(encoding="utf-8") as file:
         assert [row["threads"] for row in csv.DictReader(file)] == ["1", "2"]
 
 
-def test_slow_actions_sit_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is slow takes part in some rounds, spread over them; the rest in all."""
+def test_slow_actions_skip_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slow action runs in some evenly spread rounds, the others in all."""
     clock, calls = SimpleNamespace(now=0.0), {"slow": 0, "fast": 0}
     monkeypatch.setattr(timing, "time", SimpleNamespace(perf_counter=lambda: clock.now))
     monkeypatch.setattr(timing, "SPAN", 1e-3)
 
     def takes(name: str, seconds: float) -> Callable[[int], None]:
         def action(count: int) -> None:
-            # A first call loads what it needs.
+            # The first call includes loading.
             clock.now += count * seconds + (0.0 if calls[name] else 1.0)
             calls[name] += count
 
@@ -148,14 +150,16 @@ def test_slow_actions_sit_out(monkeypatch: pytest.MonkeyPatch) -> None:
     actions = [takes("slow", 0.01), takes("fast", 0.0004)]
     times = timing.alternating(actions, rounds=8, budget=0.0401)
     np.testing.assert_allclose(times[:, 1], 0.0004)
-    there = np.flatnonzero(np.isfinite(times[:, 0]))
-    assert len(there) == calls["slow"] - 2 == 4
-    assert np.diff(there).max() <= 3
-    np.testing.assert_allclose(times[there, 0], 0.01)
+    second = np.flatnonzero(np.isfinite(times[:, 0]))
+    assert len(second) == calls["slow"] - 2 == 4
+    assert np.diff(second).max() <= 3
+    np.testing.assert_allclose(times[second, 0], 0.01)
 
 
-def test_commands_refuse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Bad input is named before anything is measured."""
+def test_bench_commands_reject_bad_input(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Bad input is reported before any measurement."""
     (tmp_path / "file").write_text("")
     assert main(["bench", "kernels", "--out", str(tmp_path / "file")]) == 2
     assert "cannot make the folder" in capsys.readouterr().err
@@ -165,10 +169,12 @@ def test_commands_refuse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert capsys.readouterr().err.startswith("pinred: error: ")
 
 
-def test_floquet_routes_agree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each route comes to the closed form as near as it can; the command prints and writes them."""
+def test_floquet_routes_agree_with_closed_form(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each route has its accuracy; the command prints and writes the results."""
     assert main(["bench", "floquet", "--out", str(tmp_path)]) == 0
-    out = capsys.readouterr().out
+    printed = capsys.readouterr().out
     with (tmp_path / "floquet.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 6
@@ -176,4 +182,4 @@ def test_floquet_routes_agree(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     for row in rows:
         assert float(row["error"]) < bounds.get(row["route"], 1e-8)
         assert float(row["wall"]) > 0.0
-        assert row["robot"] in out
+        assert row["robot"] in printed

@@ -1,4 +1,4 @@
-"""Run time against error: references, errors, drift, what is kept, and what is resumed."""
+"""Accuracy benchmark: references, errors, drift, records, and resumption."""
 
 from __future__ import annotations
 
@@ -54,37 +54,37 @@ BRIEF = Effort("brief", rounds=1, patience=10.0, budget=1.0)
 
 @pytest.fixture(autouse=True)
 def short_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rounds so short that a measurement takes no time, and is worth nothing as one."""
+    """Make rounds so short that measurements take almost no time."""
     monkeypatch.setattr(timing, "SPAN", 1e-5)
 
 
 def short_planar() -> Problem:
-    """The planar problem over one second."""
+    """Return the planar problem over one second."""
     problem = scenes.planar_joint()
     return replace(problem, start=replace(problem.start, duration=1.0))
 
 
 def steady() -> Problem:
-    """Two bodies whose joint and base turn steadily."""
+    """Return two bodies whose joint and base rotate at constant rates."""
     system = pinred.load("coupled_planar")
     x, xdot, xi = np.array([0.3]), np.array([1.2]), np.array([0.4, -0.7, 0.9])
     return Problem("steady", "", system, InitialState(x, xdot, xi, duration=3.0))
 
 
 @pytest.mark.parametrize("quadruple", [True, False])
-def test_reference_against_closed_form(quadruple: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Joint and base of coupled_planar turn steadily; the centre of mass goes straight on."""
+def test_reference_equals_closed_form(quadruple: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Joint and base of coupled_planar rotate steadily; the centre of mass moves straight."""
     if quadruple and find_spec("heyoka") is None:
         pytest.skip("heyoka is not installed")
     monkeypatch.setattr("pinred.laboratory.bench.reference.has_heyoka", lambda: quadruple)
     problem = steady()
-    found = reference_of(problem)
-    assert found.error < (1e-14 if quadruple else 1e-12)
-    assert found.independent < 1e-12
-    assert ("quadruple" in found.about) == quadruple
+    result = reference_of(problem)
+    assert result.error < (1e-14 if quadruple else 1e-12)
+    assert result.independent < 1e-12
+    assert ("quadruple" in result.about) == quadruple
     x, xdot = problem.start.x, problem.start.xdot
-    np.testing.assert_allclose(found.end.x[0], x + 3.0 * xdot, atol=1e-12)
-    q = found.end.q[0]
+    np.testing.assert_allclose(result.end.x[0], x + 3.0 * xdot, atol=1e-12)
+    q = result.end.q[0]
     assert abs(np.arctan2(q[3], q[2]) - 3.0 * 0.9) < 1e-12
     system = problem.system
     data = system.model.createData()
@@ -94,83 +94,83 @@ def test_reference_against_closed_form(quadruple: bool, monkeypatch: pytest.Monk
 
 
 @needs_heyoka
-def test_a_reference_that_is_not_confirmed_claims_no_more() -> None:
-    """Where ABA comes to another end, that is the reference's error."""
+def test_reference_error_is_distance_from_aba_if_unconfirmed() -> None:
+    """A larger distance from ABA counts as the error of the reference."""
     problem = short_planar()
     aba = reference_of(problem).end
     wrong = FullMotion(aba.x + 1e-3, aba.q)
-    found = _quadruple(problem, wrong)
-    assert found.error == found.independent == pytest.approx(1e-3, rel=1e-6)
+    result = _quadruple(problem, wrong)
+    assert result.error == result.independent == pytest.approx(1e-3, rel=1e-6)
 
 
-def test_drift_against_closed_form() -> None:
-    """What a change of the velocity does to energy and momenta about the centre of mass."""
+def test_drift_equals_closed_form() -> None:
+    """A changed velocity changes energy and momenta about the centre of mass."""
     problem = steady()
     model, data = problem.system.model, problem.system.model.createData()
     q0, v0 = problem.q0, problem.v0
-    found = compute_drift(problem, q0, v0)
-    assert (found.energy, found.momentum) == (0.0, 0.0)
+    result = compute_drift(problem, q0, v0)
+    assert (result.energy, result.momentum) == (0.0, 0.0)
     v = v0 * 1.01
     pin.ccrba(model, data, q0, v0)
     mass, carried = data.Ig.mass, 0.5 * data.hg.linear @ data.hg.linear / data.Ig.mass
     total = pin.computeKineticEnergy(model, data, q0, v0)
     internal = total - carried
-    found = compute_drift(problem, q0, v)
-    assert found.energy == pytest.approx(total * (1.01**2 - 1.0) / internal, rel=1e-12)
+    result = compute_drift(problem, q0, v)
+    assert result.energy == pytest.approx(total * (1.01**2 - 1.0) / internal, rel=1e-12)
     radius = np.sqrt(np.trace(data.Ig.inertia) / mass)
     unit = np.sqrt(2.0 * mass * internal)
     parts = [*np.abs(data.hg.linear[:2]) / unit, abs(data.hg.angular[2]) / (unit * radius)]
-    assert found.momentum == pytest.approx(0.01 * max(parts), rel=1e-9)
+    assert result.momentum == pytest.approx(0.01 * max(parts), rel=1e-9)
 
 
-def test_falling_is_no_drift() -> None:
-    """Momentum that gravity gives, and energy of height, are not counted as errors."""
+def test_drift_excludes_fall() -> None:
+    """Momentum from gravity and potential energy are not counted as drift."""
     system = pinred.load("falling_cat", gravity=(0.0, 0.0, -9.81))
     assert system.initial is not None
     start = replace(system.initial, duration=0.5)
     problem = Problem("fall", "", system, start)
-    (found,) = bench_accuracy([problem], methods=OWN, tolerances=(1e-10,), effort=BRIEF)
-    for point in found.points:
+    (result,) = bench_accuracy([problem], methods=OWN, tolerances=(1e-10,), effort=BRIEF)
+    for point in result.points:
         assert point.energy < 1e-7
         assert point.momentum < 1e-8
 
 
-def test_errors_fall_with_the_tolerance() -> None:
-    """Each method comes nearer to the reference, at a price, until the reference itself ends."""
-    (found,) = bench_accuracy(
+def test_errors_decrease_with_tolerance() -> None:
+    """Errors decrease to that of the reference, at increasing cost."""
+    (result,) = bench_accuracy(
         [short_planar()], methods=OWN, tolerances=(1e-3, 1e-10, 1e-6), effort=BRIEF
     )
-    assert found.reference_error < 1e-12
-    assert list(found.about) == [method.name for method in OWN]
-    for name in found.about:
-        loose, middle, tight = found.of(name)
+    assert result.reference_error < 1e-12
+    assert list(result.about) == [method.name for method in OWN]
+    for name in result.about:
+        loose, middle, tight = result.of(name)
         assert loose.error > 10.0 * middle.error > 100.0 * tight.error
         assert loose.energy > tight.energy
         assert 0.0 < tight.error < 1e-8
         assert tight.evaluations > loose.evaluations
         assert tight.wall > 0.0
-    whole, inside = found.of("pinred"), found.of("pinred-integration")
-    assert [p.error for p in whole] == [p.error for p in inside]
-    assert f"{found.of('aba-dop853')[0].shape:8.1e}" in str(found)
+    total, inside = result.of("pinred"), result.of("pinred-integration")
+    assert [p.error for p in total] == [p.error for p in inside]
+    assert f"{result.of('aba-dop853')[0].shape:8.1e}" in str(result)
 
 
-def test_a_further_integrator_is_one_value() -> None:
-    """A method of equal steps from pinred's integrators has its order."""
+def test_own_method_with_fixed_steps_has_its_order() -> None:
+    """A method is added by one call with pinred's integrator."""
     method = own_method("mine", "", RKMK4, tolerances=(1 / 20, 1 / 40), fixed=True)
-    (found,) = bench_accuracy([short_planar()], methods=[method], tolerances=(1e-9,), effort=BRIEF)
-    coarse, fine = found.of("mine")
+    (result,) = bench_accuracy([short_planar()], methods=[method], tolerances=(1e-9,), effort=BRIEF)
+    coarse, fine = result.of("mine")
     assert np.log2(coarse.error / fine.error) == pytest.approx(4.0, abs=0.5)
 
 
-def made(*points: Point, reference_error: float = 1e-14, run: str = "now") -> WorkPrecision:
-    """A result of two methods a and b with these points."""
+def result_of(*points: Point, reference_error: float = 1e-14, run: str = "now") -> WorkPrecision:
+    """Build a result of two methods a and b from points."""
     return WorkPrecision(
         problem="s",
         description="a scene, with a comma",
         joints=1,
         duration=1.0,
         reference_error=reference_error,
-        reference="made up",
+        reference="result_of up",
         about={"a": "", "b": ""},
         points=points,
         missing={"c": "c is left out", "d": "c is left out"},
@@ -179,54 +179,54 @@ def made(*points: Point, reference_error: float = 1e-14, run: str = "now") -> Wo
 
 
 def point(method: str, error: float, wall: float) -> Point:
-    """A point whose largest error is that of the shape."""
+    """Build a point whose largest error is that of the shape."""
     return Point(method, 1.0, wall=wall, shape=error, rotation=0.1 * error, position=0.0)
 
 
-def test_wall_at_equal_error() -> None:
-    """Between two points the interpolation is log-log; a beaten point does not count."""
-    found = made(
+def test_wall_at_interpolates_pareto_front() -> None:
+    """The interpolation is log-log between points that no other beats."""
+    result = result_of(
         point("a", 1e-2, 1.0),
-        point("a", 1e-3, 9.0),  # slower and less accurate than the next
+        point("a", 1e-3, 9.0),  # slower and less accurate than the next point
         point("a", 1e-4, 4.0),
         Point("a", 1e-9, failure="stopped"),
         point("b", 1e-6, 8.0),
         point("b", 1e-2, 2.0),
     )
-    assert found.wall_at("a", 1e-3) == pytest.approx(2.0)
-    assert found.wall_at("a", 1e-4) == pytest.approx(4.0)
-    assert found.wall_at("a", 1.0) == pytest.approx(1.0)
-    assert np.isnan(found.wall_at("a", 9e-5))
-    assert found.wall_at("b", 1e-4) == pytest.approx(4.0)
-    assert found.ratio_at("b", 1e-3, "a") == pytest.approx(2.0 * 2.0**0.5 / 2.0)
-    assert str(found).count("c is left out") == 1
+    assert result.wall_at("a", 1e-3) == pytest.approx(2.0)
+    assert result.wall_at("a", 1e-4) == pytest.approx(4.0)
+    assert result.wall_at("a", 1.0) == pytest.approx(1.0)
+    assert np.isnan(result.wall_at("a", 9e-5))
+    assert result.wall_at("b", 1e-4) == pytest.approx(4.0)
+    assert result.ratio_at("b", 1e-3, "a") == pytest.approx(2.0 * 2.0**0.5 / 2.0)
+    assert str(result).count("c is left out") == 1
     with pytest.raises(InputError, match="no method 'c'; the methods are a, b"):
-        found.of("c")
+        result.of("c")
 
 
-def test_fastest_of_tools() -> None:
-    """One method of each tool, the fastest where it gets so far; pinred's all."""
+def test_fastest_of_tools_has_one_method_per_tool() -> None:
+    """All methods of pinred, and the fastest of each other tool at the error."""
     names = ("pinred", "pinred-x", "t-slow", "t-fast", "t-never", "u-never")
     walls = dict(zip(names, (1.0, 2.0, 5.0, 3.0, 0.1, 0.2), strict=True))
     points = [
         point(name, 1e-2 if name.endswith("never") else 1e-9, wall) for name, wall in walls.items()
     ]
-    found = replace(made(*points), about=dict.fromkeys(names, ""))
-    few = found.fastest_of_tools(1e-8)
+    result = replace(result_of(*points), about=dict.fromkeys(names, ""))
+    few = result.fastest_of_tools(1e-8)
     assert few == ["pinred", "pinred-x", "t-fast", "u-never"]
-    assert list(found.only(few).about) == few
-    assert [p.method for p in found.only(["t-fast", "pinred"]).points] == ["t-fast", "pinred"]
+    assert list(result.only(few).about) == few
+    assert [p.method for p in result.only(["t-fast", "pinred"]).points] == ["t-fast", "pinred"]
 
 
-def test_what_the_reference_cannot_tell_is_not_claimed() -> None:
-    """An error below that of the reference counts as the reference's."""
-    found = made(point("a", 1e-13, 1.0), point("a", 1e-4, 0.1), reference_error=1e-9)
-    assert found.wall_at("a", 1e-9) == pytest.approx(1.0)
-    assert np.isnan(found.wall_at("a", 1e-10))
+def test_wall_at_limits_errors_to_reference_error() -> None:
+    """An error below that of the reference counts as the reference's error."""
+    result = result_of(point("a", 1e-13, 1.0), point("a", 1e-4, 0.1), reference_error=1e-9)
+    assert result.wall_at("a", 1e-9) == pytest.approx(1.0)
+    assert np.isnan(result.wall_at("a", 1e-10))
 
 
-def test_failures_are_kept() -> None:
-    """A method that stops, or ends nowhere, has a point that says so and no time."""
+def test_failed_methods_have_points_with_reason() -> None:
+    """A method that stops, or ends with NaN, has a point without time."""
 
     def stops(_: Problem, tolerance: float) -> PreparedRun:
         def run() -> Any:
@@ -236,38 +236,38 @@ def test_failures_are_kept() -> None:
         return PreparedRun(run, lambda _: End(np.array([np.nan]), np.zeros(6), np.zeros(4), 1))
 
     broken = Solver("broken", "fails", (1e-2, 1e-4), stops)
-    (found,) = bench_accuracy([short_planar()], methods=[broken, OWN[0]], effort=BRIEF)
-    failures = [p for p in found.points if p.method == "broken"]
+    (result,) = bench_accuracy([short_planar()], methods=[broken, OWN[0]], effort=BRIEF)
+    failures = [p for p in result.points if p.method == "broken"]
     messages = [p.failure for p in failures]
     assert messages == ["the final state is not finite", "stopped at t = 0.5 s"]
     assert all(np.isnan(p.wall) and np.isnan(p.error) for p in failures)
-    assert found.of("broken") == []
-    assert np.isnan(found.wall_at("broken", 1e-4))
-    assert "failed: stopped at t = 0.5 s" in str(found)
-    assert len(found.of("pinred")) == len(OWN[0].tolerances)
+    assert result.of("broken") == []
+    assert np.isnan(result.wall_at("broken", 1e-4))
+    assert "failed: stopped at t = 0.5 s" in str(result)
+    assert len(result.of("pinred")) == len(OWN[0].tolerances)
 
 
-def test_what_is_too_slow_is_said() -> None:
-    """Once a run takes longer than one waits, finer ones are rows that say so."""
+def test_tolerances_after_slow_run_are_skipped() -> None:
+    """Finer tolerances than a slow one have a point with the reason."""
     method = solvers_named(["aba-rk4"])[0]
     impatient = Effort("impatient", rounds=1, patience=1e-6, budget=1.0, every=4)
-    (found,) = bench_accuracy([short_planar()], methods=[method], effort=impatient)
-    assert len(found.points) == len(method.tolerances[::4])
-    assert len(found.of("aba-rk4")) == 1
-    assert all("not run: a coarser tolerance took" in p.failure for p in found.points[1:])
+    (result,) = bench_accuracy([short_planar()], methods=[method], effort=impatient)
+    assert len(result.points) == len(method.tolerances[::4])
+    assert len(result.of("aba-rk4")) == 1
+    assert all("not run: a coarser tolerance took" in p.failure for p in result.points[1:])
 
 
 def test_record_round_trip(tmp_path: Path) -> None:
-    """What is written reads back as it was, NaN and failures included."""
+    """NaN and failures are preserved."""
     path = tmp_path / "accuracy.csv"
     with pytest.raises(LoadError, match="No such file"):
         read_record(path)
-    found = made(point("a", 1.0 / 3.0, 0.1), Point("b", 1e-9, failure='stopped, "here"'))
-    other = made(point("a", 1e-3, 0.2), Point("b", 1e-9, failure="again"), run="later")
-    write_record(path, "quick", [found, other])
+    result = result_of(point("a", 1.0 / 3.0, 0.1), Point("b", 1e-9, failure='stopped, "here"'))
+    other = result_of(point("a", 1e-3, 0.2), Point("b", 1e-9, failure="again"), run="later")
+    write_record(path, "quick", [result, other])
     assert list(tmp_path.iterdir()) == [path]
     again = read_record(path, "quick")
-    assert repr(again) == repr([found, other])  # NaN is not equal to itself
+    assert repr(again) == repr([result, other])  # NaN is not equal to itself
     with path.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["run"] for row in rows] == ["now"] * 4 + ["later"] * 4
@@ -279,10 +279,10 @@ def test_record_round_trip(tmp_path: Path) -> None:
         read_record(path, "quick")
 
 
-def test_resumed(
+def test_interrupted_bench_resumes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """After a kill, scenes that were finished stay; ratios are within one run."""
+    """Finished scenes are kept; ratios use times of one run."""
     folder, real, asked = tmp_path / "out", accuracy.bench_problem, []
 
     def dies_at_the_second(problem: Problem, methods: Any, *rest: Any, **more: Any) -> Any:
@@ -298,7 +298,7 @@ def test_resumed(
     assert main(command) == 130
     asked_for = "quick, tolerances 0.0001 1e-08"
     first = read_record(folder / "accuracy.csv", asked_for)
-    assert [found.problem for found in first] == ["coupled_planar"]
+    assert [result.problem for result in first] == ["coupled_planar"]
     assert main(command) == 0
     assert [name for name, _ in asked[2:]] == ["rigid_body"]
     assert f"coupled_planar is measured already, in run {first[0].run}" in capsys.readouterr().out
@@ -306,9 +306,9 @@ def test_resumed(
     monkeypatch.setattr(accuracy, "run_name", lambda: "later")
     assert main(command) == 0
     assert [names for _, names in asked[3:]] == [["pinred", "aba-lsoda"]] * 2
-    found = read_record(folder / "accuracy.csv", asked_for)
-    assert repr(found[:1]) == repr(first)
-    assert [(f.problem, list(f.about)) for f in found] == [
+    result = read_record(folder / "accuracy.csv", asked_for)
+    assert repr(result[:1]) == repr(first)
+    assert [(f.problem, list(f.about)) for f in result] == [
         ("coupled_planar", ["pinred", "aba-odeint"]),
         ("rigid_body", ["pinred", "aba-odeint"]),
         ("coupled_planar", ["pinred", "aba-lsoda"]),
@@ -318,19 +318,19 @@ def test_resumed(
         scenes = ("coupled_planar", "coupled_planar_2", "rigid_body", "rigid_body_2")
         figures = {f"{name}{end}.png" for name in scenes for end in ("", "_all")}
         assert {path.name for path in folder.glob("*.png")} == figures
-    assert (folder / "overview.txt").read_text(encoding="utf-8") == overview(found) + "\n"
+    assert (folder / "overview.txt").read_text(encoding="utf-8") == overview(result) + "\n"
     with (folder / "equal_error.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     for row in rows:
-        (own,) = (f for f in found if (f.problem, f.run) == (row["problem"], row["run"]))
-        ratio = own.ratio_at(row["method"], float(row["error"]))
+        (expected,) = (f for f in result if (f.problem, f.run) == (row["problem"], row["run"]))
+        ratio = expected.ratio_at(row["method"], float(row["error"]))
         assert float(row["times_pinred"]) == ratio or np.isnan(ratio)
     assert main([*command[:-4], "--out", str(folder)]) == 2
     assert "give another folder, or the same options" in capsys.readouterr().err
 
 
-def test_commands_refuse(capsys: pytest.CaptureFixture[str]) -> None:
-    """Bad names are answered with the good ones."""
+def test_bench_accuracy_rejects_unknown_names(capsys: pytest.CaptureFixture[str]) -> None:
+    """The message lists the valid names."""
     for option, message in (
         (["--scenes", "moon"], "no scene 'moon'; the scenes are planar1, elroys_beanie,"),
         (["--methods", "magic"], "no method 'magic'; the methods are pinred, pinred-integration,"),
@@ -340,33 +340,33 @@ def test_commands_refuse(capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["bench", "accuracy", *option]) == 2
         assert message in capsys.readouterr().err
     assert main(["bench", "accuracy", "--list"]) == 0
-    out = capsys.readouterr().out
-    assert all(name in out for name in (*SCENES, *(method.name for method in SOLVERS)))
+    printed = capsys.readouterr().out
+    assert all(name in printed for name in (*SCENES, *(method.name for method in SOLVERS)))
 
 
-def test_without_heyoka(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is not installed is left out, with a line that says how to install it."""
+def test_missing_package_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message says how to install it."""
     monkeypatch.setattr("pinred.laboratory.bench.peers.heyoka.has_heyoka", lambda: False)
     monkeypatch.setattr("pinred.laboratory.bench.reference.has_heyoka", lambda: False)
     methods = solvers_named(["pinred", "heyoka", "heyoka-unrolled"])
-    (found,) = bench_accuracy([short_planar()], methods=methods, effort=QUICK)
-    assert list(found.about) == ["pinred"]
-    assert 'heyoka is left out: pip install "pinred[bench]"' in str(found).splitlines()[2]
+    (result,) = bench_accuracy([short_planar()], methods=methods, effort=QUICK)
+    assert list(result.about) == ["pinred"]
+    assert 'heyoka is left out: pip install "pinred[bench]"' in str(result).splitlines()[2]
 
 
-def test_without_example_robots(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without example-robot-data two scenes are left out, with a line that says so."""
+def test_missing_example_robots_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two scenes are left out with a message."""
     monkeypatch.setattr(scenes, "has_example_robots", lambda: False)
-    there, missing = problems_named()
-    assert [problem.name for problem in there] == ["planar1", "planar5", "satellite"]
+    second, missing = problems_named()
+    assert [problem.name for problem in second] == ["planar1", "planar5", "satellite"]
     assert missing == [
         f'{name} is left out: pip install "pinred[robots]"' for name in ("solo12", "talos")
     ]
 
 
 @pytest.mark.parametrize("name", sorted(SCENES))
-def test_scenes_can_be_posed(name: str) -> None:
-    """Each scene has the name it is known by, and a state of the right size."""
+def test_scenes_have_names_and_states(name: str) -> None:
+    """Each scene has its key as name and a state of the right size."""
     if name in ("solo12", "talos") and find_spec("example_robot_data") is None:
         pytest.skip("example-robot-data is not installed")
     problem = SCENES[name]()
@@ -380,16 +380,16 @@ def test_scenes_can_be_posed(name: str) -> None:
 
 
 def test_satellite_is_chaotic() -> None:
-    """By ABA, neighbours part e-fold every 2 to 3 s; those of a regular motion hardly do."""
+    """By ABA, neighbours separate e-fold every 2 to 3 s, unlike in a regular motion."""
     (satellite,), _ = problems_named(["satellite"])
     (planar,), _ = problems_named(["planar1"])
     times = np.array([10.0, 20.0, 30.0, 40.0])
 
     def grown(problem: Problem) -> Array:
         full, y0 = problem.full, problem.full_start()
-        there = full.run(y0, times, 1e-13, 1e-15)
+        second = full.run(y0, times, 1e-13, 1e-15)
         beside = full.run(full.perturb(y0, 40.0, 1e-11), times, 1e-13, 1e-15)
-        return np.asarray(np.abs(beside.x - there.x).max(axis=1) / 1e-11)
+        return np.asarray(np.abs(beside.x - second.x).max(axis=1) / 1e-11)
 
     wild = grown(satellite)
     rates = np.diff(np.log(wild)) / 10.0

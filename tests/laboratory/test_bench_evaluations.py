@@ -1,4 +1,4 @@
-"""How many evaluations an error costs: counted here again, on the full state."""
+"""Number of evaluations for an error, compared with counts on the full state."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from pinred.laboratory.bench.scenes import problems_named
 
 @pytest.fixture(scope="module")
 def counts() -> dict[str, tuple[float, ...]]:
-    """What errors cost on a short planar chain."""
+    """Count evaluations on a short planar chain."""
     parts: list[float] = []
-    (found,) = bench_evaluations(["planar-2"], progress=parts.append)
+    (result,) = bench_evaluations(["planar-2"], progress=parts.append)
     assert parts == [1.0]
-    lines = str(found).splitlines()
-    assert lines[0] == found.problem
-    assert lines[2].split()[1:] == [f"{n:.0f}" for n in found.counts["DOP853"]]
-    return dict(found.counts)
+    lines = str(result).splitlines()
+    assert lines[0] == result.problem
+    assert lines[2].split()[1:] == [f"{n:.0f}" for n in result.counts["DOP853"]]
+    return dict(result.counts)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("DOP853", "DOP853"), ("Dormand–Prince 5(4)", "RK45")])
-def test_counts_are_those_on_the_full_state(
+def test_evaluations_equal_those_on_full_state(
     counts: dict[str, tuple[float, ...]], name: str, kind: str
 ) -> None:
     """The same method over Pinocchio's ABA needs about as many for the same error."""
@@ -41,12 +41,12 @@ def test_counts_are_those_on_the_full_state(
         end = FullMotion(x=run.y[None, -2 * m - r : -m - r, -1], q=full.q(run.y[:, -1])[None])
         points.append((problem.apart(truth, end), run.nfev))
     for error, count in zip(ERRORS, counts[name], strict=True):
-        there = min(nfev for reached, nfev in points if reached <= error)
-        assert 1 / 1.6 < count / there < 1.6, (error, count, there)
+        second = min(nfev for reached, nfev in points if reached <= error)
+        assert 1 / 1.6 < count / second < 1.6, (error, count, second)
 
 
-def test_order_decides(counts: dict[str, tuple[float, ...]]) -> None:
-    """Four digits more cost a method of order p about 10^(4/p) times as many."""
+def test_evaluations_grow_with_order(counts: dict[str, tuple[float, ...]]) -> None:
+    """Four more digits cost a method of order p about 10^(4/p) times as many."""
     for name, order in (("Dormand–Prince 5(4)", 5), ("DOP853", 8), ("DOP853, a scale a kind", 8)):
         grown = np.log10(counts[name][3] / counts[name][1])
         assert 4 / order - 0.3 < grown < 4 / order + 0.3, name
@@ -54,7 +54,7 @@ def test_order_decides(counts: dict[str, tuple[float, ...]]) -> None:
     assert counts["AdaptiveGauss, sweeps"][3] < best / 2
 
 
-def test_unknown_scenes_are_refused() -> None:
-    """By name."""
+def test_bench_evaluations_rejects_unknown_scene() -> None:
+    """The message names the scene."""
     with pytest.raises(InputError, match="no_such"):
         bench_evaluations(["no_such"])

@@ -1,4 +1,4 @@
-"""The tables across scenes: ratios within one run, and errors over tolerances."""
+"""Tables over scenes: time ratios within one run, and errors relative to tolerances."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pinred.laboratory.bench.work_precision import Point
 
 
 def powers(method: str, wall: float, error: float, order: float) -> list[Point]:
-    """Points of a method whose error is `error` times the tolerance, at wall · tol^(−1/order)."""
+    """Return points with error `error` · tol and time wall · tol^(−1/order)."""
     return [
         Point(method, tol, wall=wall * tol ** (-1 / order), evaluations=1.0,
               shape=error * tol, rotation=0.1 * error * tol, position=0.0)
@@ -19,15 +19,15 @@ def powers(method: str, wall: float, error: float, order: float) -> list[Point]:
 
 
 def result(problem: str, run: str, points: list[Point]) -> WorkPrecision:
-    """A result of that run, with a reference known to 1e-12."""
+    """Build a result of a run with a reference error of 1e-12."""
     about = dict.fromkeys((point.method for point in points), "made up")
     return WorkPrecision(problem, 1, 2.0, 1e-12, about, tuple(points), run=run)
 
 
-def test_overview() -> None:
-    """Rows are methods, columns scenes; another run's times count against its own pinred's."""
+def test_overview_uses_ratios_within_runs() -> None:
+    """Rows are methods, columns scenes; times of another run are divided by its own pinred."""
     first = result("one", "a", powers("pinred", 1e-3, 3.0, 8) + powers("slow", 5e-3, 3.0, 8))
-    # The same scene again, twice as slow a machine: five times longer is still five times longer.
+    # The same scene on a machine that is twice as slow: the ratio stays 5.
     again = result("one", "b", powers("pinred", 2e-3, 3.0, 8) + powers("later", 1.4e-2, 3.0, 8))
     other = result("two", "a", powers("pinred", 1e-3, 0.5, 4))
     text = overview([first, again, other]).splitlines()
@@ -40,12 +40,12 @@ def test_overview() -> None:
     assert rows["slow"] == ["5", "—"]
     assert rows["later"] == ["7", "—"]
     end = text.index("error / tolerance, for tolerances of 1e-04 … 1e-13")
-    # Of scene one, 3e-13 is below what the reference knows, and does not count.
+    # In scene one, 3e-13 is below the reference error and is excluded.
     assert text[end + 2].split() == ["pinred", "3", "…", "3", "0.5", "…", "0.5"]
 
 
-def test_many_scenes_stand_in_blocks() -> None:
-    """No more than six side by side; every scene is there, and its column below its name."""
+def test_overview_splits_scenes_into_blocks() -> None:
+    """At most six scenes are side by side, with aligned columns."""
     results = [result(f"s{k}", "a", powers("pinred", 1e-3, 1.0, 8)) for k in range(14)]
     text = overview(results)
     heads = [line.split() for line in text.splitlines() if line.lstrip().startswith("s")]

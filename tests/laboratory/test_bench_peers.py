@@ -1,4 +1,4 @@
-"""Other tools: that they are on the same physics, and that each comes to the same end."""
+"""Other tools: equality of their models, and convergence to the reference."""
 
 from __future__ import annotations
 
@@ -46,37 +46,37 @@ MODELS = {"mujoco": MujocoModel, "exudyn": ExudynModel, "pydrake": DrakeModel}
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 
-def needs(package: str) -> None:
-    """Skip the test where a package is not installed."""
+def require(package: str) -> None:
+    """Skip the test if a package is not installed."""
     if find_spec(package) is None:
         pytest.skip(f"{package} is not installed")
 
 
 @pytest.mark.parametrize("group", sorted(GROUPS))
 @pytest.mark.parametrize("package", sorted(MODELS))
-def test_models_are_pinocchio_s(package: str, group: str) -> None:
-    """Mass matrix and accelerations of random trees, with slanted axes, branches and armature."""
-    needs(package)
+def test_peer_model_equals_pinocchio(package: str, group: str) -> None:
+    """Mass matrix and accelerations of random trees with general axes, branches and armature."""
+    require(package)
     for seed in (1, 2):
         model = random_model(group, 5, seed)
         armature = np.zeros(model.nv)
         armature[-3:] = 0.1, 0.2, 0.3
         model.armature = armature
-        if group == "SE3":  # MuJoCo has free joints at the world's origin alone
+        if group == "SE3":  # MuJoCo allows free joints at the world's origin only
             model.jointPlacements[1].setIdentity()
-        found = equality(*pair(package, pinred.load(model)))
-        assert found.mass < 1e-12
-        assert found.acceleration < 1e-10
+        result = equality(*pair(package, pinred.load(model)))
+        assert result.mass < 1e-12
+        assert result.acceleration < 1e-10
 
 
 def pair(package: str, system: System) -> tuple[System, MujocoModel | ExudynModel | DrakeModel]:
-    """A system and a peer's model of it."""
+    """Return a system and a peer's model of it."""
     return system, MODELS[package](system)
 
 
 @pytest.mark.parametrize("group", sorted(GROUPS))
-def test_full_graph_is_pinocchio_s(group: str) -> None:
-    """The textbook's graph has the accelerations, and the judge's kinematics of the root."""
+def test_full_graph_equals_pinocchio(group: str) -> None:
+    """The textbook's graph has ABA's accelerations and the judge's root kinematics."""
     for seed in (1, 2):
         model = random_model(group, 5, seed)
         armature = np.zeros(model.nv)
@@ -88,37 +88,37 @@ def test_full_graph_is_pinocchio_s(group: str) -> None:
         judge = FullState(pinred.Scene(system=system, seed=0))
         y = judge.state(pose, *(rng.normal(size=k) for k in (system.m, system.r, system.m)))
         expected = judge.rate(0.0, y)
-        found = np.array(full_graph(system)(y)).ravel()
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-10 * np.abs(expected).max())
+        result = np.array(full_graph(system)(y)).ravel()
+        np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-10 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("package", sorted(MODELS))
-def test_a_model_that_differs_is_not_timed(package: str) -> None:
-    """A peer that has left out the armature, as one easily does, is reported."""
-    needs(package)
+def test_peer_with_different_model_is_not_timed(package: str) -> None:
+    """A peer without armature is reported."""
+    require(package)
     system = pinred.load("planar_chain5")
     heavy = system.model.copy()
     heavy.armature = np.array([0.0] * 3 + [1e-6] * 5)
     other = pinred.load(heavy)
-    found = equality(other, MODELS[package](system))
-    assert found.mass > EQUAL
-    assert not found.holds
+    result = equality(other, MODELS[package](system))
+    assert result.mass > EQUAL
+    assert not result.holds
     missing = missing_unless_equal(package, "It", lambda _: MODELS[package](system))
     line = missing(Problem("p", "", other, random_state(other, 0)))
     assert line.startswith("It is not timed: its model is not Pinocchio's; mass matrix and")
     assert missing(Problem("p", "", system, random_state(system, 0))) == ""
 
 
-def test_what_is_not_installed_is_left_out() -> None:
-    """With a line that says how to install it."""
+def test_missing_peer_is_reported() -> None:
+    """The message says how to install it."""
     missing = missing_unless_equal("no_such_package", "It", MujocoModel)
     system = pinred.load("cartpole")
     line = missing(Problem("p", "", system, random_state(system, 0)))
     assert line == 'It is left out: pip install "pinred[bench]"'
 
 
-def test_what_aborts_is_a_failure() -> None:
-    """A library that kills its process does not kill the benchmark; what raises is no matter."""
+def test_aborting_library_is_a_failure() -> None:
+    """An abort does not end the benchmark; exceptions are ignored in the child process."""
 
     def raises() -> None:
         raise ValueError("somebody else's")
@@ -133,8 +133,8 @@ ROBOTS = ("cartpole", "elroys_beanie", "planar_chain5", "rigid_body", "satellite
 
 
 @cache
-def solved(robot: str) -> tuple[Problem, FullMotion]:
-    """A robot's own problem over a short time, and where it ends."""
+def solve_briefly(robot: str) -> tuple[Problem, FullMotion]:
+    """Solve a robot's problem over a short time; return it and its final state."""
     system = pinred.load(robot)
     assert system.initial is not None
     problem = Problem(robot, "", system, replace(system.initial, duration=0.3))
@@ -142,12 +142,12 @@ def solved(robot: str) -> tuple[Problem, FullMotion]:
 
 
 @pytest.mark.parametrize("method", SOLVERS, ids=lambda method: method.name)
-def test_methods_come_to_the_reference(method: Solver) -> None:
-    """In every group, errors fall as claimed: by the order, or with the tolerance."""
+def test_methods_converge_to_reference(method: Solver) -> None:
+    """In every group, errors decrease with the order or with the tolerance."""
     expected = {"euler": 1.0, "implicitfast": 1.0, "rk4": 4.0, "rkmk4": 4.0, "rk67": 6.0}
     expected |= {"gauss6": 6.0}
     for robot in ROBOTS:
-        problem, truth = solved(robot)
+        problem, truth = solve_briefly(robot)
         if line := method.missing(problem):
             pytest.skip(line)
         errors = []
@@ -164,14 +164,14 @@ def test_methods_come_to_the_reference(method: Solver) -> None:
             assert energies[1] == pytest.approx(energies[0], rel=1e-8), robot
             continue
         order = expected[method.name.partition("-")[2]]
-        if method.name == "aba-rk4":  # body velocities are added as they are
+        if method.name == "aba-rk4":  # body velocities of different stages are added
             order = 4.0 if problem.system.r == 1 else 2.0
         assert errors[1] < max(errors[0] / 2.0 ** (order - 0.5), 1e-12), robot
         assert energies[1] == pytest.approx(energies[0], rel=0.1), robot
 
 
-def test_weighted_body_velocities_have_order_two() -> None:
-    """Plain RK4 with pin.integrate loses its order in the base's place, though not in energy."""
+def test_uncorrected_rk4_has_order_two() -> None:
+    """Plain RK4 with pin.integrate loses its order in the base position, not in energy."""
     system = pinred.load("satellite_two_arms")
     assert system.initial is not None
     problem = Problem("p", "", system, replace(system.initial, duration=1.0))
@@ -179,8 +179,8 @@ def test_weighted_body_velocities_have_order_two() -> None:
     orders = {}
     for method in ABA[1:3]:
         errors = []
-        for part in (1 / 40, 1 / 80):
-            prepared = method.prepare(problem, part)
+        for fraction in (1 / 40, 1 / 80):
+            prepared = method.prepare(problem, fraction)
             end = prepared.end(prepared.run())
             motion = FullMotion(end.x[None], end.q[None])
             errors.append(float(problem.full.distance(truth, motion).position[0]))
@@ -190,8 +190,8 @@ def test_weighted_body_velocities_have_order_two() -> None:
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_euler_angles(order: tuple[int, int, int]) -> None:
-    """Angles, their rates and accelerations against small differences of rotations."""
+def test_euler_angles_equal_differences_of_rotations(order: tuple[int, int, int]) -> None:
+    """Angles, rates and accelerations are compared with small differences of rotations."""
     rng = np.random.default_rng(sum(order))
     angles, rates = rng.uniform(-1.4, 1.4, 3), rng.normal(size=3)
     R = rotation_of(angles, order)
@@ -199,8 +199,8 @@ def test_euler_angles(order: tuple[int, int, int]) -> None:
     h = 1e-5
 
     def spin(t: float) -> Array:
-        here = angles + t * rates
-        step = rotation_of(here - h * rates, order).T @ rotation_of(here + h * rates, order)
+        first = angles + t * rates
+        step = rotation_of(first - h * rates, order).T @ rotation_of(first + h * rates, order)
         return np.array([step[2, 1] - step[1, 2], step[0, 2] - step[2, 0], step[1, 0] - step[0, 1]])
 
     np.testing.assert_allclose(spin(0.0) / (4.0 * h), spin_matrix(angles, order) @ rates, atol=1e-8)
@@ -212,8 +212,8 @@ def test_euler_angles(order: tuple[int, int, int]) -> None:
 
 @pytest.mark.parametrize("group", sorted(GROUPS))
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_full_field_is_the_judge_s(group: str, seed: int) -> None:
-    """The lean vector field for SciPy is that of the judge, which is written otherwise."""
+def test_full_vector_field_equals_judge(group: str, seed: int) -> None:
+    """The fast vector field for SciPy equals the judge's independent one."""
     system = pinred.load(random_model(group, 4, seed))
     rng = np.random.default_rng(seed)
     pose = system.group.exp(rng.normal(size=system.r))
@@ -227,8 +227,8 @@ def test_full_field_is_the_judge_s(group: str, seed: int) -> None:
 
 @needs_heyoka
 @pytest.mark.parametrize("robot", ["planar_chain5", "coupled_spatial", "cartpole"])
-def test_taylor_expressions_are_the_graph(robot: str) -> None:
-    """Heyoka evaluates what CasADi does, for a plane, free space and gravity."""
+def test_taylor_expressions_equal_casadi_graph(robot: str) -> None:
+    """The values evaluated by heyoka are the same, in the plane, in space, and with gravity."""
     import heyoka as hy
 
     from pinred.laboratory.bench.taylor import taylor_expressions
@@ -245,8 +245,8 @@ def test_taylor_expressions_are_the_graph(robot: str) -> None:
 
 
 @needs_heyoka
-def test_taylor_folds_constants_and_refuses() -> None:
-    """What hangs on parameters only is a number; an unknown operation is named as such."""
+def test_taylor_folds_constants_and_rejects_unknown_operations() -> None:
+    """Expressions of parameters alone become numbers."""
     import heyoka as hy
 
     from pinred.laboratory.bench.taylor import taylor_expressions

@@ -1,4 +1,4 @@
-"""The table over a corpus: what files are, what comes of them, and that its judges can fail."""
+"""The corpus: classification of files, outcomes of trials, and detection of faults."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ MIMIC = robot(
 )  # fmt: skip
 MASSLESS = robot(link("a"), link("b", 0), joint("a", "b"))
 
-# text: outcome, kind of the reason, whether it should work, what had to be chosen
+# text, outcome, category of the reason, whether it should work, chosen option
 CASES = {
     "floats": (FLOATING, "passed", "", True, ""),
     "fixed": (FIXED, "passed", "", True, ""),
@@ -55,7 +55,7 @@ CASES = {
 }
 
 
-def written(folder: Path, text: str, name: str = "robot") -> str:
+def write_robot(folder: Path, text: str, name: str = "robot") -> str:
     """Write a file and return its path."""
     suffix = "urdf" if text.startswith("<robot") else "xml"
     path = folder / f"{name}.{suffix}"
@@ -63,16 +63,16 @@ def written(folder: Path, text: str, name: str = "robot") -> str:
     return str(path)
 
 
-def described(file: str) -> Description:
-    """The description in a file."""
+def description_of(file: str) -> Description:
+    """Return the description of a file."""
     return Description(file, "urdf" if file.endswith("urdf") else "mjcf")
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_outcomes(case: str, tmp_path: Path) -> None:
-    """Each file ends as it should, and what should work is found without pinred's readers."""
+def test_trial_has_expected_outcome(case: str, tmp_path: Path) -> None:
+    """Files that should work are recognised without pinred's readers."""
     text, outcome, about, due, choice = CASES[case]
-    entry = run_trial(described(written(tmp_path, text)), QUICK)
+    entry = run_trial(description_of(write_robot(tmp_path, text)), QUICK)
     assert (entry.outcome, entry.about, entry.due, entry.choice) == (outcome, about, due, choice)
     if entry.good:
         assert entry.aba <= entry.allowed
@@ -82,8 +82,8 @@ def test_outcomes(case: str, tmp_path: Path) -> None:
         assert entry.reason
 
 
-def test_a_misread_file_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A mass that is off by 1e-9 passes compare, which shares the model, but not MuJoCo."""
+def test_misread_mass_fails_against_mujoco(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mass error of 1e-9 passes compare, which shares the model, but not MuJoCo."""
 
     def wrong(*arguments: Any, **options: Any) -> pinred.System:
         model = pinred.load(*arguments, **options).model.copy()
@@ -92,7 +92,7 @@ def test_a_misread_file_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         model.inertias[model.njoints - 1] = heavier
         return pinred.System(model)
 
-    file = described(written(tmp_path, FLOATING))
+    file = description_of(write_robot(tmp_path, FLOATING))
     monkeypatch.setattr(trials, "load", wrong)
     entry = run_trial(file, QUICK)
     assert (entry.outcome, entry.about) == ("FAILED", "MuJoCo reads it differently")
@@ -100,9 +100,9 @@ def test_a_misread_file_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("what", ["gravity", "axis", "place"])
-def test_the_second_reader_sees(what: str, tmp_path: Path) -> None:
-    """Another gravity, axis or place of a joint than MuJoCo's."""
-    file = written(tmp_path, mjcf(body(f"<freejoint/>{ARM}")))
+def test_second_reader_detects_differences(what: str, tmp_path: Path) -> None:
+    """Different gravity, axis or position of a joint is detected."""
+    file = write_robot(tmp_path, mjcf(body(f"<freejoint/>{ARM}")))
     model = pinred.load(file).model.copy()
     if what == "gravity":
         model.gravity.linear *= 1.0 + 1e-6
@@ -110,26 +110,26 @@ def test_the_second_reader_sees(what: str, tmp_path: Path) -> None:
         model.jointPlacements[2].translation[0] += 1e-6
     else:
         model.jointPlacements[2].rotation = pin.exp3(1e-6 * model.gravity.linear)
-    found = differences(pinred.System(model), file, "mjcf", None)
-    assert max(found.places, found.mass, found.forces) > 1e-8
+    result = differences(pinred.System(model), file, "mjcf", None)
+    assert max(result.places, result.mass, result.forces) > 1e-8
     right = differences(pinred.load(file), file, "mjcf", None)
     assert max(right.places, right.mass, right.forces) < 1e-13
 
 
-def test_a_defect_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An exception that is not pinred's is told as such, and is no refusal."""
+def test_unexpected_exception_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An exception that is not pinred's has the outcome "error"."""
 
     def fails(*_: Any, **__: Any) -> None:
         raise IndexError("oops")
 
     monkeypatch.setattr(trials, "load", fails)
-    entry = run_trial(described(written(tmp_path, FLOATING)), QUICK)
+    entry = run_trial(description_of(write_robot(tmp_path, FLOATING)), QUICK)
     assert (entry.outcome, entry.reason) == ("error", "IndexError: oops")
     assert not Corpus((entry,)).passed
 
 
-def test_files_are_told_by_their_content(tmp_path: Path) -> None:
-    """URDF, MJCF, parts of them, templates, copies, and what is neither."""
+def test_files_are_classified_by_content(tmp_path: Path) -> None:
+    """URDF, MJCF, fragments, templates, copies, and other files."""
     (tmp_path / "deep").mkdir()
     texts = {
         "a.urdf": " \n" + FLOATING, "deep/b.xml": FLOATING.replace('name="r"', 'name="q"'),
@@ -140,28 +140,28 @@ def test_files_are_told_by_their_content(tmp_path: Path) -> None:
     }  # fmt: skip
     for name, text in texts.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
-    found = find_descriptions([tmp_path])
-    kinds = {Path(each.file).name: (each.kind, each.included) for each in found.descriptions}
+    result = find_descriptions([tmp_path])
+    kinds = {Path(item.file).name: (item.kind, item.included) for item in result.descriptions}
     assert kinds == {
         "a.urdf": ("urdf", False), "b.xml": ("urdf", False), "c.xml": ("mjcf", True),
         "e.xml": ("mjcf", False),
     }  # fmt: skip
-    assert (found.fragments, found.macros, found.copies) == (2, 1, 1)
+    assert (result.fragments, result.macros, result.copies) == (2, 1, 1)
     with pytest.raises(LoadError, match="no such folder"):
         find_descriptions([tmp_path / "nowhere"])
 
 
-def test_included_parts_that_do_not_stand_alone(tmp_path: Path) -> None:
-    """A file for others to include that is refused by itself is counted as a part."""
-    part = written(tmp_path, "<mujoco><worldbody><body/></worldbody></mujoco>", "part")
-    entry = run_trial(replace(described(part), included=True), QUICK)
+def test_included_file_that_does_not_load_is_a_fragment(tmp_path: Path) -> None:
+    """A file that another one includes counts as a fragment if it does not load alone."""
+    fragment = write_robot(tmp_path, "<mujoco><worldbody><body/></worldbody></mujoco>", "part")
+    entry = run_trial(replace(description_of(fragment), included=True), QUICK)
     assert entry.outcome == "fragment"
     assert "1 parts" in Corpus((entry,)).summary()
 
 
 @pytest.mark.slow
-def test_a_file_that_never_ends_stops_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its process is ended when the time is up, or has ended by itself, and a new one goes on."""
+def test_hanging_file_does_not_stop_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its process is killed at the time limit, or has crashed, and a new one continues."""
     monkeypatch.setattr(workers, "_serve", _slow_or_dead)
     monkeypatch.setattr(workers, "_WARM_UP", 20.0)
     with Worker(QUICK, 0.5) as worker:
@@ -182,25 +182,27 @@ def _slow_or_dead(pipe: Any, *_: Any) -> None:
 
 
 @pytest.mark.slow
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It prints the table, writes a line for each as csv, and exits with 0 if nothing is wrong."""
+def test_corpus_command_prints_and_writes_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It writes a csv row for each description and exits with 0 if nothing is wrong."""
     for name, case in (("a", "floats"), ("b", "swings"), ("c", "loop")):
-        written(tmp_path, CASES[case][0], name)
-    out = tmp_path / "table.csv"
-    code, text, _ = run(capsys, "corpus", str(tmp_path), "--time", "0.05", "--out", str(out))
+        write_robot(tmp_path, CASES[case][0], name)
+    csv_path = tmp_path / "table.csv"
+    code, text, _ = run(capsys, "corpus", str(tmp_path), "--time", "0.05", "--out", str(csv_path))
     assert code == 0
     assert "of these, good" in text
     assert "100.0 %" in text
     assert "closed loop" in text
-    with out.open(encoding="utf-8") as file:
+    with csv_path.open(encoding="utf-8") as file:
         rows = {Path(row["file"]).name: row for row in csv.DictReader(file)}
     outcomes = {name: row["outcome"] for name, row in rows.items()}
     assert outcomes == {"a.urdf": "passed", "b.xml": "without gravity", "c.xml": "refused"}
     assert float(rows["a.urdf"]["load"]) > 0.0
 
 
-def test_nothing_to_try(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Neither folders nor names, a folder without robots, and numbers that are none."""
+def test_corpus_rejects_empty_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No folders or names, a folder without robots, and invalid numbers."""
     assert "nothing to try" not in refused(capsys, "corpus")
     assert "no URDF or MJCF" in refused(capsys, "corpus", str(tmp_path))
     assert "no such folder" in refused(capsys, "corpus", str(tmp_path / "x"))
@@ -208,10 +210,10 @@ def test_nothing_to_try(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         corpus([tmp_path], duration=0.0)
 
 
-def test_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What was tried before an interruption is on disk."""
+def test_interrupted_corpus_keeps_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Entries before an interruption are on disk."""
     for name in "ab":
-        written(tmp_path, FLOATING.replace('name="r"', f'name="{name}"'), name)
+        write_robot(tmp_path, FLOATING.replace('name="r"', f'name="{name}"'), name)
     answers = iter([Entry("a", "urdf", "passed")])
 
     def next_answer(*_: Any) -> Entry:
@@ -221,16 +223,16 @@ def test_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             raise KeyboardInterrupt from None
 
     monkeypatch.setattr(Worker, "run_trial", next_answer)
-    out = tmp_path / "out.csv"
+    csv_path = tmp_path / "out.csv"
     with pytest.raises(KeyboardInterrupt):
-        corpus([tmp_path], out=out)
-    assert out.read_text(encoding="utf-8").count("\n") == 2
+        corpus([tmp_path], out=csv_path)
+    assert csv_path.read_text(encoding="utf-8").count("\n") == 2
 
 
-def test_prefixes_and_singular_files(tmp_path: Path) -> None:
-    """What should work is said of files with undeclared prefixes too, and why others need not."""
+def test_why_not_due_of_prefixed_and_singular_files(tmp_path: Path) -> None:
+    """Files with undeclared XML prefixes are decided too."""
     prefixed = FLOATING.replace("</robot>", "<a:b/></robot>")
-    assert why_not_due(written(tmp_path, prefixed), "urdf") == ""
-    assert why_not_due(written(tmp_path, MASSLESS), "urdf") == "mass matrix singular"
+    assert why_not_due(write_robot(tmp_path, prefixed), "urdf") == ""
+    assert why_not_due(write_robot(tmp_path, MASSLESS), "urdf") == "mass matrix singular"
     ball = mjcf(body('<body name="b"><joint type="ball"/>' + MASS + "</body>"))
-    assert why_not_due(written(tmp_path, ball), "mjcf") == "ball joints inside the tree"
+    assert why_not_due(write_robot(tmp_path, ball), "mjcf") == "ball joints inside the tree"

@@ -1,4 +1,4 @@
-"""The stress suite in short, and that each of its checks can fail."""
+"""The stress suite (short form), and proof that each check can fail."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ pytestmark = pytest.mark.slow
 SHORT = Trial(effort="short")
 
 
-def broken(function: Callable[..., Any], by: float) -> Callable[..., Any]:
-    """Return simulate or simulate_many with the constants of all bodies off by that part.
+def with_wrong_constants(function: Callable[..., Any], by: float) -> Callable[..., Any]:
+    """Return simulate or simulate_many with relative errors in the constants of all bodies.
 
-    The state that a robot comes with, and its time, are those of the right one.
+    The default initial state and times are those of the correct robot.
     """
 
     def run(system: pinred.System, **options: Any) -> Any:
-        own, wrong = system.initial, off(system, by)
-        if own is not None and "x0" not in options:
-            options = {"x0": own.x, "xdot0": own.xdot, "xi0": own.xi, **options}
-            options.setdefault("times", np.linspace(0.0, own.duration, 201))
+        expected, wrong = system.initial, perturb_bodies(system, by)
+        if expected is not None and "x0" not in options:
+            options = {"x0": expected.x, "xdot0": expected.xdot, "xi0": expected.xi, **options}
+            options.setdefault("times", np.linspace(0.0, expected.duration, 201))
         return function(wrong, **options)
 
     return run
 
 
-def off(system: pinred.System, by: float) -> pinred.System:
-    """The robot with each body of another mass, and stretched: by another part along each axis.
+def perturb_bodies(system: pinred.System, by: float) -> pinred.System:
+    """Change the mass of each body and stretch it differently along each axis.
 
-    So it stays a real body, flat if it was flat.  The armature stays as it is.
+    The bodies stay physical, and flat if they were flat. The armature stays unchanged.
     """
     model = system.model.copy()
     for i in range(1, model.njoints):
@@ -55,14 +55,14 @@ def off(system: pinred.System, by: float) -> pinred.System:
 
 
 @pytest.mark.parametrize("name", CHECKS)
-def test_passes(name: str) -> None:
+def test_check_passes(name: str) -> None:
     """The short form of the check passes."""
     outcome = run_check(CHECKS[name], SHORT)
     assert outcome.passed, table([outcome])
 
 
-def test_not_a_number_fails() -> None:
-    """What is not a number is within no bound, and is the worst case."""
+def test_nan_fails_and_is_worst_case() -> None:
+    """NaN is within no bound, and is the worst case."""
     case = Case("a", float("nan"), 1.0)
     assert not case.passed
     outcome = run_check(Check("c", "w", lambda _: iter([Case("b", 0.0, 1.0), case])), SHORT)
@@ -70,13 +70,13 @@ def test_not_a_number_fails() -> None:
     assert outcome.worst is case
 
 
-def test_nothing_measured_fails() -> None:
+def test_check_without_cases_fails() -> None:
     """A check without cases proves nothing."""
     assert not run_check(Check("c", "w", lambda _: iter([])), SHORT).passed
 
 
-def test_what_stops_fails() -> None:
-    """A motion that cannot be followed is a failure that says why."""
+def test_check_that_stops_fails() -> None:
+    """A motion that cannot be integrated is a failure with a reason."""
 
     def cases(trial: Trial) -> Any:
         yield Case("a", 0.0, 1.0)
@@ -87,15 +87,17 @@ def test_what_stops_fails() -> None:
     assert "TooManySteps" in table([outcome])
 
 
-def test_unknown_names() -> None:
-    """The error lists the checks."""
+def test_unknown_check_is_rejected() -> None:
+    """The message lists the checks."""
     with pytest.raises(pinred.InputError, match="no check 'x'; the checks are tolerances, "):
         select_checks(["reversal", "x"])
     assert main(["stress", "--only", "x"]) == 2
 
 
-def test_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """It prints a table, and returns 1 if a check fails."""
+def test_stress_command_prints_table(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It returns 1 if a check fails."""
     quick = Check("quick", "nothing", lambda _: iter([Case("a case", 0.5, 1.0)]))
     monkeypatch.setitem(CHECKS, "quick", quick)
     assert main(["stress", "--only", "quick"]) == 0
@@ -103,16 +105,16 @@ def test_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyP
     failing = replace(quick, cases=lambda _: iter([Case("a case", 2.0, 1.0)]))
     monkeypatch.setitem(CHECKS, "quick", failing)
     assert main(["stress", "--only", "quick"]) == 1
-    out = capsys.readouterr().out
-    assert "FAILED" in out
-    assert "0 of 1 checks passed" in out
+    printed = capsys.readouterr().out
+    assert "FAILED" in printed
+    assert "0 of 1 checks passed" in printed
 
 
-# Where an invariance is the statement, a wrong robot keeps it; such checks are broken below.
+# Invariance checks pass for a wrong robot; other tests make them fail.
 INVARIANT = ("reversal", "energy", "casimirs", "frames", "units")
 
 
-# The smallest fault, in decades, that the short form of a check notices (docs/stress.md).
+# Smallest relative fault (power of ten) that the short form of a check detects (docs/stress.md).
 NOTICED = {
     "tolerances": 1e-8,
     "between": 1e-7,
@@ -130,30 +132,27 @@ NOTICED = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::pinred.ModelWarning")  # flat bodies are doubtful ones
+@pytest.mark.filterwarnings("ignore::pinred.ModelWarning")  # flat bodies cause warnings
 @pytest.mark.parametrize("name", [name for name in CHECKS if name not in INVARIANT])
-def test_a_wrong_constant_fails(name: str) -> None:
-    """The check fails for a simulation of a robot whose constants are off, and says by which case.
-
-    A fault with which nothing could be simulated would be an error of this test.
-    """
-    outcome = with_fault(name, NOTICED[name])
+def test_wrong_constant_fails(name: str) -> None:
+    """The check fails for a robot with wrong constants, because of a case, not of an error."""
+    outcome = run_with_fault(name, NOTICED[name])
     assert not outcome.stopped, outcome.stopped
     assert any(not case.passed for case in outcome.cases), table([outcome])
 
 
-def with_fault(name: str, by: float) -> Outcome:
-    """The outcome of the short form of a check, of robots whose constants are off by that part."""
+def run_with_fault(name: str, by: float) -> Outcome:
+    """Run the short form of a check for robots with wrong constants."""
     wrong = replace(
         SHORT,
-        simulate=broken(pinred.simulate, by),
-        simulate_many=broken(pinred.simulate_many, by),
+        simulate=with_wrong_constants(pinred.simulate, by),
+        simulate_many=with_wrong_constants(pinred.simulate_many, by),
     )
     return run_check(CHECKS[name], wrong)
 
 
-def test_a_jump_at_zero_is_noticed_by_all() -> None:
-    """Where the kernel without momentum gives another motion, every case that compares says so."""
+def test_jump_at_zero_momentum_fails_all_cases() -> None:
+    """If the kernel without momentum gives another motion, every comparing case fails."""
 
     def run(system: pinred.System, *, momentum: Any, **options: Any) -> Any:
         still = np.all(momentum == 0.0, axis=1)
@@ -167,8 +166,8 @@ def test_a_jump_at_zero_is_noticed_by_all() -> None:
     assert not any(case.passed for case in small), "\n".join(map(str, small))
 
 
-def rubbed(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return simulate or simulate_many with a little that pushes on the base all the time."""
+def with_small_wrench(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return simulate or simulate_many with a small constant wrench on the base."""
 
     def run(system: pinred.System, **options: Any) -> Any:
         return function(system, forces=[Wrench([1e-6] * system.r)], **options)
@@ -177,16 +176,18 @@ def rubbed(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @pytest.mark.parametrize("name", ["energy", "casimirs", "frames"])
-def test_a_push_fails(name: str) -> None:
-    """The check fails where something pushes on the base, in its own frame, that should not."""
+def test_small_wrench_fails(name: str) -> None:
+    """The check fails under a small unwanted wrench in the body frame."""
     wrong = replace(
-        SHORT, simulate=rubbed(pinred.simulate), simulate_many=rubbed(pinred.simulate_many)
+        SHORT,
+        simulate=with_small_wrench(pinred.simulate),
+        simulate_many=with_small_wrench(pinred.simulate_many),
     )
     assert not run_check(CHECKS[name], wrong).passed
 
 
-def test_units_that_matter_fail() -> None:
-    """The check of units fails for a method that knows the second."""
+def test_method_that_depends_on_units_fails() -> None:
+    """The check of units fails for a method with a step in seconds."""
 
     def run(system: pinred.System, **options: Any) -> Any:
         return pinred.simulate(system, **{**options, "method": RKMK4(0.5)})
@@ -194,14 +195,14 @@ def test_units_that_matter_fail() -> None:
     assert not run_check(CHECKS["units"], replace(SHORT, simulate=run)).passed
 
 
-def test_a_method_that_loses_energy_is_not_symplectic(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The check of energy fails for a method that says it is symplectic, and is not."""
+def test_method_that_loses_energy_fails_as_symplectic(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The check of energy fails for a method that falsely claims to be symplectic."""
     monkeypatch.setattr(RKMK4, "symplectic", True)
     assert not run_check(CHECKS["energy"], replace(SHORT, fixed=(RKMK4,))).passed
 
 
-def test_friction_cannot_be_reversed() -> None:
-    """The check of reversal fails with a little friction."""
+def test_friction_fails_time_reversal() -> None:
+    """The check of reversal fails with small friction."""
 
     def run(system: pinred.System, **options: Any) -> Any:
         friction = [Damper(name, 1e-4) for name in system.shape_names]

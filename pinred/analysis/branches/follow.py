@@ -15,7 +15,7 @@ from ...forces.signals import Signal
 from ...scene.option_checks import check_seed
 from ...system.system import System, checked_system
 from ..equilibria.amended_energy import AmendedEnergy, Points
-from ..equilibria.find import checked_starts, equilibrium_at, found_points
+from ..equilibria.find import checked_starts, equilibrium_at, search_points
 from ..equilibria.problem import Problem, problem_of
 from ..equilibria.relative_equilibrium import RelativeEquilibrium
 from ..equilibria.same_shape import place_of
@@ -151,7 +151,7 @@ def branches(
     follower = _Follower(problem, low, high, step)
     levels = (low, 0.5 * (low + high), high)
     for J in levels:
-        points, _, _ = found_points(problem, J, starts, seed)
+        points, _, _ = search_points(problem, J, starts, seed)
         for k in range(len(points)):
             follower.add(points[k : k + 1], J)
     follower.follow_all()

@@ -1,16 +1,16 @@
 """The amended potential as a function of active joints and direction, with exact derivatives.
 
-With K the inertia of base and cyclic joints at frozen shape, H_d its coupling to the joints that
-are driven at rates ν, and s = (μ, π_cyclic) the momenta,
+K is the inertia of base and cyclic joints at a frozen shape, H_d its coupling to the joints driven
+at rates ν, and s = (μ, π_cyclic) the momenta. Then
 
     U = V + ½ σᵀ K⁻¹ σ − ½ νᵀ H_dd ν,     σ = s − H_d ν,
 
-which is minus Routh's function at rest.  In free space μ = (0, J n): no linear momentum in the
-frame of the centre of mass, and a direction n in the body.  Where gravity turns a pivoted base,
-only the angular momentum J about the vertical is kept: the base turns about the upward direction e
-in the body, K and σ are those of that turn (E = [e]), and V = m |g| e·c.
+which is minus Routh's function at rest. In free space μ = (0, J n): zero linear momentum in the
+frame of the centre of mass, and a direction n in the body. If gravity turns a pivoted base, only
+the angular momentum J about the vertical is conserved. The base then rotates about the upward
+direction e in the body, K and σ refer to that rotation (E = [e]), and V = m |g| e·c.
 
-Derivatives by θ = (x, n): with η = K⁻¹ σ and ρ_θ = ∂σ − ∂K η, so that ∂η = K⁻¹ρ,
+Derivatives by θ = (x, n), with η = K⁻¹ σ and ρ_θ = ∂σ − ∂K η, so that ∂η = K⁻¹ρ:
 
     ∂U = ηᵀ∂σ − ½ ηᵀ∂K η + ∂V,     ∂∂U = ρᵀK⁻¹ρ + ηᵀ∂∂σ − ½ ηᵀ∂∂K η + ∂∂V.
 
@@ -35,12 +35,17 @@ from .problem import Problem
 
 Which: TypeAlias = slice | list[int] | NDArray[Any]
 
-_SINGULAR = 1e13  # condition number of a mass matrix that counts as singular
+_SINGULAR = 1e13  # condition number above which a mass matrix counts as singular
 
 
 @dataclass(frozen=True)
 class Points:
-    """Values of the unknowns.  x: (N, ma) active joints.  n: (N, 3) direction, or (N, 0)."""
+    """Values of the unknowns at N points.
+
+    Attributes:
+        x: Active joints, (N, ma).
+        n: Directions in the body, (N, 3), or (N, 0) if none is unknown.
+    """
 
     x: Array
     n: Array
@@ -52,7 +57,13 @@ class Points:
         return Points(self.x[key], self.n[key])
 
     def moved(self, step: Array) -> Points:
-        """Return the points moved along (x, tangent of the sphere), (N, unknowns)."""
+        """Return the points after a step.
+
+        Args:
+            step: Changes of (x, tangent of the sphere), (N, unknowns).
+        Returns:
+            The new points, with unit directions.
+        """
         ma = self.x.shape[1]
         if not self.n.shape[1]:
             return Points(self.x + step, self.n)
@@ -62,11 +73,16 @@ class Points:
 
 @dataclass(frozen=True)
 class Energies:
-    """U (N,) with its gradient (N, u) and Hessian (N, u, u) by the unknowns, on the sphere.
+    """The amended potential and its derivatives at N points.
 
-    rates: (N, k) η, twist of the base (of its turn about the vertical, where heavy) and rates of
-    the cyclic joints.  by_momentum: (N, u), the gradient's derivative by J.  scale: (N,) sizes of
-    the energies in U [J].
+    Attributes:
+        U: Amended potential, (N,) [J].
+        gradient: Derivative with respect to the u unknowns, on the sphere, (N, u).
+        hessian: Second derivative, (N, u, u).
+        rates: η, (N, k): twist of the base (or its rate about the vertical) and rates of the cyclic
+            joints.
+        by_momentum: Derivative of the gradient with respect to J, (N, u).
+        scale: Size of the energies in U, (N,) [J].
     """
 
     U: Array
@@ -78,7 +94,7 @@ class Energies:
 
 
 def tangents(n: Array) -> Array:
-    """Return orthonormal bases (N, 3, 2) of the planes across unit vectors (N, 3)."""
+    """Return orthonormal bases (N, 3, 2) of the tangent planes at unit vectors (N, 3)."""
     least = np.eye(3)[np.argmin(np.abs(n), axis=1)]
     a = np.cross(n, least)
     a /= np.linalg.norm(a, axis=1, keepdims=True)
@@ -86,10 +102,10 @@ def tangents(n: Array) -> Array:
 
 
 class AmendedEnergy:
-    """The amended potential of a problem, at many points at once."""
+    """The amended potential of a problem, evaluated at many points at once."""
 
     def __init__(self, problem: Problem) -> None:
-        """Prepare what does not depend on the point."""
+        """Prepare the quantities that do not depend on the point."""
         self.problem = problem
         system, acting = problem.system, problem.plan.acting
         self._rows = [*range(system.r), *(system.r + k for k in problem.cyclic)]
@@ -100,14 +116,21 @@ class AmendedEnergy:
         self._origin = -float(self._gravity @ root_of(system).origin)
 
     def __call__(self, points: Points, J: float | Array) -> Energies:
-        """Evaluate at points, for momentum J: one, or (N,)."""
+        """Evaluate the amended potential and its derivatives.
+
+        Args:
+            points: Values of the unknowns.
+            J: Momentum, one number or (N,).
+        Returns:
+            Energies and derivatives. They are NaN where the mass matrix is singular.
+        """
         problem, N = self.problem, len(points)
         J = np.broadcast_to(np.asarray(J, dtype=float), (N,))
         x = problem.shapes(points.x)
-        # The blocks of base, cyclic and driven joints are all that is differentiated.
+        # Only the blocks of base, cyclic and driven joints are differentiated.
         d = inertia_derivatives(problem.system, x, of={*problem.cyclic, *problem.driven})
         K, K1, K2, s, s1, s2, sJ, sJ1 = self._terms(d, points, J)
-        # Point masses on their axis have no inertia, and their coordinates say nothing there.
+        # A point mass on its joint axis makes the mass matrix singular.
         regular = np.linalg.cond(d.H) < _SINGULAR
         K = np.where(regular[:, None, None], K, np.eye(K.shape[1]))
         eta = np.where(regular[:, None], np.linalg.solve(K, s[..., None])[..., 0], np.nan)
@@ -125,7 +148,7 @@ class AmendedEnergy:
         return self._on_sphere(points, Energies(U, g, Hs, eta, gJ, scale))
 
     def _terms(self, d: InertiaDerivatives, points: Points, J: Array) -> tuple[Array, ...]:
-        """Return K and σ with their derivatives by θ, and ∂σ/∂J with its own."""
+        """Return K and σ with their derivatives by θ, and ∂σ/∂J with its derivative."""
         problem, N, a, rows = self.problem, len(points), self._active, self._rows
         ma, r, size = len(a), problem.system.r, len(rows)
         T = ma + 3 * problem.directional
@@ -174,8 +197,8 @@ class AmendedEnergy:
         s1[:, :ma] = -h1 @ E
         s1[:, ma:] = -(Eit @ h[:, None, :, None])[..., 0]
         s2[:, :ma, :ma] = -h2 @ E[:, None]
-        turned = -np.einsum("nai,eik->naek", h1, Ei)
-        s2[:, :ma, ma:], s2[:, ma:, :ma] = turned, np.swapaxes(turned, 1, 2)
+        mixed_momentum = -np.einsum("nai,eik->naek", h1, Ei)
+        s2[:, :ma, ma:], s2[:, ma:, :ma] = mixed_momentum, np.swapaxes(mixed_momentum, 1, 2)
         sJ = np.zeros((N, k))
         sJ[:, 0] = 1.0
         return Et @ full @ E, K1, K2, s, s1, s2, sJ, np.zeros((N, T, k))
@@ -194,7 +217,7 @@ class AmendedEnergy:
     def _add_potential(
         self, d: InertiaDerivatives, x: Array, points: Points, U: Array, g: Array, Hs: Array
     ) -> Array:
-        """Add V; return the sizes of its terms, (N,)."""
+        """Add V to U and its derivatives. Return the size of its terms, (N,)."""
         a, ma = self._active, len(self._active)
         scale = np.zeros(len(U))
         weight = self._gravity
@@ -202,7 +225,7 @@ class AmendedEnergy:
             dcom, d2com = d.dcom[..., a], d.d2com[..., a, :][..., a]
             if self.problem.kind == "heavy":
                 size = float(np.linalg.norm(weight))
-                pull = -size * points.n  # along the body's own axes
+                pull = -size * points.n  # gravity force in body axes
                 g[:, ma:] += size * d.com
                 Hs[:, ma:, :ma] += size * dcom
                 Hs[:, :ma, ma:] += size * np.swapaxes(dcom, 1, 2)
@@ -223,7 +246,7 @@ class AmendedEnergy:
 
     @cached_property
     def _springs(self) -> ca.Function:
-        """V of the forces, its gradient and Hessian."""
+        """V of the forces, its gradient and Hessian, as a CasADi function."""
         forces = self.problem.forces
         assert forces is not None
         x = ca.SX.sym("x", self.problem.system.m)
@@ -232,7 +255,7 @@ class AmendedEnergy:
         return ca.Function("springs", [x], [ca.densify(part) for part in (V, g, H)])
 
     def _on_sphere(self, points: Points, e: Energies) -> Energies:
-        """Return derivatives along the sphere in the place of those by n."""
+        """Project derivatives with respect to n onto the tangent plane of the sphere."""
         if not self.problem.directional:
             return e
         ma = points.x.shape[1]
@@ -241,8 +264,8 @@ class AmendedEnergy:
         B[:, ma:, ma:] = tangents(points.n)
         Bt = np.swapaxes(B, 1, 2)
         hessian = Bt @ e.hessian @ B
-        along = np.einsum("ni,ni->n", e.gradient[:, ma:], points.n)
-        hessian[:, ma:, ma:] -= along[:, None, None] * np.eye(2)
+        radial = np.einsum("ni,ni->n", e.gradient[:, ma:], points.n)
+        hessian[:, ma:, ma:] -= radial[:, None, None] * np.eye(2)
         g, gJ = ((Bt @ part[..., None])[..., 0] for part in (e.gradient, e.by_momentum))
         return Energies(e.U, g, hessian, e.rates, gJ, e.scale)
 
@@ -252,5 +275,5 @@ def _symmetric(matrix: Array) -> Array:
 
 
 def _both(Et: Array, matrix: Array, E: Array) -> Array:
-    """Return Eᵀ · E with two axes of derivatives in between."""
+    """Return Eᵀ M E, with two derivative axes in between."""
     return np.asarray(Et[:, None, None] @ matrix @ E[:, None, None])

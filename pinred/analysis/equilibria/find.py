@@ -24,11 +24,11 @@ from .relative_equilibrium import Equilibria, RelativeEquilibrium, pose_of
 from .same_shape import Place, place_of
 from .search import critical_points, minima, polished, residuals, starting_points
 
-MANY_JOINTS = 6  # active ones, from which on all that is promised is the minimum
-_STARTS = {True: 100, False: 1000}  # with many joints, and with few
-_MINIMISATIONS = 24
-_ROUND_OFF = 1e-14  # rad, and of a direction; less is none
-_SAME_ENERGY = 1e-8  # of the size of the energies, within one family
+MANY_JOINTS = 6  # number of active joints from which only the minimum is promised
+_STARTS = {True: 100, False: 1000}  # number of starts, with many and with few joints
+_MINIMISATIONS = 24  # number of starts that are also minimised
+_ROUND_OFF = 1e-14  # angles [rad] and direction components below this are set to zero
+_SAME_ENERGY = 1e-8  # largest relative difference of energies within one family
 
 
 def relative_equilibria(
@@ -43,19 +43,29 @@ def relative_equilibria(
     prescribed: Mapping[str, Signal | float | str] | None = None,
     passive: bool = False,
 ) -> Equilibria:
-    """Return the relative equilibria found at a momentum, least amended potential first.
+    """Search the relative equilibria at a momentum, sorted by amended potential.
 
-    momentum: J = |J| in space [N·m·s], its signed value where there is one axis (ℝ: [N·s], SO(2),
-    SE(2), ℝ × SE(2)), about the upward vertical where gravity turns a pivoted base.  Linear
-    momentum is zero in the frame of the centre of mass.  cyclic: {joint: momentum} of cyclic joints
-    (π, which is constant), the others zero.  starts: how many random and symmetric points Newton's
-    method starts from (1000; 100 from six joints on); minimisations go with them.  seed: of them.
-    springs, forces, prescribed, passive: as of Scene; forces must have a potential, and prescribed
-    joints stand still, or turn at a constant rate where nothing depends on their angle.
+    Shapes that differ only in their coordinates count once, and so does a family of equilibria. The
+    search starts from random and symmetric points and can miss equilibria. With six or more moving
+    joints, only the minimum and the residuals are promised.
 
-    Each shape counts once, whatever its coordinates, and each family of equilibria too.  Where six
-    joints and more move, only the minimum and the residuals are promised: found, not all.
-    Raises InputError for what makes no sense, SymmetryError if gravity breaks the symmetry.
+    Args:
+        system: The system.
+        momentum: J = |J| in space [N·m·s]; signed where there is one axis (ℝ: [N·s], SO(2), SE(2),
+            ℝ × SE(2)); about the upward vertical where gravity turns a pivoted base. The linear
+            momentum is zero in the frame of the centre of mass.
+        cyclic: Momenta π of cyclic joints by name; others are zero.
+        starts: Number of starts of Newton's method; 1000, or 100 with six or more moving joints.
+        seed: Seed of the starts.
+        springs: Springs, as in Scene.
+        forces: Forces with a potential.
+        prescribed: Joints with a constant value, or cyclic joints with a constant rate.
+        passive: Whether the springs in the robot's file act.
+    Returns:
+        The equilibria, with the number of starts and of converged starts.
+    Raises:
+        InputError: An argument is invalid, or every shape is an equilibrium.
+        SymmetryError: Gravity breaks the symmetry.
     """
     problem = problem_of(
         checked_system(system, "relative_equilibria"), cyclic=cyclic, springs=springs,
@@ -63,51 +73,67 @@ def relative_equilibria(
     )  # fmt: skip
     J = finite(momentum, "momentum")
     if problem.directional and J < 0.0:
-        raise InputError(f"momentum is |J|, which is not negative, got {J:g}")
+        raise InputError(f"momentum: expected |J|, which is not negative, got {J:g}")
     if problem.kind == "free" and J == 0.0:
         problem = problem.at_rest()
     many = len(problem.active) >= MANY_JOINTS
     count = _STARTS[many] if starts is None else checked_starts(starts)
-    points, arrived, tried = found_points(problem, J, count, check_seed(seed))
+    points, converged, total = search_points(problem, J, count, check_seed(seed))
     entries = tuple(equilibrium_at(problem, points[k : k + 1], J) for k in range(len(points)))
-    return Equilibria(problem.system, J, tried, arrived, _without_copies(entries))
+    return Equilibria(problem.system, J, total, converged, _without_copies(entries))
 
 
 def checked_starts(starts: int) -> int:
-    """Return a number of starts.  Raises InputError unless it is a whole number from 1."""
+    """Validate a number of starts: a whole number from 1."""
     if isinstance(starts, bool) or not (isinstance(starts, (int, np.integer)) and starts > 0):
         raise InputError(f"starts must be a whole number from 1, got {starts!r}")
     return int(starts)
 
 
-def found_points(problem: Problem, J: float, count: int, seed: int) -> tuple[Points, int, int]:
-    """Return the critical points found, each once, how many starts arrived, and of how many.
+def search_points(problem: Problem, J: float, count: int, seed: int) -> tuple[Points, int, int]:
+    """Search the critical points of a problem.
 
-    Raises InputError where every shape is an equilibrium.
+    Args:
+        problem: The problem.
+        J: Momentum.
+        count: Number of starts.
+        seed: Seed of the starts.
+    Returns:
+        The distinct critical points, the number of converged starts, and the number of starts.
+    Raises:
+        InputError: Every shape is an equilibrium.
     """
     energy, rng = AmendedEnergy(problem), np.random.default_rng(seed)
-    first = starting_points(problem, count, rng)
-    e = energy(first, J)
+    initial = starting_points(problem, count, rng)
+    e = energy(initial, J)
     if problem.unknowns and not (e.scale > 0.0).any():
         raise InputError(
-            "without momentum and potential every shape is an equilibrium; give a momentum, or "
+            "without momentum and potential every shape is an equilibrium. Give a momentum, or "
             "momenta of cyclic joints"
         )
-    found = [critical_points(energy, first, J)]
+    searches = [critical_points(energy, initial, J)]
     if problem.unknowns:
-        last = first[-min(_MINIMISATIONS, len(first)) :]
-        found.append(minima(energy, last, J))
-    points = Points(*(np.concatenate([getattr(p, n) for p, _ in found]) for n in ("x", "n")))
+        minimised = initial[-min(_MINIMISATIONS, len(initial)) :]
+        searches.append(minima(energy, minimised, J))
+    points = Points(*(np.concatenate([getattr(p, n) for p, _ in searches]) for n in ("x", "n")))
     points, e = polished(energy, points, J)
-    arrived = len(found[0][0]) + (len(found[1][0]) if len(found) > 1 else 0)
-    tried = len(first) + (min(_MINIMISATIONS, len(first)) if len(found) > 1 else 0)
+    converged = len(searches[0][0]) + (len(searches[1][0]) if len(searches) > 1 else 0)
+    tried = len(initial) + (min(_MINIMISATIONS, len(initial)) if len(searches) > 1 else 0)
     points = _tidy(problem, points)
-    kept = _distinct(problem, points, e)
-    return points[kept], arrived, tried
+    distinct = _distinct(problem, points, e)
+    return points[distinct], converged, tried
 
 
 def equilibrium_at(problem: Problem, point: Points, J: float) -> RelativeEquilibrium:
-    """Return the relative equilibrium at a critical point, a Points of length one."""
+    """Compute the relative equilibrium at a critical point.
+
+    Args:
+        problem: The problem.
+        point: One critical point, of length one.
+        J: Momentum.
+    Returns:
+        The equilibrium with its stability.
+    """
     system, r = problem.system, problem.system.r
     energy = AmendedEnergy(problem)
     e = energy(point, J)
@@ -117,11 +143,11 @@ def equilibrium_at(problem: Problem, point: Points, J: float) -> RelativeEquilib
     xdot = problem.rates(eta[1:] if heavy else eta[r:])
     H = mass_matrix(system, x)
     v = np.concatenate([xi, xdot])
-    own = v.copy()
-    own[r + np.array(problem.driven, dtype=np.intp)] = 0.0
-    rest = v - own
+    undriven = v.copy()
+    undriven[r + np.array(problem.driven, dtype=np.intp)] = 0.0
+    driven = v - undriven
     kinetic = 0.5 * float(v @ H @ v)
-    amended = 0.5 * float(own @ H @ own - rest @ H @ rest)
+    amended = 0.5 * float(undriven @ H @ undriven - driven @ H @ driven)
     U = float(e.U[0])
     return RelativeEquilibrium(
         system=system,
@@ -149,7 +175,16 @@ def _stability(
 
 
 def flow_at(problem: Problem, point: Points, xdot: Array, xi: Array) -> CompiledFlow:
-    """Return the compiled flow that begins at a point with these velocities."""
+    """Compile the flow that starts at a point with given velocities.
+
+    Args:
+        problem: The problem.
+        point: One point, of length one.
+        xdot: Shape rates, (m,).
+        xi: Body twist, (r,).
+    Returns:
+        The flow.
+    """
     from dataclasses import replace
 
     scene = replace(
@@ -160,7 +195,7 @@ def flow_at(problem: Problem, point: Points, xdot: Array, xi: Array) -> Compiled
 
 
 def _tidy(problem: Problem, points: Points) -> Points:
-    """Return points with angles in (−π, π] where nothing but the inertia sees them."""
+    """Wrap angles to (−π, π] where only the inertia depends on them."""
     touched = problem.forces.touched if problem.forces is not None else set()
     x = points.x.copy()
     for i, k in enumerate(problem.active):
@@ -172,7 +207,7 @@ def _tidy(problem: Problem, points: Points) -> Points:
 
 
 def _periodic(problem: Problem, k: int) -> bool:
-    """Return whether a turn of an angle brings all bodies back: followers have their own ratios."""
+    """Return whether a full rotation of a joint restores all bodies, its followers included."""
     coupled = problem.system.coupled
     if coupled is None:
         return True
@@ -181,36 +216,38 @@ def _periodic(problem: Problem, k: int) -> bool:
 
 
 def _distinct(problem: Problem, points: Points, e: Energies) -> list[int]:
-    """Return the indices of points whose shapes differ, least energy first."""
-    # Of copies, the one with the smallest angles stands for all.
+    """Return the indices of points with distinct shapes, sorted by energy."""
+    # Among equal shapes, keep the one with the smallest angles.
     size = np.round(np.linalg.norm(points.x, axis=1), 9)
     levels = np.round(e.U / max(float(e.scale.max(initial=0.0)), 1e-300), 10)
     order = np.lexsort((residuals(e), size, levels))
     coordinates = np.round(np.concatenate([points.x, points.n], axis=1)[order], 6)
-    _, first = np.unique(coordinates, axis=0, return_index=True)  # most are the same in these, too
-    seen: list[tuple[float, Place]] = []
-    kept: list[int] = []
+    _, first = np.unique(
+        coordinates, axis=0, return_index=True
+    )  # most equal shapes also have equal coordinates
+    places: list[tuple[float, Place]] = []
+    distinct: list[int] = []
     for k in order[np.sort(first)].tolist():
         place = place_of(problem, problem.shapes(points.x[k : k + 1])[0], points.n[k])
         near = _SAME_ENERGY * float(e.scale[k])
         if any(
             abs(U - e.U[k]) <= near and place.same(other, reversible=problem.reversible)
-            for U, other in seen
+            for U, other in places
         ):
             continue
-        seen.append((float(e.U[k]), place))
-        kept.append(k)
-    return kept
+        places.append((float(e.U[k]), place))
+        distinct.append(k)
+    return distinct
 
 
 def _without_copies(entries: tuple[RelativeEquilibrium, ...]) -> tuple[RelativeEquilibrium, ...]:
-    """Return equilibria with one of each family: those of a family have energy and modes alike."""
-    out: list[RelativeEquilibrium] = []
-    for each in entries:
-        if each.dimension and any(_one_family(each, other) for other in out):
+    """Keep one equilibrium per family: members of a family have equal energy and index."""
+    unique: list[RelativeEquilibrium] = []
+    for entry in entries:
+        if entry.dimension and any(_one_family(entry, other) for other in unique):
             continue
-        out.append(each)
-    return tuple(out)
+        unique.append(entry)
+    return tuple(unique)
 
 
 def _one_family(a: RelativeEquilibrium, b: RelativeEquilibrium) -> bool:

@@ -1,9 +1,9 @@
-"""The problem of relative equilibria: which joints may move, and what the base keeps.
+"""The problem of relative equilibria: which joints are unknown, and which momentum is conserved.
 
-A relative equilibrium turns (or slides) steadily with its joints at rest.  It is a critical point
-of the amended potential over the shape x of the active joints and, in space, over the direction of
-the momentum in the body.  Cyclic joints turn steadily at given momenta; prescribed ones are held,
-or turn at given rates where nothing depends on their angle.
+In a relative equilibrium, the robot rotates or slides steadily with its joints at rest. It is a
+critical point of the amended potential over the shape x of the active joints and, in space, over
+the direction of the momentum in the body. Cyclic joints rotate steadily at given momenta.
+Prescribed joints are constant, or, if they are cyclic, move at given rates.
 """
 
 from __future__ import annotations
@@ -28,20 +28,26 @@ from ...system.joints import axes_of
 from ...system.system import System
 
 Kind: TypeAlias = Literal["axis", "free", "heavy"]
-_STEADY = 1e-12  # relative; rates of prescribed joints that change by less are constant
-_TIMES = (0.0, 0.37, 1.0)  # s; where a plan is looked at
+_STEADY = 1e-12  # relative change below which the rate of a prescribed joint is constant
+_TIMES = (0.0, 0.37, 1.0)  # s, times at which prescribed joints are checked
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A system with what acts on it; arrays are read-only.
+    """A system, its forces, and the unknowns of its relative equilibria.
 
-    kind: "axis", the momentum has one axis (ℝ, SO(2), SE(2), ℝ × SE(2), or none); "free", its
-    direction in the body is an unknown (SO(3), SE(3)); "heavy", gravity turns a pivoted base, and
-    the unknown is the upward vertical in the body.
-    active, cyclic, driven: indices of joints that are unknown, cyclic, prescribed.  cyclic_momenta:
-    (nc,).  driven_x, driven_rate: (nd,).  touched: joints whose angle something but the inertia
-    depends on.
+    Attributes:
+        system: The system.
+        scene: Scene with the forces and prescribed joints.
+        kind: "axis": the momentum has one axis, or none (ℝ, SO(2), SE(2), ℝ × SE(2)). "free": its
+            direction in the body is unknown (SO(3), SE(3)). "heavy": gravity turns a pivoted base,
+            and the upward vertical in the body is unknown.
+        active: Indices of the unknown joints.
+        cyclic: Indices of the cyclic joints.
+        driven: Indices of the prescribed joints.
+        cyclic_momenta: Momenta of the cyclic joints, (nc,).
+        driven_x: Values of the prescribed joints, (nd,).
+        driven_rate: Rates of the prescribed joints, (nd,).
     """
 
     system: System
@@ -59,17 +65,17 @@ class Problem:
 
     @property
     def plan(self) -> Plan:
-        """The plan of the scene, which all equilibria share but for their start."""
+        """Plan of the scene, which all equilibria share except for the initial state."""
         return plan_of(self.scene)
 
     @property
     def directional(self) -> bool:
-        """Whether a direction in the body is among the unknowns."""
+        """Whether a direction in the body is unknown."""
         return self.kind != "axis"
 
     @property
     def unknowns(self) -> int:
-        """Number of unknowns: of the active joints, and two of a direction."""
+        """Number of unknowns: one per active joint, and two for a direction."""
         return len(self.active) + 2 * self.directional
 
     @property
@@ -79,33 +85,33 @@ class Problem:
 
     @property
     def axis(self) -> Array:
-        """The axis of rotation in the root body's frame, (3,), zero if there is none or several."""
+        """Axis of rotation in the frame of the base, (3,); zero if there is none or several."""
         if self.system.group.turns != 1:
             return np.zeros(3)
         return axes_of(self.system.model.joints[1])[3:, -1]
 
     @property
     def reversible(self) -> bool:
-        """Whether the opposite direction is the same motion backwards."""
+        """Whether the opposite direction is the same motion in reverse."""
         moving = self.cyclic_momenta.any() or self.driven_rate.any()
         return self.kind == "free" and not moving
 
     def shapes(self, active: Array) -> Array:
-        """Return shapes (N, m) of the active joints' values (N, ma); cyclic ones at zero."""
+        """Return shapes (N, m) for active joints (N, ma), with cyclic joints at zero."""
         x = np.zeros((len(active), self.system.m))
         x[:, list(self.active)] = active
         x[:, list(self.driven)] = self.driven_x
         return x
 
     def rates(self, cyclic: Array) -> Array:
-        """Return shape rates (m,) of the cyclic joints' rates (nc,)."""
+        """Return shape rates (m,) for rates of the cyclic joints (nc,)."""
         xdot = np.zeros(self.system.m)
         xdot[list(self.cyclic)] = cyclic
         xdot[list(self.driven)] = self.driven_rate
         return xdot
 
     def at_rest(self) -> Problem:
-        """Return the problem at zero momentum, where no direction is left in free space."""
+        """Return the problem at zero momentum, where a free body has no direction."""
         if self.kind != "free":
             return self
         return replace(self, kind="axis")
@@ -120,10 +126,20 @@ def problem_of(
     prescribed: Mapping[str, Signal | float | str] | None,
     passive: bool,
 ) -> Problem:
-    """Return the problem of a system.
+    """Build the problem of a system.
 
-    Raises InputError for joints that are not there or not cyclic, forces that do work, and plans
-    that are not steady; SymmetryError if gravity breaks the symmetry.
+    Args:
+        system: The system.
+        cyclic: Momenta of cyclic joints by name; others are zero.
+        springs: Springs, as in Scene.
+        forces: Forces with a potential.
+        prescribed: Constant or steadily moving joints.
+        passive: Whether the springs in the robot's file act.
+    Returns:
+        The problem.
+    Raises:
+        InputError: A joint is unknown or not cyclic, a force does work, or a prescribed joint is
+            not steady.
     """
     scene = Scene(
         system=system,
@@ -138,29 +154,29 @@ def problem_of(
     acting = plan.acting
     if model is not None and (model.labels or model.has_wrench):
         raise InputError(
-            f"relative equilibria are of conservative systems, but {', '.join(model.labels)} does "
-            "work; leave it out (each equilibrium tells what dampers would do to it)"
+            f"forces: expected conservative forces, but {', '.join(model.labels)} does work; "
+            "leave it out: `damped_growth` of an equilibrium gives the effect of dampers"
         )
     group = system.group
     heavy = bool(acting.turned)
     x, rate = _steady(system, model, scene.end)
-    given, names = dict(cyclic or {}), system.shape_names
+    momenta_by_name, names = dict(cyclic or {}), system.shape_names
     momenta = np.zeros(len(acting.cyclic))
-    for name, value in given.items():
+    for name, value in momenta_by_name.items():
         k = joint_index(name, names, "cyclic")
         if k not in acting.cyclic:
-            known = ", ".join(names[j] for j in acting.cyclic) or "none"
+            valid = ", ".join(names[j] for j in acting.cyclic) or "none"
             raise InputError(
-                f"cyclic: '{name}' has no momentum of its own to give, as something depends on its "
-                f"angle or drives it; the cyclic joints are {known}"
+                f"cyclic: '{name}' is not cyclic, because something depends on its angle or drives "
+                f"it. The cyclic joints are {valid}"
             )
         momenta[acting.cyclic.index(k)] = finite(value, f"cyclic['{name}']")
-    moving = [k for k in range(system.m) if k not in acting.cyclic and k not in acting.driven]
+    active = [k for k in range(system.m) if k not in acting.cyclic and k not in acting.driven]
     return Problem(
         system=system,
         scene=scene,
         kind="heavy" if heavy else "free" if group.turns == 3 else "axis",
-        active=tuple(moving),
+        active=tuple(active),
         cyclic=acting.cyclic,
         driven=acting.driven,
         cyclic_momenta=momenta,
@@ -170,7 +186,7 @@ def problem_of(
 
 
 def _steady(system: System, model: ForceModel | None, end: float) -> tuple[Array, Array]:
-    """Return places and rates (nd,) of the prescribed joints.  Raises InputError."""
+    """Return values and rates (nd,) of the prescribed joints, or raise InputError."""
     if model is None or not model.joints:
         return np.zeros(0), np.zeros(0)
     plans = [model.prescribed(t, model.numbers_from(t, end)) for t in _TIMES]
@@ -178,22 +194,31 @@ def _steady(system: System, model: ForceModel | None, end: float) -> tuple[Array
     free = cyclic_joints(PointwiseReduction(system)) if first.xdot.any() else ()
     for k, name in enumerate(names):
         rates = np.array([plan.xdot[k] for plan in plans])
-        bent = max(abs(plan.xddot[k]) for plan in plans)
-        if max(np.ptp(rates), bent) > _STEADY * max(1.0, float(np.abs(rates).max())):
+        acceleration = max(abs(plan.xddot[k]) for plan in plans)
+        if max(np.ptp(rates), acceleration) > _STEADY * max(1.0, float(np.abs(rates).max())):
             raise InputError(
-                f"prescribed['{name}'] must stand still or move at a constant rate in a relative "
+                f"prescribed['{name}']: expected a constant value or a constant rate in a relative "
                 "equilibrium"
             )
         if rates[0] and model.joints[k] not in free:
             raise InputError(
-                f"prescribed['{name}'] moves, and the inertia depends on it, so that no motion is "
-                "steady; hold it, or prescribe joints of symmetric rotors alone"
+                f"prescribed['{name}'] moves, and the inertia depends on it, so no motion is "
+                "steady. Keep it constant, or prescribe cyclic joints only"
             )
     return first.x, first.xdot
 
 
 def finite(value: float, what: str) -> float:
-    """Return a number as a finite float.  Raises InputError."""
+    """Convert a value to a finite float.
+
+    Args:
+        value: Any number.
+        what: Name of the argument in messages.
+    Returns:
+        The number.
+    Raises:
+        InputError: It is not a finite number.
+    """
     try:
         number = float(value)
     except (TypeError, ValueError):

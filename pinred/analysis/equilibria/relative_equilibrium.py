@@ -1,4 +1,4 @@
-"""RelativeEquilibrium: a steady motion, its stability, and the scenes that begin there."""
+"""RelativeEquilibrium: a steady motion, its stability, and scenes that start there."""
 
 from __future__ import annotations
 
@@ -20,14 +20,22 @@ from .problem import Problem
 
 @dataclass(frozen=True, eq=False)
 class RelativeEquilibrium:
-    """A steady motion whose shape does not change; arrays are read-only.
+    """A steady motion with constant shape.
 
-    x: (m,) shape, cyclic joints at zero.  xdot: (m,) rates, zero but for cyclic and driven joints.
-    xi: (r,) body twist.  mu: (r,) body momentum.  direction: (3,) of the momentum in the body, or
-    the upward vertical where gravity turns a pivoted base; (0,) where there is one axis alone.
-    amended_potential: [J], heights from the world's origin.  energy: [J].  residual: the largest
-    derivative left, over the size of the energies.  momentum: J.  stability: see Stability, whose
-    verdict, growth, frequencies, modes and dimension stand here, too.
+    Attributes:
+        system: The system.
+        x: Shape, (m,), with cyclic joints at zero.
+        xdot: Shape rates, (m,), zero except for cyclic and driven joints.
+        xi: Body twist, (r,).
+        mu: Body momentum, (r,).
+        direction: Direction of the momentum in the body, (3,), or the upward vertical where gravity
+            turns a pivoted base; (0,) where there is only one axis.
+        momentum: J.
+        amended_potential: Amended potential [J], with heights from the world origin.
+        energy: Energy [J].
+        residual: Largest remaining derivative, relative to the size of the energies.
+        stability: Verdict, growth, frequencies and modes.
+        problem: The problem that was solved.
     """
 
     system: System
@@ -48,17 +56,17 @@ class RelativeEquilibrium:
 
     @property
     def verdict(self) -> Verdict:
-        """One of "stable", "unstable" and "undecided"."""
+        """Verdict: "stable", "unstable" or "undecided"."""
         return self.stability.verdict
 
     @property
     def growth(self) -> float:
-        """The largest growth rate [1/s]; zero if none is beyond its error."""
+        """Largest growth rate [1/s]; zero if none exceeds its error."""
         return self.stability.growth
 
     @property
     def frequencies(self) -> Array:
-        """Frequencies of pure swings, sorted [rad/s]."""
+        """Frequencies of undamped oscillations, sorted [rad/s]."""
         return self.stability.frequencies
 
     @property
@@ -68,12 +76,12 @@ class RelativeEquilibrium:
 
     @property
     def dimension(self) -> int:
-        """Dimension of the family of equilibria that this one stands for; zero if it is alone."""
+        """Dimension of the family of equilibria; zero for an isolated one."""
         return self.stability.dimension
 
     @property
     def damped_growth(self) -> Mapping[str, float]:
-        """If undecided: the growth per damping coefficient of each joint's damper."""
+        """Growth per damping coefficient of a damper at each joint, if undecided."""
         return self.stability.damped_growth
 
     def scene(
@@ -84,11 +92,17 @@ class RelativeEquilibrium:
         duration: float | None = None,
         times: Array | None = None,
     ) -> Scene:
-        """Return the scene that begins in this motion, or on one of its modes.
+        """Return the scene that starts in this motion, or on one of its modes.
 
-        mode: index in `modes`.  amplitude: of the mode's largest entry [rad | m].  duration: ten
-        periods of the mode, or of the turning, if None.  Raises InputError for a mode that there
-        is not.
+        Args:
+            mode: Index in `modes`.
+            amplitude: Largest amplitude of the mode [rad | m].
+            duration: Duration [s]; by default ten periods of the mode, or of the rotation.
+            times: Report times [s].
+        Returns:
+            The scene.
+        Raises:
+            InputError: There is no such mode.
         """
         change = self._change(mode, amplitude)
         system, problem = self.system, self.problem
@@ -106,45 +120,50 @@ class RelativeEquilibrium:
         )  # fmt: skip
 
     def _change(self, mode: int | None, amplitude: float) -> Array:
-        """Return the changes of x, π (m each) and of the base's entries."""
+        """Return the perturbation of x, π (m each) and of the base entries."""
         if mode is None:
             return np.zeros(2 * self.system.m + 6)
         if not 0 <= mode < len(self.modes):
-            raise InputError(f"there are {len(self.modes)} modes, counted from 0; got mode {mode}")
-        found = self.modes[mode]
-        parts = [found.shape, found.momentum, found.base, np.zeros(6 - len(found.base))]
-        return amplitude * np.real(np.concatenate(parts))
+            raise InputError(f"mode: expected an index below {len(self.modes)}, got {mode}")
+        eigenmode = self.modes[mode]
+        amplitudes = [
+            eigenmode.shape,
+            eigenmode.momentum,
+            eigenmode.base,
+            np.zeros(6 - len(eigenmode.base)),
+        ]
+        return amplitude * np.real(np.concatenate(amplitudes))
 
     def _momenta(self, change: Array) -> tuple[Array, Array]:
-        """Return π (m,) of the joints and the body momentum (r,) with a change."""
+        """Return π (m,) of the joints and the body momentum (r,) after a perturbation."""
         system = self.system
         v = np.concatenate([self.xi, self.xdot])
-        whole = PointwiseReduction(system).mass_matrix(self.x) @ v
+        momentum = PointwiseReduction(system).mass_matrix(self.x) @ v
         r, m = system.r, system.m
-        mu, base = whole[:r].copy(), change[2 * m :]
+        mu, base = momentum[:r].copy(), change[2 * m :]
         if self.problem.kind == "heavy":
             mu += base[3:6]
         elif self.problem.kind == "free":
             mu[r - 3 :] += base[:3]
-        return whole[r:] + change[m : 2 * m], mu
+        return momentum[r:] + change[m : 2 * m], mu
 
     def _velocity(self, x: Array, pi: Array, mu: Array) -> tuple[Array, Array]:
-        """Return (ẋ, ξ) of momenta; rates of driven joints are given."""
+        """Return (ẋ, ξ) for momenta; the rates of driven joints are given."""
         system, problem = self.system, self.problem
         H = PointwiseReduction(system).mass_matrix(x)
         driven = system.r + np.array(problem.driven, dtype=np.intp)
         free = np.setdiff1d(np.arange(system.n), driven)
         v = np.zeros(system.n)
         v[driven] = problem.driven_rate
-        rest = np.concatenate([mu, pi])[free] - H[np.ix_(free, driven)] @ v[driven]
-        v[free] = np.linalg.solve(H[np.ix_(free, free)], rest)
+        remaining = np.concatenate([mu, pi])[free] - H[np.ix_(free, driven)] @ v[driven]
+        v[free] = np.linalg.solve(H[np.ix_(free, free)], remaining)
         return v[system.r :], v[: system.r]
 
     def _usual_duration(self, mode: int | None) -> float:
         rate = float(np.linalg.norm(self.xi[self.system.group.linear :]))
         if mode is not None:
-            found = self.modes[mode]
-            rate = abs(found.frequency) or 2.0 * np.pi * abs(found.growth) or rate
+            eigenmode = self.modes[mode]
+            rate = abs(eigenmode.frequency) or 2.0 * np.pi * abs(eigenmode.growth) or rate
         return 20.0 * np.pi / rate if rate else 10.0
 
     def __str__(self) -> str:
@@ -157,9 +176,16 @@ class RelativeEquilibrium:
 
 @dataclass(frozen=True, eq=False)
 class Equilibria(Sequence[RelativeEquilibrium]):
-    """The relative equilibria that were found, least amended potential first.
+    """The relative equilibria found by a search, sorted by amended potential.
 
-    Found, not all: a search from starts, which says how many it has tried and how many arrived.
+    The list may be incomplete.
+
+    Attributes:
+        system: The system.
+        momentum: J.
+        starts: Number of starts of the search.
+        arrived: Number of converged starts.
+        entries: The equilibria.
     """
 
     system: System
@@ -206,25 +232,31 @@ class Equilibria(Sequence[RelativeEquilibrium]):
             self.system.name,
             f"{len(self)} relative equilibria found at momentum {self.momentum:g}, from "
             f"{self.arrived} of {self.starts} starts",
-            table("", columns, [_row(each) for each in self]),
+            table("", columns, [_row(equilibrium) for equilibrium in self]),
         )
 
 
-def _row(each: RelativeEquilibrium) -> list[str]:
-    """Return amended potential, verdict, growth, frequencies and shape as text."""
-    swings = " ".join(f"{f:.5g}" for f in each.frequencies)
-    shape = "(" + ", ".join(f"{value:.6g}" for value in each.x) + ")"
-    if each.direction.size:
-        shape += " about (" + ", ".join(f"{value:.4g}" for value in each.direction) + ")"
-    verdict = each.verdict + (f", family of dimension {each.dimension}" if each.dimension else "")
-    growth = f"{each.growth:.6g} ± {each.stability.growth_error:.0e}" if each.growth else ""
-    return [f"{each.amended_potential:.8g}", verdict, growth, swings, shape]
+def _row(equilibrium: RelativeEquilibrium) -> list[str]:
+    """Format amended potential, verdict, growth, frequencies and shape."""
+    swings = " ".join(f"{f:.5g}" for f in equilibrium.frequencies)
+    shape = "(" + ", ".join(f"{value:.6g}" for value in equilibrium.x) + ")"
+    if equilibrium.direction.size:
+        shape += " about (" + ", ".join(f"{value:.4g}" for value in equilibrium.direction) + ")"
+    verdict = equilibrium.verdict + (
+        f", family of dimension {equilibrium.dimension}" if equilibrium.dimension else ""
+    )
+    growth = (
+        f"{equilibrium.growth:.6g} ± {equilibrium.stability.growth_error:.0e}"
+        if equilibrium.growth
+        else ""
+    )
+    return [f"{equilibrium.amended_potential:.8g}", verdict, growth, swings, shape]
 
 
-def _damped(each: RelativeEquilibrium) -> str:
-    """Return what each joint's damper does to an undecided equilibrium, as text."""
-    parts = [f"{joint} {growth:+.5g}" for joint, growth in each.damped_growth.items()]
-    return f"grows by {', '.join(parts)} 1/s per N·m·s/rad | N·s/m"
+def _damped(equilibrium: RelativeEquilibrium) -> str:
+    """Format the effect of dampers on an undecided equilibrium."""
+    growths = [f"{joint} {growth:+.5g}" for joint, growth in equilibrium.damped_growth.items()]
+    return f"grows by {', '.join(growths)} 1/s per N·m·s/rad | N·s/m"
 
 
 def _growth(stability: Stability) -> str:
@@ -234,17 +266,24 @@ def _growth(stability: Stability) -> str:
 
 
 def pose_of(problem: Problem, up: Array) -> Array:
-    """Return a pose of the base: where heavy, with this direction of the body upward."""
+    """Return a pose of the base; for a heavy problem, with a given body direction upward.
+
+    Args:
+        problem: The problem.
+        up: Direction in the body, (3,).
+    Returns:
+        (size,).
+    """
     group = problem.system.group
     if problem.kind != "heavy":
         return group.identity()
     model = problem.system.model
     down = model.jointPlacements[1].rotation.T @ problem.system.gravity
-    wanted = -down / np.linalg.norm(down)
-    across, along = np.cross(up, wanted), float(up @ wanted)
+    vertical = -down / np.linalg.norm(down)
+    across, cosine = np.cross(up, vertical), float(up @ vertical)
     size = float(np.linalg.norm(across))
     if size < 1e-12:
         least = np.eye(3)[int(np.argmin(np.abs(up)))]
         across, size = np.cross(up, least), float(np.linalg.norm(np.cross(up, least)))
-        return quaternion_exp((np.pi if along < 0.0 else 0.0) * across / size)
-    return quaternion_exp(np.arctan2(size, along) * across / size)
+        return quaternion_exp((np.pi if cosine < 0.0 else 0.0) * across / size)
+    return quaternion_exp(np.arctan2(size, cosine) * across / size)

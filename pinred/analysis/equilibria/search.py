@@ -1,9 +1,9 @@
-"""The search for critical points of the amended potential: starts, minimisation, Newton's method.
+"""Search for critical points of the amended potential: starts, minimisation, Newton's method.
 
-All starts go along together.  Minimisation takes steps −|H|⁻¹ g within a region of trust that
-shrinks where the energy grows; Newton's method takes −H⁻¹ g and finds critical points of any index.
-Uniform starts miss symmetric shapes, so some have every angle at a multiple of a quarter turn, and
-half of all have their direction along a principal axis of the locked inertia.
+All starts run together. Minimisation takes steps −|H|⁻¹ g in a trust region that shrinks where the
+energy increases. Newton's method takes steps −H⁻¹ g and converges to critical points of any index.
+Uniform starts miss symmetric shapes, so some starts have every angle at a multiple of a quarter
+turn, and half of all starts have their direction along a principal axis of the locked inertia.
 """
 
 from __future__ import annotations
@@ -18,93 +18,131 @@ from ...reduction.tree.second_derivatives import inertia_derivatives
 from .amended_energy import AmendedEnergy, Energies, Points, Which
 from .problem import Problem
 
-NEWTON, DESCENT = 60, 200  # steps at most
-FOUND = 1e-9  # residual of a critical point
-_LONGEST = 0.5  # rad | m, of one step
-_FLAT = 1e-9  # of the largest curvature, what counts as none
-_SLIDE = 1.0  # m, the reach of a prismatic joint without limits
+NEWTON, DESCENT = 60, 200  # largest number of steps
+FOUND = 1e-9  # largest residual of a critical point
+_LONGEST = 0.5  # longest step [rad | m]
+_FLAT = 1e-9  # curvatures below this part of the largest count as zero
+_SLIDE = 1.0  # range of a prismatic joint without limits [m]
 
 
 def residuals(e: Energies) -> Array:
-    """Return the largest gradient over the size of the energies, (N,); infinite where it is NaN."""
+    """Return the largest gradient relative to the energies, (N,); infinite where it is NaN."""
     size = np.where(e.scale > 0.0, e.scale, 1.0)
-    found = np.abs(e.gradient).max(axis=1, initial=0.0) / size
-    return np.where(np.isfinite(e.hessian).all(axis=(1, 2)), found, np.inf)
+    largest = np.abs(e.gradient).max(axis=1, initial=0.0) / size
+    return np.where(np.isfinite(e.hessian).all(axis=(1, 2)), largest, np.inf)
 
 
 def starting_points(problem: Problem, count: int, rng: np.random.Generator) -> Points:
-    """Return random and symmetric points."""
+    """Return random and symmetric starting points.
+
+    Args:
+        problem: The problem.
+        count: Number of points.
+        rng: Random generator.
+    Returns:
+        The points.
+    """
     ma = len(problem.active)
     low, high, turns = _reach(problem)
     x = rng.uniform(low, high, (count, ma))
     quarters = _quarters(int(turns.sum()), count // 4, rng)
-    few = min(len(quarters), count)
-    x[:few, turns] = 0.5 * np.pi * (quarters[:few] - 1)
+    symmetric = min(len(quarters), count)
+    x[:symmetric, turns] = 0.5 * np.pi * (quarters[:symmetric] - 1)
     if not problem.directional:
         return Points(x, np.zeros((count, 0)))
     n = rng.normal(size=(count, 3))
     n /= np.linalg.norm(n, axis=1, keepdims=True)
-    if few and 3 * few <= count:  # each symmetric shape about each of its principal axes
-        x = np.concatenate([np.repeat(x[:few], 3, axis=0), x[few:]])[: max(count, 3 * few)]
-        n = np.concatenate([np.zeros((2 * few, 3)), n])[: len(x)]
-        along = np.r_[: 3 * few, 3 * few : len(x) : 2]
-        which = np.r_[np.tile([0, 1, 2], few), rng.integers(3, size=len(along) - 3 * few)]
+    if (
+        symmetric and 3 * symmetric <= count
+    ):  # combine each symmetric shape with each of its principal axes
+        x = np.concatenate([np.repeat(x[:symmetric], 3, axis=0), x[symmetric:]])[
+            : max(count, 3 * symmetric)
+        ]
+        n = np.concatenate([np.zeros((2 * symmetric, 3)), n])[: len(x)]
+        aligned = np.r_[: 3 * symmetric, 3 * symmetric : len(x) : 2]
+        axes = np.r_[
+            np.tile([0, 1, 2], symmetric), rng.integers(3, size=len(aligned) - 3 * symmetric)
+        ]
     else:
-        along = np.arange(0, len(x), 2)
-        which = rng.integers(3, size=len(along))
-    n[along] = _principal_axes(problem, x[along])[np.arange(len(along)), :, which]
+        aligned = np.arange(0, len(x), 2)
+        axes = rng.integers(3, size=len(aligned))
+    n[aligned] = _principal_axes(problem, x[aligned])[np.arange(len(aligned)), :, axes]
     return Points(x, n)
 
 
 def _quarters(turns: int, most: int, rng: np.random.Generator) -> NDArray[np.int_]:
-    """Return quarter turns (k, turns) of so many angles, each from 0 to 3: all, or at most some."""
+    """Return quarter turns (k, turns) from 0 to 3: all combinations, or a random selection."""
     if 4**turns <= most:
         return np.array(list(product(range(4), repeat=turns)), dtype=int).reshape(4**turns, turns)
     return rng.integers(4, size=(most, turns))
 
 
 def critical_points(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, Energies]:
-    """Return the critical points that Newton's method reaches from points."""
-    found = Points(points.x.copy(), points.n.copy())
-    left = np.arange(len(points))
+    """Run Newton's method from all points.
+
+    Args:
+        energy: The amended potential.
+        points: Starting points.
+        J: Momentum.
+    Returns:
+        The critical points that were reached, and their energies.
+    """
+    current = Points(points.x.copy(), points.n.copy())
+    running = np.arange(len(points))
     for _ in range(NEWTON):
-        if not left.size:
+        if not running.size:
             break
-        e = energy(found[left], J)
-        going = np.isfinite(residuals(e)) & (residuals(e) > 1e-14)
-        left, e = left[going], _some(e, going)
+        e = energy(current[running], J)
+        active = np.isfinite(residuals(e)) & (residuals(e) > 1e-14)
+        running, e = running[active], _some(e, active)
         step = -_solved(e, absolute=False)
-        moved = found[left].moved(_clipped(step, _LONGEST))
-        found.x[left], found.n[left] = moved.x, moved.n
-        left = left[np.linalg.norm(step, axis=1) > 1e-13]
-    return _converged(energy, found, J)
+        stepped = current[running].moved(_clipped(step, _LONGEST))
+        current.x[running], current.n[running] = stepped.x, stepped.n
+        running = running[np.linalg.norm(step, axis=1) > 1e-13]
+    return _converged(energy, current, J)
 
 
 def minima(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, Energies]:
-    """Return the minima below points."""
-    found = Points(points.x.copy(), points.n.copy())
-    left, radius = np.arange(len(points)), np.full(len(points), _LONGEST)
-    e = energy(found, J)
-    left, e = left[np.isfinite(residuals(e))], _some(e, np.isfinite(residuals(e)))
-    for _ in range(DESCENT if left.size else 0):
-        step = _clipped(-_solved(e, absolute=True), radius[left])
-        tried = found[left].moved(step)
+    """Minimise the amended potential from all points.
+
+    Args:
+        energy: The amended potential.
+        points: Starting points.
+        J: Momentum.
+    Returns:
+        The minima that were reached, and their energies.
+    """
+    current = Points(points.x.copy(), points.n.copy())
+    running, radius = np.arange(len(points)), np.full(len(points), _LONGEST)
+    e = energy(current, J)
+    running, e = running[np.isfinite(residuals(e))], _some(e, np.isfinite(residuals(e)))
+    for _ in range(DESCENT if running.size else 0):
+        step = _clipped(-_solved(e, absolute=True), radius[running])
+        tried = current[running].moved(step)
         new = energy(tried, J)
         lower = np.isfinite(residuals(new)) & (e.U + 1e-15 * e.scale >= new.U)
-        found.x[left[lower]], found.n[left[lower]] = tried.x[lower], tried.n[lower]
-        radius[left] = np.where(
-            lower, np.minimum(2.0 * radius[left], _LONGEST), 0.25 * radius[left]
+        current.x[running[lower]], current.n[running[lower]] = tried.x[lower], tried.n[lower]
+        radius[running] = np.where(
+            lower, np.minimum(2.0 * radius[running], _LONGEST), 0.25 * radius[running]
         )
         e = _chosen(lower, new, e)
-        going = (residuals(e) > 1e-12) & (radius[left] > 1e-12)
-        left, e = left[going], _some(e, going)
-        if not left.size:
+        active = (residuals(e) > 1e-12) & (radius[running] > 1e-12)
+        running, e = running[active], _some(e, active)
+        if not running.size:
             break
-    return critical_points(energy, found, J)
+    return critical_points(energy, current, J)
 
 
 def polished(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points, Energies]:
-    """Return points after a few Newton steps, each only where it lowers the residual."""
+    """Improve points by a few Newton steps, each accepted only if it reduces the residual.
+
+    Args:
+        energy: The amended potential.
+        points: Critical points.
+        J: Momentum.
+    Returns:
+        The improved points and their energies.
+    """
     e = energy(points, J)
     for _ in range(4 if len(points) else 0):
         tried = points.moved(-_solved(e, absolute=False))
@@ -127,19 +165,19 @@ def _converged(energy: AmendedEnergy, points: Points, J: float) -> tuple[Points,
 
 
 def _solved(e: Energies, *, absolute: bool) -> Array:
-    """Return H⁻¹ g, (N, u), or |H|⁻¹ g, without the directions in which H is flat."""
+    """Return H⁻¹ g, (N, u), or |H|⁻¹ g, without the directions in which H vanishes."""
     if not e.gradient.shape[1]:
         return e.gradient
     values, vectors = np.linalg.eigh(e.hessian)
-    parts = (np.swapaxes(vectors, 1, 2) @ e.gradient[..., None])[..., 0]
+    components = (np.swapaxes(vectors, 1, 2) @ e.gradient[..., None])[..., 0]
     size = np.abs(values)
     floor = _FLAT * size.max(axis=1, keepdims=True)
     if absolute:
-        parts = parts / np.maximum(size, np.where(floor > 0.0, floor, 1.0))
+        components = components / np.maximum(size, np.where(floor > 0.0, floor, 1.0))
     else:
         flat = size <= floor
-        parts = np.where(flat, 0.0, parts / np.where(flat, 1.0, values))
-    return np.asarray((vectors @ parts[..., None])[..., 0])
+        components = np.where(flat, 0.0, components / np.where(flat, 1.0, values))
+    return np.asarray((vectors @ components[..., None])[..., 0])
 
 
 def _clipped(step: Array, longest: float | Array) -> Array:
@@ -152,16 +190,16 @@ def _some(e: Energies, which: Which) -> Energies:
 
 
 def _chosen(which: NDArray[np.bool_], one: Energies, other: Energies) -> Energies:
-    """Return the entries of one where `which` says so, else of the other."""
-    out = {}
+    """Return the entries of `one` where `which` is true, else those of `other`."""
+    fields = {}
     for name in one.__dataclass_fields__:
         a, b = getattr(one, name), getattr(other, name)
-        out[name] = np.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b)
-    return Energies(**out)
+        fields[name] = np.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+    return Energies(**fields)
 
 
 def _reach(problem: Problem) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return least and greatest values of the active joints, and which of them turn."""
+    """Return smallest and largest values of the active joints, and which of them are angles."""
     system, active = problem.system, list(problem.active)
     turns = np.array([system.units[k] == "rad" for k in active], dtype=bool)
     low, high = (sign * np.where(turns, np.pi, _SLIDE) for sign in (-1.0, 1.0))
@@ -180,6 +218,6 @@ def _principal_axes(problem: Problem, active: Array) -> Array:
     d, r = inertia_derivatives(problem.system, problem.shapes(active), of=()), problem.system.r
     I = d.H[:, r - 3 : r, r - 3 : r]
     if problem.system.group.turns_about_com:
-        across = d.H[:, r - 3 : r, : r - 3]
-        I = I - across @ np.linalg.solve(d.H[:, : r - 3, : r - 3], np.swapaxes(across, 1, 2))
+        coupling = d.H[:, r - 3 : r, : r - 3]
+        I = I - coupling @ np.linalg.solve(d.H[:, : r - 3, : r - 3], np.swapaxes(coupling, 1, 2))
     return np.asarray(np.linalg.eigh(I)[1])

@@ -1,4 +1,4 @@
-"""Folders inside the room: imports between them go one way."""
+"""Subpackages of the integrators import each other in one direction."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from rooms import Import
 ROOM = "pinred.integrators"
 
 
-def folders(found: Iterable[Import]) -> dict[str, set[str]]:
-    """The folders of the room, and those that each imports."""
-    known = rooms.modules()
+def folders(imports: Iterable[Import]) -> dict[str, set[str]]:
+    """Return the subpackages and the subpackages that each imports."""
+    modules = rooms.modules()
     graph: dict[str, set[str]] = {}
-    for each in found:
-        if each.by.startswith(ROOM) and each.of.startswith(ROOM):
+    for imported in imports:
+        if imported.by.startswith(ROOM) and imported.of.startswith(ROOM):
             by, of = (
-                name if known[name].name == "__init__.py" else name.rpartition(".")[0]
-                for name in (each.by, each.of)
+                name if modules[name].name == "__init__.py" else name.rpartition(".")[0]
+                for name in (imported.by, imported.of)
             )
             if by != of:
                 graph.setdefault(by, set()).add(of)
@@ -28,8 +28,8 @@ def folders(found: Iterable[Import]) -> dict[str, set[str]]:
 
 
 @pytest.mark.slow
-def test_no_circle_of_folders() -> None:
-    """Machine code knows no method, no method its value, no value who runs it."""
+def test_subpackages_have_no_import_cycle() -> None:
+    """Machine code imports no method, and methods import no function that runs them."""
     graph = folders(rooms.imports())
     order = list(TopologicalSorter(graph).static_order())
     assert order[0] == f"{ROOM}.stepping"
@@ -38,8 +38,8 @@ def test_no_circle_of_folders() -> None:
 
 
 @pytest.mark.slow
-def test_a_circle_of_folders_is_seen() -> None:
-    """A constant that a stepper takes from the values is one."""
+def test_import_cycle_is_detected() -> None:
+    """A stepper that imports a constant from `methods` closes a cycle."""
     back = Import(f"{ROOM}.gauss.stages", 1, f"{ROOM}.methods.gauss")
     with pytest.raises(CycleError):
         TopologicalSorter(folders([*rooms.imports(), back])).prepare()
