@@ -112,7 +112,7 @@ PLANS: list[tuple[dict[str, Any], str]] = [
     ({"springs": {A: 1.0}}, "stiffness, rest"),
     ({"springs": {A: (NAN, 0.0)}}, "both finite"),
     ({"outputs": "foo"}, "outputs must be one of all, shape, got 'foo'"),
-    ({"method": pinred.RKMK4(0.01), "engine": "pinocchio"}, "SciPy's DOP853 for integrator"),
+    ({"method": pinred.RKMK4(0.01), "engine": "pinocchio"}, "SciPy's DOP853"),
     (
         {"forces": [ComputedTorque(dict.fromkeys(CAT.shape_names, 0.0), kp, 1.0) for kp in (1, 2)]},
         "only one force may know all the others",
