@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from inverse_dynamics import joint_torques
 from assertions import close
+from inverse_dynamics import joint_torques
 from strategies import make_case
 
 import pinred

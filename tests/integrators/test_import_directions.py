@@ -9,7 +9,7 @@ import package_graph
 import pytest
 from package_graph import Import
 
-PACKAGE = "pinred.integrators"
+INTEGRATORS = "pinred.integrators"
 
 
 def folders(imports: Iterable[Import]) -> dict[str, set[str]]:
@@ -17,7 +17,7 @@ def folders(imports: Iterable[Import]) -> dict[str, set[str]]:
     modules = package_graph.list_modules()
     graph: dict[str, set[str]] = {}
     for imported in imports:
-        if imported.by.startswith(PACKAGE) and imported.of.startswith(PACKAGE):
+        if imported.by.startswith(INTEGRATORS) and imported.of.startswith(INTEGRATORS):
             by, of = (
                 name if modules[name].name == "__init__.py" else name.rpartition(".")[0]
                 for name in (imported.by, imported.of)
@@ -32,10 +32,10 @@ def test_subpackages_have_no_import_cycle() -> None:
     """Machine code imports no method, and methods import no function that runs them."""
     graph = folders(package_graph.list_imports())
     order = list(TopologicalSorter(graph).static_order())
-    assert order[0] == f"{PACKAGE}.stepping"
-    assert {by for by in graph if f"{PACKAGE}.methods" in graph[by]} == {
-        PACKAGE,
-        f"{PACKAGE}.lanes",
+    assert order[0] == f"{INTEGRATORS}.stepping"
+    assert {by for by in graph if f"{INTEGRATORS}.methods" in graph[by]} == {
+        INTEGRATORS,
+        f"{INTEGRATORS}.lanes",
     }
     assert len(order) > 5
 
@@ -43,6 +43,6 @@ def test_subpackages_have_no_import_cycle() -> None:
 @pytest.mark.slow
 def test_import_cycle_is_detected() -> None:
     """A stepper that imports a constant from `methods` closes a cycle."""
-    back = Import(f"{PACKAGE}.gauss.stages", 1, f"{PACKAGE}.methods.gauss")
+    back = Import(f"{INTEGRATORS}.gauss.stages", 1, f"{INTEGRATORS}.methods.gauss")
     with pytest.raises(CycleError):
         TopologicalSorter(folders([*package_graph.list_imports(), back])).prepare()
