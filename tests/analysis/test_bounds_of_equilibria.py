@@ -16,12 +16,12 @@ from pinred.analysis.equilibria.find import _one_family, equilibrium_at
 from pinred.analysis.equilibria.problem import problem_of
 from pinred.analysis.equilibria.same_shape import Place
 from pinred.analysis.stability import verdict
+from pinred.analysis.stability.reduced_state import _casimir_gradients
 from pinred.analysis.stability.symmetric_top import (
     _is_definite,
-    is_definite_with_axis_momentum,
     heavy_top,
+    is_definite_with_axis_momentum,
 )
-from pinred.analysis.stability.reduced_state import _casimir_gradients
 from pinred.reduction.base_parts import BaseParts
 
 NOTHING = {"cyclic": None, "springs": None, "forces": (), "prescribed": None, "passive": False}
