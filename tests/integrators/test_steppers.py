@@ -33,7 +33,7 @@ from pinred.integrators.integrate_many import STATUS, integrate_many
 from pinred.integrators.methods import DOP853, RKMK4, Explicit, Method, Tsit5
 from pinred.integrators.methods import METHODS as ALL
 from pinred.integrators.solution import Solution
-from pinred.integrators.stepping import run_record
+from pinred.integrators.stepping import run_state
 
 Rate = Callable[[Any, Any, Any], None]
 _NUMBERS: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
@@ -350,7 +350,7 @@ def test_a_run_that_pauses_has_the_same_bits(
     """Neither pauses nor the growth of the store change a number."""
     address, params, y0, quaternion = problem
     whole = integrate(method, address, params, y0, 4.0, TIMES, quaternion)
-    monkeypatch.setattr(run_record, "EVALUATIONS_BETWEEN_PAUSES", 1)
+    monkeypatch.setattr(run_state, "EVALUATIONS_BETWEEN_PAUSES", 1)
     monkeypatch.setattr(drive, "_FIRST_KNOTS", 1)
     parts: list[float] = []
     paused = integrate(method, address, params, y0, 4.0, TIMES, quaternion, parts.append)
