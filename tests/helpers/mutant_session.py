@@ -22,7 +22,7 @@ from typing import Any
 
 import numba
 import pytest
-from covering import IMPORT, Covering, Recorder, leave_numba_alone
+from line_coverage import IMPORT, Covering, Recorder, leave_numba_alone
 from mutations import Mutant
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
