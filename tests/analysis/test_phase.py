@@ -7,10 +7,10 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 import pytest
+from assertions import close
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lifts import by_pinocchio, random_gait
-from nearness import close
 from scipy.integrate import quad, solve_ivp
 from strategies import groups, make_case, seeds
 from textbook import DELTA, I1, I2, J2, M2, D, M

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from assertions import close
 from inverse_dynamics import joint_torques
 from lifts import by_pinocchio
-from nearness import close
 from trees import random_model
 
 import pinred
