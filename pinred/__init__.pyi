@@ -100,7 +100,7 @@ from .simulation.balances import MomentumBalance as MomentumBalance
 from .simulation.events import Crossings as Crossings
 from .simulation.flow_map.flow import Flow as Flow
 from .simulation.flow_map.flow import flow as flow
-from .simulation.members.batch import Failure as Failure
+from .simulation.members.trajectories import Failure as Failure
 from .simulation.members.trajectories import Trajectories as Trajectories
 from .simulation.recording import Recording as Recording
 from .simulation.recording import read_recording as read_recording

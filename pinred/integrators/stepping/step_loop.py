@@ -154,7 +154,7 @@ def report(run: Run, params: Array, work: Array, times: Array, out: Array, t_new
     run.known = STEP
     while run.next < times.shape[0] and times[run.next] <= t_new:
         j = run.next
-        status = write_state(run, params, work, times[j], t_new, out[j])
+        status: int = write_state(run, params, work, times[j], t_new, out[j])
         if status != DONE:
             return status
         run.next += 1
