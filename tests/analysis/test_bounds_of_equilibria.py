@@ -17,7 +17,7 @@ from pinred.analysis.equilibria.problem import problem_of
 from pinred.analysis.equilibria.same_shape import Place
 from pinred.analysis.stability import verdict
 from pinred.analysis.stability.reduced_state import _casimir_gradients
-from pinred.analysis.stability.symmetric_top import (
+from pinred.analysis.stability.second_variation import (
     _is_definite,
     heavy_top,
     is_definite_with_axis_momentum,
@@ -127,7 +127,7 @@ def test_tops_that_are_not_steady(factor: float, steady: bool) -> None:
 
 def _left(top: object, tilt: float, J: float) -> float:
     """What multipliers leave of the energy's slope at a tilt, by least squares of one's own."""
-    from pinred.analysis.stability.symmetric_top import HeavyTop
+    from pinred.analysis.stability.second_variation import HeavyTop
 
     assert isinstance(top, HeavyTop)
     up, D = np.array([np.sin(tilt), 0.0, np.cos(tilt)]), top.scales

@@ -3,29 +3,46 @@
 The second variation of the energy–momentum function has two blocks. One is the Hessian of the
 amended potential on shapes × directions. The other is the reduced kinetic energy, which is
 positive. If both are positive definite, the equilibrium is stable. A body without joints has only
-the first block, so that a maximum is stable, too. A heavy body that is symmetric about an axis,
-with or without rotors, also conserves its momentum about that axis (`symmetric_top.py`).
+the first block, so that a maximum is stable, too.
 
-Source: J. C. Simo, D. Lewis, J. E. Marsden, "Stability of relative equilibria. Part I: The reduced
-energy–momentum method", 1991.
+Under gravity, a pivoted body conserves its momentum about the vertical. An upright spinning
+("sleeping") top is stable, but it is no minimum of the amended potential. A top that is symmetric about a body axis a
+through the pivot also conserves μ·a. The same holds with cyclic rotors. Let b be the base, c the
+cyclic and d the driven rotors. With K = H_bb − H_bc H_cc⁻¹ H_cb, the effective inertia, and k, the
+momentum of the rotors while the body is at rest, the energy is
+
+    h(Γ, μ) = ½ (μ − k)ᵀ K⁻¹ (μ − k) − m |g| c·Γ,     k = H_bd ν + H_bc H_cc⁻¹ (π − H_cd ν),
+
+for momenta π of the cyclic rotors and rates ν of the driven ones.
+
+Sources: J. C. Simo, D. Lewis, J. E. Marsden, "Stability of relative equilibria. Part I: The reduced
+energy–momentum method", 1991; D. Lewis, T. Ratiu, J. C. Simo, J. E. Marsden, "The heavy top: a
+geometric treatment", Nonlinearity 5, 1992.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...common.arrays import Array, freeze
+from ...lie.rotations import hat
 from ...reduction.inertia_split import mass_matrix
+from ...reduction.tree.second_derivatives import inertia_derivatives
 from ..equilibria.amended_energy import AmendedEnergy, Points, tangents
 from ..equilibria.problem import Problem
 from ..equilibria.search import critical_points, residuals
-from .symmetric_top import heavy_top, is_definite_with_axis_momentum
 
 _NULL = 1e-7  # relative to the largest curvature; below it a direction is flat
 _FAMILY_STEP = 0.1  # rad | m, displacement along a flat direction that tests for a family
 _SAME_ENERGY = 1e-9  # largest relative difference of energies within one family
+_SYMMETRIC = 1e-12  # largest asymmetry of a symmetric body, relative to its inertia
+_CRITICAL = 1e-8  # largest residual of the critical-point equations, relative to dh
+_RANK = 1e-10  # smallest singular value that counts, relative to the largest
+_DEFINITE = 1e-14  # least eigenvalue of a definite matrix, relative to its largest entry
+_REACH = 1e3  # largest multiplier in the search, in units of the body's rate
 
 
 @dataclass(frozen=True)
@@ -123,3 +140,132 @@ def _family_dimension(energy: AmendedEnergy, point: Points, J: float, flat: Arra
         )
         count += bool(is_distinct and has_same_energy and residuals(energies)[0] <= 1e-9)
     return count
+
+
+@dataclass(frozen=True)
+class HeavyTop:
+    """A body on a pivot under gravity, with steadily spinning rotors. Arrays are read-only.
+
+    Attributes:
+        inertia: Effective inertia K, (3, 3) [kg m²].
+        offset: Momentum k of the rotors, (3,) [N m s].
+        com: Centre of mass c in the body, (3,) [m].
+        weight: Gravity force m |g| [N].
+        scales: Typical sizes of (Γ, μ), (6,).
+        rate: Typical rate of the body [rad/s].
+    """
+
+    inertia: Array
+    offset: Array
+    com: Array
+    weight: float
+    scales: Array
+    rate: float
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @property
+    def axis(self) -> Array | None:
+        """The common symmetry axis (3,) of inertia, centre of mass and rotors, or None."""
+        axis = self.com / np.linalg.norm(self.com)
+        inertia_asymmetry = np.abs(hat(axis) @ self.inertia - self.inertia @ hat(axis)).max()
+        offset_asymmetry = np.abs(np.cross(axis, self.offset)).max()
+        if inertia_asymmetry > _SYMMETRIC * np.abs(self.inertia).max():
+            return None
+        return None if offset_asymmetry > _SYMMETRIC * self.scales[3] else axis
+
+
+def heavy_top(problem: Problem, J: float) -> HeavyTop:
+    """Return the top that corresponds to a problem without active joints.
+
+    Args:
+        problem: Problem of a pivoted body under gravity.
+        J: Momentum about the vertical [N m s], which sets the typical momentum.
+    Returns:
+        The top.
+    """
+    system, cyclic = problem.system, list(problem.cyclic)
+    derivatives = inertia_derivatives(system, problem.shapes(np.zeros((1, 0))), of=())
+    H, c = derivatives.H[0], derivatives.com[0]
+    spin_indices = [3 + k for k in cyclic]
+    H_bc, H_cc = H[:3, spin_indices], H[np.ix_(spin_indices, spin_indices)]
+    driven_indices = [3 + k for k in problem.driven]
+    momenta = problem.cyclic_momenta - H[np.ix_(spin_indices, driven_indices)] @ problem.driven_rate
+    K = H[:3, :3] - H_bc @ np.linalg.solve(H_cc, H_bc.T)
+    offset = H[:3][:, driven_indices] @ problem.driven_rate + H_bc @ np.linalg.solve(H_cc, momenta)
+    weight = system.mass * float(np.linalg.norm(system.gravity))
+    least_inertia, largest_inertia = np.linalg.eigvalsh(K)[[0, -1]]
+    torque = weight * float(np.linalg.norm(c))
+    momentum = abs(J) + float(np.linalg.norm(offset)) + float(np.sqrt(largest_inertia * torque))
+    scales = np.repeat([1.0, momentum], 3)
+    return HeavyTop(K, offset, c, weight, scales, momentum / float(least_inertia))
+
+
+def is_definite_with_axis_momentum(top: HeavyTop, up: Array, J: float) -> bool:
+    """Return whether the momentum about the symmetry axis makes a steady motion stable.
+
+    With z = (Γ, μ) and Γ = −up, the test takes the second variation of
+    h − λ₁ μ·Γ − λ₂ ½|Γ|² − κ μ·a on the leaf with constant μ·a. It tries all multipliers for which
+    the equilibrium is a critical point.
+
+    Args:
+        top: The body.
+        up: Upward vertical in the body, (3,).
+        J: Momentum about the vertical [N m s].
+    Returns:
+        True if the second variation is definite for some multipliers.
+    """
+    axis = top.axis
+    if axis is None:
+        return False
+    D, K, gamma = top.scales, top.inertia, -up
+    omega = (J - float(up @ top.offset)) / float(up @ K @ up) * up
+    mu = K @ omega + top.offset
+    dh = D * np.concatenate([-top.weight * top.com, omega])
+    constraint_gradients = D * np.array(
+        [np.r_[mu, gamma], np.r_[gamma, np.zeros(3)], np.r_[np.zeros(3), axis]]
+    )
+    multipliers = np.linalg.lstsq(constraint_gradients.T, dh, rcond=None)[0]
+    if np.linalg.norm(constraint_gradients.T @ multipliers - dh) > _CRITICAL * np.linalg.norm(dh):
+        return False
+    _, singular, right = np.linalg.svd(constraint_gradients.T)
+    is_upright = singular[2] <= _RANK * singular[0]  # then the axis is vertical
+    multiplier_direction = right[2] / right[2][0] if is_upright else np.zeros(3)
+    axis_rotation = np.concatenate([np.cross(axis, gamma), np.cross(axis, mu)]) / D
+    constraints = (
+        np.vstack([constraint_gradients, axis_rotation])
+        if np.linalg.norm(axis_rotation) > _RANK
+        else constraint_gradients
+    )
+    _, singular, right = np.linalg.svd(constraints)
+    B = right[int((singular > _RANK * singular[0]).sum()) :].T
+
+    def quadratic(multiplier: float) -> Array:
+        lambda_1, lambda_2, _ = multipliers + multiplier * multiplier_direction
+        hessian = np.block(
+            [
+                [-lambda_2 * np.eye(3), -lambda_1 * np.eye(3)],
+                [-lambda_1 * np.eye(3), np.linalg.inv(K)],
+            ]
+        )
+        return np.asarray(B.T @ (D[:, None] * hessian * D) @ B)
+
+    return _is_definite(quadratic, _REACH * top.rate if is_upright else 0.0)
+
+
+def _is_definite(quadratic: Callable[[float], Array], reach: float) -> bool:
+    """Return whether a multiplier in [−reach, reach] makes a quadratic form definite."""
+    from scipy.optimize import minimize_scalar
+
+    for sign in (1.0, -1.0):  # The least eigenvalue is concave in the multiplier.
+        multiplier = 0.0
+        if reach:
+            multiplier = minimize_scalar(
+                lambda k, s=sign: -np.linalg.eigvalsh(s * quadratic(k))[0],
+                bounds=(-reach, reach), method="bounded", options={"xatol": 1e-12 * reach},
+            ).x  # fmt: skip
+        matrix = sign * quadratic(multiplier)
+        if np.linalg.eigvalsh(matrix)[0] > _DEFINITE * np.abs(matrix).max():
+            return True
+    return False
