@@ -1,7 +1,7 @@
 """Playback: the numbers that are drawn, over the frames of a film.
 
 All of it is Pinocchio's: forward kinematics, centre of mass, centroidal momentum and
-composite inertia of (q, v).  The momentum arrow shows the conserved momentum.
+composite inertia of (q, v).
 """
 
 from __future__ import annotations
@@ -19,11 +19,10 @@ from ...simulation.trajectory import Trajectory
 from ...system.state_fields import State
 from ...system.system import System
 from ..motion_source import MotionSource
+from .momentum_arrow import Momentum, conserved_momentum
 from .view import View
 
 MOST_FRAMES = 100_000
-
-STILL = 1e-9  # of what the motion could carry; momentum below it is zero
 
 
 @dataclass(frozen=True)
@@ -170,71 +169,3 @@ def _ellipsoid(inertia: Array, mass: float) -> Array:
     moments, axes = np.linalg.eigh(inertia)
     squares = 2.5 / mass * (moments.sum() - 2.0 * moments)
     return np.asarray((axes * np.sqrt(np.maximum(squares, 0.0))) @ axes.T)
-
-
-@dataclass(frozen=True)
-class Momentum:
-    """The momentum that the group conserves, over F frames; arrays are read-only.
-
-    vector: (F, 3) in the world frame, exactly zero where it is zero but for round-off.
-    tail: (F, 3) where the arrow begins [m].  words: what it is.  unit: of the vector.
-    """
-
-    vector: Array
-    tail: Array
-    words: str
-    unit: str
-
-    def __post_init__(self) -> None:
-        freeze(self)
-
-
-def conserved_momentum(system: System, q: Array, v: Array) -> Momentum:
-    """Return the arrow at q (F, nq) and v (F, n), by Pinocchio's centroidal momentum.
-
-    Where the base can turn, angular momentum about the centre of mass, or about the pivot
-    if there is one, along the axes about which it can turn; else momentum along its axis.
-    """
-    model, data = system.model, system.model.createData()
-    linear, slides = system.group.linear, not system.group.turns
-    pivoted = not (slides or system.group.turns_about_com)
-    pivot = np.array(model.jointPlacements[1].translation)
-    axes, rotor = _axes(system), model.armature
-    about = slice(0 if slides else linear, system.r)
-    vector, tail, most = np.empty((len(q), 3)), np.empty((len(q), 3)), 0.0
-    for k in range(len(q)):
-        pin.ccrba(model, data, q[k], v[k])
-        tail[k] = pivot if pivoted else data.com[0]
-        arm = data.com[0] - tail[k]
-        spin = data.hg.angular + np.cross(arm, data.hg.linear)
-        counts = data.hg.linear if slides else spin
-        vector[k] = axes @ (axes.T @ counts + rotor[about] * v[k, about])
-        mass, size = data.Ig.mass, np.sqrt(np.trace(data.Ig.inertia) / data.Ig.mass)
-        carried = np.sqrt(2.0 * mass * pin.computeKineticEnergy(model, data, q[k], v[k]))
-        most = max(most, float(carried * (1.0 if slides else size + np.linalg.norm(arm))))
-    vector[np.linalg.norm(vector, axis=1) <= STILL * most] = 0.0
-    return Momentum(vector, tail, *_words(system))
-
-
-def _axes(system: System) -> Array:
-    """Return the axes of the root joint that count, (3, k), unit vectors in the world frame.
-
-    They are those of the joint's frame; with fewer than three the motion leaves them as they are.
-    """
-    model, data = system.model, system.model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    motion = np.array(data.joints[1].S).reshape(6, system.r)
-    linear = system.group.linear
-    own = motion[3:, linear:] if system.group.turns else motion[:3]
-    return np.asarray(model.jointPlacements[1].rotation @ own)
-
-
-def _words(system: System) -> tuple[str, str]:
-    """Return what the arrow is, and its unit."""
-    group = system.group
-    if not group.turns:
-        return "momentum along the axis" if group.dim == 1 else "momentum", "kg m/s"
-    if group.turns_about_com:
-        return "angular momentum about the centre of mass", "kg m²/s"
-    about = "the axis" if group.turns == 1 else "the pivot"
-    return f"angular momentum about {about}", "kg m²/s"
