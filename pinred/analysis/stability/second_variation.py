@@ -6,10 +6,10 @@ positive. If both are positive definite, the equilibrium is stable. A body witho
 the first block, so that a maximum is stable, too.
 
 Under gravity, a pivoted body conserves its momentum about the vertical. An upright spinning
-("sleeping") top is stable, but it is no minimum of the amended potential. A top that is symmetric about a body axis a
-through the pivot also conserves μ·a. The same holds with cyclic rotors. Let b be the base, c the
-cyclic and d the driven rotors. With K = H_bb − H_bc H_cc⁻¹ H_cb, the effective inertia, and k, the
-momentum of the rotors while the body is at rest, the energy is
+("sleeping") top is stable, but it is no minimum of the amended potential. A top that is symmetric
+about a body axis a through the pivot also conserves μ·a. The same holds with cyclic rotors. Let b
+be the base, c the cyclic and d the driven rotors. With K = H_bb − H_bc H_cc⁻¹ H_cb, the effective
+inertia, and k, the momentum of the rotors while the body is at rest, the energy is
 
     h(Γ, μ) = ½ (μ − k)ᵀ K⁻¹ (μ − k) − m |g| c·Γ,     k = H_bd ν + H_bc H_cc⁻¹ (π − H_cd ν),
 
