@@ -263,7 +263,7 @@ def test_gravity_that_turns_the_base_is_refused(group: str) -> None:
     close(heavy.curvature([0.1, 0.2]), light.curvature([0.1, 0.2]), 1e-13)
     still = heavy.group.identity()
     framed = heavy.in_section(lambda x: ca.vertcat(*(0.0 * x[0] + float(each) for each in still)))
-    says = "momenta do not stay what they are: gravity"
+    says = "momenta are not conserved: gravity"
     calls: list[Callable[[], object]] = [
         lambda: pinred.phase(heavy, gait),
         lambda: pinred.phase(framed, gait),

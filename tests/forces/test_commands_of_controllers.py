@@ -13,7 +13,7 @@ import pytest
 import pinred
 from pinred.common.arrays import Array
 from pinred.forces import Command, Controller, SeenState
-from pinred.judge.controller_measurements import measurement_error
+from pinred.judge.audit import measurement_error
 from pinred.judge.reference_solution import FullState
 from pinred.scene.scene import ENGINES, Engine
 from pinred.simulation.trajectory import Trajectory

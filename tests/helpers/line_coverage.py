@@ -1,7 +1,8 @@
-"""Which tests run which lines of the package.
+"""Record the tests that run each line of the package.
 
-Lines of functions only: those of modules run when something imports them first, and what does so
-before any test counts for all tests of the module.  What is compiled by numba leaves no trace.
+Only lines inside functions are recorded. Lines at module level run when a module is first
+imported. A line that runs before any test counts for all tests of its module. Code compiled by
+numba is not traced.
 """
 
 from __future__ import annotations
@@ -20,72 +21,78 @@ from typing import Any
 
 from numba.core.dispatcher import Dispatcher
 
-IMPORT = ""  # the name of the test that runs what is run before any test
-_OPTIMISED = 1  # the flag of a function's code; modules and bodies of classes have none
+IMPORT = ""  # test name that stands for code that runs before any test
+_OPTIMISED = 1  # the flag CO_OPTIMIZED, set in function code but not in modules and class bodies
 
 
 @dataclass
-class Covering:
-    """What tests run.  seconds: of each test.  lines: of each module, and the tests that ran it."""
+class LineCoverage:
+    """The lines that tests run, and the time of the tests.
+
+    Attributes:
+        seconds: Duration of each test [s].
+        lines: Tests that ran a line, by module and line number.
+    """
 
     seconds: dict[str, float] = field(default_factory=dict)
     lines: dict[str, dict[int, list[str]]] = field(default_factory=dict)
 
     def tests(self, module: str, line: int, end: int) -> list[str]:
-        """Return the tests that run one of these lines, in the order of `quickest`."""
-        known = self.lines.get(module, {})
-        found = {test for k in range(line, end + 1) for test in known.get(k, [])}
-        return self.of_module(module) if IMPORT in found else self.quickest(found)
+        """Return the tests that run a line from `line` to `end`, in the order of `quickest`."""
+        tests_of_line = self.lines.get(module, {})
+        names = {test for k in range(line, end + 1) for test in tests_of_line.get(k, [])}
+        return self.of_module(module) if IMPORT in names else self.quickest(names)
 
     def of_module(self, module: str) -> list[str]:
-        """Return all tests, first those that run any line of a function of a module.
+        """Return all tests, starting with those that run any function of a module.
 
-        The others may run it in a process of their own.
+        The remaining tests may run the module in a subprocess.
         """
-        found = {t for tests in self.lines.get(module, {}).values() for t in tests} - {IMPORT}
-        return [*self.quickest(found), *self.quickest(set(self.seconds) - found)]
+        names = {t for tests in self.lines.get(module, {}).values() for t in tests} - {IMPORT}
+        return [*self.quickest(names), *self.quickest(set(self.seconds) - names)]
 
     def quickest(self, tests: set[str]) -> list[str]:
-        """Return tests in the order of the time that they take.
+        """Return tests in ascending order of their duration.
 
-        The k-th case of a test counts k times, for it likely sees no more than the others.
+        The duration of the k-th case of a parametrized test is multiplied by k, because later cases
+        rarely detect faults that earlier cases miss.
         """
-        cases: Counter[str] = Counter()
+        cases_so_far: Counter[str] = Counter()
         weights = {}
         for test in sorted(tests, key=lambda test: (self.seconds.get(test, 0.0), test)):
-            cases[name := test.split("[")[0]] += 1
-            weights[test] = self.seconds.get(test, 0.0) * cases[name]
+            cases_so_far[name := test.split("[")[0]] += 1
+            weights[test] = self.seconds.get(test, 0.0) * cases_so_far[name]
         return sorted(weights, key=lambda test: (weights[test], test))
 
     def write(self, path: Path) -> None:
-        """Write it as JSON."""
+        """Write the record as JSON."""
         path.write_text(json.dumps({"seconds": self.seconds, "lines": self.lines}))
 
     @staticmethod
-    def read(path: Path) -> Covering:
-        """Read what `write` has written."""
-        read = json.loads(path.read_text())
+    def read(path: Path) -> LineCoverage:
+        """Read a record from a file of `write`."""
+        record = json.loads(path.read_text())
         lines = {
-            module: {int(line): tests for line, tests in known.items()}
-            for module, known in read["lines"].items()
+            module: {int(line): tests for line, tests in by_line.items()}
+            for module, by_line in record["lines"].items()
         }
-        return Covering(read["seconds"], lines)
+        return LineCoverage(record["seconds"], lines)
 
 
 class Recorder:
-    """What runs of some modules: of tests, and of what is imported before any."""
+    """Records the lines that run in some modules, during tests and during imports."""
 
     def __init__(self, package: Path, modules: Sequence[str]) -> None:
-        """Record modules of a package (a folder)."""
+        """Prepare the recorder for modules of a package, given as a folder."""
         self._files = {str(package / module): module for module in modules}
         self._now: set[tuple[str, int]] | None = None
-        self.found = Covering()
+        self.found = LineCoverage()
 
     @contextmanager
     def traced(self, test: str = IMPORT) -> Iterator[None]:
-        """Record what runs meanwhile as a test's."""
-        self._now = now = set[tuple[str, int]]()
-        began = time.perf_counter()
+        """Record the lines that run inside the context under the name of a test."""
+        self._now = executed = set[tuple[str, int]]()
+        start = time.perf_counter()
         sys.settrace(self._trace)
         threading.settrace(self._trace)
         try:
@@ -95,8 +102,8 @@ class Recorder:
             threading.settrace(None)
             self._now = None
             if test != IMPORT:
-                self.found.seconds[test] = time.perf_counter() - began
-            for module, line in now:
+                self.found.seconds[test] = time.perf_counter() - start
+            for module, line in executed:
                 lines = self.found.lines.setdefault(module, defaultdict(list))
                 lines[line].append(test)
 
@@ -116,15 +123,15 @@ class Recorder:
 
 
 def leave_numba_alone() -> None:
-    """Let numba's compiler, which is large, run without a trace."""
-    traced = Dispatcher.compile
+    """Disable tracing inside numba's compiler, which would be slow."""
+    compile_traced = Dispatcher.compile
 
-    def untraced(self: Dispatcher, sig: Any) -> Any:
+    def compile_untraced(self: Dispatcher, sig: Any) -> Any:
         tracing = sys.gettrace()
         sys.settrace(None)
         try:
-            return traced(self, sig)
+            return compile_traced(self, sig)
         finally:
             sys.settrace(tracing)
 
-    Dispatcher.compile = untraced  # type: ignore[method-assign]
+    Dispatcher.compile = compile_untraced  # type: ignore[method-assign]
