@@ -1,4 +1,4 @@
-"""simulate(): integrate a scene's reduced equations and put the base motion back."""
+"""simulate(): integrate the reduced equations of a scene and reconstruct the base motion."""
 
 from __future__ import annotations
 
@@ -35,17 +35,22 @@ def simulate(
 ) -> Trajectory:
     """Integrate the reduced equations of a scene and reconstruct the motion of the base.
 
-    scene: a System, or a Scene, whose options then stand where none are given.
-    options: the fields of Scene, which says what each means.
-    engine: "compiled", machine code made for the robot and the kind of scene (and kept on
-        disk), or "pinocchio", the same equations by Pinocchio's numbers under SciPy's DOP853.
-    progress: True for a progress bar, in a terminal or a notebook; or a function that is
-        called now and then with the part of the time that is done, 0 to 1.
-    explain: print what the scene lets the simulation skip, and how much is integrated.
+    A ShapeError is raised for options of the wrong shape, a SymmetryError if gravity breaks the
+    symmetry, an IntegrationError if the motion cannot be followed, and a KernelMismatch if a
+    compiled kernel disagrees with Pinocchio.
 
-    Raises InputError or ShapeError for a scene that makes no sense, SymmetryError if
-    gravity breaks the symmetry, IntegrationError if the motion cannot be followed,
-    KernelMismatch if a compiled kernel disagrees with Pinocchio.
+    Args:
+        scene: A System, or a Scene whose options are used where none are given.
+        engine: "compiled" for machine code that is generated for the robot and cached on disk, or
+            "pinocchio" for the same equations evaluated by Pinocchio under SciPy's DOP853.
+        progress: True for a progress bar in a terminal or a notebook; or a function that is
+            called now and then with the finished fraction of the time, 0 to 1.
+        explain: Whether to print the terms that are skipped and the number of variables.
+        **options: Fields of Scene.
+    Returns:
+        The trajectory.
+    Raises:
+        InputError: The engine is unknown, or an option is invalid.
     """
     if not one_of(engine, ENGINES):
         raise InputError(f"unknown engine {brief(engine)}; the engines are {', '.join(ENGINES)}")
@@ -63,7 +68,17 @@ def simulate(
 
 
 def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Scene:
-    """Return the scene that a System or Scene and options make.  Raises InputError."""
+    """Return a scene with options.
+
+    Args:
+        scene: A System, or a Scene whose options are used where none are given.
+        options: Fields of Scene.
+        what: Name of the public function, for messages.
+    Returns:
+        The scene.
+    Raises:
+        InputError: An option is unknown or invalid.
+    """
     names = [name for name in Scene.__dataclass_fields__ if name != "system"]
     for option in options:
         if option not in names:
@@ -71,7 +86,7 @@ def as_scene(scene: System | Scene, options: Mapping[str, Any], what: str) -> Sc
     if not isinstance(scene, Scene):
         return Scene(system=checked_system(scene, what), **options)
     parameters = options.get("parameters")
-    if isinstance(parameters, Mapping):  # what is not given stays
+    if isinstance(parameters, Mapping):  # Other parameters keep their values.
         options = {**options, "parameters": joined(scene.parameters, parameters)}
     return replace(scene, **options) if options else scene
 
@@ -110,6 +125,6 @@ def _followed(
 
 
 def _until(scene: Scene, end: float) -> Scene:
-    """Return a scene that ends earlier, and reports its end."""
+    """Return a scene that ends earlier, with its end among the report times."""
     t = scene.report_times
     return replace(scene, duration=end, times=np.append(t[t < end], end))
