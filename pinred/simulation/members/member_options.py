@@ -16,8 +16,7 @@ from ...common.plain_names import brief, listed
 from ...integrators.methods import Method
 from ...reduction.potential import acting_gravity, falling
 from ...scene import input_formats
-from ...scene.angles import refuse_vague
-from ...scene.initial_state import GivenStates
+from ...scene.initial_state import GivenStates, refuse_vague
 from ...scene.random_state import random_state
 from ...scene.scene import Scene
 from ...system.model_parameters import GRAVITY, kinds_near, requested, size_of
